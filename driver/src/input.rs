@@ -1,0 +1,88 @@
+//! The one shape of error for a file that a person wrote: where, what was found, what was expected.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Bad input in a file: one finding, with its place and its remedy. Ends a command with exit code 2.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InputError {
+    /// The file, as the user named it.
+    pub file: PathBuf,
+    /// Line, from 1; 0 where the finding concerns the file as a whole.
+    pub line: usize,
+    /// Column in characters, from 1; 0 where the finding concerns the whole line.
+    pub column: usize,
+    /// What was found.
+    pub found: String,
+    /// What was expected, and how to mend it.
+    pub expected: String,
+}
+
+impl InputError {
+    /// A finding about the file as a whole.
+    pub fn whole(file: &Path, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::at(file, 0, 0, found, expected)
+    }
+
+    /// A finding at a line and column (each from 1, 0 where it has none).
+    pub fn at(
+        file: &Path,
+        line: usize,
+        column: usize,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> Self {
+        Self { file: file.to_owned(), line, column, found: found.into(), expected: expected.into() }
+    }
+
+    /// A finding at a byte offset of `text`, as TOML parsers report it.
+    pub fn at_offset(
+        file: &Path,
+        text: &str,
+        offset: usize,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> Self {
+        let mut end = offset.min(text.len());
+        while !text.is_char_boundary(end) {
+            end -= 1;
+        }
+        let before = &text[..end];
+        let line = before.matches('\n').count() + 1;
+        let column = before.rsplit('\n').next().map_or(0, |tail| tail.chars().count()) + 1;
+        Self::at(file, line, column, found, expected)
+    }
+}
+
+impl fmt::Display for InputError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        if self.line > 0 {
+            write!(f, ":{}", self.line)?;
+            if self.column > 0 {
+                write!(f, ":{}", self.column)?;
+            }
+        }
+        write!(f, ": found {}, expected {}", self.found, self.expected)
+    }
+}
+
+impl std::error::Error for InputError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn offset_becomes_line_and_column() {
+        let e = InputError::at_offset(Path::new("m.toml"), "a = 1\nµb = 2\n", 8, "x", "y");
+        assert_eq!((e.line, e.column), (2, 2));
+        assert_eq!(e.to_string(), "m.toml:2:2: found x, expected y");
+    }
+
+    #[test]
+    fn offset_past_the_end_or_inside_a_character_does_not_panic() {
+        assert_eq!(InputError::at_offset(Path::new("m"), "µ", 1, "", "").column, 1);
+        assert_eq!(InputError::at_offset(Path::new("m"), "a\n", 99, "", "").line, 2);
+    }
+}

@@ -1,0 +1,220 @@
+//! Two signals in quadrature: the state table and a decoder.
+//!
+//! A leads B is positive: (A,B) runs 00 → 10 → 11 → 01 → 00, one count per state (x4). NISTIR 4832, state table
+//! of Design B.
+
+/// The levels of A (bit 0) and B (bit 1).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub struct State(u8);
+
+/// One of the two signals, as a mask over [`State`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Signal {
+    /// Signal A.
+    A = 1,
+    /// Signal B.
+    B = 2,
+}
+
+impl Signal {
+    /// The other one.
+    #[must_use]
+    pub const fn other(self) -> Self {
+        match self {
+            Self::A => Self::B,
+            Self::B => Self::A,
+        }
+    }
+}
+
+/// Counts of the step from one state to the next, indexed by `from << 2 | to`; 2 marks an illegal transition.
+const STEP: [i8; 16] = [
+    0, 1, -1, 2, // from A=0 B=0: A rises +1, B rises −1, both: illegal
+    -1, 0, 2, 1, // from A=1 B=0
+    1, 2, 0, -1, // from A=0 B=1
+    2, -1, 1, 0, // from A=1 B=1
+];
+
+impl State {
+    /// The state with these levels.
+    #[must_use]
+    pub const fn new(a: bool, b: bool) -> Self {
+        Self(a as u8 | (b as u8) << 1)
+    }
+
+    /// The state from bit 0 (A) and bit 1 (B); higher bits are ignored.
+    #[must_use]
+    pub const fn from_bits(bits: u8) -> Self {
+        Self(bits & 3)
+    }
+
+    /// Bit 0 is A, bit 1 is B.
+    #[must_use]
+    pub const fn bits(self) -> u8 {
+        self.0
+    }
+
+    /// Level of A.
+    #[must_use]
+    pub const fn a(self) -> bool {
+        self.0 & 1 != 0
+    }
+
+    /// Level of B.
+    #[must_use]
+    pub const fn b(self) -> bool {
+        self.0 & 2 != 0
+    }
+
+    /// A and B equal: what decides which inversion comes first (NISTIR 4832, Design C).
+    #[must_use]
+    pub const fn equal(self) -> bool {
+        self.0 == 0 || self.0 == 3
+    }
+
+    /// The state with one signal inverted.
+    #[must_use]
+    pub const fn flipped(self, signal: Signal) -> Self {
+        Self(self.0 ^ signal as u8)
+    }
+
+    /// The state with the signals of `mask` (bit 0 A, bit 1 B) inverted, as the XOR gates do it.
+    #[must_use]
+    pub const fn inverted(self, mask: u8) -> Self {
+        Self((self.0 ^ mask) & 3)
+    }
+
+    /// Counts of the transition to `next`: −1, 0 or +1; `None` when both signals changed.
+    #[must_use]
+    pub const fn step_to(self, next: Self) -> Option<i8> {
+        match STEP[(self.0 << 2 | next.0) as usize] {
+            2 => None,
+            step => Some(step),
+        }
+    }
+
+    /// Counts of inverting `signal` in this state: A forward when A = B, backward when not; B the other way.
+    #[must_use]
+    pub const fn step_of(self, signal: Signal) -> i8 {
+        STEP[(self.0 << 2 | self.flipped(signal).0) as usize]
+    }
+
+    /// The neighbouring state in the positive (`true`) or negative direction.
+    #[must_use]
+    pub const fn next(self, positive: bool) -> Self {
+        self.flipped(self.signal_towards(positive))
+    }
+
+    /// The signal whose change moves one count in the given direction from here.
+    #[must_use]
+    pub const fn signal_towards(self, positive: bool) -> Signal {
+        if self.equal() == positive { Signal::A } else { Signal::B }
+    }
+}
+
+/// Counts one pair of signals. An illegal transition is counted as such and never guessed at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Decoder {
+    state: State,
+    count: i64,
+    illegal: u64,
+}
+
+impl Decoder {
+    /// A decoder at zero, in the given state.
+    #[must_use]
+    pub const fn new(state: State) -> Self {
+        Self { state, count: 0, illegal: 0 }
+    }
+
+    /// Takes the next state; returns the step, or `None` for an illegal transition (the count then stays).
+    pub fn update(&mut self, next: State) -> Option<i8> {
+        let step = self.state.step_to(next);
+        self.state = next;
+        match step {
+            Some(s) => self.count += i64::from(s),
+            None => self.illegal += 1,
+        }
+        step
+    }
+
+    /// Counts since the start.
+    #[must_use]
+    pub const fn count(&self) -> i64 {
+        self.count
+    }
+
+    /// The present state.
+    #[must_use]
+    pub const fn state(&self) -> State {
+        self.state
+    }
+
+    /// Transitions in which both signals changed.
+    #[must_use]
+    pub const fn illegal(&self) -> u64 {
+        self.illegal
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The cycle of formats.md: 00 → 10 → 11 → 01 → 00.
+    const CYCLE: [(bool, bool); 4] = [(false, false), (true, false), (true, true), (false, true)];
+
+    #[test]
+    fn positive_cycle_counts_up_and_back_down() {
+        let mut d = Decoder::new(State::new(false, false));
+        for n in 1..=8_usize {
+            let (a, b) = CYCLE[n % 4];
+            assert_eq!(d.update(State::new(a, b)), Some(1));
+        }
+        for n in (0..8_usize).rev() {
+            let (a, b) = CYCLE[n % 4];
+            assert_eq!(d.update(State::new(a, b)), Some(-1));
+        }
+        assert_eq!((d.count(), d.illegal()), (0, 0));
+    }
+
+    #[test]
+    fn both_signals_at_once_is_illegal_from_every_state() {
+        for bits in 0..4 {
+            let s = State::from_bits(bits);
+            let mut d = Decoder::new(s);
+            assert_eq!(d.update(s.inverted(3)), None);
+            assert_eq!((d.count(), d.illegal(), d.state()), (0, 1, s.inverted(3)));
+        }
+    }
+
+    /// The general algorithm of NISTIR 4832, Design C.
+    #[test]
+    fn two_inversions_in_the_papers_order_make_two_counts() {
+        for bits in 0..4 {
+            let s = State::from_bits(bits);
+            for add in [true, false] {
+                let first = if s.equal() == add { Signal::A } else { Signal::B };
+                assert_eq!(s.signal_towards(add), first);
+                let mut d = Decoder::new(s);
+                d.update(s.flipped(first));
+                d.update(s.inverted(3));
+                assert_eq!(d.count(), if add { 2 } else { -2 });
+            }
+        }
+    }
+
+    #[test]
+    fn steps_agree_with_the_neighbours() {
+        for bits in 0..4 {
+            let s = State::from_bits(bits);
+            assert_eq!(s.step_to(s.next(true)), Some(1));
+            assert_eq!(s.step_to(s.next(false)), Some(-1));
+            for signal in [Signal::A, Signal::B] {
+                assert_eq!(Some(s.step_of(signal)), s.step_to(s.flipped(signal)));
+                assert_ne!(s.equal(), s.flipped(signal).equal());
+            }
+        }
+    }
+}

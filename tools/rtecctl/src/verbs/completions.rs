@@ -1,0 +1,16 @@
+//! `rtecctl completions SHELL`: shell completions on standard output.
+
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+/// Print a completion script for your shell
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The shell to complete in
+    shell: Shell,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    clap_complete::generate(args.shell, &mut crate::Cli::command(), "rtecctl", &mut std::io::stdout());
+    Ok(())
+}

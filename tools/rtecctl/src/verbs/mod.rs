@@ -1,0 +1,4 @@
+//! One file per verb: its options and one function.
+
+pub(crate) mod completions;
+pub(crate) mod man;
