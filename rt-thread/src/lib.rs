@@ -3,5 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
+//! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
 
 pub mod histogram;
+pub mod setup;
