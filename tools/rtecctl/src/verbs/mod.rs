@@ -1,4 +1,5 @@
 //! One file per verb: its options and one function.
 
 pub(crate) mod completions;
+pub(crate) mod demo;
 pub(crate) mod man;
