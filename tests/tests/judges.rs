@@ -1,5 +1,7 @@
 //! The judges agree with right traces and catch wrong ones; `.ci/run` installs them and lets nothing be skipped.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use rtec_driver::trace::{TraceFormat, TracePoint, TraceReader, TraceWriter};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, Verdict, available, sigrok};
 use rtec_tests::ledger;
