@@ -19,6 +19,7 @@ enum Verb {
     Demo(verbs::demo::Args),
     Completions(verbs::completions::Args),
     Man(verbs::man::Args),
+    Trace(verbs::trace::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -43,6 +44,7 @@ fn main() -> ExitCode {
         Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
+        Verb::Trace(args) => verbs::trace::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");
