@@ -347,13 +347,15 @@ impl System {
         let mut here: Vec<(u32, String)> = entries
             .flatten()
             .filter_map(|entry| {
-                let number = entry.file_name().to_str()?.parse().ok()?;
+                let number: u32 = entry.file_name().to_str()?.parse().ok()?;
                 // A handler shows as a directory with the device's name; without one the interrupt is not in use.
                 let device = std::fs::read_dir(entry.path())
                     .ok()?
                     .flatten()
                     .find(|inner| inner.file_type().is_ok_and(|t| t.is_dir()))?;
-                let list = |name| self.read(entry.path().join(name)).ok().filter(|text| !text.is_empty());
+                let list = |name| {
+                    self.read(format!("proc/irq/{number}/{name}")).ok().filter(|text| !text.is_empty())
+                };
                 let cpus = list("effective_affinity_list").or_else(|| list("smp_affinity_list"))?;
                 cpu_list(&cpus)
                     .contains(&cpu)
@@ -658,7 +660,7 @@ fn stack() -> Finding {
             .map_err(|e| OsError { operation: "getrusage".into(), errno: e as i32 })
     };
     touch_stack(STACK_BYTES / PAGE);
-    let wanted = format!("{} KiB without a page fault", STACK_BYTES / 1024);
+    let wanted = format!("{} KiB, no page fault", STACK_BYTES / 1024);
     let second = faults().and_then(|before| {
         touch_stack(STACK_BYTES / PAGE);
         Ok(faults()? - before)
