@@ -4,6 +4,8 @@
 //! |---|---|
 //! | [`quadrature`] | the state table of two signals in quadrature, and a decoder that counts |
 //! | [`input`] | the one shape of error for a file that a person wrote |
+//! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 
 pub mod input;
 pub mod quadrature;
+pub mod trace;
