@@ -8,6 +8,7 @@
 //! | [`event`] | requests, events and status: what goes over the link |
 //! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
 //! | [`replay`] | the engine over a recording, and what the MTC would have counted |
+//! | [`selftest`] | this machine's latencies, measured with the real engine |
 //! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
 
 pub mod axis;
@@ -16,4 +17,5 @@ pub mod event;
 pub mod gate;
 pub mod histogram;
 pub mod replay;
+pub mod selftest;
 pub mod setup;

@@ -573,6 +573,16 @@ pub fn apply(system: &System, wanted: Wanted) -> (Held, Report) {
     (Held { _cpu_dma_latency: cpu_dma_latency }, report)
 }
 
+/// Takes the calling thread, and those it starts from now on, off `cpu`, so that nothing there competes with the
+/// real-time thread. `false` when no other CPU is left to it: then it stays.
+#[must_use]
+pub fn leave(cpu: usize) -> bool {
+    let me = nix::unistd::Pid::from_raw(0);
+    let Ok(mut set) = nix::sched::sched_getaffinity(me) else { return false };
+    let _ = set.unset(cpu); // a CPU that cannot be in the set is not in it
+    nix::sched::sched_setaffinity(me, &set).is_ok()
+}
+
 fn scheduler(priority: u8) -> Finding {
     let wanted = libc::sched_param { sched_priority: i32::from(priority) };
     // Threads started from here must not inherit the priority: they are helpers.
