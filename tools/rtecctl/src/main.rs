@@ -20,6 +20,8 @@ enum Verb {
     Completions(verbs::completions::Args),
     Man(verbs::man::Args),
     Trace(verbs::trace::Args),
+    Platform(verbs::platform::Args),
+    Selftest(verbs::selftest::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -45,6 +47,8 @@ fn main() -> ExitCode {
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
         Verb::Trace(args) => verbs::trace::run(&args),
+        Verb::Platform(args) => verbs::platform::run(&args),
+        Verb::Selftest(args) => verbs::selftest::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");

@@ -3,4 +3,6 @@
 pub(crate) mod completions;
 pub(crate) mod demo;
 pub(crate) mod man;
+pub(crate) mod platform;
+pub(crate) mod selftest;
 pub(crate) mod trace;
