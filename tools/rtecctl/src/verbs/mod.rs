@@ -1,5 +1,8 @@
 //! One file per verb: its options and one function.
 
 pub(crate) mod completions;
+pub(crate) mod demo;
 pub(crate) mod man;
+pub(crate) mod platform;
+pub(crate) mod selftest;
 pub(crate) mod trace;
