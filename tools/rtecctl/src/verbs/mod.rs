@@ -1,4 +1,6 @@
 //! One file per verb: its options and one function.
 
 pub(crate) mod completions;
+pub(crate) mod config;
 pub(crate) mod man;
+pub(crate) mod replay;
