@@ -16,10 +16,14 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Demo(verbs::demo::Args),
     Completions(verbs::completions::Args),
     Config(verbs::config::Args),
     Man(verbs::man::Args),
     Replay(verbs::replay::Args),
+    Trace(verbs::trace::Args),
+    Platform(verbs::platform::Args),
+    Selftest(verbs::selftest::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -39,10 +43,14 @@ pub(crate) enum Outcome {
 
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
+        Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Config(args) => verbs::config::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
         Verb::Replay(args) => verbs::replay::run(&args),
+        Verb::Trace(args) => verbs::trace::run(&args),
+        Verb::Platform(args) => verbs::platform::run(&args),
+        Verb::Selftest(args) => verbs::selftest::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");
