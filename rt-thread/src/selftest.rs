@@ -252,7 +252,7 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
     mut progress: impl FnMut(&str, u64),
 ) -> Result<Measured, SelftestError> {
     // Everything but the real-time thread leaves its CPU; threads started from here do as this one does.
-    let second_cpu = setup::leave(options.cpu);
+    let left = setup::leave(options.cpu);
     let wakeup = measure_wake_ups(options, &mut progress)?;
 
     // The far side keeps its dwell time and waits for each insertion: the last period alone decides.
@@ -268,8 +268,9 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
     let (mut done, done_reader) = histogram();
     std::thread::scope(|scope| {
         let _end = AtEnd(&between);
-        let far_side = second_cpu
-            .then(|| {
+        let far_side = left
+            .as_ref()
+            .map(|_| {
                 std::thread::Builder::new()
                     .name("far-side".into())
                     .spawn_scoped(scope, || play(&mut far, &between, &mut done, options.seed))

@@ -15,6 +15,12 @@ fn text(out: &Output) -> String {
     String::from_utf8(out.stdout.clone()).expect("UTF-8")
 }
 
+/// Says loudly that something could not be compared; with `RTEC_REQUIRE=1` that is a failure.
+fn skipped(why: &str) {
+    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
+    eprintln!("SKIPPED: {why}");
+}
+
 /// What a line looks like: every number as one 9, every run of blanks as it may vary with the numbers' width.
 fn shape(line: &str) -> String {
     let mut shape = String::new();
@@ -47,7 +53,7 @@ fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed
         assert!(safe.is_f64() || safe.is_null() && verdict == "fail");
         assert!(document["wakeup_ns"]["samples"].as_u64() > Some(0));
         if document["far_side"].is_null() {
-            eprintln!("SKIPPED: one CPU only, so nobody can play the machine while the engine polls");
+            skipped("one CPU only, so nobody can play the machine while the engine polls");
             continue;
         }
         assert_eq!(document["ledger_balanced"], true);
@@ -87,7 +93,7 @@ fn text_and_histogram_file_have_the_shape_of_cyclictest() {
 
     let arguments = ["-q", "-l", "20", "-i", "1000", "-t", "3", "-h", "400"];
     let Ok(cyclictest) = Command::new("cyclictest").args(arguments).output() else {
-        eprintln!("SKIPPED: cyclictest (Debian rt-tests) is not there to be compared with");
+        skipped("cyclictest (Debian rt-tests) is not there to be compared with");
         return;
     };
     let theirs = text(&cyclictest);
