@@ -305,6 +305,8 @@ impl Engine {
         tell: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
+        // A cleared fault leaves corrections off: they come on again by a decision, not by themselves.
+        self.enabled &= !faulted;
         let mode = if faulted {
             Mode::Fault
         } else if self.held {

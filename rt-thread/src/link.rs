@@ -16,7 +16,7 @@ use std::sync::{
 use crate::event::{Event, Request, Status};
 use crate::snapshot::{Reader, Writer, snapshot};
 use crossbeam_utils::CachePadded;
-use ringbuf::traits::{Consumer, Producer, Split};
+use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
 /// Requests that may be on their way.
@@ -92,6 +92,12 @@ impl ControlEnd {
     /// Hands the request back when the ring is full.
     pub fn send(&mut self, request: Request) -> Result<(), Full> {
         self.requests.try_push(request).map_err(Full)
+    }
+
+    /// Requests on their way that the real-time thread has not taken yet.
+    #[must_use]
+    pub fn pending(&self) -> usize {
+        self.requests.occupied_len()
     }
 
     /// The next event, oldest first.

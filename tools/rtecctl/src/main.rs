@@ -18,7 +18,9 @@ pub(crate) struct Cli {
 enum Verb {
     Demo(verbs::demo::Args),
     Completions(verbs::completions::Args),
+    Config(verbs::config::Args),
     Man(verbs::man::Args),
+    Replay(verbs::replay::Args),
     Trace(verbs::trace::Args),
     Platform(verbs::platform::Args),
     Selftest(verbs::selftest::Args),
@@ -29,7 +31,6 @@ enum Verb {
 pub(crate) enum Outcome {
     /// Exit 1: the run finished and the answer is no.
     #[error("{0}")]
-    #[allow(dead_code)]
     No(String),
     /// Exit 3: the daemon or the hardware could not be reached.
     #[error("{0}")]
@@ -37,7 +38,6 @@ pub(crate) enum Outcome {
     Unreachable(String),
     /// Exit 4: a fault is latched.
     #[error("{0}")]
-    #[allow(dead_code)]
     Fault(String),
 }
 
@@ -45,7 +45,9 @@ fn main() -> ExitCode {
     let done = match Cli::parse().verb {
         Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
+        Verb::Config(args) => verbs::config::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
+        Verb::Replay(args) => verbs::replay::run(&args),
         Verb::Trace(args) => verbs::trace::run(&args),
         Verb::Platform(args) => verbs::platform::run(&args),
         Verb::Selftest(args) => verbs::selftest::run(&args),
@@ -58,7 +60,7 @@ fn main() -> ExitCode {
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
 fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<InputError>() {
+        if cause.is::<InputError>() || cause.is::<rtec_control::config::Findings>() {
             return 2;
         }
         if let Some(outcome) = cause.downcast_ref::<Outcome>() {
