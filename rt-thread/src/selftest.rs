@@ -152,6 +152,13 @@ impl Measured {
         )
     }
 
+    /// Time of one write until the next look, ns: half of what an insertion took beyond the separations that it has to
+    /// keep, but for one in ten thousand. Rarer delays are in [`Self::detect_ns`].
+    #[must_use]
+    pub fn write_ns(&self) -> u64 {
+        self.seen_to_done.p9999().saturating_sub(self.separations_ns()).div_ceil(2)
+    }
+
     /// The part of edge to done that is wanted: the MTC's separation after the edge, and between the two inversions.
     #[must_use]
     pub fn separations_ns(&self) -> u64 {

@@ -25,8 +25,8 @@ fn main() -> anyhow::Result<()> {
             println!("  {name:<34} {:>8.0} {:>8.0}   {share}", ours.p50, ours.p99);
         }
         match peer {
-            Ok(peer) => {
-                println!("  {:<34} {:>8.0} {:>8.0}", "LinuxCNC encoder.update-counters", peer.p50, peer.p99)
+            Ok(Times { p50, p99 }) => {
+                println!("  {:<34} {p50:>8.0} {p99:>8.0}", "LinuxCNC encoder.update-counters");
             }
             Err(why) => println!("  LinuxCNC's encoder was not measured: {why:#}"),
         }

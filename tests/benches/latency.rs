@@ -41,6 +41,14 @@ fn main() -> anyhow::Result<()> {
     row("edge to done as the far side sees", &measured.edge_to_done.ns, separations_ns);
     row("wake-up", &measured.wakeup.ns, 0);
     println!("  separation: {separations_ns} ns are the MTC's, after the edge and between the inversions");
+    // What the machine itself allows: an insertion that meets such a gap is late, whatever the engine does.
+    let long: u64 = floor.buckets().filter(|b| b.low >= 1000).map(|b| b.count).sum();
+    let per_s = long as f64 / (floor.sum() as f64 / 1e9);
+    let window_ns = measured.seen_to_done.p50() as f64;
+    println!(
+        "  floor: {per_s:.0} gaps of 1 µs and more per second, so {:.3} % of insertions of {window_ns:.0} ns meet one",
+        100.0 * per_s * window_ns / 1e9
+    );
     println!(
         "  ledger {}, {} poll gap faults",
         if measured.balanced() { "balanced" } else { "DOES NOT BALANCE" },

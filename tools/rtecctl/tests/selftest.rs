@@ -122,6 +122,26 @@ fn text_and_histogram_file_have_the_shape_of_cyclictest() {
 }
 
 #[test]
+fn the_configuration_s_axes_have_their_own_rates() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let file = dir.path().join("rtec.toml");
+    let text = include_str!("../../control/src/default.toml");
+    std::fs::write(&file, text).expect("a writable directory");
+    let names: Vec<String> =
+        rtec_control::config::Config::embedded().axes.into_iter().map(|a| a.name).collect();
+    let out = latency(&["--json", "--config", file.to_str().expect("UTF-8")]);
+    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let rates = document["max_safe_edge_rate_hz"].as_object().expect("an object");
+    assert!(names.iter().all(|name| rates.contains_key(name)) && rates.len() == names.len(), "{rates:?}");
+    assert!(document["rt"]["detect_ns"].is_u64() && document["rt"]["write_ns"].is_u64());
+
+    std::fs::write(&file, "[machine]\nnmae = \"x\"\n").expect("a writable directory");
+    let out = latency(&["--config", file.to_str().expect("UTF-8")]);
+    assert_eq!(out.status.code(), Some(2));
+    assert!(out.stdout.is_empty() && String::from_utf8_lossy(&out.stderr).contains("rtec.toml:2"));
+}
+
+#[test]
 fn a_duration_without_a_unit_is_a_usage_error() {
     let out = latency(&["--duration", "soon"]);
     assert_eq!(out.status.code(), Some(2));
