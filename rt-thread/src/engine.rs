@@ -212,7 +212,8 @@ impl Engine {
         let sample = card.sample(self.wake_ns.min(by_ns))?;
         let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
         self.polls += 1;
-        if sample.edge_ns.is_none() {
+        // The first look comes after the thread's set-up, not after another look.
+        if sample.edge_ns.is_none() && self.polls > 1 {
             self.poll_gap_ns.record(sample.t_ns - since_ns);
         }
         let changed = (sample.inputs ^ self.inputs) & self.watched;
@@ -304,6 +305,8 @@ impl Engine {
         tell: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
+        // A cleared fault leaves corrections off: they come on again by a decision, not by themselves.
+        self.enabled &= !faulted;
         let mode = if faulted {
             Mode::Fault
         } else if self.held {

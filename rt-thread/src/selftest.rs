@@ -10,9 +10,11 @@
 
 use crate::axis::AxisConfig;
 use crate::engine::{Engine, MachineConfig, StartError};
-use crate::event::{Mode, Request};
+use crate::event::{GateState, Mode, Request};
 use crate::histogram::{Recorder, Snapshot, histogram};
+use crate::link::ControlEnd;
 use crate::setup::{self, Report, System, Wanted, apply};
+use crate::thread::SpawnError;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
@@ -27,8 +29,7 @@ use std::sync::atomic::{
     AtomicBool, AtomicU64,
     Ordering::{Acquire, Relaxed, Release},
 };
-use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Time between two wake-ups, ns.
 pub const WAKEUP_INTERVAL_NS: u64 = 500_000;
@@ -37,8 +38,9 @@ pub const WAKEUP_INTERVAL_NS: u64 = 500_000;
 const DWELL_NS: (u64, u64) = (20_000, 40_000);
 /// A sample for which the far side itself did not look for longer than this is not counted: its time is its own, ns.
 const RESOLUTION_NS: u64 = 1_000;
-/// An insertion that has not come after so many looks at an edge will not come: one takes some twenty.
-const LOOKS_TO_GIVE_UP: u64 = 2_000;
+/// How often the control side looks after the engine: seldom, because it may share the far side's CPU.
+const CONTROL_INTERVAL: Duration = Duration::from_millis(2);
+const SECOND: Duration = Duration::from_secs(1);
 
 /// Which card to measure with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -65,6 +67,12 @@ pub struct Options {
     pub seed: u64,
 }
 
+impl Options {
+    fn wanted(&self) -> Wanted {
+        Wanted { cpu: self.cpu, priority: self.priority }
+    }
+}
+
 /// Why nothing could be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum SelftestError {
@@ -80,6 +88,9 @@ pub enum SelftestError {
     /// The engine did not start.
     #[error(transparent)]
     Start(#[from] StartError),
+    /// Its thread did not.
+    #[error(transparent)]
+    Spawn(#[from] SpawnError),
     /// A thread ended by a panic: a bug.
     #[error("the {0} thread panicked")]
     Panicked(&'static str),
@@ -91,7 +102,7 @@ pub struct Latency {
     /// Its distribution, ns.
     #[serde(flatten)]
     pub ns: Snapshot,
-    /// The last value, ns.
+    /// The last value, ns; of the poll gap, of which none is kept, the median.
     #[serde(skip)]
     pub last_ns: u64,
     /// The thread that measured it.
@@ -108,6 +119,8 @@ pub struct Measured {
     pub wakeup: Latency,
     /// How long the polling loop does not look.
     pub poll_gap: Latency,
+    /// The engine's own part of it: from the look that saw the edge to the look that ordered the second inversion.
+    pub seen_to_done: Snapshot,
     /// From an edge to the second inversion, both separations included. Empty with one CPU only.
     pub edge_to_done: Latency,
     /// What the far side saw and counted; `None` with one CPU only.
@@ -188,37 +201,24 @@ impl Far for Registers {
     }
 }
 
-/// What the two threads tell each other besides the wires.
+/// What the far side and the control side tell each other besides the wires.
 #[derive(Debug, Default)]
-#[repr(align(128))]
 struct Between {
-    /// Looks of the loop so far. Written by: real-time thread. Read by: far side, when an insertion does not come.
-    looks: AtomicU64,
-    /// Written by: real-time thread, when its time is over. Read by: far side.
+    /// The engine's last look that is known of, ns. Written by: control side. Read by: far side.
+    looked_ns: AtomicU64,
+    /// The far side shall end. Written by: control side. Read by: far side.
     stop: AtomicBool,
-    /// Nobody looks any more. Written by: real-time thread. Read by: far side.
+    /// Nobody looks at the card any more. Written by: control side. Read by: far side.
     ended: AtomicBool,
-    /// Written by: far side, no insertion under way any more. Read by: real-time thread.
-    stopped: AtomicBool,
 }
 
-/// However one of the two threads ends, the other must not wait for it for ever.
-struct AtEnd<'a>(&'a Between, fn(&Between));
+/// However the control side ends, the far side must not wait for it for ever.
+struct AtEnd<'a>(&'a Between);
 
 impl Drop for AtEnd<'_> {
     fn drop(&mut self) {
-        self.1(self.0);
-    }
-}
-
-impl Between {
-    fn nobody_looks(&self) {
-        self.stop.store(true, Relaxed);
-        self.ended.store(true, Relaxed);
-    }
-
-    fn far_side_ended(&self) {
-        self.stopped.store(true, Relaxed);
+        self.0.stop.store(true, Relaxed);
+        self.0.ended.store(true, Relaxed);
     }
 }
 
@@ -245,117 +245,168 @@ pub fn run(options: Options, progress: impl FnMut(&str, u64)) -> Result<Measured
     }
 }
 
-fn measure<C: Card + Send, F: Far + Send>(
+fn measure<C: Card + Send + 'static, F: Far + Send>(
     options: Options,
     mut card: C,
     mut far: F,
     mut progress: impl FnMut(&str, u64),
 ) -> Result<Measured, SelftestError> {
-    let system = System::live();
     // Everything but the real-time thread leaves its CPU; threads started from here do as this one does.
     let second_cpu = setup::leave(options.cpu);
-    let between = Between::default();
-    let (mut done, done_reader) = histogram();
-    thread::scope(|scope| {
-        let far_side = second_cpu
-            .then(|| {
-                thread::Builder::new().name("far-side".into()).spawn_scoped(scope, || {
-                    let _end = AtEnd(&between, Between::far_side_ended);
-                    play(&mut far, &between, &mut done, options.seed)
-                })
-            })
-            .transpose()
-            .map_err(|e| SelftestError::Io("starting the far side", e))?;
-        if far_side.is_none() {
-            between.far_side_ended();
-        }
-        let real_time = thread::Builder::new().name("rtec-rt".into()).spawn_scoped(scope, || {
-            let _end = AtEnd(&between, Between::nobody_looks);
-            real_time(&system, options, &mut card, &between)
-        });
-        let real_time = real_time.map_err(|e| {
-            between.nobody_looks();
-            SelftestError::Io("starting the real-time thread", e)
-        })?;
-        let half = options.run / 2;
-        for (what, left) in [("wake-up", half), ("poll gap and edge to done", half)] {
-            let mut left = left;
-            while !left.is_zero() && !real_time.is_finished() {
-                progress(what, left.as_secs() + 1);
-                let step = left.min(Duration::from_secs(1));
-                thread::sleep(step);
-                left -= step;
-            }
-        }
-        let mut measured = real_time.join().map_err(|_| SelftestError::Panicked("real-time"))??;
-        if let Some(far_side) = far_side {
-            let (seen, tid, last_ns) = far_side.join().map_err(|_| SelftestError::Panicked("far-side"))?;
-            measured.far = Some(seen);
-            measured.edge_to_done = Latency { ns: done_reader.snapshot(), last_ns, tid };
-        }
-        Ok(measured)
-    })
-}
-
-/// The real-time thread: wake-ups first, then the engine.
-fn real_time<C: Card>(
-    system: &System,
-    options: Options,
-    card: &mut C,
-    between: &Between,
-) -> Result<Measured, SelftestError> {
-    let wanted = Wanted { cpu: options.cpu, priority: options.priority };
-    let (_held, setup) = apply(system, wanted);
-    let half_ns = (options.run / 2).as_nanos() as u64;
-    let tid = tid();
-
-    let (mut recorder, reader) = histogram();
-    let last_ns = wake_ups(half_ns, &mut recorder);
-    let wakeup = Latency { ns: reader.snapshot(), last_ns, tid };
+    let wakeup = measure_wake_ups(options, &mut progress)?;
 
     // The far side keeps its dwell time and waits for each insertion: the last period alone decides.
     let axis =
         AxisConfig { max_correction_counts: i64::MAX, max_accel_counts_s2: 0.0, ..AxisConfig::default() };
-    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
-    let mut engine = Engine::new(card, &[axis], machine, &[])?;
-    let timing = engine.timing();
-    let tell = &mut |_| true;
-    let always = Request::Correct { axis: 0, total_counts: i64::MAX / 2, large: true };
-    engine.start_homed(card, tell)?;
-    engine.take(always, card, tell)?;
-    let (mut completed, mut faults, mut looks) = (0, 0, 0);
-    let completed_of = |engine: &Engine| engine.in_effect(0).map_or(0, |(_, completed)| completed);
-    let end_ns = engine.now_ns() + half_ns;
-    let mut before_ns = engine.now_ns();
-    let last_ns = loop {
-        engine.poll(card, u64::MAX, tell)?;
-        looks += 1;
-        between.looks.store(looks, Release);
-        let gap_ns = engine.now_ns() - std::mem::replace(&mut before_ns, engine.now_ns());
-        if engine.mode() == Mode::Fault {
-            faults += 1;
-            completed += completed_of(&engine);
-            engine.take(Request::Clear, card, tell)?;
-            engine.start_homed(card, tell)?;
-            engine.take(always, card, tell)?;
-        }
-        if before_ns >= end_ns {
-            between.stop.store(true, Relaxed);
-            if between.stopped.load(Relaxed) {
-                break gap_ns;
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
+    let engine = Engine::new(&mut card, &[axis], machine, &[])?;
+    let thread =
+        crate::thread::Options { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
+    let mut running = crate::thread::spawn(engine, card, thread)?;
+
+    let between = Between::default();
+    let (mut done, done_reader) = histogram();
+    std::thread::scope(|scope| {
+        let _end = AtEnd(&between);
+        let far_side = second_cpu
+            .then(|| {
+                std::thread::Builder::new()
+                    .name("far-side".into())
+                    .spawn_scoped(scope, || play(&mut far, &between, &mut done, options.seed))
+            })
+            .transpose()
+            .map_err(|e| SelftestError::Io("starting the far side", e))?;
+        let mut control = Control::default();
+        let end = Instant::now() + options.run / 2;
+        let mut next = Instant::now();
+        while Instant::now() < end && !running.control.ended() {
+            if Instant::now() >= next {
+                progress("poll gap and edge to done", end.saturating_duration_since(next).as_secs() + 1);
+                next += SECOND;
             }
+            control.look_after(&mut running.control, &between);
+            std::thread::sleep(CONTROL_INTERVAL);
         }
-    };
-    Ok(Measured {
-        setup,
-        wakeup,
-        poll_gap: Latency { ns: timing.poll_gap_ns.snapshot(), last_ns, tid },
-        edge_to_done: Latency::default(),
-        far: None,
-        axis,
-        completed: completed + completed_of(&engine),
-        faults,
+        between.stop.store(true, Relaxed);
+        while far_side.as_ref().is_some_and(|f| !f.is_finished()) && !running.control.ended() {
+            control.look_after(&mut running.control, &between);
+            std::thread::sleep(CONTROL_INTERVAL);
+        }
+        between.ended.store(true, Relaxed);
+        let report = running.report.take();
+        let loop_tid = tid_of("rtec-rt");
+        let timing = running.timing.clone();
+        let (ended, _) = running.stop();
+        if let Some(error) = ended.error {
+            return Err(error.into());
+        }
+        let far = far_side.map(|f| f.join().map_err(|_| SelftestError::Panicked("far-side"))).transpose()?;
+        let poll_gap_ns = timing.poll_gap_ns.snapshot();
+        let (far, far_tid, last_done_ns) =
+            far.map_or((None, 0, 0), |(seen, tid, last_ns)| (Some(seen), tid, last_ns));
+        Ok(Measured {
+            // Asked for above, so it is there.
+            setup: report.ok_or(SelftestError::Panicked("real-time"))?,
+            poll_gap: Latency { last_ns: poll_gap_ns.p50(), ns: poll_gap_ns, tid: loop_tid },
+            seen_to_done: timing.edge_to_done_ns.snapshot(),
+            edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: far_tid },
+            completed: control.completed + ended.status.axes().first().map_or(0, |a| a.in_effect),
+            faults: control.faults,
+            wakeup,
+            far,
+            axis,
+        })
     })
+}
+
+/// The control side while the engine runs: always a correction pending, homed again after a fault.
+#[derive(Debug, Default)]
+struct Control {
+    /// Completed before the last homing, counts.
+    completed: i64,
+    faults: u64,
+    state: Homed,
+}
+
+#[derive(Debug, Default)]
+enum Homed {
+    /// Asked for at this look of the engine, or not yet.
+    #[default]
+    Never,
+    /// A fault was seen at this look, ns; what was under way then must end first.
+    Faulted { since_ns: u64 },
+    /// Asked for at this look, ns.
+    Asked { at_ns: u64 },
+    /// Correcting.
+    Done,
+}
+
+impl Control {
+    fn look_after(&mut self, control: &mut ControlEnd, between: &Between) {
+        control.beat();
+        while control.event().is_some() {}
+        let status = control.status();
+        between.looked_ns.store(status.t_ns, Release);
+        let Some(axis) = status.axes().first() else { return };
+        match self.state {
+            Homed::Never => self.ask(control, status.t_ns),
+            Homed::Faulted { since_ns } if status.t_ns > since_ns && axis.gate != GateState::Inserting => {
+                self.completed += axis.in_effect;
+                self.ask(control, status.t_ns);
+            }
+            Homed::Asked { at_ns } if status.t_ns > at_ns => {
+                if status.mode == Mode::Run {
+                    self.state = Homed::Done;
+                } else {
+                    self.ask(control, status.t_ns);
+                }
+            }
+            Homed::Done if status.mode == Mode::Fault => {
+                self.faults += 1;
+                self.state = Homed::Faulted { since_ns: status.t_ns };
+            }
+            _ => {}
+        }
+    }
+
+    fn ask(&mut self, control: &mut ControlEnd, at_ns: u64) {
+        for request in [
+            Request::Clear,
+            Request::Home { axis: 0, position_counts: 0 },
+            Request::ConfirmHome { axis: 0, position_counts: 0 },
+            Request::Enable,
+            Request::Correct { axis: 0, total_counts: i64::MAX / 2, large: true },
+        ] {
+            // A full ring means that the loop stands still: asked again at the next look.
+            let _ = control.send(request);
+        }
+        self.state = Homed::Asked { at_ns };
+    }
+}
+
+/// Wakes up for half of the time, on a thread set up as the real one.
+fn measure_wake_ups(
+    options: Options,
+    progress: &mut impl FnMut(&str, u64),
+) -> Result<Latency, SelftestError> {
+    let half = options.run / 2;
+    let thread = std::thread::Builder::new().name("rtec-wakeup".into()).spawn(move || {
+        let (_held, _) = apply(&System::live(), options.wanted());
+        let (mut recorder, reader) = histogram();
+        let last_ns = wake_ups(half.as_nanos() as u64, &mut recorder);
+        Latency { ns: reader.snapshot(), last_ns, tid: tid() }
+    });
+    let thread = thread.map_err(|e| SelftestError::Io("starting the wake-up thread", e))?;
+    let start = Instant::now();
+    let mut next = start;
+    while !thread.is_finished() {
+        if Instant::now() >= next {
+            progress("wake-up", half.saturating_sub(start.elapsed()).as_secs() + 1);
+            next += SECOND;
+        }
+        std::thread::sleep(CONTROL_INTERVAL);
+    }
+    thread.join().map_err(|_| SelftestError::Panicked("wake-up"))
 }
 
 /// Sleeps to one absolute time after the other and records how late it wakes; returns the last value, ns.
@@ -399,13 +450,21 @@ fn play(far: &mut impl Far, between: &Between, done: &mut Recorder, seed: u64) -
     let mut mtc = Decoder::new(scale.state().inverted(inverters));
     let mut seen = FarSide::default();
     let mut last_done_ns = 0;
-    // The engine is not there while the wake-ups are measured.
-    while between.looks.load(Relaxed) == 0 && !between.stop.load(Relaxed) {
-        thread::sleep(Duration::from_millis(1));
-    }
     while !between.stop.load(Relaxed) {
         let until = clock.now_ns() + DWELL_NS.0 + dwell.next_u64() % (DWELL_NS.1 - DWELL_NS.0);
         while clock.now_ns() < until {}
+        let mut late = lines.inverters(far.outputs());
+        while (late ^ inverters).is_power_of_two() && !between.ended.load(Relaxed) {
+            late = lines.inverters(far.outputs());
+        }
+        if late != inverters {
+            // It came after all.
+            seen.without_insertion -= 1;
+            seen.unresolved += 1;
+            mtc.update(mtc.state().next(true));
+            mtc.update(scale.state().inverted(late));
+            inverters = late;
+        }
         let next = scale.state().next(true);
         let edge_ns = clock.now_ns();
         far.drive(u64::from(next.a()) << lines.a | u64::from(next.b()) << lines.b);
@@ -414,22 +473,29 @@ fn play(far: &mut impl Far, between: &Between, done: &mut Recorder, seed: u64) -
         scale.update(next);
         mtc.update(next.inverted(inverters));
 
-        let looks = between.looks.load(Relaxed);
         let mut resolved = looked_ns - edge_ns <= RESOLUTION_NS;
+        let driven_ns = looked_ns;
+        let mut before_ns = edge_ns;
+        let mut heard_ns = None;
         let mut left = 2;
         while left > 0 {
             let now = lines.inverters(far.outputs());
             let now_ns = clock.now_ns();
             if now == inverters {
-                let waited = left == 2 && now_ns - edge_ns > DWELL_NS.0;
-                let given_up = waited && between.looks.load(Acquire) > looks + LOOKS_TO_GIVE_UP;
-                // Looked at once more: this thread may have been away since it looked.
-                if given_up && lines.inverters(far.outputs()) == inverters || between.ended.load(Relaxed) {
+                // The engine has seen the edge at one look that is known of, and has done nothing until another.
+                let known_ns = between.looked_ns.load(Acquire);
+                let given_up = left == 2
+                    && known_ns > driven_ns
+                    && *heard_ns.get_or_insert(known_ns) < known_ns
+                    // Looked at once more: this thread may have been away since it looked.
+                    && lines.inverters(far.outputs()) == inverters;
+                if given_up || between.ended.load(Relaxed) {
                     seen.without_insertion += 1;
                     break;
                 }
             } else {
-                resolved &= now_ns - looked_ns <= RESOLUTION_NS;
+                // The lines changed after the look before, whose own time lies between two readings of the clock.
+                resolved &= now_ns - before_ns <= RESOLUTION_NS;
                 if (now ^ inverters).count_ones() == 2 {
                     // Not looked in between: the two came one after the other all the same, the adding one first.
                     let first = mtc.state().next(true);
@@ -447,12 +513,20 @@ fn play(far: &mut impl Far, between: &Between, done: &mut Recorder, seed: u64) -
                     }
                 }
             }
-            looked_ns = now_ns;
+            (before_ns, looked_ns) = (looked_ns, now_ns);
         }
     }
     seen.mtc_minus_scale = mtc.count() - scale.count();
     seen.illegal = mtc.illegal();
     (seen, tid(), last_done_ns)
+}
+
+/// The thread of this process that has this name; 0 when there is none.
+fn tid_of(name: &str) -> i32 {
+    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let mut named =
+        tasks.filter(|t| std::fs::read_to_string(t.path().join("comm")).is_ok_and(|n| n.trim() == name));
+    named.find_map(|t| t.file_name().to_str()?.parse().ok()).unwrap_or(0)
 }
 
 fn tid() -> i32 {

@@ -46,13 +46,18 @@ impl Verdict {
 #[must_use]
 pub fn available(programs: &[&str]) -> bool {
     let missing: Vec<_> = programs.iter().filter(|p| !Path::new("/usr/bin").join(p).exists()).collect();
-    if missing.is_empty() {
-        return true;
+    if !missing.is_empty() {
+        crate::skipped(&format!(
+            "{missing:?} not there (Debian: linuxcnc-uspace linuxcnc-uspace-dev sigrok-cli)"
+        ));
+        return false;
     }
-    crate::skipped(&format!(
-        "{missing:?} not there (Debian: linuxcnc-uspace linuxcnc-uspace-dev sigrok-cli)"
-    ));
-    false
+    let root = std::fs::metadata("/proc/self").is_ok_and(|own| own.uid() == 0);
+    if programs == LINUXCNC && !root && !Path::new("/usr/lib/linuxcnc/modules/rtec_judge.so").exists() {
+        crate::skipped("LinuxCNC lacks our component: sudo halcompile --install tests/judges/rtec_judge.c");
+        return false;
+    }
+    true
 }
 
 /// Programs that [`LinuxCnc`] runs.

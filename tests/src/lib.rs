@@ -4,10 +4,12 @@
 //! |---|---|
 //! | [`judge`] | LinuxCNC's `encoder` component and sigrok's graycode decoder as counters of a trace |
 //! | [`ledger`] | what a corrected trace must count, from the scale's trace and the order of the inversions |
+//! | [`machine`] | a two-axis machine with a known error, driven by LinuxCNC, corrected by the engine |
 //! | [`planted`] | corrected traces made without the engine, right ones and wrong ones: the judges' own test |
 
 pub mod judge;
 pub mod ledger;
+pub mod machine;
 pub mod planted;
 
 use std::path::{Path, PathBuf};

@@ -65,6 +65,8 @@ struct Document<'a> {
     wakeup_ns: &'a Latency,
     poll_gap_ns: &'a Latency,
     edge_to_done_ns: &'a Latency,
+    /// The engine's own part of it: from the look that saw the edge to the look that ordered the second inversion.
+    seen_to_done_ns: &'a Snapshot,
     /// Per axis, from the worst that was seen; null where that leaves no time for an insertion at any speed.
     max_safe_edge_rate_hz: BTreeMap<&'static str, Option<f64>>,
     /// The same but for one look in ten thousand.
@@ -113,6 +115,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             wakeup_ns: &measured.wakeup,
             poll_gap_ns: &measured.poll_gap,
             edge_to_done_ns: &measured.edge_to_done,
+            seen_to_done_ns: &measured.seen_to_done,
             max_safe_edge_rate_hz: BTreeMap::from([("default", safe_hz)]),
             edge_rate_at_p9999_hz: BTreeMap::from([("default", usual_hz)]),
             verdict: if reasons.is_empty() { "pass" } else { "fail" },
@@ -210,9 +213,12 @@ fn text(
     line(format_args!(
         "# in ns              samples      min      p50      p99    p99.9   p99.99         max"
     ));
-    for (name, thread) in ["T0 wake-up", "T1 poll gap", "T2 edge to done"].into_iter().zip(threads(measured))
-    {
-        let s: &Snapshot = &thread.ns;
+    for (name, s) in [
+        ("T0 wake-up", &measured.wakeup.ns),
+        ("T1 poll gap", &measured.poll_gap.ns),
+        ("T2 edge to done", &measured.edge_to_done.ns),
+        ("   seen to done", &measured.seen_to_done),
+    ] {
         line(format_args!(
             "# {name:<15} {:>11} {:>8} {:>8} {:>8} {:>8} {:>8} {:>11}",
             s.samples(),
