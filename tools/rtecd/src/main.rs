@@ -15,6 +15,7 @@ mod session;
 use anyhow::Context;
 use clap::Parser;
 use log::{Level, Log};
+use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
@@ -136,7 +137,10 @@ fn lock(file: &Path, what: &str) -> anyhow::Result<Flock<File>> {
         }
         let holder = holder.trim();
         let by = if holder.is_empty() { String::new() } else { format!(" (process {holder})") };
-        let why = format!("another rtecd{by} holds the {what} {}: {}", file.display(), errno.desc());
+        let why = match errno {
+            Errno::EWOULDBLOCK => format!("another rtecd{by} holds the {what} {}", file.display()),
+            other => format!("locking the {what} {}: {}", file.display(), other.desc()),
+        };
         Failure::Taken(why).into()
     })
 }

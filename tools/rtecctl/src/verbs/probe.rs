@@ -12,7 +12,7 @@ use rtec_control::protocol::{Happened, Request, Response};
 pub(crate) struct Args {
     /// On or off
     switch: Switch,
-    /// Switch off again and end after so many captures; 0 only switches on
+    /// Switch off again and end after so many captures, every axis counted; 0 only switches on
     #[arg(long, value_name = "N")]
     captures: Option<u64>,
     #[command(flatten)]
