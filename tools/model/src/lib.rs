@@ -10,6 +10,7 @@
 
 pub mod document;
 pub mod effect;
+pub mod fit;
 pub mod import;
 pub mod iso230;
 pub mod live;

@@ -250,6 +250,40 @@ impl Machine {
     }
 }
 
+impl Machine {
+    /// Where a record asks the model beyond the range it was fitted on, effect by effect: the differences are held
+    /// at the bound there.
+    #[must_use]
+    pub fn out_of_range(&self, record: &Record) -> Vec<String> {
+        let mut found = Vec::new();
+        for effect in self.effects() {
+            let (Some([lo, hi]), Some(delta), Ok(bound)) =
+                (effect.range_k, &effect.delta, effect.bind(record))
+            else {
+                continue;
+            };
+            let mut free = effect.clone();
+            free.range_k = None;
+            let n = effect.coefficient_count();
+            let mut basis = vec![0.0; n * bound.rows()];
+            bound.basis(&free, 0, &mut basis);
+            // The first basis column of growth and lag is the (lagged) difference itself.
+            if effect.card().naming != crate::effect::Naming::One || n != 2 {
+                continue;
+            }
+            let outside = basis[..bound.rows()].iter().filter(|d| **d < lo || **d > hi).count();
+            if outside > 0 {
+                let share = 100.0 * outside as f64 / bound.rows() as f64;
+                found.push(format!(
+                    "{} {delta}: {share:.1} % of the rows outside {lo:.2} to {hi:.2} K, held at the bound",
+                    effect.name()
+                ));
+            }
+        }
+        found
+    }
+}
+
 /// What a model says about a record.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
