@@ -18,6 +18,7 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Demo(verbs::demo::Args),
+    Characterise(verbs::characterise::Args),
     Completions(verbs::completions::Args),
     Config(verbs::config::Args),
     Man(verbs::man::Args),
@@ -34,6 +35,7 @@ enum Verb {
     Trace(verbs::trace::Args),
     Platform(verbs::platform::Args),
     Selftest(verbs::selftest::Args),
+    Model(verbs::model::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -56,6 +58,7 @@ pub(crate) enum Outcome {
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
         Verb::Demo(args) => verbs::demo::run(&args),
+        Verb::Characterise(args) => verbs::characterise::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Config(args) => verbs::config::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
@@ -72,6 +75,7 @@ fn main() -> ExitCode {
         Verb::Trace(args) => verbs::trace::run(&args),
         Verb::Platform(args) => verbs::platform::run(&args),
         Verb::Selftest(args) => verbs::selftest::run(&args),
+        Verb::Model(args) => verbs::model::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");

@@ -1,5 +1,6 @@
 //! One file per verb: its options and one function.
 
+pub(crate) mod characterise;
 pub(crate) mod clear;
 pub(crate) mod completions;
 pub(crate) mod config;
@@ -10,6 +11,7 @@ pub(crate) mod enable;
 pub(crate) mod hold;
 pub(crate) mod home;
 pub(crate) mod man;
+pub(crate) mod model;
 pub(crate) mod platform;
 pub(crate) mod probe;
 pub(crate) mod replay;
