@@ -1,0 +1,19 @@
+//! What happens between two edges of a scale: the engine, its link to the control side, and its pinned thread.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`engine`] | all axes of a machine: one look, one write |
+//! | [`axis`] | one axis: insertion, ledger, belief window, homing, probe capture |
+//! | [`gate`] | can the next edge come before an insertion is done? |
+//! | [`event`] | requests, events and status: what goes over the link |
+//! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
+//! | [`replay`] | the engine over a recording, and what the MTC would have counted |
+//! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
+
+pub mod axis;
+pub mod engine;
+pub mod event;
+pub mod gate;
+pub mod histogram;
+pub mod replay;
+pub mod setup;
