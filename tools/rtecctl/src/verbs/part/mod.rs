@@ -1,6 +1,7 @@
 //! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854). One file per step.
 
 mod errors;
+mod features;
 
 use std::path::Path;
 
@@ -14,11 +15,13 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Step {
+    Features(features::Args),
     Errors(errors::Args),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.step {
+        Step::Features(args) => features::run(args),
         Step::Errors(args) => errors::run(args),
     }
 }
