@@ -365,20 +365,33 @@ impl Contour {
         best.map(|(_, feature, along_mm)| self.place(feature, along_mm))
     }
 
-    /// Distance from a point to the surface, leaving out what is within `spare_mm` of `spare`, and the feature there.
+    /// Distance from a point to the surface and the feature there.
     #[must_use]
-    pub fn clearance(&self, p: Zx, spare: Option<(Zx, f64)>) -> (f64, usize) {
+    pub fn clearance(&self, p: Zx) -> (f64, usize) {
+        let p = Zx::new(p.z, p.x.abs()); // the part is round
         let mut best = (f64::INFINITY, 0);
         for (feature, chords) in &self.chords {
             for w in chords.windows(2) {
-                let (at, _) = foot(p, w[0], w[1]);
-                let off = (p - at).norm();
-                if off < best.0 && spare.is_none_or(|(s, r)| (at - s).norm() > r) {
+                let off = (p - foot(p, w[0], w[1]).0).norm();
+                if off < best.0 {
                     best = (off, *feature);
                 }
             }
         }
         best
+    }
+
+    /// Is a point in the material? An open contour is closed by way of the axis.
+    #[must_use]
+    pub fn inside(&self, p: Zx) -> bool {
+        let mut corners: Vec<Zx> = self.chords.iter().flat_map(|(_, c)| c.iter().copied()).collect();
+        if let (false, Some(&first), Some(&last)) = (self.closed, corners.first(), corners.last()) {
+            corners.extend([Zx::new(last.z, 0.0), Zx::new(first.z, 0.0)]);
+        }
+        let p = Zx::new(p.z, p.x.abs()); // the part is round
+        let crosses =
+            |a: Zx, b: Zx| (a.x > p.x) != (b.x > p.x) && p.z < a.z + (p.x - a.x) / (b.x - a.x) * (b.z - a.z);
+        (0..corners.len()).filter(|&i| crosses(corners[i], corners[(i + 1) % corners.len()])).count() % 2 == 1
     }
 
     /// Largest Z and X of the contour, in mm.

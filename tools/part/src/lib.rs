@@ -12,5 +12,6 @@ pub mod contour;
 pub mod drawing;
 pub mod errors;
 pub mod fit;
+pub mod path;
 pub mod sheet;
 pub mod svg;
