@@ -15,3 +15,4 @@ pub mod fit;
 pub mod path;
 pub mod sheet;
 pub mod svg;
+pub mod web;

@@ -2,6 +2,7 @@
 
 mod errors;
 mod features;
+mod points;
 
 use std::path::Path;
 
@@ -16,12 +17,14 @@ pub(crate) struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Step {
     Features(features::Args),
+    Points(points::Args),
     Errors(errors::Args),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.step {
         Step::Features(args) => features::run(args),
+        Step::Points(args) => points::run(args),
         Step::Errors(args) => errors::run(args),
     }
 }
