@@ -13,6 +13,7 @@ pub mod drawing;
 pub mod errors;
 pub mod fit;
 pub mod path;
+pub mod program;
 pub mod sheet;
 pub mod svg;
 pub mod web;

@@ -3,6 +3,7 @@
 mod errors;
 mod features;
 mod points;
+mod program;
 
 use std::path::Path;
 
@@ -16,15 +17,17 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Step {
-    Features(features::Args),
-    Points(points::Args),
-    Errors(errors::Args),
+    Features(Box<features::Args>),
+    Points(Box<points::Args>),
+    Program(Box<program::Args>),
+    Errors(Box<errors::Args>),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.step {
         Step::Features(args) => features::run(args),
         Step::Points(args) => points::run(args),
+        Step::Program(args) => program::run(args),
         Step::Errors(args) => errors::run(args),
     }
 }
