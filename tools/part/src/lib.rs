@@ -16,4 +16,5 @@ pub mod path;
 pub mod program;
 pub mod sheet;
 pub mod svg;
+pub mod table;
 pub mod web;

@@ -4,6 +4,7 @@ mod errors;
 mod features;
 mod points;
 mod program;
+mod table;
 
 use std::path::Path;
 
@@ -21,6 +22,7 @@ enum Step {
     Points(Box<points::Args>),
     Program(Box<program::Args>),
     Errors(Box<errors::Args>),
+    Table(Box<table::Args>),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -29,6 +31,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Step::Points(args) => points::run(args),
         Step::Program(args) => program::run(args),
         Step::Errors(args) => errors::run(args),
+        Step::Table(args) => table::run(args),
     }
 }
 
