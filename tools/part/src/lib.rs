@@ -8,6 +8,7 @@
 //!
 //! All lengths are in mm, all errors in µm. `z` runs along the part's axis, `x` is the distance from it (a radius).
 
+pub mod batch;
 pub mod contour;
 pub mod drawing;
 pub mod errors;

@@ -173,7 +173,11 @@ fn bad_input_is_named_and_leaves_nothing_behind() {
 fn an_illegal_transition_is_a_latched_fault_not_a_guess() {
     let directory = tempfile::tempdir().unwrap();
     let trace = directory.path().join("t.csv");
-    std::fs::write(&trace, "t_ns,a,b\n0,0,0\n1000000,1,0\n2000000,1,1\n3000000,0,0\n4000000,1,0\n5000000,1,1\n").unwrap();
+    std::fs::write(
+        &trace,
+        "t_ns,a,b\n0,0,0\n1000000,1,0\n2000000,1,1\n3000000,0,0\n4000000,1,0\n5000000,1,1\n",
+    )
+    .unwrap();
     let requests = directory.path().join("r.csv");
     std::fs::write(&requests, "t_ns,requested\n0,10\n").unwrap();
     let run = rtecctl(&["replay", "--json"], &[("--trace", &trace), ("--requests", &requests)]);

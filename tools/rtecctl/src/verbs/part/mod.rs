@@ -3,6 +3,7 @@
 mod errors;
 mod features;
 mod points;
+mod post_process;
 mod program;
 mod table;
 
@@ -23,6 +24,7 @@ enum Step {
     Program(Box<program::Args>),
     Errors(Box<errors::Args>),
     Table(Box<table::Args>),
+    PostProcess(Box<post_process::Args>),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -32,6 +34,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Step::Program(args) => program::run(args),
         Step::Errors(args) => errors::run(args),
         Step::Table(args) => table::run(args),
+        Step::PostProcess(args) => post_process::run(args),
     }
 }
 
