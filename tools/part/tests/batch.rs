@@ -34,9 +34,9 @@ fn the_t_test_is_the_textbooks() {
     let text = "part,feature,error_um\n1,d,3.1\n2,d,2.4\n3,d,2.9\n4,d,3.6\n5,d,2.0\n";
     let place = &judged(text, None).unwrap().places[0];
     assert!((place.mean_um - 2.8).abs() < 1e-12);
-    assert!((place.p_value - 0.000542733).abs() < 1e-7, "{}", place.p_value);
-    assert!((place.trend_p_value - 0.679094922).abs() < 1e-7, "{}", place.trend_p_value);
-    assert!((place.interval_um[0] - 2.029567750).abs() < 1e-6, "{:?}", place.interval_um);
+    assert!((place.p_value - 0.000_542_733).abs() < 1e-7, "{}", place.p_value);
+    assert!((place.trend_p_value - 0.679_094_922).abs() < 1e-7, "{}", place.trend_p_value);
+    assert!((place.interval_um[0] - 2.029_567_750).abs() < 1e-6, "{:?}", place.interval_um);
 }
 
 #[test]

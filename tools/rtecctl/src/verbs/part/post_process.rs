@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// Judge a batch measured off the machine and offer changes
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Measurements: a CSV `part,feature,error_um[,angle_rad]`, or with nominal_mm,measured_mm for the error
+    /// Measurements: a CSV `part,feature,error_um[,angle_rad]`, or with `nominal_mm,measured_mm` for the error
     #[arg(long)]
     batch: PathBuf,
     /// What probing on the machine found on the same feature: an `error.cor`
