@@ -18,6 +18,7 @@ pub(crate) struct Cli {
 enum Verb {
     Completions(verbs::completions::Args),
     Man(verbs::man::Args),
+    Model(verbs::model::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -41,6 +42,7 @@ fn main() -> ExitCode {
     let done = match Cli::parse().verb {
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
+        Verb::Model(args) => verbs::model::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");
