@@ -8,6 +8,7 @@
 //! | [`event`] | requests, events and status: what goes over the link |
 //! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
 //! | [`replay`] | the engine over a recording, and what the MTC would have counted |
+//! | [`through`] | Design B: the signals pass through the computer |
 //! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
 
 pub mod axis;
@@ -17,3 +18,4 @@ pub mod gate;
 pub mod histogram;
 pub mod replay;
 pub mod setup;
+pub mod through;

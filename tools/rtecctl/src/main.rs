@@ -17,6 +17,7 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Completions(verbs::completions::Args),
+    Designs(verbs::designs::Args),
     Man(verbs::man::Args),
     Model(verbs::model::Args),
 }
@@ -41,6 +42,7 @@ pub(crate) enum Outcome {
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
         Verb::Completions(args) => verbs::completions::run(&args),
+        Verb::Designs(args) => verbs::designs::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
         Verb::Model(args) => verbs::model::run(&args),
     };
