@@ -10,6 +10,10 @@
 
 pub mod document;
 pub mod effect;
+pub mod import;
+pub mod iso230;
 pub mod live;
 pub mod machine;
+pub mod plate;
+pub mod plot;
 pub mod record;

@@ -16,6 +16,7 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Characterise(verbs::characterise::Args),
     Completions(verbs::completions::Args),
     Designs(verbs::designs::Args),
     Man(verbs::man::Args),
@@ -41,6 +42,7 @@ pub(crate) enum Outcome {
 
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
+        Verb::Characterise(args) => verbs::characterise::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Designs(args) => verbs::designs::run(&args),
         Verb::Man(args) => verbs::man::run(&args),

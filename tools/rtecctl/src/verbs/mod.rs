@@ -1,5 +1,6 @@
 //! One file per verb: its options and one function.
 
+pub(crate) mod characterise;
 pub(crate) mod completions;
 pub(crate) mod designs;
 pub(crate) mod man;
