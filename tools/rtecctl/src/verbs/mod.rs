@@ -6,6 +6,7 @@ pub(crate) mod completions;
 pub(crate) mod config;
 pub(crate) mod correct;
 pub(crate) mod demo;
+pub(crate) mod designs;
 pub(crate) mod disable;
 pub(crate) mod enable;
 pub(crate) mod hold;
