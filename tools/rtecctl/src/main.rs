@@ -18,8 +18,10 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Demo(verbs::demo::Args),
+    Characterise(verbs::characterise::Args),
     Completions(verbs::completions::Args),
     Config(verbs::config::Args),
+    Designs(verbs::designs::Args),
     Man(verbs::man::Args),
     Status(verbs::status::Args),
     Home(verbs::home::Args),
@@ -30,10 +32,12 @@ enum Verb {
     Probe(verbs::probe::Args),
     Hold(verbs::hold::Args),
     Clear(verbs::clear::Args),
+    Part(verbs::part::Args),
     Replay(verbs::replay::Args),
     Trace(verbs::trace::Args),
     Platform(verbs::platform::Args),
     Selftest(verbs::selftest::Args),
+    Model(verbs::model::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -56,8 +60,10 @@ pub(crate) enum Outcome {
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
         Verb::Demo(args) => verbs::demo::run(&args),
+        Verb::Characterise(args) => verbs::characterise::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Config(args) => verbs::config::run(&args),
+        Verb::Designs(args) => verbs::designs::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
         Verb::Status(args) => verbs::status::run(&args),
         Verb::Home(args) => verbs::home::run(&args),
@@ -68,10 +74,12 @@ fn main() -> ExitCode {
         Verb::Probe(args) => verbs::probe::run(&args),
         Verb::Hold(args) => verbs::hold::run(&args),
         Verb::Clear(args) => verbs::clear::run(&args),
+        Verb::Part(args) => verbs::part::run(&args),
         Verb::Replay(args) => verbs::replay::run(&args),
         Verb::Trace(args) => verbs::trace::run(&args),
         Verb::Platform(args) => verbs::platform::run(&args),
         Verb::Selftest(args) => verbs::selftest::run(&args),
+        Verb::Model(args) => verbs::model::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");
