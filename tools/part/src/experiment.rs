@@ -174,6 +174,14 @@ pub struct Outcome {
     pub files: Vec<(String, Vec<u8>)>,
 }
 
+impl Outcome {
+    /// What the controller counted beyond the scales is what the engine says it completed.
+    #[must_use]
+    pub fn balanced(&self) -> bool {
+        self.mtc_minus_scale == self.completed
+    }
+}
+
 /// Machine position at the part's origin.
 pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
 /// Rapid traverse of the report's machine: 7 m/min.

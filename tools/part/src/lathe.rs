@@ -69,6 +69,43 @@ impl Default for Bench {
     }
 }
 
+impl Bench {
+    /// Is every value one that a machine can have?
+    ///
+    /// # Errors
+    /// The first key that is out of range and what is expected of it.
+    pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        let positive = [
+            ("count_um", self.count_um),
+            ("nose_mm", self.nose_mm),
+            ("accel_mm_s2", self.accel_mm_s2),
+            ("decel_mm_s2", self.decel_mm_s2),
+            ("gain", self.gain),
+            ("poll_ns", self.poll_ns),
+            ("control_ms", self.control_ms),
+        ];
+        if let Some((key, _)) = positive.iter().find(|(_, v)| !(v.is_finite() && *v > 0.0)) {
+            return Err((key, "a positive number"));
+        }
+        let sizes =
+            [("flat_um", self.flat_um), ("probe_sd_um", self.probe_sd_um), ("cut_sd_um", self.cut_sd_um)];
+        if let Some((key, _)) = sizes.iter().find(|(_, v)| !(v.is_finite() && *v >= 0.0)) {
+            return Err((key, "0 or more"));
+        }
+        let finite = [("flat_rad", self.flat_rad), ("lobe_um", self.lobe_um), ("lobes", self.lobes)];
+        if let Some((key, _)) = finite.iter().find(|(_, v)| !v.is_finite()) {
+            return Err((key, "a finite number"));
+        }
+        if self.flat_um * 1e-3 >= self.nose_mm {
+            return Err(("flat_um", "less than the nose's radius"));
+        }
+        if self.gain * TICK_NS * 1e-9 > 0.5 {
+            return Err(("gain", "at most 500 1/s: the position loop turns every millisecond"));
+        }
+        Ok(())
+    }
+}
+
 /// One move of the part program.
 #[derive(Debug, Clone)]
 pub struct Move {
