@@ -34,6 +34,10 @@ pub struct Reply {
 pub fn mark(case: &Case, reply: &Reply) -> Mark {
     let mut got: Vec<&str> = reply.effects.iter().map(|(n, _)| n.as_str()).collect();
     let mut want: Vec<&str> = case.truth.iter().map(String::as_str).collect();
+    let same: Vec<String> = got.iter().map(|g| unordered(g)).collect();
+    got = same.iter().map(String::as_str).collect();
+    let wanted: Vec<String> = want.iter().map(|g| unordered(g)).collect();
+    want = wanted.iter().map(String::as_str).collect();
     got.sort_unstable();
     want.sort_unstable();
     match (case.hides, reply.verdict.as_str()) {
@@ -48,7 +52,12 @@ pub fn mark(case: &Case, reply: &Reply) -> Mark {
         (_, "named") if got.iter().all(|g| want.contains(g)) => Mark::Partial,
         (_, "named") => Mark::Wrong,
         _ => {
-            let covered = |w: &str| reply.effects.iter().any(|(n, alt)| n == w || alt.iter().any(|a| a == w));
+            let covered = |w: &str| {
+                reply
+                    .effects
+                    .iter()
+                    .any(|(n, alt)| unordered(n) == w || alt.iter().any(|a| unordered(a) == w))
+            };
             if want.iter().all(|w| covered(w)) && got.len() <= want.len() {
                 Mark::Group
             } else {
@@ -56,4 +65,13 @@ pub fn mark(case: &Case, reply: &Reply) -> Mark {
             }
         }
     }
+}
+
+/// angular.A.B.C is the same product whichever of B and C comes first.
+fn unordered(name: &str) -> String {
+    let mut parts: Vec<&str> = name.split('.').collect();
+    if parts[0] == "angular" && parts.len() == 4 {
+        parts[2..].sort_unstable();
+    }
+    parts.join(".")
 }

@@ -3,7 +3,7 @@
 use crate::chance::Chance;
 use crate::hypotheses::{Cause, Hypotheses, Shape};
 use crate::problem::{Known, Stack, known, rms};
-use crate::search::{Found, Offer, Search, Set};
+use crate::search::{Found, Search, Set};
 use rtec_model::effect::{Difference, Effect};
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
@@ -74,6 +74,7 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
     let simulated = stack.predict(&now);
     let missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
     stack.sigma = noise_guess(&stack, &missing);
+    retune(&stack, machine, &mut now);
     for pass in 0.. {
         let simulated = stack.predict(&now);
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
@@ -103,6 +104,39 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
         return conclude(&mut search, &found, &now, level);
     }
     unreachable!("the loop ends at its third pass")
+}
+
+/// Searches the periods of the model's own periodic effects: over a long travel a period that is a little off is out
+/// of step by whole turns, which no linear correction mends.
+fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
+    for e in 0..now.len() {
+        if !["screw_periodic", "subdivision"].contains(&now[e].card().name.as_str()) {
+            continue;
+        }
+        let simulated = stack.predict(now.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, x)| x));
+        let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+        stack.weigh(&mut missing);
+        let others: Vec<Known> = known(stack, machine, now).into_iter().filter(|k| k.effect != e).collect();
+        let (none, waves) = (Hypotheses::periods(stack, &now[e]), Vec::new());
+        let search = Search::new(stack, &none, &waves, &others, missing);
+        let empty = search.empty();
+        let Some(best) = search.scan(&empty).into_iter().next() else { continue };
+        let Cause::Effect { effect, .. } = &best.cause else { continue };
+        let same = search.score_of(&empty, &now[e]);
+        let period = effect.scalar(0);
+        if best.score > same + 6.0 {
+            let mut search = search;
+            let set = search.take(&empty, &best);
+            let beta = search.coefficients(&set);
+            let at = beta.len() - 2;
+            let Some(found) = effect_of(&best.cause, &beta[at..]) else { continue };
+            // Another amplitude is another effect, not this one with its period mended.
+            let ratio = found.scalar(1) / now[e].scalar(1).abs().max(1e-12);
+            if (0.4..2.5).contains(&ratio) && period.is_finite() {
+                now[e] = found;
+            }
+        }
+    }
 }
 
 /// The model's effects with the changes that a fit asks for.
@@ -172,34 +206,30 @@ fn refer(effect: &mut Effect, c: &mut [f64], c0: f64) {
     }
 }
 
-/// A rival of a member: another hypothesis in its place.
-fn rivals(search: &Search<'_, '_>, set: &Set, member: usize) -> Vec<Offer> {
-    let rest = search.without(set, member);
-    search
-        .offers(&rest, 24, 0, 8)
-        .into_iter()
-        .filter(|o| o.hypothesis != set.members[member].hypothesis)
-        .collect()
-}
-
 fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
     let mut named = found.named.clone();
     let any = found.any.clone();
     // One member at a time may have a better name, now that the others are in place.
     for _ in 0..3 {
-        let mut better: Option<(usize, Offer)> = None;
+        let mut changed = false;
         for i in 0..named.members.len() {
-            if let Some(o) = rivals(search, &named, i).into_iter().next() {
-                let best = better.as_ref().map_or(named.score, |(_, b)| b.score);
-                if o.score > best + 1e-6 {
-                    better = Some((i, o));
-                }
+            let rest = search.without(&named, i);
+            let member = named.members[i].hypothesis;
+            let ranking = search.ranking(&rest);
+            let Some(first) = ranking.first() else { continue };
+            let offer = first.offers[0].clone();
+            let same_name = first.name == search.all.list[member].name;
+            if offer.hypothesis == member || (same_name && offer.score <= named.score + 1e-6) {
+                continue;
             }
+            let next = search.take(&rest, &offer);
+            named = search.polish(next);
+            changed = true;
+            break;
         }
-        let Some((i, offer)) = better else { break };
-        let rest = search.without(&named, i);
-        let next = search.take(&rest, &offer);
-        named = search.polish(next);
+        if !changed {
+            break;
+        }
     }
     let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS, &[]);
     // What does not stand out from chance goes, weakest first.
@@ -264,10 +294,21 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         let own = set.score - search.without(&set, i).score;
         let mut list: Vec<Rival> = Vec::new();
         if unexplained.is_empty() {
-            for o in rivals(search, &set, i) {
-                let h = &search.all.list[o.hypothesis];
-                let margin = set.score - o.score;
-                if margin < DECISIVE {
+            let own_name = &search.all.list[m.hypothesis].name;
+            let ranking = search.ranking(&search.without(&set, i));
+            let top =
+                ranking.iter().find(|r| r.name == *own_name).map_or(set.score, |r| r.evidence.max(set.score));
+            for r in &ranking {
+                let alike = r.name == *own_name;
+                let margin = if alike { 0.0 } else { top - r.evidence };
+                if margin >= DECISIVE {
+                    continue;
+                }
+                let best = if alike { set.score } else { r.offers[0].score };
+                for o in r.offers.iter().filter(|o| o.hypothesis != m.hypothesis && best - o.score < DECISIVE)
+                {
+                    let h = &search.all.list[o.hypothesis];
+                    let margin = margin.max(best - o.score);
                     list.push(Rival { name: h.name.clone(), sensor: h.sensor.clone(), margin });
                 }
             }

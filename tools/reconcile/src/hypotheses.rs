@@ -98,6 +98,7 @@ impl Hypotheses {
         let mut candidates: Vec<Effect> = Vec::new();
         for record in stack.records {
             for effect in dictionary.candidates(&[record]) {
+                let effect = in_order(effect, dictionary);
                 if !candidates.iter().any(|c| c.name() == effect.name() && c.delta == effect.delta) {
                     candidates.push(effect);
                 }
@@ -116,6 +117,23 @@ impl Hypotheses {
         }
         all.shapes(stack, &mut waves);
         (all, waves)
+    }
+
+    /// Only the periods near a periodic effect's own, as fine as the travel resolves them.
+    pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> Self {
+        let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };
+        let Some(places) = distinct(stack, &Role::Position(effect.axes()[0].clone())) else { return all };
+        let span = places[places.len() - 1] - places[0];
+        let name = effect.card().parameters[0].name.clone();
+        let unit = if effect.card().name == "subdivision" { 1e-3 } else { 1.0 };
+        let turns = span / (effect.scalar(0) * unit);
+        let steps = (turns * 0.03 / 0.2).ceil().clamp(0.0, 150.0) as i32;
+        let h = all.hypothesis(effect, stack);
+        for i in -steps..=steps {
+            let period = effect.scalar(0) / (1.0 + f64::from(i) * 0.2 / turns);
+            all.single(stack, h, effect, &[(&name, period)], 0.0);
+        }
+        all
     }
 
     fn hypothesis(&mut self, effect: &Effect, stack: &Stack<'_>) -> usize {
@@ -268,8 +286,8 @@ impl Hypotheses {
                 let h = self.hypothesis(effect, stack);
                 let columns: Vec<usize> =
                     stack.basis(effect).into_iter().map(|c| self.push(stack, c)).collect();
-                self.atom(h, effect, &[0], false, columns[..1].to_vec(), own);
-                self.atom(h, effect, &[0, 1], false, columns, own);
+                self.atom(h, effect, &[0], false, columns[..1].to_vec(), own + 0.5);
+                self.atom(h, effect, &[0, 1], false, columns, own + 1.0);
             }
             _ => {
                 let h = self.hypothesis(effect, stack);
@@ -324,15 +342,16 @@ impl Hypotheses {
         }
         let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
         let quadratic = columns.len() == 2;
-        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost);
+        // A straight line from 20 °C first; a parabola, another reference, both: each a little less likely.
+        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost + 0.5);
         if quadratic {
-            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost);
+            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost + 1.4);
         }
         if reference {
             let constant = self.push(stack, reference_column(stack, &effect));
-            self.atom(h, &effect, &[0], true, vec![columns[0], constant], cost);
+            self.atom(h, &effect, &[0], true, vec![columns[0], constant], cost + 1.9);
             if quadratic {
-                self.atom(h, &effect, &[0, 1], true, vec![columns[0], columns[1], constant], cost + 1.0);
+                self.atom(h, &effect, &[0, 1], true, vec![columns[0], columns[1], constant], cost + 2.5);
             }
         }
     }
@@ -545,6 +564,16 @@ impl Hypotheses {
                 wave(&p_name, &p, (n as f64 / 4.0).min(200.0));
             }
         }
+    }
+}
+
+/// The two positions of an angular effect are interchangeable: written alphabetically.
+fn in_order(effect: Effect, dictionary: &Dictionary) -> Effect {
+    match effect.axes() {
+        [a, b, c] if effect.card().name == "angular" && b > c => {
+            dictionary.effect(&format!("angular.{a}.{c}.{b}")).unwrap_or(effect)
+        }
+        _ => effect,
     }
 }
 

@@ -5,11 +5,18 @@ use crate::gram::{Bank, Cholesky, Products, Vector, dot};
 use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column};
 use crate::problem::{Known, Stack};
 use rtec_model::effect::Effect;
+use rustfft::FftPlanner;
+use rustfft::num_complex::Complex64;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Noise coefficients that every fit is tried at: tanh of an even grid.
 const NOISE_STEP: f64 = 0.35;
 const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=7;
+
+/// Most frequencies that a periodogram is computed at.
+const MOST_FREQUENCIES: f64 = 524_288.0;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -57,6 +64,8 @@ pub(crate) struct Offer {
     pub(crate) cost: f64,
     /// Score of the set with it.
     pub(crate) score: f64,
+    /// The same, averaged over the grid instead of its best point: what the hypothesis as a whole is worth.
+    pub(crate) evidence: f64,
     columns: Source,
 }
 
@@ -82,6 +91,17 @@ pub(crate) struct Search<'p, 'r> {
     /// Degrees of freedom that noise is judged by.
     pub(crate) nu: f64,
     pub(crate) phis: Vec<f64>,
+    planner: RefCell<FftPlanner<f64>>,
+    /// Best period of each wave for sets met before.
+    periods: RefCell<BTreeMap<(Vec<usize>, usize), Option<Offer>>>,
+}
+
+/// A name with everything that speaks for it.
+pub(crate) struct Ranked {
+    pub(crate) name: String,
+    pub(crate) evidence: f64,
+    /// One per sensor, best first.
+    pub(crate) offers: Vec<Offer>,
 }
 
 /// The columns of a hypothesis against a set: products with the set's vectors, with the response, among themselves.
@@ -115,6 +135,8 @@ impl<'p, 'r> Search<'p, 'r> {
             own,
             nu,
             phis,
+            planner: RefCell::new(FftPlanner::new()),
+            periods: RefCell::default(),
         };
         let mut start = vec![missing];
         start.extend(known.iter().map(|k| k.column.clone()));
@@ -288,30 +310,39 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The best grid point of every hypothesis as an addition to a set, best first.
     pub(crate) fn scan(&self, set: &Set) -> Vec<Offer> {
-        let mut best: Vec<Option<(f64, usize)>> = vec![None; self.all.list.len()];
+        let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
         for (i, atom) in self.all.atoms.iter().enumerate() {
             let cross = self.bank_cross(set, i);
             let score = self.extended(set, &cross) - self.price(set, atom.cost, atom.columns.len());
             let place = &mut best[atom.hypothesis];
-            if place.is_none_or(|(s, _)| score > s) {
-                *place = Some((score, i));
-            }
+            *place = Some(match *place {
+                None => (score, i, score),
+                Some((s, at, all)) if s >= score => (s, at, log_sum(all, score)),
+                Some((_, _, all)) => (score, i, log_sum(all, score)),
+            });
         }
         let mut offers: Vec<Offer> = best
             .into_iter()
             .flatten()
-            .map(|(score, i)| {
+            .map(|(score, i, evidence)| {
                 let atom: &Atom = &self.all.atoms[i];
                 Offer {
                     cause: atom.cause.clone(),
                     hypothesis: atom.hypothesis,
                     cost: atom.cost,
                     score,
+                    evidence,
                     columns: Source::Bank(atom.columns.clone()),
                 }
             })
             .collect();
-        offers.extend(self.waves.iter().filter_map(|w| self.wave(set, w)));
+        for (i, wave) in self.waves.iter().enumerate() {
+            let key = (set.ids.clone(), i);
+            let kept = self.periods.borrow().get(&key).cloned();
+            let offer = kept.unwrap_or_else(|| self.wave(set, wave));
+            self.periods.borrow_mut().insert(key, offer.clone());
+            offers.extend(offer);
+        }
         offers.sort_by(|a, b| b.score.total_cmp(&a.score));
         offers
     }
@@ -362,7 +393,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let (residual, phi) = self.residual(set);
         let step = 0.3 / span;
         let wanted = ((wave.to - from) / step).ceil();
-        let count = wanted.min(3e7 / rows.len() as f64).max(2.0) as usize;
+        let count = wanted.min(MOST_FREQUENCIES).max(2.0) as usize;
         let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
         let mut peaks = Vec::new();
         for p in [0.0, phi] {
@@ -374,7 +405,7 @@ impl<'p, 'r> Search<'p, 'r> {
             let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
             gaps.sort_by(f64::total_cmp);
             let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
-            let mut power = periodogram(&x, &u, from, step, count);
+            let mut power = periodogram(&mut self.planner.borrow_mut(), &x, &u, from, step, count);
             for (i, p2) in power.iter_mut().enumerate() {
                 let f = from + step * i as f64;
                 *p2 /= 1.0 + p * p - 2.0 * p * (TAU * f * gap).cos();
@@ -430,7 +461,14 @@ impl<'p, 'r> Search<'p, 'r> {
             }
             (None, None) => return None,
         };
-        Some(Offer { cause, hypothesis: wave.hypothesis, cost, score, columns: Source::Made(columns) })
+        Some(Offer {
+            cause,
+            hypothesis: wave.hypothesis,
+            cost,
+            score,
+            evidence: score,
+            columns: Source::Made(columns),
+        })
     }
 
     fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
@@ -455,6 +493,13 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         out.iter_mut().for_each(|c| self.stack.weigh(c));
         out
+    }
+
+    /// Score of a set with an effect added at its own non-linear parameters, search unpaid.
+    pub(crate) fn score_of(&self, set: &Set, effect: &Effect) -> f64 {
+        let free: Vec<usize> = (0..effect.coefficient_count()).collect();
+        let columns = self.columns(effect, &free, false);
+        self.extended(set, &self.made_cross(set, &columns)) - self.price(set, 0.0, columns.len())
     }
 
     /// Refines the non-linear parameters of an offer to a set.
@@ -520,7 +565,7 @@ impl<'p, 'r> Search<'p, 'r> {
             }
         }
         let cause = Cause::Effect { effect, free, reference };
-        Offer { cause, score, columns: Source::Made(columns), ..offer }
+        Offer { cause, score, evidence: offer.evidence.max(score), columns: Source::Made(columns), ..offer }
     }
 
     /// The set with an offer taken in.
@@ -561,8 +606,46 @@ impl<'p, 'r> Search<'p, 'r> {
         })
     }
 
+    /// Named explanations as additions to a set, by name: the evidence of each name over all its sensors and grid
+    /// points, with its best offers refined. Best first.
+    pub(crate) fn ranking(&self, set: &Set) -> Vec<Ranked> {
+        let mut out: Vec<Ranked> = Vec::new();
+        for offer in self.scan(set) {
+            let hypothesis = &self.all.list[offer.hypothesis];
+            if !hypothesis.named || self.repeats(set, &offer) {
+                continue;
+            }
+            match out.iter_mut().find(|r| r.name == hypothesis.name) {
+                Some(r) => {
+                    r.evidence = log_sum(r.evidence, offer.evidence);
+                    r.offers.push(offer);
+                }
+                None => out.push(Ranked {
+                    name: hypothesis.name.clone(),
+                    evidence: offer.evidence,
+                    offers: vec![offer],
+                }),
+            }
+        }
+        let top = out.iter().map(|r| r.evidence).fold(f64::NEG_INFINITY, f64::max);
+        for (i, r) in out.iter_mut().enumerate() {
+            // Far behind, no refinement will bring it back.
+            let close = r.evidence > top - 40.0 || i < 3;
+            let offers = std::mem::take(&mut r.offers);
+            r.offers = offers
+                .into_iter()
+                .enumerate()
+                .map(|(k, o)| if close && k < 3 { self.refine(set, o) } else { o })
+                .collect();
+            r.offers.sort_by(|a, b| b.score.total_cmp(&a.score));
+            r.evidence = r.evidence.max(r.offers[0].score);
+        }
+        out.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        out
+    }
+
     /// Best additions to a set, refined: so many named and so many unnamed.
-    pub(crate) fn offers(&self, set: &Set, named: usize, unnamed: usize, alike: usize) -> Vec<Offer> {
+    pub(crate) fn offers(&self, set: &Set, named: usize, unnamed: usize) -> Vec<Offer> {
         let mut left = [unnamed, named];
         let mut out = Vec::new();
         let mut sensors: Vec<(String, usize)> = Vec::new();
@@ -575,7 +658,7 @@ impl<'p, 'r> Search<'p, 'r> {
             // Many sensors of one law must not crowd out other laws.
             let law = hypothesis.name.clone();
             match sensors.iter_mut().find(|(l, _)| *l == law) {
-                Some((_, n)) if *n >= alike => continue,
+                Some((_, n)) if *n >= 2 => continue,
                 Some((_, n)) => *n += 1,
                 None => sensors.push((law, 1)),
             }
@@ -585,6 +668,12 @@ impl<'p, 'r> Search<'p, 'r> {
         out.sort_by(|a, b| b.score.total_cmp(&a.score));
         out
     }
+}
+
+/// log(eᵃ + eᵇ)
+fn log_sum(a: f64, b: f64) -> f64 {
+    let (hi, lo) = if a > b { (a, b) } else { (b, a) };
+    hi + (lo - hi).exp().ln_1p()
 }
 
 /// Products among the columns of an atom, packed.
@@ -615,31 +704,41 @@ fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f6
     out
 }
 
-/// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`: each row's phasor is turned on by its own step.
-fn periodogram(x: &[f64], u: &[f64], from: f64, step: f64, count: usize) -> Vec<f64> {
-    let mut power = vec![0.0; count];
-    // Phasors drift by rounding: they are set anew for each stretch of frequencies.
-    for start in (0..count).step_by(256) {
-        let end = (start + 256).min(count);
-        let f0 = from + step * start as f64;
-        let mut re: Vec<f64> = x.iter().zip(u).map(|(x, u)| u * (TAU * (f0 * x).fract()).cos()).collect();
-        let mut im: Vec<f64> = x.iter().zip(u).map(|(x, u)| u * (TAU * (f0 * x).fract()).sin()).collect();
-        let (c, s): (Vec<f64>, Vec<f64>) =
-            x.iter().map(|x| ((TAU * (step * x).fract()).cos(), (TAU * (step * x).fract()).sin())).unzip();
-        for p in &mut power[start..end] {
-            let (mut a, mut b) = ([0.0; 4], [0.0; 4]);
-            let n = x.len();
-            for i in 0..n {
-                let (r, m) = (re[i], im[i]);
-                a[i & 3] += r;
-                b[i & 3] += m;
-                re[i] = r * c[i] - m * s[i];
-                im[i] = r * s[i] + m * c[i];
-            }
-            *p = a.iter().sum::<f64>().powi(2) + b.iter().sum::<f64>().powi(2);
+/// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
+/// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
+fn periodogram(
+    planner: &mut FftPlanner<f64>,
+    x: &[f64],
+    u: &[f64],
+    from: f64,
+    step: f64,
+    count: usize,
+) -> Vec<f64> {
+    let size = (2 * count).next_power_of_two().max(64);
+    // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
+    let middle = from + step * (count / 2) as f64;
+    let mut grid = vec![Complex64::new(0.0, 0.0); size];
+    for (x, u) in x.iter().zip(u) {
+        let turn = Complex64::cis(TAU * (middle * x).fract()) * u;
+        let place = x * step * size as f64;
+        let base = place.floor();
+        let w = place - base;
+        // Lagrange's cubic through four neighbours.
+        let weights = [
+            -w * (w - 1.0) * (w - 2.0) / 6.0,
+            (w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0,
+            -(w + 1.0) * w * (w - 2.0) / 2.0,
+            (w + 1.0) * w * (w - 1.0) / 6.0,
+        ];
+        for (k, weight) in weights.iter().enumerate() {
+            let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
+            grid[at] += turn * weight;
         }
     }
-    power
+    planner.plan_fft_inverse(size).process(&mut grid);
+    (0..count)
+        .map(|i| grid[(i as i64 - (count / 2) as i64).rem_euclid(size as i64) as usize].norm_sqr())
+        .collect()
 }
 
 /// How wide the search goes.
@@ -667,7 +766,7 @@ impl Search<'_, '_> {
             let mut next: Vec<(usize, Offer)> = Vec::new();
             for (i, set) in beam.iter().enumerate() {
                 let pure = self.named(set);
-                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 3 } else { 0 }, 2);
+                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 3 } else { 0 });
                 next.extend(offers.into_iter().map(|o| (i, o)));
             }
             next.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));
@@ -729,6 +828,7 @@ impl Search<'_, '_> {
                 hypothesis: member.hypothesis,
                 cost: member.cost,
                 score: set.score,
+                evidence: set.score,
                 columns: Source::Made(columns),
             };
             let refined = match self.waves.iter().find(|w| w.hypothesis == member.hypothesis) {
