@@ -120,7 +120,7 @@ fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
         let (none, waves) = (Hypotheses::periods(stack, &now[e]), Vec::new());
         let search = Search::new(stack, &none, &waves, &others, missing);
         let empty = search.empty();
-        let Some(best) = search.scan(&empty).into_iter().next() else { continue };
+        let Some(best) = search.scan(&empty, false).into_iter().next() else { continue };
         let Cause::Effect { effect, .. } = &best.cause else { continue };
         let same = search.score_of(&empty, &now[e]);
         let period = effect.scalar(0);
@@ -231,6 +231,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             break;
         }
     }
+    // The level holds for the whole answer: a half for names, a half for shapes.
+    let level = level / 2.0;
     let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS, &[]);
     // What does not stand out from chance goes, weakest first.
     let mut evidence: Vec<f64>;

@@ -358,15 +358,22 @@ impl Hypotheses {
 
     /// Shapes without a name, over every channel and the products that physics suggests.
     fn shapes(&mut self, stack: &Stack<'_>, waves: &mut Vec<Wave>) {
-        let mut made: Vec<(usize, Shape, Vec<Vec<f64>>)> = Vec::new();
+        let mut made: Vec<(usize, Shape, Vec<Vec<f64>>, f64)> = Vec::new();
         for j in 0..stack.responses.len() {
             self.shapes_of(stack, j, &mut made, waves);
         }
-        let cost = self.family_cost + SHAPE_COST + (made.len().max(1) as f64).ln();
-        for (j, shape, columns) in made {
-            let h = self.list.len();
-            let name = format!("unnamed {}", shape.against.join("·"));
-            self.list.push(Hypothesis { name, sensor: None, named: false, response: Some(j) });
+        // Grid points of one shape stand one after the other.
+        let count = made.iter().zip(made.iter().skip(1)).filter(|(a, b)| a.1 != b.1).count() + 1;
+        let price = self.family_cost + SHAPE_COST + (count as f64).ln();
+        let mut last: Option<Shape> = None;
+        for (j, shape, columns, grid) in made {
+            let cost = price + grid;
+            if last.as_ref() != Some(&shape) {
+                let name = format!("unnamed {}", shape.against.join("·"));
+                self.list.push(Hypothesis { name, sensor: None, named: false, response: Some(j) });
+                last = Some(shape.clone());
+            }
+            let h = self.list.len() - 1;
             let columns: Vec<usize> = columns.into_iter().map(|c| self.push(stack, c)).collect();
             self.atoms.push(Atom { cause: Cause::Shape(shape), columns, hypothesis: h, cost });
         }
@@ -376,7 +383,7 @@ impl Hypotheses {
         &mut self,
         stack: &Stack<'_>,
         j: usize,
-        made: &mut Vec<(usize, Shape, Vec<Vec<f64>>)>,
+        made: &mut Vec<(usize, Shape, Vec<Vec<f64>>, f64)>,
         waves: &mut Vec<Wave>,
     ) {
         let role = &stack.responses[j];
@@ -392,14 +399,14 @@ impl Hypotheses {
             stack.segments.iter().filter(|s| s.response == j).flat_map(|s| s.rows.clone()).collect();
         let n = rows.len();
         let time = stack.column(Some(j), |rec, row| rec.time_s()[row]);
-        let mut add = |against: &[&str], manner: &str, columns: Vec<Vec<f64>>| {
+        let mut offer = |against: &[&str], manner: &str, columns: Vec<Vec<f64>>, grid: usize| {
             let shape = Shape {
                 response: response.clone(),
                 against: against.iter().map(|s| (*s).to_owned()).collect(),
                 manner: manner.to_owned(),
             };
             if columns.len() + 8 < n / 2 && columns.iter().all(|c| c.iter().any(|x| *x != 0.0)) {
-                made.push((j, shape, columns));
+                made.push((j, shape, columns, (grid as f64).ln()));
             }
         };
         let hats = |x: &[f64], k: usize| hats(x, &rows, k);
@@ -425,6 +432,38 @@ impl Hypotheses {
             });
             scalars.push((column.label(), data));
         }
+        for (label, data) in &scalars {
+            let u = centred(data, &rows);
+            for i in 1..10 {
+                let knee = -1.0 + 0.2 * f64::from(i);
+                let bent: Vec<f64> = u.iter().map(|u| (u - knee).max(0.0)).collect();
+                offer(&[label], "straight with a knee", vec![masked(&bent, &rows), u.clone()], 9);
+            }
+        }
+        let clock = centred(&time, &rows);
+        for width in [0.05, 0.12, 0.3] {
+            for i in 0..=24 {
+                let centre = -1.0 + f64::from(i) / 12.0;
+                let burst: Vec<f64> = clock.iter().map(|u| (-((u - centre) / width).powi(2)).exp()).collect();
+                offer(&["time"], "a passing burst", vec![masked(&burst, &rows)], 75);
+            }
+        }
+        for i in 4..30 {
+            let turns = f64::from(i) * 0.25;
+            let columns = (1..=4)
+                .flat_map(|k| {
+                    let w = std::f64::consts::PI * turns * f64::from(k);
+                    [
+                        clock.iter().map(|u| (w * u).sin()).collect::<Vec<f64>>(),
+                        clock.iter().map(|u| (w * u).cos()).collect(),
+                    ]
+                })
+                .map(|c| masked(&c, &rows))
+                .collect();
+            offer(&["time"], "repeats in time", columns, 26);
+        }
+        let mut add =
+            |against: &[&str], manner: &str, columns: Vec<Vec<f64>>| offer(against, manner, columns, 1);
         for (label, data) in &scalars {
             let sizes: &[usize] = if label == "time" { &[5, 8, 12, 20] } else { &[5, 9] };
             for k in sizes {
@@ -638,6 +677,12 @@ fn distinct(stack: &Stack<'_>, role: &Role) -> Option<Vec<f64>> {
 
 fn bounds(x: &[f64], rows: &[usize]) -> (f64, f64) {
     rows.iter().fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(x[*r]), h.max(x[*r])))
+}
+
+fn masked(x: &[f64], rows: &[usize]) -> Vec<f64> {
+    let mut out = vec![0.0; x.len()];
+    rows.iter().for_each(|r| out[*r] = x[*r]);
+    out
 }
 
 /// Minus the middle, over half the range; zero outside the rows.

@@ -8,7 +8,6 @@ use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
 use std::cell::RefCell;
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Noise coefficients that every fit is tried at: tanh of an even grid.
@@ -16,7 +15,10 @@ const NOISE_STEP: f64 = 0.35;
 const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=7;
 
 /// Most frequencies that a periodogram is computed at.
-const MOST_FREQUENCIES: f64 = 524_288.0;
+const MOST_FREQUENCIES: f64 = 262_144.0;
+
+/// Spacing of the frequencies, in periods over the span.
+const FREQUENCY_STEP: f64 = 0.3;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -92,8 +94,8 @@ pub(crate) struct Search<'p, 'r> {
     pub(crate) nu: f64,
     pub(crate) phis: Vec<f64>,
     planner: RefCell<FftPlanner<f64>>,
-    /// Best period of each wave for sets met before.
-    periods: RefCell<BTreeMap<(Vec<usize>, usize), Option<Offer>>>,
+    /// Frequencies worth a look, per wave: the highest peaks met so far.
+    peaks: RefCell<Vec<Vec<f64>>>,
 }
 
 /// A name with everything that speaks for it.
@@ -136,7 +138,7 @@ impl<'p, 'r> Search<'p, 'r> {
             nu,
             phis,
             planner: RefCell::new(FftPlanner::new()),
-            periods: RefCell::default(),
+            peaks: RefCell::new(vec![Vec::new(); waves.len()]),
         };
         let mut start = vec![missing];
         start.extend(known.iter().map(|k| k.column.clone()));
@@ -309,7 +311,7 @@ impl<'p, 'r> Search<'p, 'r> {
     }
 
     /// The best grid point of every hypothesis as an addition to a set, best first.
-    pub(crate) fn scan(&self, set: &Set) -> Vec<Offer> {
+    pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
         for (i, atom) in self.all.atoms.iter().enumerate() {
             let cross = self.bank_cross(set, i);
@@ -337,11 +339,10 @@ impl<'p, 'r> Search<'p, 'r> {
             })
             .collect();
         for (i, wave) in self.waves.iter().enumerate() {
-            let key = (set.ids.clone(), i);
-            let kept = self.periods.borrow().get(&key).cloned();
-            let offer = kept.unwrap_or_else(|| self.wave(set, wave));
-            self.periods.borrow_mut().insert(key, offer.clone());
-            offers.extend(offer);
+            if fresh {
+                self.find_peaks(set, i);
+            }
+            offers.extend(self.wave(set, wave, &self.peaks.borrow()[i]));
         }
         offers.sort_by(|a, b| b.score.total_cmp(&a.score));
         offers
@@ -373,8 +374,48 @@ impl<'p, 'r> Search<'p, 'r> {
         beta
     }
 
-    /// The best period of a periodic hypothesis: highest peaks of a periodogram, each refined exactly.
-    fn wave(&self, set: &Set, wave: &Wave) -> Option<Offer> {
+    /// Frequencies at which the periodogram of what a set leaves is highest, added to the wave's list.
+    fn find_peaks(&self, set: &Set, at: usize) {
+        let wave = &self.waves[at];
+        let Some((rows, lo, span)) = self.extent(wave) else { return };
+        let from = wave.from.max(0.5 / span);
+        if wave.to <= from {
+            return;
+        }
+        let (residual, phi) = self.residual(set);
+        let step = FREQUENCY_STEP / span;
+        let count = ((wave.to - from) / step).ceil().min(MOST_FREQUENCIES).max(2.0) as usize;
+        let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
+        let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+        gaps.sort_by(f64::total_cmp);
+        let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
+        let list = &mut self.peaks.borrow_mut()[at];
+        for p in [0.0, phi] {
+            if p != 0.0 && p.abs() < 0.3 {
+                continue;
+            }
+            let u = sharpened(&residual, p, &self.stack.ranges);
+            let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
+            let mut power = periodogram(&mut self.planner.borrow_mut(), &x, &u, from, step, count);
+            if p != 0.0 {
+                for (i, p2) in power.iter_mut().enumerate() {
+                    let f = from + step * i as f64;
+                    *p2 /= 1.0 + p * p - 2.0 * p * (TAU * f * gap).cos();
+                }
+            }
+            for _ in 0..3 {
+                let top = (0..count).max_by(|a, b| power[*a].total_cmp(&power[*b])).unwrap_or(0);
+                let f = from + step * top as f64;
+                if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
+                    list.push(f);
+                }
+                power[top.saturating_sub(4)..(top + 5).min(count)].fill(0.0);
+            }
+        }
+    }
+
+    /// Rows of a wave's response, the variable's least value there and its span.
+    fn extent(&self, wave: &Wave) -> Option<(Vec<usize>, f64, f64)> {
         let rows: Vec<usize> = self
             .stack
             .segments
@@ -385,38 +426,14 @@ impl<'p, 'r> Search<'p, 'r> {
         let (lo, hi) = rows
             .iter()
             .fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(wave.along[*r]), h.max(wave.along[*r])));
-        let span = hi - lo;
-        let from = wave.from.max(0.5 / span.max(1e-300));
-        if !(span > 0.0 && wave.to > from) {
-            return None;
-        }
-        let (residual, phi) = self.residual(set);
-        let step = 0.3 / span;
-        let wanted = ((wave.to - from) / step).ceil();
-        let count = wanted.min(MOST_FREQUENCIES).max(2.0) as usize;
-        let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
-        let mut peaks = Vec::new();
-        for p in [0.0, phi] {
-            if p != 0.0 && p.abs() < 0.15 {
-                continue;
-            }
-            let u = sharpened(&residual, p, &self.stack.ranges);
-            let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
-            let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
-            gaps.sort_by(f64::total_cmp);
-            let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
-            let mut power = periodogram(&mut self.planner.borrow_mut(), &x, &u, from, step, count);
-            for (i, p2) in power.iter_mut().enumerate() {
-                let f = from + step * i as f64;
-                *p2 /= 1.0 + p * p - 2.0 * p * (TAU * f * gap).cos();
-            }
-            for _ in 0..3 {
-                let top = (0..count).max_by(|a, b| power[*a].total_cmp(&power[*b]))?;
-                peaks.push(from + step * top as f64);
-                let near = top.saturating_sub(4)..(top + 5).min(count);
-                power[near].fill(0.0);
-            }
-        }
+        (hi > lo).then_some((rows, lo, hi - lo))
+    }
+
+    /// The best period of a periodic hypothesis: each peak refined exactly.
+    fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64]) -> Option<Offer> {
+        let (_, _, span) = self.extent(wave)?;
+        let from = wave.from.max(0.5 / span);
+        let step = FREQUENCY_STEP / span;
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
         let cost_of_search = ((wave.to - from) * span).max(2.0).ln();
         let hypothesis = &self.all.list[wave.hypothesis];
@@ -424,6 +441,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let cost = self.all.family_cost + cost_of_search + extra;
         let mut best: Option<(f64, f64, Vec<Vec<f64>>)> = None;
         for f0 in peaks {
+            let best_before = best.as_ref().map(|b| b.0);
             let mut eval = |f: f64| {
                 let columns = self.wave_columns(wave, f);
                 let score = self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, 2);
@@ -432,7 +450,10 @@ impl<'p, 'r> Search<'p, 'r> {
                 }
                 score
             };
-            let mut centre = (eval(f0), f0);
+            let mut centre = (eval(*f0), *f0);
+            if best_before.is_some_and(|b: f64| centre.0 < b - 30.0) {
+                continue;
+            }
             let mut h = step;
             for _ in 0..8 {
                 h *= 0.5;
@@ -610,7 +631,7 @@ impl<'p, 'r> Search<'p, 'r> {
     /// points, with its best offers refined. Best first.
     pub(crate) fn ranking(&self, set: &Set) -> Vec<Ranked> {
         let mut out: Vec<Ranked> = Vec::new();
-        for offer in self.scan(set) {
+        for offer in self.scan(set, false) {
             let hypothesis = &self.all.list[offer.hypothesis];
             if !hypothesis.named || self.repeats(set, &offer) {
                 continue;
@@ -645,11 +666,11 @@ impl<'p, 'r> Search<'p, 'r> {
     }
 
     /// Best additions to a set, refined: so many named and so many unnamed.
-    pub(crate) fn offers(&self, set: &Set, named: usize, unnamed: usize) -> Vec<Offer> {
+    pub(crate) fn offers(&self, set: &Set, named: usize, unnamed: usize, fresh: bool) -> Vec<Offer> {
         let mut left = [unnamed, named];
         let mut out = Vec::new();
         let mut sensors: Vec<(String, usize)> = Vec::new();
-        for offer in self.scan(set) {
+        for offer in self.scan(set, fresh) {
             let hypothesis = &self.all.list[offer.hypothesis];
             let room = &mut left[usize::from(hypothesis.named)];
             if *room == 0 || self.repeats(set, &offer) {
@@ -766,7 +787,7 @@ impl Search<'_, '_> {
             let mut next: Vec<(usize, Offer)> = Vec::new();
             for (i, set) in beam.iter().enumerate() {
                 let pure = self.named(set);
-                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 3 } else { 0 });
+                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 3 } else { 0 }, i == 0);
                 next.extend(offers.into_iter().map(|o| (i, o)));
             }
             next.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));
@@ -831,8 +852,9 @@ impl Search<'_, '_> {
                 evidence: set.score,
                 columns: Source::Made(columns),
             };
-            let refined = match self.waves.iter().find(|w| w.hypothesis == member.hypothesis) {
-                Some(w) => self.wave(&rest, w).unwrap_or(offer),
+            let refined = match self.waves.iter().enumerate().find(|(_, w)| w.hypothesis == member.hypothesis)
+            {
+                Some((i, w)) => self.wave(&rest, w, &self.peaks.borrow()[i]).unwrap_or(offer),
                 None => self.refine(&rest, offer),
             };
             if refined.score > set.score + 1e-3 {
