@@ -3,7 +3,23 @@
 //! | module | what |
 //! |---|---|
 //! | [`quadrature`] | the state table of two signals in quadrature, and a decoder that counts |
+//! | [`card`] | what the engine asks of an I/O card |
+//! | [`clock`] | where a card's time comes from |
+//! | [`profile`] | which register and which bit a line is, as data |
+//! | [`mapped`] | a card of memory-mapped registers |
+//! | [`mock`] | a card in the same process |
+//! | [`moving`] | a small moving machine at the other end of the mock card's wires |
+//! | [`replay`] | a recorded trace on a virtual clock |
+//! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`input`] | the one shape of error for a file that a person wrote |
 
+pub mod card;
+pub mod clock;
 pub mod input;
+pub mod mapped;
+pub mod mock;
+pub mod moving;
+pub mod profile;
 pub mod quadrature;
+pub mod replay;
+pub mod trace;

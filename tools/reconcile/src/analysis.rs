@@ -31,6 +31,8 @@ pub struct Rival {
 pub struct Finding {
     /// The effect with its parameters.
     pub effect: Effect,
+    /// Values that the law has and the data did not call for: held where they are.
+    pub held: Vec<usize>,
     /// Probability that chance alone explains as much.
     pub p_value: f64,
     /// Log likelihood gained, less the price of its freedom.
@@ -46,8 +48,31 @@ pub struct Answer {
     pub findings: Vec<Finding>,
     /// Structure that no effect explains.
     pub unexplained: Vec<Shape>,
-    /// The model's own effects with their parameters as the data have them.
+    /// The model's own effects with their parameters as the data have them, before the last fit.
     pub present: Vec<Effect>,
+    /// The model's own effects as the file has them.
+    pub file: Vec<Effect>,
+    /// Every name that was tried as the next one, best first: log odds against what was accepted.
+    pub ranking: Vec<Tried>,
+    /// What is left unexplained, and the noise's coefficient.
+    pub residual: Vec<f64>,
+    /// First-order autocorrelation of the noise.
+    pub phi: f64,
+    /// Size of the noise per response.
+    pub sigma: Vec<f64>,
+    /// Noise made by moving the residual's blocks about, weighed: what `where` is judged by.
+    pub draws: Vec<Vec<f64>>,
+}
+
+/// A name that was tried.
+#[derive(Debug, Clone)]
+pub struct Tried {
+    /// Name, with its sensors.
+    pub label: String,
+    /// Log odds of the best set with it in place of the nearest accepted effect (or beside them).
+    pub odds: f64,
+    /// Whether it is in the answer.
+    pub accepted: bool,
 }
 
 fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
@@ -101,7 +126,7 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
             stack.sigma = new;
             continue;
         }
-        return conclude(&mut search, &found, &now, level);
+        return Answer { file, ..conclude(&mut search, &found, &now, level) };
     }
     unreachable!("the loop ends at its third pass")
 }
@@ -233,7 +258,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     }
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
-    let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS, &[]);
+    let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
     // What does not stand out from chance goes, weakest first.
     let mut evidence: Vec<f64>;
     loop {
@@ -286,6 +311,26 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     }
     let set = if unexplained.is_empty() { named.clone() } else { any.clone() };
     let beta = search.coefficients(&set);
+    let mut tried: Vec<Tried> = Vec::new();
+    let note = |tried: &mut Vec<Tried>, label: String, odds: f64, accepted: bool| match tried
+        .iter_mut()
+        .find(|t| t.label == label)
+    {
+        Some(t) => {
+            t.odds = t.odds.max(odds);
+            t.accepted |= accepted;
+        }
+        None => tried.push(Tried { label, odds, accepted }),
+    };
+    for m in &set.members {
+        note(&mut tried, search.all.list[m.hypothesis].label(), 0.0, true);
+    }
+    if set.members.is_empty() {
+        for r in search.ranking(&set) {
+            let o = &r.offers[0];
+            note(&mut tried, search.all.list[o.hypothesis].label(), o.score - set.score, false);
+        }
+    }
     let mut at = now_len(search);
     let mut findings = Vec::new();
     for (i, m) in set.members.iter().enumerate() {
@@ -294,6 +339,12 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         at += k;
         let Some(effect) = effect_of(&m.cause, gamma) else { continue };
         let own = set.score - search.without(&set, i).score;
+        // Beside a shape without a name only what reads something else, and stands out by itself, is named.
+        let entangled =
+            !unexplained.is_empty() && (reads(&effect, &unexplained) || chance.any.tail(own) > level);
+        if entangled {
+            continue;
+        }
         let mut list: Vec<Rival> = Vec::new();
         if unexplained.is_empty() {
             let own_name = &search.all.list[m.hypothesis].name;
@@ -301,6 +352,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             let top =
                 ranking.iter().find(|r| r.name == *own_name).map_or(set.score, |r| r.evidence.max(set.score));
             for r in &ranking {
+                let o = &r.offers[0];
+                note(&mut tried, search.all.list[o.hypothesis].label(), o.score - set.score, false);
                 let alike = r.name == *own_name;
                 let margin = if alike { 0.0 } else { top - r.evidence };
                 if margin >= DECISIVE {
@@ -333,10 +386,47 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
                 }
             }
         }
-        findings.push(Finding { effect, p_value: chance.named.tail(own), evidence: own, rivals: list });
+        let held = match &m.cause {
+            Cause::Effect { effect, free, .. } if effect.constraints().is_empty() && effect.width() == 1 => {
+                let linear = effect.card().parameters.iter().enumerate();
+                linear
+                    .filter(|(_, p)| p.search == rtec_model::effect::Search::Linear)
+                    .enumerate()
+                    .filter(|(k, _)| !free.contains(k))
+                    .map(|(_, (v, _))| v)
+                    .collect()
+            }
+            _ => Vec::new(),
+        };
+        findings.push(Finding { effect, held, p_value: chance.named.tail(own), evidence: own, rivals: list });
     }
     findings.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    Answer { findings, unexplained, present: now.to_vec() }
+    tried.sort_by(|a, b| b.accepted.cmp(&a.accepted).then(b.odds.total_cmp(&a.odds)));
+    let (residual, phi) = search.residual(if any.score > set.score { &any } else { &set });
+    Answer {
+        findings,
+        unexplained,
+        present: now.to_vec(),
+        file: Vec::new(),
+        ranking: tried,
+        residual,
+        phi,
+        sigma: search.stack.sigma.clone(),
+        draws: chance.draws,
+    }
+}
+
+/// Whether an effect reads what a shape runs along; a temperature runs along time.
+fn reads(effect: &Effect, shapes: &[Shape]) -> bool {
+    use rtec_model::effect::Need;
+    let along = |text: &str| shapes.iter().any(|s| s.against.iter().any(|a| a.starts_with(text)));
+    effect.card().needs.iter().any(|n| match n {
+        Need::Delta | Need::Time => along("time") || along("temperature"),
+        Need::Velocity | Need::Direction | Need::Acceleration => along("velocity") || along("direction"),
+        Need::Channel => effect.channel().is_some_and(|c| along(&format!("channel.{c}"))) || along("time"),
+        Need::Position(_) => along(&n.role(effect.axes()).to_string()),
+        other => along(&other.role(effect.axes()).to_string()),
+    })
 }
 
 fn now_len(search: &Search<'_, '_>) -> usize {

@@ -37,8 +37,8 @@ pub(crate) struct Chance {
     pub(crate) named: Extreme,
     /// Of any hypothesis.
     pub(crate) any: Extreme,
-    /// Largest gain in log likelihood per group of `groups`.
-    pub(crate) groups: Vec<Extreme>,
+    /// The rounds of noise.
+    pub(crate) draws: Vec<Vec<f64>>,
 }
 
 /// A uniform number below `n`.
@@ -77,8 +77,8 @@ impl Search<'_, '_> {
     }
 
     /// Distribution of the best gain that `rounds` rounds of noise give, noise taken from the residual of `like`,
-    /// over all grid hypotheses and over groups of atoms.
-    pub(crate) fn chance(&self, like: &Set, rounds: usize, groups: &[Vec<usize>]) -> Chance {
+    /// over all grid hypotheses.
+    pub(crate) fn chance(&self, like: &Set, rounds: usize) -> Chance {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
         let (residual, phi) = self.residual(like);
         let inflate = (self.stack.n as f64 / (self.stack.n as f64 - like.ids.len() as f64).max(8.0)).sqrt();
@@ -122,7 +122,6 @@ impl Search<'_, '_> {
             .collect();
         let mut best_named = vec![f64::NEG_INFINITY; rounds];
         let mut best_any = vec![f64::NEG_INFINITY; rounds];
-        let mut gains: Vec<Vec<f64>> = vec![vec![0.0; rounds]; self.all.atoms.len()];
         for (i, atom) in self.all.atoms.iter().enumerate() {
             let k = atom.columns.len();
             let b = empty.ids.len();
@@ -160,21 +159,13 @@ impl Search<'_, '_> {
             let price = atom.cost + self.dimension_cost() * k as f64;
             for d in 0..rounds {
                 let gain = self.best_phi(&values[d]).0 - null[d];
-                gains[i][d] = gain;
                 best_any[d] = best_any[d].max(gain - price);
                 if self.all.list[atom.hypothesis].named {
                     best_named[d] = best_named[d].max(gain - price);
                 }
             }
         }
-        let groups = groups
-            .iter()
-            .map(|g| {
-                let best: Vec<f64> =
-                    (0..rounds).map(|d| g.iter().map(|a| gains[*a][d]).fold(0.0, f64::max)).collect();
-                Extreme::fit(&best)
-            })
-            .collect();
-        Chance { named: Extreme::fit(&best_named), any: Extreme::fit(&best_any), groups }
+        let draws = draws.into_iter().map(|d| d.data).collect();
+        Chance { named: Extreme::fit(&best_named), any: Extreme::fit(&best_any), draws }
     }
 }

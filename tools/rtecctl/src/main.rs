@@ -16,9 +16,16 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Demo(verbs::demo::Args),
     Completions(verbs::completions::Args),
+    Config(verbs::config::Args),
     Man(verbs::man::Args),
     Model(verbs::model::Args),
+    Reconcile(verbs::reconcile::Args),
+    Replay(verbs::replay::Args),
+    Trace(verbs::trace::Args),
+    Platform(verbs::platform::Args),
+    Selftest(verbs::selftest::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -26,7 +33,6 @@ enum Verb {
 pub(crate) enum Outcome {
     /// Exit 1: the run finished and the answer is no.
     #[error("{0}")]
-    #[allow(dead_code)]
     No(String),
     /// Exit 3: the daemon or the hardware could not be reached.
     #[error("{0}")]
@@ -34,15 +40,21 @@ pub(crate) enum Outcome {
     Unreachable(String),
     /// Exit 4: a fault is latched.
     #[error("{0}")]
-    #[allow(dead_code)]
     Fault(String),
 }
 
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
+        Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
+        Verb::Config(args) => verbs::config::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
         Verb::Model(args) => verbs::model::run(&args),
+        Verb::Reconcile(args) => verbs::reconcile::run(&args),
+        Verb::Replay(args) => verbs::replay::run(&args),
+        Verb::Trace(args) => verbs::trace::run(&args),
+        Verb::Platform(args) => verbs::platform::run(&args),
+        Verb::Selftest(args) => verbs::selftest::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");
@@ -52,7 +64,7 @@ fn main() -> ExitCode {
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
 fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<InputError>() {
+        if cause.is::<InputError>() || cause.is::<rtec_control::config::Findings>() {
             return 2;
         }
         if let Some(outcome) = cause.downcast_ref::<Outcome>() {

@@ -1,0 +1,127 @@
+//! What the engine asks of an I/O card: one look at all lines with a time, and one masked write.
+
+use crate::quadrature::State;
+
+/// Which bits of a card's input and output words one axis is wired to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AxisLines {
+    /// Input bit of the scale's A.
+    pub a: u8,
+    /// Input bit of the scale's B.
+    pub b: u8,
+    /// Output bit that drives the XOR gate of A.
+    pub invert_a: u8,
+    /// Output bit that drives the XOR gate of B.
+    pub invert_b: u8,
+    /// Input bits of A' and B' as the MTC sees them, where they are wired back.
+    pub read_back: Option<(u8, u8)>,
+}
+
+impl AxisLines {
+    /// The layout of the mock and shared-memory test cards: inputs A, B, A', B' of axis `n` from bit 4n, outputs from 2n.
+    #[must_use]
+    pub const fn standard(n: u8, read_back: bool) -> Self {
+        let back = if read_back { Some((4 * n + 2, 4 * n + 3)) } else { None };
+        Self { a: 4 * n, b: 4 * n + 1, invert_a: 2 * n, invert_b: 2 * n + 1, read_back: back }
+    }
+
+    /// The scale's state in an input word.
+    #[inline]
+    #[must_use]
+    pub const fn scale(&self, inputs: u64) -> State {
+        State::from_bits((inputs >> self.a & 1 | (inputs >> self.b & 1) << 1) as u8)
+    }
+
+    /// The inverters in an output word: bit 0 inverts A, bit 1 inverts B.
+    #[inline]
+    #[must_use]
+    pub const fn inverters(&self, outputs: u64) -> u8 {
+        (outputs >> self.invert_a & 1 | (outputs >> self.invert_b & 1) << 1) as u8
+    }
+
+    /// A' and B' in an input word, where wired back.
+    #[inline]
+    #[must_use]
+    pub fn back(&self, inputs: u64) -> Option<State> {
+        self.read_back.map(|(a, b)| State::from_bits((inputs >> a & 1 | (inputs >> b & 1) << 1) as u8))
+    }
+
+    /// Mask of A and B (and A', B') in the input word.
+    #[must_use]
+    pub const fn input_mask(&self) -> u64 {
+        let back = match self.read_back {
+            Some((a, b)) => 1 << a | 1 << b,
+            None => 0,
+        };
+        1 << self.a | 1 << self.b | back
+    }
+}
+
+/// The lines that belong to the machine as a whole. Absent lines are not wired.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct MachineLines {
+    /// Input: the probe has tripped.
+    pub probe: Option<u8>,
+    /// Input: the hardware switch that forbids corrections.
+    pub disable: Option<u8>,
+    /// Output: feed hold.
+    pub hold: Option<u8>,
+}
+
+impl MachineLines {
+    /// The layout of the mock and shared-memory test cards.
+    #[must_use]
+    pub const fn standard() -> Self {
+        Self { probe: Some(28), disable: Some(29), hold: Some(28) }
+    }
+}
+
+/// One look at a card: every input line, and when.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sample {
+    /// A time not before the moment the lines were read, ns.
+    pub t_ns: u64,
+    /// Levels of the input lines, polarity already taken out.
+    pub inputs: u64,
+    /// The time of the change itself, ns, on cards that stamp edges; such a card shows one change per look.
+    pub edge_ns: Option<u64>,
+}
+
+/// An I/O card. The engine is generic over it; nothing here may allocate, lock or log.
+pub trait Card {
+    /// Looks at all lines. The engine has nothing to do before `wake_ns` unless a line changes: a card that can sleep,
+    /// or whose time is virtual, may wait until then; a polled card ignores it.
+    ///
+    /// # Errors
+    /// When the lines cannot be read, or a recording has ended.
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError>;
+
+    /// Sets the output lines of `mask` to `value`, the others stay. Returns a time after which the change is certainly
+    /// in effect, where the card knows it; otherwise the next look is that time.
+    ///
+    /// # Errors
+    /// When the lines cannot be written.
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError>;
+
+    /// The output lines as they are: what a restart takes over.
+    ///
+    /// # Errors
+    /// When the lines cannot be read back.
+    fn outputs(&mut self) -> Result<u64, CardError>;
+}
+
+/// Why a card could not be read or written: the operation and the system's error number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum CardError {
+    /// A recording, or a simulation, has come to its end.
+    #[error("the recording has ended")]
+    Ended,
+    /// The system refused.
+    #[error("{op}: {}", std::io::Error::from_raw_os_error(*errno))]
+    Io {
+        /// What was tried.
+        op: &'static str,
+        /// The system's error number.
+        errno: i32,
+    },
+}

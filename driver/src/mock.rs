@@ -1,0 +1,130 @@
+//! A card whose wires are in this process: driven by a test, another thread, or a simulated machine.
+
+use crate::card::{Card, CardError, Sample};
+use crate::clock::Clock;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What is at the other end of a mock card's wires.
+pub trait Wires {
+    /// The levels of the input lines at `t_ns`, with the output lines as given. Called once per look, and once after
+    /// every write with the same time, so that whatever listens to the outputs sees each change in order.
+    fn levels(&mut self, t_ns: u64, outputs: u64) -> u64;
+
+    /// How far the machine's time may go between two looks, ns, so that it shows at most one change per line pair.
+    fn step_limit_ns(&self) -> u64 {
+        u64::MAX
+    }
+}
+
+/// A card in the same process.
+///
+/// Its time follows the clock but never takes a step longer than the wires allow: a process that is kept from looking,
+/// as any is without real-time priority, finds the mock machine where it left it. Real machines don't wait.
+#[derive(Debug)]
+pub struct MockCard<W, K> {
+    wires: W,
+    clock: K,
+    outputs: u64,
+    t_ns: u64,
+    seen_ns: u64,
+}
+
+impl<W: Wires, K: Clock> MockCard<W, K> {
+    /// A card on these wires, all outputs low.
+    pub fn new(wires: W, mut clock: K) -> Self {
+        let now = clock.now_ns();
+        Self { wires, clock, outputs: 0, t_ns: now, seen_ns: now }
+    }
+
+    /// The other end of the wires.
+    pub fn wires(&self) -> &W {
+        &self.wires
+    }
+
+    /// The other end of the wires, to be changed between two looks.
+    pub fn wires_mut(&mut self) -> &mut W {
+        &mut self.wires
+    }
+}
+
+impl<W: Wires, K: Clock> Card for MockCard<W, K> {
+    #[inline]
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        let now = self.clock.now_ns();
+        self.t_ns += (now - self.seen_ns).min(self.wires.step_limit_ns());
+        self.seen_ns = now;
+        Ok(Sample { t_ns: self.t_ns, inputs: self.wires.levels(self.t_ns, self.outputs), edge_ns: None })
+    }
+
+    #[inline]
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        self.wires.levels(self.t_ns, self.outputs);
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// Wires that another thread, or a test, drives and watches.
+#[derive(Debug, Clone, Default)]
+pub struct SharedWires {
+    /// Levels of the inputs. Written by whoever plays the machine, read by the card.
+    pub inputs: Arc<AtomicU64>,
+    /// Levels of the outputs. Written by the card, read by whoever plays the machine.
+    pub outputs: Arc<AtomicU64>,
+}
+
+impl Wires for SharedWires {
+    #[inline]
+    fn levels(&mut self, _t_ns: u64, outputs: u64) -> u64 {
+        self.outputs.store(outputs, Ordering::Release);
+        self.inputs.load(Ordering::Acquire)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::Virtual;
+
+    struct Slow;
+
+    impl Wires for Slow {
+        fn levels(&mut self, _t_ns: u64, _outputs: u64) -> u64 {
+            0
+        }
+
+        fn step_limit_ns(&self) -> u64 {
+            100
+        }
+    }
+
+    #[test]
+    fn the_machine_waits_for_a_process_that_was_kept_away() {
+        struct Jumpy(u64);
+        impl Clock for Jumpy {
+            fn now_ns(&mut self) -> u64 {
+                self.0 += 1_000_000;
+                self.0
+            }
+        }
+        let mut card = MockCard::new(Slow, Jumpy(0));
+        let first = card.sample(0).unwrap().t_ns;
+        assert_eq!(card.sample(0).unwrap().t_ns - first, 100);
+    }
+
+    #[test]
+    fn shared_wires_carry_both_ways() {
+        let wires = SharedWires::default();
+        let mut card = MockCard::new(wires.clone(), Virtual { now_ns: 5 });
+        wires.inputs.store(6, Ordering::Release);
+        assert_eq!(card.sample(0).unwrap().inputs, 6);
+        card.write(0b11, 0b10).unwrap();
+        assert_eq!(wires.outputs.load(Ordering::Acquire), 0b10);
+        assert_eq!(card.outputs().unwrap(), 0b10);
+    }
+}

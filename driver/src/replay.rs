@@ -1,0 +1,147 @@
+//! A recorded trace of one axis, on a virtual clock: time jumps from one event to the next.
+
+use crate::card::{AxisLines, Card, CardError, Sample};
+use crate::input::InputError;
+use crate::quadrature::State;
+use crate::trace::TracePoint;
+
+/// What is told of every change that the MTC sees, in order.
+pub trait Listener {
+    /// A' and B' at `t_ns`: the first call gives the initial state, each later one a change.
+    fn changed(&mut self, t_ns: u64, state: State);
+}
+
+impl<F: FnMut(u64, State)> Listener for F {
+    #[inline]
+    fn changed(&mut self, t_ns: u64, state: State) {
+        self(t_ns, state);
+    }
+}
+
+/// Plays a trace to the engine as axis 0 of the standard layout, and what comes out to a listener.
+///
+/// Changes carry their own times, writes are in effect at the time of the look before them: the order of edges and
+/// inversions is always certain here.
+#[derive(Debug)]
+pub struct ReplayCard<T, L> {
+    trace: T,
+    listener: L,
+    next: Option<TracePoint>,
+    error: Option<InputError>,
+    t_ns: u64,
+    scale: State,
+    outputs: u64,
+    edges: u64,
+}
+
+impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener> ReplayCard<T, L> {
+    /// Reads the initial state. An empty trace stands for an axis at rest at A = B = low.
+    ///
+    /// # Errors
+    /// When the first row is bad.
+    pub fn new(mut trace: T, mut listener: L) -> Result<Self, InputError> {
+        let first = trace.next().transpose()?.unwrap_or(TracePoint { t_ns: 0, state: State::default() });
+        listener.changed(first.t_ns, first.state);
+        let mut card = Self {
+            trace,
+            listener,
+            next: None,
+            error: None,
+            t_ns: first.t_ns,
+            scale: first.state,
+            outputs: 0,
+            edges: 0,
+        };
+        card.advance();
+        Ok(card)
+    }
+
+    #[inline]
+    fn advance(&mut self) {
+        self.next = match self.trace.next() {
+            Some(Ok(point)) => Some(point),
+            Some(Err(error)) => {
+                self.error = Some(error);
+                None
+            }
+            None => None,
+        };
+    }
+
+    /// The bad row that ended the replay, if one did.
+    pub fn take_error(&mut self) -> Option<InputError> {
+        self.error.take()
+    }
+
+    /// Changes of the scale played so far.
+    pub fn edges(&self) -> u64 {
+        self.edges
+    }
+
+    /// What listened.
+    pub fn into_listener(self) -> L {
+        self.listener
+    }
+
+    #[inline]
+    fn out(&self) -> State {
+        self.scale.inverted(AxisLines::standard(0, false).inverters(self.outputs))
+    }
+}
+
+impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener> Card for ReplayCard<T, L> {
+    #[inline]
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        let mut edge_ns = None;
+        match self.next {
+            Some(point) if point.t_ns <= wake_ns => {
+                self.t_ns = point.t_ns;
+                edge_ns = Some(point.t_ns);
+                self.scale = point.state;
+                self.edges += 1;
+                let out = self.out();
+                self.listener.changed(point.t_ns, out);
+                self.advance();
+            }
+            // A bad row ends the replay where it stands, not at the engine's next appointment.
+            None if wake_ns == u64::MAX || self.error.is_some() => return Err(CardError::Ended),
+            _ => self.t_ns = self.t_ns.max(wake_ns),
+        }
+        Ok(Sample { t_ns: self.t_ns, inputs: u64::from(self.scale.bits()), edge_ns })
+    }
+
+    #[inline]
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        let before = self.out();
+        self.outputs = self.outputs & !mask | value & mask;
+        let after = self.out();
+        if after != before {
+            self.listener.changed(self.t_ns, after);
+        }
+        Ok(Some(self.t_ns))
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_jumps_to_edges_and_appointments_and_the_listener_hears_all() {
+        let points = [(10, 0), (20, 1), (30, 3)]
+            .map(|(t_ns, bits)| Ok(TracePoint { t_ns, state: State::from_bits(bits) }));
+        let mut heard = Vec::new();
+        let mut card = ReplayCard::new(points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();
+        assert_eq!(card.sample(u64::MAX).unwrap().edge_ns, Some(20));
+        assert_eq!(card.sample(25).unwrap(), Sample { t_ns: 25, inputs: 1, edge_ns: None });
+        assert_eq!(card.write(1, 1).unwrap(), Some(25));
+        assert_eq!(card.sample(40).unwrap(), Sample { t_ns: 30, inputs: 3, edge_ns: Some(30) });
+        assert_eq!(card.sample(u64::MAX), Err(CardError::Ended));
+        drop(card);
+        assert_eq!(heard, [(10, 0), (20, 1), (25, 0), (30, 2)]);
+    }
+}

@@ -1,0 +1,744 @@
+//! One axis between two edges: insertion, ledger, belief, homing, probe capture.
+
+use crate::event::{AxisStatus, Capture, EventKind, Fault, Faults, GateState, Refusal};
+use crate::gate::{Gate, GateInput};
+use rtec_driver::card::{AxisLines, Sample};
+use rtec_driver::quadrature::{Decoder, Signal, State};
+use serde::{Deserialize, Serialize};
+
+/// An insertion design that works by inverting A and B.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Design {
+    /// ±4 by a pair of pulses, begun in A = B = low only (NISTIR 4832, the "Original RTEC").
+    Original,
+    /// ±4 by a pair of pulses of either polarity, in any state (NISTIR 4832, Design A).
+    A,
+    /// ±2 by two inversions (NISTIR 4832, Design C).
+    #[default]
+    C,
+}
+
+impl Design {
+    /// Counts of one insertion.
+    #[must_use]
+    pub const fn increment_counts(self) -> i64 {
+        match self {
+            Self::Original | Self::A => 4,
+            Self::C => 2,
+        }
+    }
+}
+
+/// What to do for an axis that stands still and so gives no edge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum RestPolicy {
+    /// Wait for the next edge (NISTIR 4832).
+    #[default]
+    Wait,
+    /// Insert after this long without an edge, ns. No gate can promise that none comes: one that does is worked out.
+    Insert {
+        /// The quiet time, ns.
+        after_ns: u64,
+    },
+}
+
+/// Everything the engine knows about an axis beforehand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisConfig {
+    /// Where its wires are.
+    pub lines: AxisLines,
+    /// How counts are inserted.
+    pub design: Design,
+    /// Largest correction, counts; a request beyond it is refused.
+    pub max_correction_counts: i64,
+    /// Largest change of a request that is believed at once, counts.
+    pub window_counts: i64,
+    /// A request of this size gives a warning, counts.
+    pub warn_counts: i64,
+    /// A request of this size latches a fault and holds the machine, counts.
+    pub error_counts: i64,
+    /// Fastest change of the correction, counts/s.
+    pub max_rate_counts_s: f64,
+    /// What the MTC's decoder needs between two edges, ns.
+    pub min_separation_ns: u64,
+    /// The axis's acceleration limit, counts/s².
+    pub max_accel_counts_s2: f64,
+    /// The scale's hysteresis on reversal, counts.
+    pub hysteresis_counts: f64,
+    /// What to do at rest.
+    pub rest: RestPolicy,
+    /// This machine's measured time from an edge until the engine acts on it, at the worst, ns (the self-test's tail).
+    pub detect_ns: u64,
+    /// Time of one write, at the worst, ns.
+    pub write_ns: u64,
+    /// Reserve, ns.
+    pub guard_ns: u64,
+}
+
+impl Default for AxisConfig {
+    /// The replay's axis: 500 ns separation, 1e6 counts/s², ±1000 counts, no belief window, an ideal computer.
+    fn default() -> Self {
+        Self {
+            lines: AxisLines::standard(0, false),
+            design: Design::C,
+            max_correction_counts: 1000,
+            window_counts: i64::MAX,
+            warn_counts: i64::MAX,
+            error_counts: i64::MAX,
+            max_rate_counts_s: f64::INFINITY,
+            min_separation_ns: 500,
+            max_accel_counts_s2: 1e6,
+            hysteresis_counts: 0.05,
+            rest: RestPolicy::Wait,
+            detect_ns: 0,
+            write_ns: 0,
+            guard_ns: 0,
+        }
+    }
+}
+
+impl AxisConfig {
+    /// Time from the moment the first inversion is written until the MTC is ready for a real edge, ns.
+    fn busy_ns(&self) -> u64 {
+        let inversions = self.design.increment_counts() as u64;
+        inversions * (self.write_ns + self.min_separation_ns) + self.guard_ns
+    }
+
+    /// The axis's speed gate; `None` where its limits leave no time for an insertion at any speed.
+    ///
+    /// Time needed: detection + the MTC's separation after the edge + the inversions, each with its write and the
+    /// separation behind it + guard.
+    #[must_use]
+    pub fn gate(&self) -> Option<Gate> {
+        Gate::new(GateInput {
+            max_accel_counts_s2: self.max_accel_counts_s2,
+            hysteresis_counts: self.hysteresis_counts,
+            need_ns: (self.detect_ns + self.min_separation_ns + self.busy_ns()).max(1),
+        })
+    }
+}
+
+/// The life of an insertion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Insertion {
+    /// None under way; both inverters are equal.
+    Idle,
+    /// An edge has opened the gate. The MTC first gets its separation from that edge; after `until_ns` the promise
+    /// that no other edge comes has run out, and the insertion is given up unmade.
+    Opened { add: bool, pairs: u8, from_ns: u64, until_ns: u64 },
+    /// The first inversion of a pair is written: until the second is, the MTC counts mirrored. It is known to be in
+    /// effect from `effective_ns` on, once the card or the next look has said so.
+    Half { add: bool, pairs: u8, effective_ns: Option<u64>, edges: u8, seen_ns: u64 },
+    /// Full-cycle designs: one pair is done, the MTC gets its separation before the next.
+    Between { add: bool, pairs: u8, effective_ns: Option<u64>, seen_ns: u64 },
+}
+
+/// An inversion written at the last look, not yet known to be in effect.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Unsettled {
+    signal: Signal,
+    from_ns: u64,
+    done_ns: Option<u64>,
+}
+
+/// In which order a real edge and an inversion reached the XOR gate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Order {
+    EdgeLast,
+    EdgeFirst,
+    Unknown,
+}
+
+/// What the machine as a whole lets an axis do at this look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Permit {
+    /// New insertions may begin.
+    pub insert: bool,
+    /// Nothing is written: shadow mode.
+    pub shadow: bool,
+}
+
+/// One look, as an axis needs it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Look {
+    pub sample: Sample,
+    /// The look before: an unstamped edge is later than that.
+    pub since_ns: u64,
+    pub permit: Permit,
+}
+
+/// The part of an axis that its inverters and the MTC's count make up; shadow mode works on a copy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Wire {
+    /// Inverters: bit 0 A, bit 1 B.
+    inverters: u8,
+    /// A' and B'.
+    mtc: State,
+    /// What the MTC has counted since homing.
+    mtc_count: i64,
+    /// What has been inserted since homing.
+    completed: i64,
+}
+
+/// One axis.
+#[derive(Debug)]
+pub(crate) struct Axis {
+    config: AxisConfig,
+    gate: Gate,
+    min_interval_ns: u64,
+    scale: Decoder,
+    /// Position of the place where the counters were zeroed.
+    home_counts: i64,
+    wire: Wire,
+    /// The real wire while shadow mode works on a copy.
+    real: Option<Wire>,
+    requested: i64,
+    insertion: Insertion,
+    unsettled: Option<Unsettled>,
+    /// The last edge came between these two times.
+    last_edge: Option<(u64, u64)>,
+    /// Lower bound of the last period, ns.
+    period_ns: u64,
+    /// No insertion before this, ns: the rate cap.
+    next_allowed_ns: u64,
+    /// The gate was shut at the last edge for this reason.
+    shut: GateState,
+    doubts: u8,
+    homing: Option<i64>,
+    homed: bool,
+    faults: Faults,
+    capture: Option<Capture>,
+    last_boundary: i64,
+    /// Appointment: nothing to do before this unless a line changes.
+    pub wake_ns: u64,
+    insertions: u64,
+    waited_for_gate: u64,
+    overlaps: u64,
+    late: u64,
+    edge_to_done_ns: Option<u64>,
+}
+
+/// An axis as it was found at the start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Found {
+    pub scale: State,
+    pub inverters: u8,
+    pub completed: i64,
+    pub t_ns: u64,
+}
+
+/// A capture that finds no further edge is complete after this time: the axis has stopped.
+const CAPTURE_LIMIT_NS: u64 = 100_000_000;
+
+impl Axis {
+    /// `None` where the configuration leaves no time for an insertion at any speed.
+    pub(crate) fn new(config: AxisConfig, found: Found) -> Option<Self> {
+        let interval = config.design.increment_counts() as f64 / config.max_rate_counts_s * 1e9;
+        Some(Self {
+            config,
+            gate: config.gate()?,
+            min_interval_ns: interval as u64,
+            scale: Decoder::new(found.scale),
+            home_counts: 0,
+            wire: Wire {
+                inverters: found.inverters,
+                mtc: found.scale.inverted(found.inverters),
+                mtc_count: found.completed,
+                completed: found.completed,
+            },
+            real: None,
+            requested: found.completed,
+            insertion: Insertion::Idle,
+            unsettled: None,
+            last_edge: None,
+            period_ns: 0,
+            next_allowed_ns: found.t_ns,
+            shut: GateState::WaitingForEdge,
+            doubts: 0,
+            homing: None,
+            homed: false,
+            faults: Faults::NONE,
+            capture: None,
+            last_boundary: 0,
+            wake_ns: found.t_ns,
+            insertions: 0,
+            waited_for_gate: 0,
+            overlaps: 0,
+            late: 0,
+            edge_to_done_ns: None,
+        })
+    }
+
+    pub(crate) const fn lines(&self) -> &AxisLines {
+        &self.config.lines
+    }
+
+    pub(crate) const fn homed(&self) -> bool {
+        self.homed
+    }
+
+    pub(crate) const fn faults(&self) -> Faults {
+        self.faults
+    }
+
+    /// Both inverters equal and nothing under way.
+    pub(crate) fn idle(&self) -> bool {
+        matches!(self.insertion, Insertion::Idle | Insertion::Opened { .. })
+    }
+
+    /// The real inverters and completed total: what a restart must know.
+    pub(crate) fn in_effect(&self) -> (u8, i64) {
+        let wire = self.real.unwrap_or(self.wire);
+        (wire.inverters, wire.completed)
+    }
+
+    fn pending(&self) -> i64 {
+        self.requested - self.wire.completed
+    }
+
+    /// Latches a fault; `true` when it is new.
+    pub(crate) fn latch(&mut self, fault: Fault) -> bool {
+        if fault.loses_home() {
+            self.homed = false;
+        }
+        self.faults.latch(fault)
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.faults = Faults::NONE;
+        self.doubts = 0;
+    }
+
+    /// Enters or leaves shadow mode; in it everything happens on a copy of the wire.
+    pub(crate) fn set_shadow(&mut self, on: bool) {
+        match (on, self.real) {
+            (true, None) => self.real = Some(self.wire),
+            (false, Some(real)) => {
+                // The real inverters stood still: the MTC counted what the scale counted.
+                self.wire = Wire {
+                    mtc: self.scale.state().inverted(real.inverters),
+                    mtc_count: self.scale.count() + real.completed,
+                    ..real
+                };
+                self.real = None;
+                self.insertion = Insertion::Idle;
+            }
+            _ => {}
+        }
+    }
+
+    /// Zeroes the counters at the known place.
+    pub(crate) fn home(&mut self, position_counts: i64) {
+        self.scale = Decoder::new(self.scale.state());
+        self.home_counts = position_counts;
+        self.wire.mtc_count = 0;
+        self.wire.completed = 0;
+        if let Some(real) = &mut self.real {
+            real.completed = 0;
+        }
+        self.requested = 0;
+        self.homed = false;
+        self.homing = Some(position_counts);
+        self.capture = None;
+        self.last_boundary = position_counts;
+    }
+
+    /// Completes homing when the control side has read back the home position.
+    pub(crate) fn confirm_home(&mut self, position_counts: i64) -> bool {
+        self.homed = self.homing == Some(position_counts);
+        if self.homed {
+            self.homing = None;
+        }
+        self.homed
+    }
+
+    /// A new total. `Ok(true)` where it passed the warning limit.
+    pub(crate) fn request(&mut self, total: i64, large: bool) -> Result<bool, Result<Refusal, Fault>> {
+        if total.unsigned_abs() > self.config.max_correction_counts.unsigned_abs() {
+            return Err(Ok(Refusal::AboveMaximum));
+        }
+        if total.unsigned_abs() >= self.config.error_counts.unsigned_abs() {
+            return Err(Err(Fault::ErrorLimit));
+        }
+        // Not believed once; two more readings to come back into range, then a fault (NISTIR 4832, General
+        // Considerations: "I Don't Believe You", "I Still Don't Believe You").
+        if !large && total.abs_diff(self.requested) > self.config.window_counts.unsigned_abs() {
+            self.doubts += 1;
+            return Err(if self.doubts > 2 {
+                Err(Fault::StillNotBelieved)
+            } else {
+                Ok(Refusal::NotBelieved)
+            });
+        }
+        self.doubts = 0;
+        self.requested = total;
+        self.wake_ns = 0;
+        Ok(total.unsigned_abs() >= self.config.warn_counts.unsigned_abs())
+    }
+
+    /// The probe tripped between the two times. `false` where a capture is already under way: a bounce.
+    pub(crate) fn trip(&mut self, trip_ns: (u64, u64)) -> bool {
+        if self.capture.is_some() {
+            return false;
+        }
+        let before = (self.last_boundary, self.last_edge.map(|(_, t)| t));
+        self.capture = Some(Capture { trip_ns, before, after: None });
+        true
+    }
+
+    /// Time from edge to second inversion of an insertion finished at the last look, ns.
+    pub(crate) fn take_edge_to_done_ns(&mut self) -> Option<u64> {
+        self.edge_to_done_ns.take()
+    }
+
+    /// A write has been made at `from_ns` and is in effect at `done_ns`, where the card knows.
+    pub(crate) fn written(&mut self, done_ns: Option<u64>) {
+        if let Some(u) = &mut self.unsettled {
+            u.done_ns = done_ns;
+        }
+        if done_ns.is_some() {
+            self.settle(done_ns);
+        }
+    }
+
+    fn settle(&mut self, at_ns: Option<u64>) {
+        if let Insertion::Half { effective_ns, .. } | Insertion::Between { effective_ns, .. } =
+            &mut self.insertion
+            && effective_ns.is_none()
+        {
+            *effective_ns = at_ns;
+        }
+        self.appoint();
+    }
+
+    /// One look. Returns the inverters to be toggled now (bit 0 A, bit 1 B; at most one).
+    #[inline]
+    pub(crate) fn look(&mut self, look: &Look, tell: &mut impl FnMut(EventKind)) -> u8 {
+        let state = self.config.lines.scale(look.sample.inputs);
+        if state != self.scale.state() {
+            self.edge(state, look, tell);
+        }
+        if let Some(u) = self.unsettled {
+            let now_ns = look.sample.edge_ns.unwrap_or(look.sample.t_ns);
+            if u.done_ns.is_none_or(|done| now_ns > done) {
+                self.unsettled = None;
+                self.settle(Some(look.sample.t_ns));
+                if self.real.is_none()
+                    && let Some(back) = self.config.lines.back(look.sample.inputs)
+                    && back != self.wire.mtc
+                {
+                    self.fault(Fault::ReadBackMismatch, tell);
+                }
+            }
+        }
+        if let Some(c) = self.capture
+            && look.sample.t_ns > c.trip_ns.1 + CAPTURE_LIMIT_NS
+        {
+            self.capture = None;
+            tell(EventKind::Trip(c));
+        }
+        let toggle = self.act(look, tell);
+        self.appoint();
+        toggle
+    }
+
+    fn fault(&mut self, fault: Fault, tell: &mut impl FnMut(EventKind)) {
+        if self.latch(fault) {
+            tell(EventKind::Fault(fault));
+        }
+    }
+
+    /// The scale has changed.
+    fn edge(&mut self, state: State, look: &Look, tell: &mut impl FnMut(EventKind)) {
+        let edge =
+            (look.sample.edge_ns.unwrap_or(look.since_ns), look.sample.edge_ns.unwrap_or(look.sample.t_ns));
+        let before = self.scale.state();
+        let gap_ns = look.sample.t_ns - look.since_ns;
+        // Seen late: three counts or more may have passed, and one change may stand for them.
+        if look.sample.edge_ns.is_none()
+            && gap_ns > self.gate.need_ns()
+            && self.homed
+            && self.last_edge.is_some()
+            && self.gate.travel_ns(self.period_ns, 3.0) < gap_ns as f64
+        {
+            self.fault(Fault::PollGap, tell);
+        }
+        self.period_ns = self.last_edge.map_or(0, |(_, last)| edge.0.saturating_sub(last));
+        self.last_edge = Some(edge);
+        let Some(step) = self.scale.update(state) else {
+            self.wire.mtc = state.inverted(self.wire.inverters);
+            if let Insertion::Half { edges, .. } = &mut self.insertion {
+                *edges += 1;
+            }
+            self.fault(Fault::IllegalTransition, tell);
+            return;
+        };
+        let signal = before.signal_towards(step > 0);
+        self.pass_on(signal, edge.1, tell);
+        if self.wire.inverters == 0 || self.wire.inverters == 3 {
+            if self.wire.mtc_count - self.scale.count() != self.wire.completed && self.faults == Faults::NONE
+            {
+                self.fault(Fault::LedgerImbalance, tell);
+            }
+        } else {
+            self.overlaps += 1;
+            tell(EventKind::Overlap);
+        }
+        let boundary = self.home_counts + self.scale.count() + i64::from(step < 0);
+        if let Some(mut c) = self.capture.take() {
+            c.after = Some((boundary, edge.1));
+            tell(EventKind::Trip(c));
+        }
+        self.last_boundary = boundary;
+        match &mut self.insertion {
+            Insertion::Idle | Insertion::Opened { .. } => self.insertion = self.open(edge, look.permit),
+            Insertion::Half { edges, .. } => *edges += 1,
+            Insertion::Between { .. } => {}
+        }
+    }
+
+    /// Enters a real edge of `signal` into the MTC's count, in the order in which it and an inversion fell.
+    fn pass_on(&mut self, signal: Signal, edge_ns: u64, tell: &mut impl FnMut(EventKind)) {
+        let order = match self.unsettled {
+            None => Order::EdgeLast,
+            // Two changes of the same signal: the MTC is where it was, whichever came first.
+            Some(u) if u.signal == signal => Order::EdgeLast,
+            Some(u) => match (u.done_ns, edge_ns) {
+                (Some(done), e) if e > done => Order::EdgeLast,
+                (_, e) if e <= u.from_ns && u.done_ns.is_some() => Order::EdgeFirst,
+                _ => Order::Unknown,
+            },
+        };
+        let w = &mut self.wire;
+        match (order, self.unsettled) {
+            (Order::EdgeFirst, Some(u)) => {
+                let undone = w.mtc.flipped(u.signal);
+                w.mtc_count -= i64::from(undone.step_of(u.signal));
+                w.mtc_count += i64::from(undone.step_of(signal));
+                w.mtc_count += i64::from(undone.flipped(signal).step_of(u.signal));
+            }
+            _ => w.mtc_count += i64::from(w.mtc.step_of(signal)),
+        }
+        w.mtc = w.mtc.flipped(signal);
+        if order == Order::Unknown {
+            self.fault(Fault::OrderUnknown, tell);
+        } else if order == Order::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
+            // The edge came before the second inversion after all: what the pair made is known only now.
+            w.completed = w.mtc_count - self.scale.count();
+        }
+    }
+
+    /// Full-cycle designs do two pairs, or one to switch both inverters off again.
+    fn pairs(&self) -> u8 {
+        if self.config.design == Design::C || self.wire.inverters != 0 { 1 } else { 2 }
+    }
+
+    fn ready(&self) -> bool {
+        let increment = if self.wire.inverters != 0 && self.config.design != Design::C {
+            2
+        } else {
+            self.config.design.increment_counts()
+        };
+        self.homed && !self.faults.any() && self.pending().abs() >= increment
+    }
+
+    /// After an edge: may an insertion begin?
+    fn open(&mut self, edge: (u64, u64), permit: Permit) -> Insertion {
+        if !self.ready() || !permit.insert {
+            return Insertion::Idle;
+        }
+        if self.config.design == Design::Original && self.scale.state() != State::default() {
+            self.shut = GateState::WaitingForEdge;
+            return Insertion::Idle;
+        }
+        if edge.1 < self.next_allowed_ns {
+            self.shut = GateState::RateCap;
+            return Insertion::Idle;
+        }
+        let quiet_ns = self.gate.quiet_ns(self.period_ns);
+        if self.period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
+            self.shut = GateState::TooFast;
+            self.waited_for_gate += 1;
+            return Insertion::Idle;
+        }
+        self.shut = GateState::WaitingForEdge;
+        Insertion::Opened {
+            add: self.pending() > 0,
+            pairs: self.pairs(),
+            from_ns: edge.1 + self.config.min_separation_ns,
+            until_ns: edge.0 + quiet_ns - self.config.busy_ns(),
+        }
+    }
+
+    /// What is due at this look.
+    fn act(&mut self, look: &Look, tell: &mut impl FnMut(EventKind)) -> u8 {
+        let t_ns = look.sample.t_ns;
+        let separation_ns = self.config.min_separation_ns;
+        match self.insertion {
+            Insertion::Idle => {
+                let RestPolicy::Insert { after_ns } = self.config.rest else { return 0 };
+                let quiet_since = self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns);
+                let low = self.config.design != Design::Original || self.scale.state() == State::default();
+                if look.permit.insert && low && self.ready() && t_ns >= quiet_since + after_ns {
+                    return self.invert_first(self.pending() > 0, self.pairs(), t_ns, t_ns);
+                }
+                0
+            }
+            Insertion::Opened { add, pairs, from_ns, until_ns } => {
+                if t_ns < from_ns {
+                    return 0;
+                }
+                self.insertion = Insertion::Idle;
+                if !look.permit.insert || !self.ready() || (self.pending() > 0) != add {
+                    return 0;
+                }
+                if t_ns > until_ns {
+                    self.late += 1;
+                    tell(EventKind::Late);
+                    return 0;
+                }
+                self.invert_first(add, pairs, t_ns, from_ns - separation_ns)
+            }
+            Insertion::Half { add, pairs, effective_ns: Some(effective), edges, seen_ns } => {
+                let last_out = self.last_edge.map_or(effective, |(_, edge)| edge.max(effective));
+                // Two real edges inside: the axis is too fast for a separation, and the MTC counts mirrored.
+                if t_ns < last_out + separation_ns && edges < 2 {
+                    return 0;
+                }
+                self.invert_second(add, pairs, edges > 0, t_ns, seen_ns, tell)
+            }
+            Insertion::Between { add, pairs, effective_ns: Some(effective), seen_ns } => {
+                let last_out = self.last_edge.map_or(effective, |(_, edge)| edge.max(effective));
+                if t_ns < last_out + separation_ns {
+                    return 0;
+                }
+                self.invert_first(add, pairs, t_ns, seen_ns)
+            }
+            Insertion::Half { .. } | Insertion::Between { .. } => 0,
+        }
+    }
+
+    /// The first inversion of a pair. A and B equal: A first adds, B first subtracts; different: the other way round
+    /// (NISTIR 4832, Design C). Both inverters are equal here, so A' and B' decide alike.
+    fn invert_first(&mut self, add: bool, pairs: u8, t_ns: u64, seen_ns: u64) -> u8 {
+        self.insertion = Insertion::Half { add, pairs, effective_ns: None, edges: 0, seen_ns };
+        self.invert(self.wire.mtc.signal_towards(add), t_ns)
+    }
+
+    /// The second inversion. Without an edge in between it is the other signal; with one, the signal that leaves the
+    /// MTC where it should be, or else where it was.
+    fn invert_second(
+        &mut self,
+        add: bool,
+        pairs: u8,
+        overlapped: bool,
+        t_ns: u64,
+        seen_ns: u64,
+        tell: &mut impl FnMut(EventKind),
+    ) -> u8 {
+        let wanted = self.wire.completed + if add { 2 } else { -2 };
+        let offset_after = |signal: Signal| {
+            self.wire.mtc_count + i64::from(self.wire.mtc.step_of(signal)) - self.scale.count()
+        };
+        let (a, b) = (offset_after(Signal::A), offset_after(Signal::B));
+        let signal = if a.abs_diff(wanted) <= b.abs_diff(wanted) { Signal::A } else { Signal::B };
+        let toggle = self.invert(signal, t_ns);
+        let offset = self.wire.mtc_count - self.scale.count();
+        if overlapped {
+            self.wire.completed = offset;
+        } else {
+            self.wire.completed = wanted;
+            if offset != wanted {
+                self.fault(Fault::LedgerImbalance, tell);
+            }
+        }
+        let pairs = pairs - 1;
+        if pairs > 0 {
+            self.insertion = Insertion::Between { add, pairs, effective_ns: None, seen_ns };
+        } else {
+            self.insertion = Insertion::Idle;
+            self.insertions += 1;
+            self.next_allowed_ns = t_ns + self.min_interval_ns;
+            self.edge_to_done_ns = Some(t_ns - seen_ns);
+        }
+        toggle
+    }
+
+    fn invert(&mut self, signal: Signal, t_ns: u64) -> u8 {
+        let w = &mut self.wire;
+        w.mtc_count += i64::from(w.mtc.step_of(signal));
+        w.mtc = w.mtc.flipped(signal);
+        w.inverters ^= signal as u8;
+        self.unsettled = Some(Unsettled { signal, from_ns: t_ns, done_ns: None });
+        signal as u8
+    }
+
+    /// Sets the appointment for the next look that matters without a change of lines.
+    fn appoint(&mut self) {
+        let separation_ns = self.config.min_separation_ns;
+        let after =
+            |effective: u64| self.last_edge.map_or(effective, |(_, e)| e.max(effective)) + separation_ns;
+        let mut wake = match self.insertion {
+            Insertion::Opened { from_ns, .. } => from_ns,
+            Insertion::Half { effective_ns: Some(e), edges: 0..2, .. }
+            | Insertion::Between { effective_ns: Some(e), .. } => after(e),
+            Insertion::Half { .. } | Insertion::Between { .. } => 0,
+            Insertion::Idle => match self.config.rest {
+                RestPolicy::Insert { after_ns } if self.ready() => {
+                    self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns) + after_ns
+                }
+                _ => u64::MAX,
+            },
+        };
+        if self.unsettled.is_some_and(|u| u.done_ns.is_none()) {
+            wake = 0;
+        }
+        if let Some(c) = self.capture {
+            wake = wake.min(c.trip_ns.1 + CAPTURE_LIMIT_NS + 1);
+        }
+        self.wake_ns = wake;
+    }
+
+    /// The axis as a status shows it. `blocked` is what the machine as a whole holds against insertions.
+    pub(crate) fn status(&self, t_ns: u64, blocked: Option<GateState>) -> AxisStatus {
+        let real = self.real.unwrap_or(self.wire);
+        let mtc_count =
+            if self.real.is_some() { self.scale.count() + real.completed } else { self.wire.mtc_count };
+        let since_ns = self.last_edge.map(|(_, t)| t_ns.saturating_sub(t));
+        let at_rest = since_ns.is_none_or(|s| s > 50_000_000);
+        let gate = if self.faults.any() {
+            GateState::Fault
+        } else if !self.homed {
+            GateState::NotHomed
+        } else if let Some(blocked) = blocked {
+            blocked
+        } else if self.insertion != Insertion::Idle {
+            GateState::Inserting
+        } else if !self.ready() {
+            GateState::Done
+        } else if at_rest && self.config.rest == RestPolicy::Wait {
+            GateState::AtRest
+        } else {
+            self.shut
+        };
+        let period_ns = since_ns.map_or(0, |s| s.max(self.period_ns));
+        AxisStatus {
+            position_counts: self.home_counts + self.scale.count(),
+            mtc_minus_scale: mtc_count - self.scale.count(),
+            requested: self.requested,
+            completed: self.wire.completed,
+            in_effect: real.completed,
+            inverted: real.inverters == 3,
+            homed: self.homed,
+            gate,
+            edge_rate_hz: if period_ns == 0 || at_rest { 0.0 } else { 1e9 / period_ns as f64 },
+            faults: self.faults,
+            insertions: self.insertions,
+            waited_for_gate: self.waited_for_gate,
+            overlaps: self.overlaps,
+            late: self.late,
+            illegal: self.scale.illegal(),
+        }
+    }
+}

@@ -1,0 +1,549 @@
+//! All axes of one machine: looks at the card, lets each axis act, writes once.
+
+use crate::axis::{Axis, AxisConfig, Found, Look, Permit};
+use crate::event::{
+    AxisStatus, Event, EventKind, Fault, Faults, GateState, MAX_AXES, Mode, Refusal, Request, Status,
+};
+use crate::histogram::{Reader, Recorder, histogram};
+use crate::journal::{Journal, Record};
+use rtec_driver::card::{Card, CardError, MachineLines, Sample};
+
+/// The machine as a whole, beforehand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MachineConfig {
+    /// Where the machine's own lines are.
+    pub lines: MachineLines,
+    /// Corrections may be enabled: the card is a mock, or every real-time setting has been verified.
+    pub may_arm: bool,
+}
+
+/// What the start of an engine can find wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum StartError {
+    /// The card could not be read.
+    #[error(transparent)]
+    Card(#[from] CardError),
+    /// More axes than the engine holds, or none.
+    #[error("found {0} axes, expected 1 to {MAX_AXES}")]
+    Axes(usize),
+    /// The axis's acceleration limit, hysteresis, separation and latency leave no time for an insertion.
+    #[error("axis {0}: no speed leaves time for an insertion; lower max_accel or the time it needs")]
+    NoGate(usize),
+    /// The two inverters of an axis are not equal: it was left in the middle of an insertion.
+    #[error("axis {0}: its two inverters are not equal")]
+    HalfInverted(usize),
+}
+
+/// Distributions of the loop's times, for whoever wants to look at any moment.
+#[derive(Debug, Clone)]
+pub struct Timing {
+    /// Between two looks, ns.
+    pub poll_gap_ns: Reader,
+    /// From the look that saw an edge to the look that ordered the last inversion, ns.
+    pub edge_to_done_ns: Reader,
+}
+
+#[allow(clippy::struct_excessive_bools)] // Each is one switch of the machine.
+/// The engine. Generic over the card at each look; it owns no thread, no file and no clock.
+#[derive(Debug)]
+pub struct Engine {
+    axes: Box<[Axis]>,
+    machine: MachineConfig,
+    watched: u64,
+    inputs: u64,
+    look_ns: u64,
+    wake_ns: u64,
+    polls: u64,
+    events_lost: u64,
+    enabled: bool,
+    shadow: bool,
+    probing: bool,
+    held: bool,
+    stale: bool,
+    switch_off: bool,
+    hold_out: Option<bool>,
+    faults: Faults,
+    mode: Mode,
+    journal: Option<Journal>,
+    poll_gap_ns: Recorder,
+    edge_to_done_ns: Recorder,
+    timing: Timing,
+}
+
+impl Engine {
+    /// An engine on a card as it stands: inverters are taken over, `completed` gives each axis's total from before
+    /// (zero at a first start). Nothing is written; corrections are off.
+    ///
+    /// # Errors
+    /// When the card cannot be read, or an axis cannot be corrected as configured.
+    pub fn new<C: Card>(
+        card: &mut C,
+        axes: &[AxisConfig],
+        machine: MachineConfig,
+        completed: &[i64],
+    ) -> Result<Self, StartError> {
+        if axes.is_empty() || axes.len() > MAX_AXES {
+            return Err(StartError::Axes(axes.len()));
+        }
+        let sample = card.sample(0)?;
+        let outputs = card.outputs()?;
+        let mut watched = 0;
+        let mut all = Vec::with_capacity(axes.len());
+        for (n, config) in axes.iter().enumerate() {
+            let inverters = config.lines.inverters(outputs);
+            if inverters == 1 || inverters == 2 {
+                return Err(StartError::HalfInverted(n));
+            }
+            let found = Found {
+                scale: config.lines.scale(sample.inputs),
+                inverters,
+                completed: completed.get(n).copied().unwrap_or(0),
+                t_ns: sample.t_ns,
+            };
+            all.push(Axis::new(*config, found).ok_or(StartError::NoGate(n))?);
+            watched |= config.lines.input_mask();
+        }
+        for bit in [machine.lines.probe, machine.lines.disable].into_iter().flatten() {
+            watched |= 1 << bit;
+        }
+        let (poll_gap_ns, gap_reader) = histogram();
+        let (edge_to_done_ns, done_reader) = histogram();
+        let mut engine = Self {
+            axes: all.into_boxed_slice(),
+            machine,
+            watched,
+            inputs: sample.inputs,
+            look_ns: sample.t_ns,
+            wake_ns: 0,
+            polls: 0,
+            events_lost: 0,
+            enabled: false,
+            shadow: false,
+            probing: false,
+            held: false,
+            stale: false,
+            switch_off: false,
+            hold_out: None,
+            faults: Faults::NONE,
+            mode: Mode::Disabled,
+            journal: None,
+            poll_gap_ns,
+            edge_to_done_ns,
+            timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
+        };
+        engine.switch_off = engine.line(machine.lines.disable, sample.inputs);
+        Ok(engine)
+    }
+
+    /// Homes every axis at zero where it stands and enables corrections: how a replay or a simulation starts.
+    ///
+    /// # Errors
+    /// When the hold line cannot be written.
+    pub fn start_homed<C: Card>(
+        &mut self,
+        card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        for axis in 0..self.axes.len() as u8 {
+            self.take(Request::Home { axis, position_counts: 0 }, card, tell)?;
+            self.take(Request::ConfirmHome { axis, position_counts: 0 }, card, tell)?;
+        }
+        self.take(Request::Enable, card, tell)
+    }
+
+    /// From here on every inversion is noted in `journal` before it is made.
+    pub fn keep_journal(&mut self, journal: Journal) {
+        self.journal = Some(journal);
+        self.note();
+    }
+
+    /// Notes every axis as it is in effect now.
+    fn note(&mut self) {
+        if let Some(journal) = &mut self.journal {
+            for (n, axis) in self.axes.iter().enumerate() {
+                let (inverters, completed) = axis.in_effect();
+                journal.record(n, Record { inverters, completed });
+            }
+        }
+    }
+
+    /// Says whether corrections may be enabled: the card is a mock, or every real-time setting has been verified.
+    pub fn set_may_arm(&mut self, may_arm: bool) {
+        self.machine.may_arm = may_arm;
+    }
+
+    /// No insertion is under way on any axis: both inverters are equal everywhere.
+    #[must_use]
+    pub fn at_rest(&self) -> bool {
+        self.axes.iter().all(Axis::idle)
+    }
+
+    /// The card has failed: every axis is latched. Nothing more can be written.
+    pub fn card_failed(&mut self, error: CardError, tell: &mut impl FnMut(Event) -> bool) {
+        if error != CardError::Ended && self.faults.latch(Fault::Card) {
+            self.mode = Mode::Fault;
+            self.say(None, EventKind::Fault(Fault::Card), tell);
+        }
+    }
+
+    /// The loop's own timing, to be read at any time from any thread.
+    #[must_use]
+    pub fn timing(&self) -> Timing {
+        self.timing.clone()
+    }
+
+    #[allow(clippy::unused_self)]
+    fn line(&self, bit: Option<u8>, inputs: u64) -> bool {
+        bit.is_some_and(|b| inputs >> b & 1 != 0)
+    }
+
+    /// One look at the card and everything that follows from it. A card that can wait does so at most until `by_ns`.
+    /// `tell` takes events and says whether it kept them.
+    ///
+    /// # Errors
+    /// When the card fails; every axis is then latched, and the outputs stay as they are.
+    #[inline]
+    pub fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        let sample = card.sample(self.wake_ns.min(by_ns))?;
+        let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
+        self.polls += 1;
+        // The first look comes after the thread's set-up, not after another look.
+        if sample.edge_ns.is_none() && self.polls > 1 {
+            self.poll_gap_ns.record(sample.t_ns - since_ns);
+        }
+        let changed = (sample.inputs ^ self.inputs) & self.watched;
+        if changed == 0 && sample.t_ns < self.wake_ns {
+            return Ok(());
+        }
+        self.work(card, sample, changed, since_ns, tell)
+    }
+
+    fn work<C: Card>(
+        &mut self,
+        card: &mut C,
+        sample: Sample,
+        changed: u64,
+        since_ns: u64,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        self.inputs = sample.inputs;
+        let t_ns = sample.t_ns;
+        let lost = &mut self.events_lost;
+        let mut say = |axis, kind| *lost += u64::from(!tell(Event { t_ns, axis, kind }));
+
+        let trip = self.machine.lines.probe.is_some_and(|b| changed & sample.inputs & 1 << b != 0);
+        if trip && self.probing {
+            let at_ns = (sample.edge_ns.unwrap_or(since_ns), sample.edge_ns.unwrap_or(t_ns));
+            for (n, axis) in self.axes.iter_mut().enumerate() {
+                if !axis.trip(at_ns) {
+                    say(Some(n as u8), EventKind::Bounce);
+                }
+            }
+        }
+        let look = Look {
+            sample,
+            since_ns,
+            permit: Permit {
+                insert: matches!(self.mode, Mode::Run | Mode::Shadow) && !self.stale,
+                shadow: self.shadow,
+            },
+        };
+        let (mut mask, mut value, mut faulted) = (0, 0, false);
+        let mut wrote = [false; MAX_AXES];
+        let mut wake_ns = u64::MAX;
+        for (n, axis) in self.axes.iter_mut().enumerate() {
+            if changed & axis.lines().input_mask() != 0 || t_ns >= axis.wake_ns || trip {
+                let toggle = axis.look(&look, &mut |kind| say(Some(n as u8), kind));
+                if let Some(ns) = axis.take_edge_to_done_ns() {
+                    self.edge_to_done_ns.record(ns);
+                }
+                if toggle != 0 {
+                    wrote[n] = true;
+                    if !look.permit.shadow {
+                        let lines = axis.lines();
+                        let (inverters, _) = axis.in_effect();
+                        let bit = if toggle == 1 { lines.invert_a } else { lines.invert_b };
+                        mask |= 1 << bit;
+                        value |= u64::from(inverters & toggle != 0) << bit;
+                    }
+                }
+            }
+            faulted |= axis.faults().any();
+            wake_ns = wake_ns.min(axis.wake_ns);
+        }
+        self.wake_ns = wake_ns;
+        if mask != 0 {
+            self.note();
+            let done_ns = card.write(mask, value)?;
+            for (axis, _) in self.axes.iter_mut().zip(wrote).filter(|(_, w)| *w) {
+                axis.written(done_ns);
+                self.wake_ns = self.wake_ns.min(axis.wake_ns);
+            }
+        } else if wrote != [false; MAX_AXES] {
+            for (axis, _) in self.axes.iter_mut().zip(wrote).filter(|(_, w)| *w) {
+                axis.written(Some(t_ns));
+                self.wake_ns = self.wake_ns.min(axis.wake_ns);
+            }
+        }
+        let switch_off = self.line(self.machine.lines.disable, sample.inputs);
+        if switch_off != self.switch_off || faulted != (self.mode == Mode::Fault) || self.hold_out.is_none() {
+            self.switch_off = switch_off;
+            self.update_mode(card, tell)?;
+        }
+        Ok(())
+    }
+
+    /// Works the mode out anew, and the hold line with it.
+    fn update_mode<C: Card>(
+        &mut self,
+        card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
+        // A cleared fault leaves corrections off: they come on again by a decision, not by themselves.
+        self.enabled &= !faulted;
+        let mode = if faulted {
+            Mode::Fault
+        } else if self.held {
+            Mode::Hold
+        } else if self.probing {
+            Mode::Probe
+        } else if self.switch_off || !self.enabled && !self.shadow {
+            Mode::Disabled
+        } else if self.shadow {
+            Mode::Shadow
+        } else {
+            Mode::Run
+        };
+        let hold = faulted || self.held;
+        if self.hold_out != Some(hold) {
+            if let Some(bit) = self.machine.lines.hold {
+                card.write(1 << bit, u64::from(hold) << bit)?;
+            }
+            self.hold_out = Some(hold);
+        }
+        if mode != self.mode {
+            self.mode = mode;
+            self.say(None, EventKind::Mode(mode), tell);
+            // A pending correction at rest has no edge to wake it.
+            self.wake_ns = 0;
+            for axis in &mut self.axes {
+                axis.wake_ns = 0;
+            }
+        }
+        Ok(())
+    }
+
+    fn say(&mut self, axis: Option<u8>, kind: EventKind, tell: &mut impl FnMut(Event) -> bool) {
+        self.events_lost += u64::from(!tell(Event { t_ns: self.look_ns, axis, kind }));
+    }
+
+    /// Takes one request from the control side.
+    ///
+    /// # Errors
+    /// When the hold line cannot be written.
+    pub fn take<C: Card>(
+        &mut self,
+        request: Request,
+        card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        let (axis, total_counts) = match request {
+            Request::Correct { axis, total_counts, .. } => (Some(axis), total_counts),
+            Request::Home { axis, .. } | Request::ConfirmHome { axis, .. } => (Some(axis), 0),
+            _ => (None, 0),
+        };
+        if let Err(why) = self.try_take(request, tell) {
+            self.say(axis, EventKind::Refused { total_counts, why }, tell);
+        }
+        self.note();
+        self.wake_ns = self.axes.iter().map(|a| a.wake_ns).min().unwrap_or(0);
+        self.update_mode(card, tell)
+    }
+
+    fn try_take(&mut self, request: Request, tell: &mut impl FnMut(Event) -> bool) -> Result<(), Refusal> {
+        match request {
+            Request::Correct { axis, total_counts, large } => {
+                self.correct(axis, total_counts, large, tell)?;
+            }
+            Request::Home { axis, position_counts } => {
+                let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
+                if a.faults().any() {
+                    return Err(Refusal::FaultLatched);
+                }
+                if !a.idle() {
+                    return Err(Refusal::Busy);
+                }
+                a.home(position_counts);
+                self.say(Some(axis), EventKind::HomeSet { position_counts }, tell);
+            }
+            Request::ConfirmHome { axis, position_counts } => {
+                let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
+                if !a.confirm_home(position_counts) {
+                    return Err(Refusal::NotHomed);
+                }
+                self.say(Some(axis), EventKind::Homed, tell);
+            }
+            Request::Enable | Request::Shadow => {
+                let shadow = request == Request::Shadow;
+                self.armable(shadow)?;
+                if self.axes.iter().any(|a| !a.idle()) {
+                    return Err(Refusal::Busy);
+                }
+                (self.enabled, self.shadow) = (!shadow, shadow);
+                self.axes.iter_mut().for_each(|a| a.set_shadow(shadow));
+            }
+            Request::Disable => {
+                if self.shadow && self.axes.iter().any(|a| !a.idle()) {
+                    return Err(Refusal::Busy);
+                }
+                (self.enabled, self.shadow) = (false, false);
+                self.axes.iter_mut().for_each(|a| a.set_shadow(false));
+            }
+            Request::Probe(on) => self.probing = on,
+            Request::Hold(on) => self.held = on,
+            Request::Clear => {
+                self.faults = Faults::NONE;
+                self.axes.iter_mut().for_each(Axis::clear);
+            }
+        }
+        Ok(())
+    }
+
+    /// Nothing arms on hope: no fault, no switch, every axis homed, and on a real card a verified set-up.
+    fn armable(&self, shadow: bool) -> Result<(), Refusal> {
+        if self.mode == Mode::Fault {
+            Err(Refusal::FaultLatched)
+        } else if self.switch_off {
+            Err(Refusal::DisableSwitch)
+        } else if self.axes.iter().any(|a| !a.homed()) {
+            Err(Refusal::NotHomed)
+        } else if !shadow && !self.machine.may_arm {
+            Err(Refusal::NotArmable)
+        } else {
+            Ok(())
+        }
+    }
+
+    fn correct(
+        &mut self,
+        axis: u8,
+        total_counts: i64,
+        large: bool,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), Refusal> {
+        let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
+        if self.mode == Mode::Fault {
+            return Err(Refusal::FaultLatched);
+        }
+        if !a.homed() {
+            return Err(Refusal::NotHomed);
+        }
+        if self.probing {
+            return Err(Refusal::Probing);
+        }
+        if self.switch_off || !self.enabled && !self.shadow {
+            return if total_counts == 0 {
+                Ok(())
+            } else if self.switch_off {
+                Err(Refusal::DisableSwitch)
+            } else {
+                Err(Refusal::Disabled)
+            };
+        }
+        match a.request(total_counts, large) {
+            Ok(false) => Ok(()),
+            Ok(true) => {
+                self.say(Some(axis), EventKind::Warning { total_counts }, tell);
+                Ok(())
+            }
+            Err(Ok(refusal)) => Err(refusal),
+            Err(Err(fault)) => {
+                if a.latch(fault) {
+                    self.say(Some(axis), EventKind::Fault(fault), tell);
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Says whether the control side is heard. While it is silent no new insertion begins.
+    pub fn set_control_stale(&mut self, stale: bool, tell: &mut impl FnMut(Event) -> bool) {
+        if stale != self.stale {
+            self.stale = stale;
+            self.say(None, EventKind::ControlStale(stale), tell);
+            self.wake_ns = 0;
+            self.axes.iter_mut().for_each(|a| a.wake_ns = 0);
+        }
+    }
+
+    /// Latches a fault of the machine as a whole, or of one axis, found outside the loop.
+    ///
+    /// # Errors
+    /// When the hold line cannot be written.
+    pub fn latch<C: Card>(
+        &mut self,
+        axis: Option<u8>,
+        fault: Fault,
+        card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        let new = match axis.and_then(|n| self.axes.get_mut(usize::from(n))) {
+            Some(a) => a.latch(fault),
+            None => self.faults.latch(fault),
+        };
+        if new {
+            self.say(axis, EventKind::Fault(fault), tell);
+        }
+        self.update_mode(card, tell)
+    }
+
+    /// The card's time of the last look, ns.
+    #[must_use]
+    pub const fn now_ns(&self) -> u64 {
+        self.look_ns
+    }
+
+    /// What the engine is doing.
+    #[must_use]
+    pub const fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// Real inverters (bit 0 A, bit 1 B) and completed total of an axis: what a restart must know.
+    #[must_use]
+    pub fn in_effect(&self, axis: usize) -> Option<(u8, i64)> {
+        self.axes.get(axis).map(Axis::in_effect)
+    }
+
+    /// Everything at this moment.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        let blocked = match self.mode {
+            Mode::Run | Mode::Shadow if self.stale => Some(GateState::ControlStale),
+            Mode::Run | Mode::Shadow => None,
+            Mode::Fault => Some(GateState::Fault),
+            Mode::Disabled | Mode::Hold | Mode::Probe => Some(GateState::Off),
+        };
+        let mut axes = [AxisStatus::default(); MAX_AXES];
+        for (status, axis) in axes.iter_mut().zip(&self.axes) {
+            *status = axis.status(self.look_ns, blocked);
+        }
+        Status {
+            t_ns: self.look_ns,
+            mode: self.mode,
+            control_stale: self.stale,
+            disable_switch: self.switch_off,
+            polls: self.polls,
+            events_lost: self.events_lost,
+            faults: self.faults,
+            axes_used: self.axes.len() as u8,
+            axes,
+        }
+    }
+}

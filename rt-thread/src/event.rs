@@ -1,0 +1,344 @@
+//! What goes over the link: requests down, events up, and what a status shows. All `Copy`, nothing allocates.
+
+use serde::{Deserialize, Serialize};
+
+/// Axes that one engine can hold.
+pub const MAX_AXES: usize = 6;
+
+/// What the control side asks for. Totals, never increments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Request {
+    /// The total correction of an axis in counts since homing.
+    Correct {
+        /// Which axis, from 0.
+        axis: u8,
+        /// The total, counts.
+        total_counts: i64,
+        /// A change beyond the belief window is meant (a restart with a hot machine).
+        large: bool,
+    },
+    /// The axis is at its known place: its counters become this value.
+    Home {
+        /// Which axis, from 0.
+        axis: u8,
+        /// Position of the known place, counts.
+        position_counts: i64,
+    },
+    /// What the control side has read back after [`Request::Home`]; only the same value completes it.
+    ConfirmHome {
+        /// Which axis, from 0.
+        axis: u8,
+        /// The position as read back, counts.
+        position_counts: i64,
+    },
+    /// Corrections on.
+    Enable,
+    /// Corrections off: they freeze where they are.
+    Disable,
+    /// Compute, gate and count everything, write nothing.
+    Shadow,
+    /// Probing mode on or off: no corrections, positions captured at the probe's edge.
+    Probe(bool),
+    /// Feed hold on or off.
+    Hold(bool),
+    /// Release latched faults. Axes whose count is in doubt must be homed again.
+    Clear,
+}
+
+/// What is wrong, latched until cleared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[repr(u8)]
+pub enum Fault {
+    /// A and B of the scale changed at once, or an edge was missed.
+    IllegalTransition,
+    /// Counts to the MTC minus counts of the scale is not what was completed.
+    LedgerImbalance,
+    /// A real edge and an inversion fell so close together that their order, and so the MTC's count, is not certain.
+    OrderUnknown,
+    /// The lines were not looked at for so long that counts may have passed unseen.
+    PollGap,
+    /// Three requests in a row outside the belief window: "I still don't believe you".
+    StillNotBelieved,
+    /// A request reached the axis's error limit.
+    ErrorLimit,
+    /// A' and B' as read back are not what the inverters should make of A and B.
+    ReadBackMismatch,
+    /// The card could not be read or written.
+    Card,
+    /// The inverters found at the start are not those that the state file remembers.
+    InvertersMoved,
+}
+
+impl Fault {
+    /// All of them, in the order of their bits.
+    pub const ALL: [Self; 9] = [
+        Self::IllegalTransition,
+        Self::LedgerImbalance,
+        Self::OrderUnknown,
+        Self::PollGap,
+        Self::StillNotBelieved,
+        Self::ErrorLimit,
+        Self::ReadBackMismatch,
+        Self::Card,
+        Self::InvertersMoved,
+    ];
+
+    /// After such a fault the axis's count is in doubt: only homing makes it good.
+    #[must_use]
+    pub const fn loses_home(self) -> bool {
+        !matches!(self, Self::StillNotBelieved | Self::ErrorLimit)
+    }
+}
+
+/// A set of faults.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Faults(u16);
+
+impl Faults {
+    /// None latched.
+    pub const NONE: Self = Self(0);
+
+    /// Adds one; `true` when it is new.
+    pub fn latch(&mut self, fault: Fault) -> bool {
+        let bit = 1 << fault as u8;
+        let new = self.0 & bit == 0;
+        self.0 |= bit;
+        new
+    }
+
+    /// Any latched.
+    #[must_use]
+    pub const fn any(self) -> bool {
+        self.0 != 0
+    }
+
+    /// Those that are latched.
+    pub fn iter(self) -> impl Iterator<Item = Fault> {
+        Fault::ALL.into_iter().filter(move |f| self.0 & 1 << *f as u8 != 0)
+    }
+}
+
+/// Why a request was not accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Refusal {
+    /// There is no such axis.
+    NoSuchAxis,
+    /// A fault is latched; clear it first.
+    FaultLatched,
+    /// The axis is not homed, or what was read back is not the home position.
+    NotHomed,
+    /// Corrections are disabled, and the request is not zero.
+    Disabled,
+    /// The disable switch is on.
+    DisableSwitch,
+    /// Probing mode is on.
+    Probing,
+    /// Beyond the axis's maximum.
+    AboveMaximum,
+    /// A change beyond the belief window: "I don't believe you".
+    NotBelieved,
+    /// The real-time set-up of this machine is incomplete, and the card drives a real machine.
+    NotArmable,
+    /// An insertion is under way; ask again.
+    Busy,
+}
+
+/// What the engine reports.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Event {
+    /// When, on the card's clock, ns.
+    pub t_ns: u64,
+    /// Which axis, from 0; `None` for the machine as a whole.
+    pub axis: Option<u8>,
+    /// What.
+    pub kind: EventKind,
+}
+
+/// What happened.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum EventKind {
+    /// A request was not accepted.
+    Refused {
+        /// Its total where it was a correction, else 0.
+        total_counts: i64,
+        /// Why.
+        why: Refusal,
+    },
+    /// A fault was latched.
+    Fault(Fault),
+    /// A request passed the axis's warning limit.
+    Warning {
+        /// The request, counts.
+        total_counts: i64,
+    },
+    /// The counter was zeroed at the known place; the control side must now confirm what it reads.
+    HomeSet {
+        /// The position now, counts.
+        position_counts: i64,
+    },
+    /// Homing is complete.
+    Homed,
+    /// A real edge fell into an insertion; its effect was certain and is in the ledger.
+    Overlap,
+    /// An insertion was given up because the process looked too late.
+    Late,
+    /// The mode is now this one.
+    Mode(Mode),
+    /// Nobody has been heard on the control side for too long: corrections freeze. `false`: heard again.
+    ControlStale(bool),
+    /// The probe tripped.
+    Trip(Capture),
+    /// The probe tripped again before the capture was complete.
+    Bounce,
+}
+
+/// Where an axis was when the probe tripped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Capture {
+    /// The trip lies between these two times, ns.
+    pub trip_ns: (u64, u64),
+    /// The last count edge before the trip: its place (the boundary between counts n − 1 and n is at n), and its time,
+    /// ns; no time before a first edge.
+    pub before: (i64, Option<u64>),
+    /// The next count edge, alike; `None` when the axis stopped.
+    pub after: Option<(i64, u64)>,
+}
+
+impl Capture {
+    /// Position at the trip, counts, interpolated between the two neighbouring edges in constant motion; and half the
+    /// width of what it may be, counts.
+    #[must_use]
+    pub fn position_counts(&self) -> (f64, f64) {
+        let (p0, t0) = self.before;
+        let (lo, hi) = (self.trip_ns.0 as f64, self.trip_ns.1 as f64);
+        let mid = f64::midpoint(lo, hi);
+        match (t0, self.after) {
+            (Some(t0), Some((p1, t1))) if t1 > t0 && p1 != p0 => {
+                let per_ns = (p1 - p0) as f64 / (t1 - t0) as f64;
+                let fraction = ((mid - t0 as f64) * per_ns).clamp(-1.0, 1.0);
+                (p0 as f64 + fraction, ((hi - lo) / 2.0 * per_ns.abs()).min(1.0))
+            }
+            _ => (p0 as f64, 1.0),
+        }
+    }
+}
+
+/// What the corrector is doing as a whole.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// Corrections are off, frozen where they are.
+    #[default]
+    Disabled,
+    /// Correcting.
+    Run,
+    /// Everything is computed, nothing is written.
+    Shadow,
+    /// Probing: no corrections, positions captured.
+    Probe,
+    /// Feed hold is on at the operator's wish; corrections are frozen.
+    Hold,
+    /// A fault is latched, feed hold is on, corrections are frozen.
+    Fault,
+}
+
+/// Why an axis is, or is not, correcting now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GateState {
+    /// Nothing is pending.
+    #[default]
+    Done,
+    /// An insertion is under way.
+    Inserting,
+    /// A correction is pending and the next edge opens the gate.
+    WaitingForEdge,
+    /// The axis is too fast for an insertion.
+    TooFast,
+    /// The rate cap holds the next insertion back.
+    RateCap,
+    /// The axis is at rest, and its rest policy is to wait.
+    AtRest,
+    /// Not homed.
+    NotHomed,
+    /// Corrections are off (see the mode).
+    Off,
+    /// The control side is silent.
+    ControlStale,
+    /// A fault is latched.
+    Fault,
+}
+
+/// One axis, as a status shows it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AxisStatus {
+    /// Scale position, counts from the machine's zero.
+    pub position_counts: i64,
+    /// What the MTC has counted since homing minus what the scale has: the left side of the ledger.
+    pub mtc_minus_scale: i64,
+    /// The accepted total, counts.
+    pub requested: i64,
+    /// What has been inserted, counts. In shadow mode: what would have been.
+    pub completed: i64,
+    /// What is really in the MTC's count, counts: `completed` outside shadow mode.
+    pub in_effect: i64,
+    /// Both inverters are on.
+    pub inverted: bool,
+    /// Homed.
+    pub homed: bool,
+    /// Why it is or is not correcting.
+    pub gate: GateState,
+    /// Scale edges per second now.
+    pub edge_rate_hz: f64,
+    /// Latched.
+    pub faults: Faults,
+    /// Insertions made.
+    pub insertions: u64,
+    /// Edges at which a correction was pending and the gate was shut.
+    pub waited_for_gate: u64,
+    /// Real edges that fell into an insertion with a certain outcome.
+    pub overlaps: u64,
+    /// Insertions given up because the process looked too late.
+    pub late: u64,
+    /// Illegal transitions of the scale.
+    pub illegal: u64,
+}
+
+/// The whole corrector at one moment.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Status {
+    /// When, on the card's clock, ns.
+    pub t_ns: u64,
+    /// What it is doing.
+    pub mode: Mode,
+    /// The control side is silent.
+    pub control_stale: bool,
+    /// The disable switch is on.
+    pub disable_switch: bool,
+    /// Looks at the card so far.
+    pub polls: u64,
+    /// Events that found the ring full.
+    pub events_lost: u64,
+    /// The machine's own latched faults.
+    pub faults: Faults,
+    /// Axes in use.
+    pub axes_used: u8,
+    /// The axes.
+    pub axes: [AxisStatus; MAX_AXES],
+}
+
+impl Status {
+    /// The axes in use.
+    #[must_use]
+    pub fn axes(&self) -> &[AxisStatus] {
+        &self.axes[..usize::from(self.axes_used)]
+    }
+
+    /// Every axis's ledger balances.
+    #[must_use]
+    pub fn balanced(&self) -> bool {
+        self.axes().iter().all(|a| a.mtc_minus_scale == a.in_effect)
+    }
+}

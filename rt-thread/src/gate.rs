@@ -1,0 +1,149 @@
+//! The speed gate: can the next edge come before an insertion is done?
+//!
+//! It decides from the last period *and* the axis's acceleration limit. With the period T between the last two edges
+//! the axis is now at most as fast as
+//!
+//! | when | v |
+//! |---|---|
+//! | T < √(2/a) | 1/T + aT/2: one count in T at full acceleration |
+//! | otherwise | √(2a): at rest somewhere between the two edges, then one count at full acceleration |
+//!
+//! and from there the next edge in the same direction takes at least τ with vτ + aτ²/2 = 1. An axis that turns back
+//! must first cross the scale's hysteresis h, which from standstill takes √(2h/a). The smaller of the two is the time
+//! in which, right after an edge, no other can come. (NISTIR 4832 times the last period alone.)
+
+/// When a real edge could come at the earliest, for one axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gate {
+    accel_counts_ns2: f64,
+    turn_back_ns: f64,
+    need_ns: u64,
+    min_period_ns: u64,
+}
+
+/// What the gate is computed from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GateInput {
+    /// The axis's acceleration limit, counts/s². Zero stands for an axis that cannot accelerate.
+    pub max_accel_counts_s2: f64,
+    /// The scale's hysteresis on reversal, counts; more than zero on any real scale.
+    pub hysteresis_counts: f64,
+    /// Time from an edge until an insertion that it opened is over for the MTC, ns, at the worst.
+    pub need_ns: u64,
+}
+
+impl Gate {
+    /// A gate, or `None` where no period of this axis is ever long enough: its acceleration limit and the time
+    /// needed contradict each other.
+    #[must_use]
+    pub fn new(input: GateInput) -> Option<Self> {
+        let need = input.need_ns as f64;
+        let a = input.max_accel_counts_s2 * 1e-18;
+        let turn_back_ns = if a > 0.0 { (2.0 * input.hysteresis_counts / a).sqrt() } else { f64::INFINITY };
+        // The fastest speed at which one count still takes the time needed, then the period that excludes it.
+        let v = (1.0 - a * need * need / 2.0) / need;
+        let discriminant = v * v - 2.0 * a;
+        if v <= 0.0 || discriminant < 0.0 || turn_back_ns < need {
+            return None;
+        }
+        let min_period_ns = (2.0 / (v + discriminant.sqrt())).ceil() as u64;
+        Some(Self { accel_counts_ns2: a, turn_back_ns, need_ns: input.need_ns, min_period_ns })
+    }
+
+    /// The shortest last period at which an insertion may begin, ns.
+    #[must_use]
+    pub const fn min_period_ns(&self) -> u64 {
+        self.min_period_ns
+    }
+
+    /// Time that an insertion needs after the edge that opened it, ns, at the worst.
+    #[must_use]
+    pub const fn need_ns(&self) -> u64 {
+        self.need_ns
+    }
+
+    /// The highest speed at the moment of an edge after a period of at least `period_ns`, counts/ns.
+    fn speed_counts_ns(&self, period_ns: u64) -> f64 {
+        let (t, a) = (period_ns.max(1) as f64, self.accel_counts_ns2);
+        if a * t * t < 2.0 { 1.0 / t + a * t / 2.0 } else { (2.0 * a).sqrt() }
+    }
+
+    /// The time after an edge within which no other can come, ns, when the period before it was at least `period_ns`.
+    #[must_use]
+    pub fn quiet_ns(&self, period_ns: u64) -> u64 {
+        self.travel_ns(period_ns, 1.0).min(self.turn_back_ns) as u64
+    }
+
+    /// The shortest time in which the axis can travel `counts`, ns, after an edge with the given period before it.
+    #[must_use]
+    pub fn travel_ns(&self, period_ns: u64, counts: f64) -> f64 {
+        let (v, a) = (self.speed_counts_ns(period_ns), self.accel_counts_ns2);
+        2.0 * counts / (v + (v * v + 2.0 * a * counts).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn gate(need_ns: u64, accel: f64) -> Option<Gate> {
+        Gate::new(GateInput { max_accel_counts_s2: accel, hysteresis_counts: 0.05, need_ns })
+    }
+
+    #[test]
+    fn without_acceleration_the_last_period_decides() {
+        let g = gate(1500, 0.0).unwrap();
+        assert_eq!(g.min_period_ns(), 1500);
+        assert_eq!(g.quiet_ns(2000), 2000);
+    }
+
+    #[test]
+    fn acceleration_makes_a_long_period_no_promise_for_ever() {
+        // 1e6 counts/s²: after any rest the first count takes at least 2/(√2+2) ms, and turning back 316 µs.
+        let g = gate(1500, 1e6).unwrap();
+        assert_eq!(g.quiet_ns(u64::MAX), 316_227);
+        assert!(g.travel_ns(u64::MAX, 1.0) > 585_000.0 && g.travel_ns(u64::MAX, 1.0) < 586_000.0);
+    }
+
+    #[test]
+    fn an_axis_that_could_always_be_too_fast_has_no_gate() {
+        assert_eq!(gate(1_000_000, 1e7), None);
+        assert_eq!(gate(1500, f64::INFINITY), None);
+    }
+
+    proptest! {
+        /// The shortest period that the gate admits is the one from which the next edge cannot come in the time needed.
+        #[test]
+        fn min_period_is_the_boundary(need in 200_u64..100_000, log_a in 0.0..8.0_f64) {
+            let Some(g) = gate(need, 10_f64.powf(log_a)) else { return Ok(()) };
+            let min = g.min_period_ns();
+            prop_assert!(g.travel_ns(min, 1.0) >= need as f64 - 0.5);
+            if min > 2 {
+                prop_assert!(g.travel_ns(min - 2, 1.0) < need as f64);
+            }
+        }
+
+        /// Simulated axes that keep to the limit never beat the promise.
+        #[test]
+        fn no_motion_within_the_limit_is_faster(
+            a in 1e3..1e8_f64, v0 in 0.0..1e6_f64, accel in prop::collection::vec(-1.0..=1.0_f64, 4),
+        ) {
+            let g = gate(1, a).unwrap();
+            // From an edge at speed v0, four pieces of constant acceleration until the next edge, then full throttle.
+            let (mut x, mut v, mut t) = (0.0_f64, v0, 0.0_f64);
+            let dt = 0.05 / (v0 + a.sqrt());
+            for k in 0_usize.. {
+                let acc = a * accel[(k / 5).min(3)];
+                (x, v, t) = (x + v * dt + acc * dt * dt / 2.0, v + acc * dt, t + dt);
+                if !(0.0..1.0).contains(&x) || k > 1000 {
+                    break;
+                }
+            }
+            prop_assume!((1.0..1.1).contains(&x) && v > 0.0);
+            let tau = 2.0 / (v + (v * v + 2.0 * a).sqrt());
+            // The step overshoots the edge by up to a tenth of a count, hence the tolerance.
+            prop_assert!(g.travel_ns((t * 1e9) as u64, 1.0) <= tau * 1e9 * 1.15 + 2.0);
+        }
+    }
+}

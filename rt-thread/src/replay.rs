@@ -1,0 +1,175 @@
+//! The engine over a recording of one axis, on a virtual clock, and what the MTC would have counted.
+
+use crate::axis::AxisConfig;
+use crate::engine::{Engine, MachineConfig, StartError};
+use crate::event::{EventKind, Fault, Refusal};
+use rtec_driver::card::{AxisLines, CardError, MachineLines};
+use rtec_driver::input::InputError;
+use rtec_driver::quadrature::{Decoder, State};
+use rtec_driver::replay::{Listener, ReplayCard};
+use rtec_driver::trace::{Request as Total, TracePoint};
+use serde::Serialize;
+
+/// What came of a replay.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Default)]
+pub struct Outcome {
+    /// Counts of the scale, first row to last.
+    pub counts_in: i64,
+    /// Counts of the MTC, decoded from what it was sent.
+    pub counts_out: i64,
+    /// The last accepted total, counts.
+    pub requested: i64,
+    /// What was inserted, counts.
+    pub completed: i64,
+    /// Insertions made.
+    pub insertions: u64,
+    /// Illegal transitions of the scale.
+    pub illegal_in: u64,
+    /// Illegal transitions that the MTC saw.
+    pub illegal_out: u64,
+    /// Shortest time between two edges at the MTC, ns.
+    pub min_edge_separation_ns: Option<u64>,
+    /// Edges at which a correction was pending and the axis too fast for an insertion.
+    pub waited_for_gate: u64,
+    /// Real edges that fell into an insertion, with a certain outcome.
+    pub overlaps: u64,
+    /// Requests that were not accepted.
+    pub refused: Vec<Refused>,
+    /// Latched faults.
+    pub faults: Vec<Latched>,
+    /// Rows of the trace after the first.
+    pub edges: u64,
+}
+
+impl Outcome {
+    /// Counts to the MTC minus counts of the scale are what was completed.
+    #[must_use]
+    pub fn balanced(&self) -> bool {
+        self.counts_out - self.counts_in == self.completed
+    }
+}
+
+/// A request that was not accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Refused {
+    /// When, ns.
+    pub t_ns: u64,
+    /// Its total, counts.
+    pub requested: i64,
+    /// Why.
+    pub why: Refusal,
+}
+
+/// A latched fault.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Latched {
+    /// When, ns.
+    pub t_ns: u64,
+    /// Which.
+    pub fault: Fault,
+}
+
+/// Why a replay could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// A bad row in the trace or the requests.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// The axis cannot be corrected as configured.
+    #[error(transparent)]
+    Start(#[from] StartError),
+}
+
+/// The MTC's side: decodes what it is sent, and passes it on.
+struct Mtc<L> {
+    decoder: Option<Decoder>,
+    last_ns: Option<u64>,
+    min_separation_ns: Option<u64>,
+    to: L,
+}
+
+impl<L: Listener> Listener for Mtc<L> {
+    #[inline]
+    fn changed(&mut self, t_ns: u64, state: State) {
+        if let Some(decoder) = &mut self.decoder {
+            decoder.update(state);
+            if let Some(last) = self.last_ns {
+                let separation = t_ns - last;
+                self.min_separation_ns =
+                    Some(self.min_separation_ns.map_or(separation, |m| m.min(separation)));
+            }
+            self.last_ns = Some(t_ns);
+        } else {
+            self.decoder = Some(Decoder::new(state));
+        }
+        self.to.changed(t_ns, state);
+    }
+}
+
+/// Plays `trace` with `totals` to the engine as one homed axis; `to` hears every change that the MTC sees.
+/// `large` flags every request as meant, whatever its size. Memory does not grow with the trace.
+///
+/// # Errors
+/// At the first bad row, or when the axis cannot be corrected as configured.
+pub fn replay<T, R, L>(
+    config: AxisConfig,
+    trace: T,
+    totals: R,
+    large: bool,
+    to: L,
+) -> Result<(Outcome, L), ReplayError>
+where
+    T: Iterator<Item = Result<TracePoint, InputError>>,
+    R: Iterator<Item = Result<Total, InputError>>,
+    L: Listener,
+{
+    let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
+    let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
+    let mut card = ReplayCard::new(trace, mtc)?;
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let mut engine = Engine::new(&mut card, &[config], machine, &[])?;
+    let mut outcome = Outcome::default();
+    let mut tell = |event: crate::event::Event| {
+        match event.kind {
+            EventKind::Refused { total_counts, why } => {
+                outcome.refused.push(Refused { t_ns: event.t_ns, requested: total_counts, why });
+            }
+            EventKind::Fault(fault) => outcome.faults.push(Latched { t_ns: event.t_ns, fault }),
+            _ => {}
+        }
+        true
+    };
+    engine.start_homed(&mut card, &mut tell).map_err(StartError::Card)?;
+    let mut totals = totals;
+    let mut next = totals.next().transpose()?;
+    loop {
+        while let Some(total) = next.filter(|t| t.t_ns <= engine.now_ns()) {
+            let request = crate::event::Request::Correct { axis: 0, total_counts: total.requested, large };
+            engine.take(request, &mut card, &mut tell).map_err(StartError::Card)?;
+            next = totals.next().transpose()?;
+        }
+        match engine.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut tell) {
+            Ok(()) => {}
+            Err(CardError::Ended) => break,
+            Err(error) => return Err(StartError::Card(error).into()),
+        }
+    }
+    if let Some(error) = card.take_error() {
+        return Err(error.into());
+    }
+    let axis = engine.status().axes[0];
+    outcome.edges = card.edges();
+    let mtc = card.into_listener();
+    let decoder = mtc.decoder.unwrap_or_default();
+    outcome.counts_in = axis.position_counts;
+    outcome.counts_out = decoder.count();
+    outcome.illegal_in = axis.illegal;
+    outcome.illegal_out = decoder.illegal();
+    outcome.min_edge_separation_ns = mtc.min_separation_ns;
+    outcome.requested = axis.requested;
+    outcome.completed = axis.completed;
+    outcome.insertions = axis.insertions;
+    outcome.waited_for_gate = axis.waited_for_gate;
+    outcome.overlaps = axis.overlaps;
+    Ok((outcome, mtc.to))
+}

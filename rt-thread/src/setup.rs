@@ -1,0 +1,744 @@
+//! The real-time set-up of a thread and its process: applied where it is ours to apply, read back from the kernel, and
+//! reported with what was wanted, what is there, the errno and the remedy. Nothing arms on hope.
+//!
+//! | finding | applied here | read back from | needed to arm |
+//! |---|---|---|---|
+//! | scheduler | `sched_setscheduler` | `sched_getscheduler`, `sched_getparam` | yes |
+//! | affinity | `sched_setaffinity` | `sched_getaffinity` | yes |
+//! | `memory_lock` | `mlockall` | `/proc/self/status`, `VmLck` | yes |
+//! | stack | written to its depth | a second pass causes no page fault (`getrusage`) | yes |
+//! | `cpu_dma_latency` | `/dev/cpu_dma_latency`, held open | the same file | yes |
+//! | `rt_throttling` | – | `/proc/sys/kernel/sched_rt_runtime_us` | yes |
+//! | `fair_server` | – | debugfs, kernels from 6.12 | when it can be read |
+//! | the others | – | `/proc`, `/sys` | no: the latency self-test measures what they cost |
+
+use serde::Serialize;
+use std::fmt;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+/// Bytes of stack that the real-time thread may use without a page fault.
+const STACK_BYTES: usize = 256 * 1024;
+const PAGE: usize = 4096;
+/// Bits of `CapEff` in `/proc/thread-self/status`, from capability.h.
+const CAP_IPC_LOCK: u32 = 14;
+const CAP_SYS_NICE: u32 = 23;
+
+/// A system call or file that failed: which, and the kernel's answer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct OsError {
+    /// The system call, or `open`, `read`, `write` with the path.
+    pub operation: String,
+    /// The error number of errno(3); 0 where the kernel gave none (a file without the expected content).
+    pub errno: i32,
+}
+
+impl OsError {
+    fn of(operation: impl Into<String>, error: &io::Error) -> Self {
+        Self { operation: operation.into(), errno: error.raw_os_error().unwrap_or(0) }
+    }
+
+    fn last(operation: &str) -> Self {
+        Self::of(operation, &io::Error::last_os_error())
+    }
+}
+
+impl fmt::Display for OsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.operation, io::Error::from_raw_os_error(self.errno))
+    }
+}
+
+impl std::error::Error for OsError {}
+
+/// One setting: what real time wants, what the kernel says is there, and how to get from one to the other.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// The setting, see the module's table.
+    pub name: &'static str,
+    /// What is wanted.
+    pub wanted: String,
+    /// What was read back.
+    pub got: String,
+    /// The two agree.
+    pub ok: bool,
+    /// While this one is not ok, a real card is not armed.
+    pub needed_to_arm: bool,
+    /// What the kernel answered when applying or reading it failed.
+    pub errno: Option<OsError>,
+    /// What to do about it; empty when ok.
+    pub remedy: String,
+}
+
+impl Finding {
+    fn new(name: &'static str, wanted: impl Into<String>, got: impl Into<String>, ok: bool) -> Self {
+        Self {
+            name,
+            wanted: wanted.into(),
+            got: got.into(),
+            ok,
+            needed_to_arm: false,
+            errno: None,
+            remedy: String::new(),
+        }
+    }
+
+    /// What could not be read counts as not there.
+    fn unknown(name: &'static str, wanted: impl Into<String>, error: OsError) -> Self {
+        let mut finding = Self::new(name, wanted, "unknown", false);
+        finding.errno = Some(error);
+        finding
+    }
+
+    fn needed(mut self) -> Self {
+        self.needed_to_arm = true;
+        self
+    }
+
+    fn failed(mut self, error: Option<OsError>) -> Self {
+        self.errno = error;
+        self
+    }
+
+    fn remedy(mut self, remedy: impl Into<String>) -> Self {
+        if !self.ok {
+            self.remedy = remedy.into();
+        }
+        self
+    }
+}
+
+/// All findings about one CPU and, after [`apply`], about the thread that called it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Report {
+    /// The kernel's release, as `uname -r` prints it.
+    pub kernel: String,
+    /// The CPU for the real-time thread.
+    pub cpu: usize,
+    /// The emulator's name when instructions are emulated (QEMU's TCG): its times are no evidence for any machine.
+    pub emulated: Option<String>,
+    /// What to boot the kernel with so that this CPU belongs to the real-time thread; empty with one CPU only.
+    pub kernel_command_line: String,
+    /// One per setting.
+    pub findings: Vec<Finding>,
+}
+
+impl Report {
+    /// Every setting that a real card needs is there.
+    #[must_use]
+    pub fn can_arm(&self) -> bool {
+        self.missing().next().is_none()
+    }
+
+    /// The settings that keep a real card from being armed.
+    pub fn missing(&self) -> impl Iterator<Item = &Finding> {
+        self.findings.iter().filter(|f| f.needed_to_arm && !f.ok)
+    }
+
+    /// The finding of that name.
+    #[must_use]
+    pub fn finding(&self, name: &str) -> Option<&Finding> {
+        self.findings.iter().find(|f| f.name == name)
+    }
+}
+
+/// Where `/proc`, `/sys` and `/dev` are: the running system, or a directory that looks like one.
+#[derive(Debug, Clone)]
+pub struct System {
+    root: PathBuf,
+    /// Is it the running system? CPU instructions and signals to the kernel tell about that one only.
+    live: bool,
+}
+
+impl System {
+    /// The running system.
+    #[must_use]
+    pub fn live() -> Self {
+        Self { root: PathBuf::from("/"), live: true }
+    }
+
+    /// A directory that holds `proc`, `sys` and `dev` as a system would show them.
+    #[must_use]
+    pub fn at(root: &Path) -> Self {
+        Self { root: root.to_owned(), live: false }
+    }
+
+    /// The CPU that suits a polling thread: the first isolated one, else the last one online.
+    #[must_use]
+    pub fn default_cpu(&self) -> usize {
+        let list = |path| self.read(path).map(|text| cpu_list(&text)).unwrap_or_default();
+        let isolated = list("sys/devices/system/cpu/isolated");
+        let online = list("sys/devices/system/cpu/online");
+        isolated.first().or(online.last()).copied().unwrap_or(0)
+    }
+
+    /// What this kernel and machine offer a real-time thread on `cpu`, without changing anything.
+    #[must_use]
+    pub fn inspect(&self, cpu: usize, priority: u8) -> Report {
+        Report {
+            kernel: self.read("proc/sys/kernel/osrelease").unwrap_or_else(|_| "unknown".into()),
+            cpu,
+            emulated: self.emulator(),
+            kernel_command_line: self.kernel_command_line(cpu),
+            findings: vec![
+                self.rt_throttling(),
+                self.fair_server(cpu),
+                self.preempt_rt(),
+                self.cpu_in_list("isolated", "isolcpus", "sys/devices/system/cpu/isolated", cpu),
+                self.cpu_in_list("nohz_full", "nohz_full", "sys/devices/system/cpu/nohz_full", cpu),
+                self.rcu_nocbs(cpu),
+                self.irq_affinity(cpu),
+                self.governor(cpu),
+                self.smt(cpu),
+                self.clocksource(),
+                self.transparent_hugepage(),
+                self.swap(),
+                self.limit(
+                    "memlock_limit",
+                    "Max locked memory",
+                    "unlimited",
+                    u64::MAX,
+                    CAP_IPC_LOCK,
+                    "memlock",
+                ),
+                self.limit(
+                    "rtprio_limit",
+                    "Max realtime priority",
+                    &format!("at least {priority}"),
+                    u64::from(priority),
+                    CAP_SYS_NICE,
+                    "rtprio",
+                ),
+                self.hypervisor(),
+            ],
+        }
+    }
+
+    /// A file's text without the white space around it.
+    fn read(&self, path: impl AsRef<Path>) -> Result<String, OsError> {
+        let path = self.root.join(path);
+        std::fs::read_to_string(&path)
+            .map(|text| text.trim().to_owned())
+            .map_err(|e| OsError::of(format!("read {}", path.display()), &e))
+    }
+
+    fn exists(&self, path: &str) -> bool {
+        self.root.join(path).exists()
+    }
+
+    fn online(&self) -> Vec<usize> {
+        self.read("sys/devices/system/cpu/online").map(|text| cpu_list(&text)).unwrap_or_default()
+    }
+
+    /// The CPUs left for everything else, as a list the kernel understands; empty with one CPU only.
+    fn housekeeping(&self, cpu: usize) -> String {
+        let others: Vec<String> =
+            self.online().into_iter().filter(|c| *c != cpu).map(|c| c.to_string()).collect();
+        others.join(",")
+    }
+
+    fn kernel_command_line(&self, cpu: usize) -> String {
+        let others = self.housekeeping(cpu);
+        if others.is_empty() {
+            return String::new();
+        }
+        format!("isolcpus=managed_irq,domain,{cpu} nohz_full={cpu} rcu_nocbs={cpu} irqaffinity={others}")
+    }
+
+    fn rt_throttling(&self) -> Finding {
+        const NAME: &str = "rt_throttling";
+        const REMEDY: &str = "sysctl kernel.sched_rt_runtime_us=-1: a polling thread loses up to 50 ms of every second otherwise";
+        match self.read("proc/sys/kernel/sched_rt_runtime_us") {
+            Ok(got) => {
+                let off = got == "-1";
+                Finding::new(NAME, "-1", got, off)
+            }
+            Err(error) => Finding::unknown(NAME, "-1", error),
+        }
+        .needed()
+        .remedy(REMEDY)
+    }
+
+    /// From Linux 6.12 a deadline server runs fair tasks for 50 ms of every second on a CPU that a real-time thread does
+    /// not leave, whatever `sched_rt_runtime_us` says. Its switch is in debugfs, which is often not there to be read:
+    /// then it cannot be required, only named.
+    fn fair_server(&self, cpu: usize) -> Finding {
+        const NAME: &str = "fair_server";
+        let release = self.read("proc/sys/kernel/osrelease").unwrap_or_default();
+        let path = format!("sys/kernel/debug/sched/fair_server/cpu{cpu}/runtime");
+        if version(&release) < (6, 12) {
+            return Finding::new(NAME, "0", "none in this kernel", true);
+        }
+        let remedy = format!(
+            "echo 0 > /{path}: with any ordinary task on CPU {cpu} a polling thread loses 50 ms of every second otherwise"
+        );
+        match self.read(&path) {
+            Ok(got) => {
+                let off = got == "0";
+                Finding::new(NAME, "0", got, off).needed()
+            }
+            Err(error) => Finding::unknown(NAME, "0", error),
+        }
+        .remedy(remedy)
+    }
+
+    fn preempt_rt(&self) -> Finding {
+        let realtime = self.read("sys/kernel/realtime").is_ok_and(|text| text == "1");
+        let version = self.read("proc/version").unwrap_or_default();
+        let model = ["PREEMPT_RT", "PREEMPT RT", "PREEMPT_DYNAMIC", "PREEMPT"]
+            .into_iter()
+            .find(|word| version.contains(word))
+            .unwrap_or("not preemptible");
+        let ok = realtime || model.ends_with("RT");
+        let got = if ok { "PREEMPT_RT" } else { model };
+        Finding::new("preempt_rt", "PREEMPT_RT", got, ok)
+            .remedy("boot a PREEMPT_RT kernel (Debian: linux-image-rt-amd64)")
+    }
+
+    fn cpu_in_list(&self, name: &'static str, parameter: &str, path: &str, cpu: usize) -> Finding {
+        let wanted = format!("CPU {cpu}");
+        match self.read(path) {
+            Ok(text) => {
+                let ok = cpu_list(&text).contains(&cpu);
+                Finding::new(name, wanted, if text.is_empty() { "none" } else { &text }, ok)
+            }
+            // Kernels without the feature do not show the file.
+            Err(error) if error.errno == libc::ENOENT => Finding::new(name, wanted, "none", false),
+            Err(error) => Finding::unknown(name, wanted, error),
+        }
+        .remedy(format!("boot with {parameter}={cpu}"))
+    }
+
+    /// The kernel shows no list of these CPUs; a CPU in `nohz_full` is always among them.
+    fn rcu_nocbs(&self, cpu: usize) -> Finding {
+        let wanted = format!("CPU {cpu}");
+        let remedy = format!("boot with rcu_nocbs={cpu}");
+        let command_line = match self.read("proc/cmdline") {
+            Ok(text) => text,
+            Err(error) => return Finding::unknown("rcu_nocbs", wanted, error).remedy(remedy),
+        };
+        let of = |key: &str| {
+            command_line
+                .split_whitespace()
+                .find_map(|word| word.strip_prefix(key)?.strip_prefix('='))
+                .unwrap_or_default()
+        };
+        let (rcu, nohz) = (of("rcu_nocbs"), of("nohz_full"));
+        let got = if rcu.is_empty() { nohz } else { rcu };
+        let ok = rcu == "all" || cpu_list(rcu).contains(&cpu) || cpu_list(nohz).contains(&cpu);
+        Finding::new("rcu_nocbs", wanted, if got.is_empty() { "none" } else { got }, ok).remedy(remedy)
+    }
+
+    /// The interrupts in use that may land on the CPU.
+    fn irq_affinity(&self, cpu: usize) -> Finding {
+        let wanted = format!("no interrupt on CPU {cpu}");
+        let others = self.housekeeping(cpu);
+        let remedy =
+            format!("boot with irqaffinity={others}, or write {others} to /proc/irq/*/smp_affinity_list");
+        let path = self.root.join("proc/irq");
+        let entries = match std::fs::read_dir(&path) {
+            Ok(entries) => entries,
+            Err(e) => {
+                let error = OsError::of(format!("read {}", path.display()), &e);
+                return Finding::unknown("irq_affinity", wanted, error).remedy(remedy);
+            }
+        };
+        let mut here: Vec<(u32, String)> = entries
+            .flatten()
+            .filter_map(|entry| {
+                let number: u32 = entry.file_name().to_str()?.parse().ok()?;
+                // A handler shows as a directory with the device's name; without one the interrupt is not in use.
+                let device = std::fs::read_dir(entry.path())
+                    .ok()?
+                    .flatten()
+                    .find(|inner| inner.file_type().is_ok_and(|t| t.is_dir()))?;
+                let list = |name| {
+                    self.read(format!("proc/irq/{number}/{name}")).ok().filter(|text| !text.is_empty())
+                };
+                let cpus = list("effective_affinity_list").or_else(|| list("smp_affinity_list"))?;
+                cpu_list(&cpus)
+                    .contains(&cpu)
+                    .then(|| (number, format!("{number} {}", device.file_name().to_string_lossy())))
+            })
+            .collect();
+        here.sort();
+        let got = match here.len() {
+            0 => "none".into(),
+            n => {
+                let names: Vec<&str> = here.iter().take(4).map(|(_, name)| name.as_str()).collect();
+                format!("{n}: {}{}", names.join(", "), if n > names.len() { ", …" } else { "" })
+            }
+        };
+        Finding::new("irq_affinity", wanted, got, here.is_empty()).remedy(remedy)
+    }
+
+    fn governor(&self, cpu: usize) -> Finding {
+        let path = format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_governor");
+        match self.read(&path) {
+            Ok(got) => {
+                let ok = got == "performance";
+                Finding::new("governor", "performance", got, ok)
+            }
+            Err(error) if error.errno == libc::ENOENT => {
+                Finding::new("governor", "performance", "no frequency scaling", true)
+            }
+            Err(error) => Finding::unknown("governor", "performance", error),
+        }
+        .remedy(format!("echo performance > /{path}"))
+    }
+
+    fn smt(&self, cpu: usize) -> Finding {
+        let path = format!("sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list");
+        match self.read(&path) {
+            Ok(text) => {
+                let siblings: Vec<String> =
+                    cpu_list(&text).into_iter().filter(|c| *c != cpu).map(|c| c.to_string()).collect();
+                let got =
+                    if siblings.is_empty() { "none".into() } else { format!("CPU {}", siblings.join(",")) };
+                Finding::new("smt", "no sibling thread", got, siblings.is_empty()).remedy(format!(
+                    "switch hyper-threading off (boot with nosmt), or echo 0 > /sys/devices/system/cpu/cpu{}/online",
+                    siblings.first().map_or("N", String::as_str)
+                ))
+            }
+            Err(error) => Finding::unknown("smt", "no sibling thread", error)
+                .remedy("switch hyper-threading off in the firmware"),
+        }
+    }
+
+    fn clocksource(&self) -> Finding {
+        // These are read without a system call; every other one costs one, a microsecond or more.
+        const FAST: [&str; 3] = ["tsc", "arch_sys_counter", "riscv_clocksource"];
+        let wanted = if cfg!(target_arch = "x86_64") { "tsc" } else { "one that needs no system call" };
+        match self.read("sys/devices/system/clocksource/clocksource0/current_clocksource") {
+            Ok(got) => {
+                let ok = FAST.contains(&got.as_str());
+                Finding::new("clocksource", wanted, got, ok)
+            }
+            Err(error) => Finding::unknown("clocksource", wanted, error),
+        }
+        .remedy("boot with tsc=reliable if the kernel dropped a sound TSC; the firmware or the host decides otherwise")
+    }
+
+    fn transparent_hugepage(&self) -> Finding {
+        const WANTED: &str = "madvise or never";
+        match self.read("sys/kernel/mm/transparent_hugepage/enabled") {
+            Ok(text) => {
+                let chosen = text.split(['[', ']']).nth(1).unwrap_or(&text).to_owned();
+                let ok = chosen == "madvise" || chosen == "never";
+                Finding::new("transparent_hugepage", WANTED, chosen, ok)
+            }
+            Err(error) if error.errno == libc::ENOENT => {
+                Finding::new("transparent_hugepage", WANTED, "none in this kernel", true)
+            }
+            Err(error) => Finding::unknown("transparent_hugepage", WANTED, error),
+        }
+        .remedy("echo madvise > /sys/kernel/mm/transparent_hugepage/enabled")
+    }
+
+    fn swap(&self) -> Finding {
+        match self.read("proc/swaps") {
+            Ok(text) => {
+                let areas: Vec<&str> =
+                    text.lines().skip(1).filter_map(|line| line.split_whitespace().next()).collect();
+                let got = if areas.is_empty() { "none".into() } else { areas.join(", ") };
+                Finding::new("swap", "none", got, areas.is_empty())
+            }
+            Err(error) => Finding::unknown("swap", "none", error),
+        }
+        .remedy("swapoff -a, and take it out of /etc/fstab")
+    }
+
+    fn memlock_limit(&self) -> Finding {
+        self.limit("memlock_limit", "Max locked memory", "unlimited", u64::MAX, CAP_IPC_LOCK, "memlock")
+    }
+
+    /// A resource limit that a capability overrides.
+    fn limit(
+        &self,
+        name: &'static str,
+        row: &str,
+        wanted: &str,
+        at_least: u64,
+        capability: u32,
+        item: &str,
+    ) -> Finding {
+        let remedy =
+            format!("give the group rtec the limit in /etc/security/limits.d, as: @rtec - {item} {wanted}")
+                .replace("at least ", "");
+        let has_capability = self.read("proc/thread-self/status").is_ok_and(|text| {
+            text.lines()
+                .find_map(|line| line.strip_prefix("CapEff:"))
+                .and_then(|hex| u64::from_str_radix(hex.trim(), 16).ok())
+                .is_some_and(|set| set >> capability & 1 == 1)
+        });
+        let limits = match self.read("proc/self/limits") {
+            Ok(text) => text,
+            Err(error) => return Finding::unknown(name, wanted, error).remedy(remedy),
+        };
+        let soft = limits
+            .lines()
+            .find_map(|line| line.strip_prefix(row))
+            .and_then(|rest| rest.split_whitespace().next())
+            .unwrap_or("unknown");
+        let value = if soft == "unlimited" { u64::MAX } else { soft.parse().unwrap_or(0) };
+        let got =
+            if has_capability { format!("{soft}, overridden by a capability") } else { soft.to_owned() };
+        Finding::new(name, wanted, got, has_capability || value >= at_least).remedy(remedy)
+    }
+
+    /// The emulator's name when the CPU's instructions are emulated, not run.
+    fn emulator(&self) -> Option<String> {
+        let signature = if self.live { hypervisor_signature() } else { None };
+        if signature.as_deref() == Some("TCGTCGTCGTCG") {
+            return Some("QEMU TCG".into());
+        }
+        // Without cpuid (other architectures, a recorded tree) the name that TCG gives its CPU tells it.
+        let cpuinfo = self.read("proc/cpuinfo").unwrap_or_default();
+        cpuinfo.contains("QEMU TCG").then(|| "QEMU TCG".into())
+    }
+
+    fn hypervisor(&self) -> Finding {
+        let cpuinfo = self.read("proc/cpuinfo").unwrap_or_default();
+        let flagged = cpuinfo
+            .lines()
+            .find(|line| line.starts_with("flags"))
+            .is_some_and(|flags| flags.split_whitespace().any(|flag| flag == "hypervisor"));
+        let signature = if self.live { hypervisor_signature() } else { None };
+        let got = match (self.emulator(), signature) {
+            (Some(name), _) => format!("emulated by {name}"),
+            (None, Some(signature)) => format!("virtual machine ({signature})"),
+            (None, None) if flagged => "virtual machine".into(),
+            (None, None) => "none".into(),
+        };
+        let ok = got == "none";
+        Finding::new("hypervisor", "none", got, ok)
+            .remedy("run on the machine itself: a host takes the CPU away for milliseconds without notice")
+    }
+}
+
+/// The twelve letters of a hypervisor in CPUID leaf 4000 0000h, where there is one.
+#[cfg(target_arch = "x86_64")]
+#[allow(unused_unsafe)] // newer compilers know that CPUID is safe, 1.88 does not
+fn hypervisor_signature() -> Option<String> {
+    use std::arch::x86_64::__cpuid;
+    const PRESENT: u32 = 1 << 31;
+    // SAFETY: every x86-64 CPU has CPUID, and the instruction touches no memory.
+    let (features, leaf) = unsafe { (__cpuid(1), __cpuid(0x4000_0000)) };
+    if features.ecx & PRESENT == 0 {
+        return None;
+    }
+    let bytes: Vec<u8> = [leaf.ebx, leaf.ecx, leaf.edx].iter().flat_map(|r| r.to_le_bytes()).collect();
+    let letters: String = bytes
+        .iter()
+        .take_while(|b| **b != 0)
+        .map(|b| char::from(*b))
+        .filter(char::is_ascii_graphic)
+        .collect();
+    (!letters.is_empty()).then_some(letters)
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn hypervisor_signature() -> Option<String> {
+    None
+}
+
+/// What the real-time thread asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wanted {
+    /// The CPU to run on, alone.
+    pub cpu: usize,
+    /// `SCHED_FIFO` priority, 1 to 99.
+    pub priority: u8,
+}
+
+/// What must be kept for the set-up to last: `/dev/cpu_dma_latency` counts only while it is open.
+#[derive(Debug)]
+#[must_use = "the CPU may sleep deeply again as soon as this is dropped"]
+pub struct Held {
+    _cpu_dma_latency: Option<File>,
+}
+
+/// Set up the calling thread and its process, read everything back, and report it together with [`System::inspect`].
+/// Never fails: without privileges the thread runs on as it is, and the report says what is missing. Takes some
+/// milliseconds and allocates: call it before the loop, on the thread that will run the loop.
+pub fn apply(system: &System, wanted: Wanted) -> (Held, Report) {
+    // Memory first: what is locked before the stack is touched stays.
+    let memory_lock = memory_lock(system);
+    let (cpu_dma_latency, dma_finding) = cpu_dma_latency(system);
+    let mut report = system.inspect(wanted.cpu, wanted.priority);
+    let thread = [scheduler(wanted.priority), affinity(wanted.cpu), memory_lock, stack(), dma_finding]
+        .map(Finding::needed);
+    report.findings.splice(0..0, thread);
+    (Held { _cpu_dma_latency: cpu_dma_latency }, report)
+}
+
+/// Takes the calling thread, and those it starts from now on, off `cpu`, so that nothing there competes with the
+/// real-time thread. `false` when no other CPU is left to it: then it stays.
+#[must_use]
+pub fn leave(cpu: usize) -> bool {
+    let me = nix::unistd::Pid::from_raw(0);
+    let Ok(mut set) = nix::sched::sched_getaffinity(me) else { return false };
+    let _ = set.unset(cpu); // a CPU that cannot be in the set is not in it
+    nix::sched::sched_setaffinity(me, &set).is_ok()
+}
+
+fn scheduler(priority: u8) -> Finding {
+    let wanted = libc::sched_param { sched_priority: i32::from(priority) };
+    // Threads started from here must not inherit the priority: they are helpers.
+    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
+    // SAFETY: 0 is the calling thread, and the parameter outlives the call.
+    let failed = unsafe { libc::sched_setscheduler(0, policy, &raw const wanted) } != 0;
+    let error = failed.then(|| OsError::last("sched_setscheduler"));
+    let mut there = libc::sched_param { sched_priority: 0 };
+    // SAFETY: 0 is the calling thread, and the parameter outlives the calls.
+    let (policy, read) = unsafe { (libc::sched_getscheduler(0), libc::sched_getparam(0, &raw mut there)) };
+    let name = match policy & !libc::SCHED_RESET_ON_FORK {
+        libc::SCHED_FIFO => "SCHED_FIFO",
+        libc::SCHED_RR => "SCHED_RR",
+        libc::SCHED_OTHER => "SCHED_OTHER",
+        libc::SCHED_BATCH => "SCHED_BATCH",
+        libc::SCHED_IDLE => "SCHED_IDLE",
+        _ => "another policy",
+    };
+    let ok = name == "SCHED_FIFO" && read == 0 && there.sched_priority == i32::from(priority);
+    Finding::new(
+        "scheduler",
+        format!("SCHED_FIFO {priority}"),
+        format!("{name} {}", there.sched_priority),
+        ok,
+    )
+    .failed(error)
+    .remedy(format!("a priority from 1 to 99, and CAP_SYS_NICE or an rtprio limit of at least {priority}"))
+}
+
+fn affinity(cpu: usize) -> Finding {
+    let me = nix::unistd::Pid::from_raw(0);
+    let mut only = nix::sched::CpuSet::new();
+    let applied = only.set(cpu).and_then(|()| nix::sched::sched_setaffinity(me, &only));
+    let error = applied.err().map(|e| OsError { operation: "sched_setaffinity".into(), errno: e as i32 });
+    let remedy =
+        format!("name a CPU that is online and that cpusets leave to this process (CPU {cpu} is not)");
+    let wanted = format!("CPU {cpu}");
+    match nix::sched::sched_getaffinity(me) {
+        Ok(set) => {
+            let cpus: Vec<String> = (0..nix::sched::CpuSet::count())
+                .filter(|c| set.is_set(*c).unwrap_or(false))
+                .map(|c| c.to_string())
+                .collect();
+            let got = format!("CPU {}", cpus.join(","));
+            let ok = got == wanted;
+            Finding::new("affinity", wanted, got, ok).failed(error)
+        }
+        Err(e) => Finding::unknown(
+            "affinity",
+            wanted,
+            OsError { operation: "sched_getaffinity".into(), errno: e as i32 },
+        ),
+    }
+    .remedy(remedy)
+}
+
+fn memory_lock(system: &System) -> Finding {
+    use nix::sys::mman::{MlockAllFlags, mlockall};
+    // Under a limit, locking the future would make every later allocation fail that exceeds it.
+    let unlimited = system.memlock_limit().ok;
+    let future = if unlimited { MlockAllFlags::MCL_FUTURE } else { MlockAllFlags::empty() };
+    let error = mlockall(MlockAllFlags::MCL_CURRENT | future)
+        .err()
+        .map(|e| OsError { operation: "mlockall".into(), errno: e as i32 });
+    let locked = system.read("proc/self/status").map(|text| {
+        let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmLck:")?.split_whitespace().next());
+        kilobytes.and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0)
+    });
+    match locked {
+        Ok(kilobytes) => {
+            let ok = unlimited && error.is_none() && kilobytes > 0;
+            Finding::new("memory_lock", "all pages locked", format!("{kilobytes} kB locked"), ok)
+                .failed(error)
+        }
+        Err(unread) => Finding::unknown("memory_lock", "all pages locked", error.unwrap_or(unread)),
+    }
+    .remedy("CAP_IPC_LOCK or an unlimited memlock limit")
+}
+
+/// Touch the stack to its working depth twice: the second pass must not fault.
+fn stack() -> Finding {
+    let faults = || {
+        nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_THREAD)
+            .map(|usage| usage.minor_page_faults() + usage.major_page_faults())
+            .map_err(|e| OsError { operation: "getrusage".into(), errno: e as i32 })
+    };
+    touch_stack(STACK_BYTES / PAGE);
+    let wanted = format!("{} KiB, no page fault", STACK_BYTES / 1024);
+    let second = faults().and_then(|before| {
+        touch_stack(STACK_BYTES / PAGE);
+        Ok(faults()? - before)
+    });
+    match second {
+        Ok(n) => Finding::new("stack", wanted, format!("{n} page faults"), n == 0),
+        Err(error) => Finding::unknown("stack", wanted, error),
+    }
+    .remedy("lock the memory first: pages were taken away again")
+}
+
+#[inline(never)]
+fn touch_stack(pages: usize) {
+    let mut page = [0_u8; PAGE];
+    std::hint::black_box(&mut page);
+    if pages > 1 {
+        touch_stack(pages - 1);
+    }
+    // A use after the call, or the frames would be folded into one.
+    std::hint::black_box(&mut page);
+}
+
+/// Ask for zero wake-up latency of the CPU's sleep states, and read back the smallest that anyone asked for.
+fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
+    const NAME: &str = "cpu_dma_latency";
+    let path = system.root.join("dev/cpu_dma_latency");
+    let remedy = format!("let the group rtec write {} (see udev/)", path.display());
+    let open = OpenOptions::new().read(true).write(true).open(&path);
+    let mut file = match open {
+        Ok(file) => file,
+        Err(e) => {
+            let error = OsError::of(format!("open {}", path.display()), &e);
+            // No device and no sleep states to leave: nothing to ask for.
+            if error.errno == libc::ENOENT && !system.exists("sys/devices/system/cpu/cpu0/cpuidle/state0") {
+                return (None, Finding::new(NAME, "0 µs", "no sleep states", true));
+            }
+            return (None, Finding::unknown(NAME, "0 µs", error).remedy(remedy));
+        }
+    };
+    let mut there = [0; 4];
+    let asked = file
+        .write_all(&0_i32.to_ne_bytes())
+        .and_then(|()| io::Seek::rewind(&mut file))
+        .and_then(|()| file.read_exact(&mut there))
+        .map_err(|e| OsError::of(format!("write {}", path.display()), &e));
+    match asked {
+        Ok(()) => {
+            let us = i32::from_ne_bytes(there);
+            (Some(file), Finding::new(NAME, "0 µs", format!("{us} µs"), us == 0).remedy(remedy))
+        }
+        Err(error) => (None, Finding::unknown(NAME, "0 µs", error).remedy(remedy)),
+    }
+}
+
+/// `0-2,5` as numbers; what is no number (`(null)`, flags as in `isolcpus=domain,1`) is passed over.
+fn cpu_list(text: &str) -> Vec<usize> {
+    text.trim()
+        .split(',')
+        .filter_map(|part| {
+            let (first, last) = part.split_once('-').unwrap_or((part, part));
+            Some(first.trim().parse::<usize>().ok()?..=last.trim().parse::<usize>().ok()?)
+        })
+        .flatten()
+        .collect()
+}
+
+/// Major and minor number of a kernel release.
+fn version(release: &str) -> (u32, u32) {
+    let mut numbers = release.split(|c: char| !c.is_ascii_digit()).map(|n| n.parse().unwrap_or(0));
+    (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0))
+}

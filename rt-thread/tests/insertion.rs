@@ -1,0 +1,506 @@
+//! The insertion logic against a machine and an MTC of the tests' own making: a card whose looks come late and whose
+//! writes take effect some time after they were ordered, and a decoder that sees edges and inversions in true order.
+
+#![allow(clippy::unwrap_used)]
+
+use proptest::prelude::*;
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::{Event, EventKind, Fault, Request, Status};
+use std::collections::VecDeque;
+
+/// The cycle of the counts contract, positive direction.
+const CYCLE: [(u8, u8); 4] = [(0, 0), (1, 0), (1, 1), (0, 1)];
+
+fn state_at(count: i64) -> (u8, u8) {
+    CYCLE[count.rem_euclid(4) as usize]
+}
+
+/// Looks and writes of one computer: how long until the next look, how long before its end the lines are read, how
+/// long after it a write takes effect.
+trait Computer {
+    fn gap_ns(&mut self) -> u64;
+    fn write_ns(&mut self, gap_ns: u64) -> u64;
+}
+
+struct Rig<P> {
+    /// Times and directions of the scale's edges.
+    edges: Vec<(u64, i64)>,
+    next: usize,
+    scale: i64,
+    t_ns: u64,
+    outputs: u64,
+    /// A write on its way: (in effect at, outputs).
+    flying: Option<(u64, u64)>,
+    /// Everything that reached the XOR gates, in true order: (time, scale count, inverters, ours).
+    log: Vec<(u64, i64, u64, bool)>,
+    computer: P,
+    /// The card stamps edges, tells them one by one, and knows when a write is in effect.
+    stamps: bool,
+    /// Stamped edges not yet told: (time, scale count after it).
+    untold: VecDeque<(u64, i64)>,
+    told: i64,
+    next_gap: Option<u64>,
+}
+
+impl<P: Computer> Rig<P> {
+    fn new(edges: Vec<(u64, i64)>, start: i64, computer: P, stamps: bool) -> Self {
+        Self {
+            edges,
+            next: 0,
+            scale: start,
+            t_ns: 0,
+            outputs: 0,
+            flying: None,
+            log: vec![(0, start, 0, false)],
+            computer,
+            stamps,
+            untold: VecDeque::new(),
+            told: start,
+            next_gap: None,
+        }
+    }
+
+    fn land(&mut self) {
+        if let Some((t, outputs)) = self.flying.take() {
+            self.outputs = outputs;
+            self.log.push((t, self.scale, outputs & 3, true));
+        }
+    }
+
+    /// Lets the world run to `t`: edges and the flying write in the order of their times.
+    fn run_to(&mut self, t: u64) {
+        while let Some(&(edge, step)) = self.edges.get(self.next).filter(|e| e.0 <= t) {
+            if self.flying.is_some_and(|(w, _)| w <= edge) {
+                self.land();
+            }
+            self.next += 1;
+            self.scale += step;
+            self.log.push((edge, self.scale, self.outputs & 3, false));
+            self.untold.push_back((edge, self.scale));
+        }
+        if self.flying.is_some_and(|(w, _)| w <= t) {
+            self.land();
+        }
+    }
+}
+
+impl<P: Computer> Card for Rig<P> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        // The recording ends between two insertions, some time after the last edge.
+        let equal = self.flying.is_none() && matches!(self.outputs & 3, 0 | 3);
+        if equal
+            && self.next >= self.edges.len()
+            && self.t_ns > self.edges.last().map_or(0, |e| e.0) + 100_000
+        {
+            return Err(CardError::Ended);
+        }
+        let gap = self.next_gap.take().unwrap_or_else(|| self.computer.gap_ns());
+        let t = self.t_ns + gap;
+        if self.stamps {
+            if self.untold.is_empty() {
+                let until = self.edges.get(self.next).map_or(t, |e| e.0.min(t));
+                self.run_to(until);
+                self.t_ns = until;
+            }
+            let edge = self.untold.pop_front();
+            self.told = edge.map_or(self.told, |e| e.1);
+            let (a, b) = state_at(self.told);
+            return Ok(Sample { t_ns: self.t_ns, inputs: u64::from(a | b << 1), edge_ns: edge.map(|e| e.0) });
+        }
+        // The lines are read somewhere before the end of the look.
+        self.run_to(t - gap / 4);
+        let (a, b) = state_at(self.scale);
+        self.t_ns = t;
+        Ok(Sample { t_ns: t, inputs: u64::from(a | b << 1), edge_ns: None })
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        let outputs = self.outputs & !mask | value & mask;
+        let gap = self.computer.gap_ns();
+        // The read of the next look pushes the write out before it.
+        let delay = self.computer.write_ns(gap).min(gap - gap / 4);
+        self.flying = Some((self.t_ns + delay, outputs));
+        if self.stamps {
+            self.t_ns += delay;
+            self.run_to(self.t_ns);
+            return Ok(Some(self.t_ns));
+        }
+        self.next_gap = Some(gap);
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// What the MTC made of it.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Seen {
+    mtc_minus_scale: i64,
+    illegal: u64,
+    /// Shortest time from one of our inversions to its neighbour edge, ns.
+    ours_ns: u64,
+    /// Values that MTC − scale had while both inverters were equal.
+    offsets: Vec<i64>,
+}
+
+fn judge(log: &[(u64, i64, u64, bool)]) -> Seen {
+    let out = |entry: &(u64, i64, u64, bool)| {
+        let (a, b) = state_at(entry.1);
+        (u64::from(a) ^ entry.2 & 1, u64::from(b) ^ entry.2 >> 1)
+    };
+    let position =
+        |s: (u64, u64)| CYCLE.iter().position(|&(a, b)| (u64::from(a), u64::from(b)) == s).unwrap() as i64;
+    let mut seen = Seen { ours_ns: u64::MAX, ..Seen::default() };
+    let mut mtc = log[0].1;
+    for pair in log.windows(2) {
+        let step = (position(out(&pair[1])) - position(out(&pair[0]))).rem_euclid(4);
+        match step {
+            0 => continue,
+            1 => mtc += 1,
+            3 => mtc -= 1,
+            _ => seen.illegal += 1,
+        }
+        if pair[1].3 || pair[0].3 && pair[0].0 > 0 {
+            seen.ours_ns = seen.ours_ns.min(pair[1].0 - pair[0].0);
+        }
+        if pair[1].2 == 0 || pair[1].2 == 3 {
+            seen.offsets.push(mtc - pair[1].1);
+        }
+    }
+    seen.mtc_minus_scale = mtc - log.last().unwrap().1;
+    seen
+}
+
+/// Runs the engine on a rig with totals requested at given times; returns what the MTC saw, the status and events.
+fn run<P: Computer>(
+    config: AxisConfig,
+    mut rig: Rig<P>,
+    totals: &[(u64, i64)],
+) -> (Seen, Status, Vec<EventKind>) {
+    let mut events = Vec::new();
+    let mut tell = |e: Event| {
+        events.push(e.kind);
+        true
+    };
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
+    let mut engine = Engine::new(&mut rig, &[config], machine, &[]).unwrap();
+    engine.start_homed(&mut rig, &mut tell).unwrap();
+    let mut totals = totals.iter().peekable();
+    while engine.poll(&mut rig, u64::MAX, &mut tell).is_ok() {
+        while let Some(&&(_, total_counts)) = totals.peek().filter(|t| t.0 <= engine.now_ns()) {
+            totals.next();
+            engine
+                .take(Request::Correct { axis: 0, total_counts, large: true }, &mut rig, &mut tell)
+                .unwrap();
+        }
+    }
+    rig.land();
+    (judge(&rig.log), engine.status(), events)
+}
+
+/// Looks every `look_ns`, writes in effect at once.
+struct Steady(u64);
+
+impl Computer for Steady {
+    fn gap_ns(&mut self) -> u64 {
+        self.0
+    }
+
+    fn write_ns(&mut self, _gap: u64) -> u64 {
+        1
+    }
+}
+
+/// Looks and writes that take anything up to their limit, from a recorded list of choices.
+struct Jittery {
+    choices: Vec<u16>,
+    at: usize,
+    max_gap_ns: u64,
+}
+
+impl Jittery {
+    fn next(&mut self) -> u64 {
+        self.at += 1;
+        u64::from(self.choices[self.at % self.choices.len()])
+    }
+}
+
+impl Computer for Jittery {
+    fn gap_ns(&mut self) -> u64 {
+        20 + self.next() * (self.max_gap_ns - 20) / u64::from(u16::MAX)
+    }
+
+    fn write_ns(&mut self, gap_ns: u64) -> u64 {
+        1 + self.next() * gap_ns / u64::from(u16::MAX)
+    }
+}
+
+/// Edges of an axis that keeps to an acceleration limit, through a scale with hysteresis.
+fn motion(pieces: &[(i8, u16)], accel_counts_s2: f64, max_speed: f64, hysteresis: f64) -> Vec<(u64, i64)> {
+    let (mut x, mut v, mut t) = (0.5_f64, 0.0_f64, 10_000.0_f64);
+    let mut count = 0_i64;
+    let mut edges = Vec::new();
+    for &(throttle, length) in pieces {
+        let a = accel_counts_s2 * f64::from(throttle) / 127.0;
+        let end = t + f64::from(length) * 1000.0;
+        while t < end {
+            // Steps short against the time between two edges; the edge's time is interpolated within the step.
+            let dt_s = (0.1 / (v.abs() + 1.0)).clamp(1e-7, 1e-5);
+            let mut a_now = a;
+            if v.abs() >= max_speed && v * a > 0.0 {
+                a_now = 0.0;
+            }
+            let x0 = x;
+            x += v * dt_s + a_now * dt_s * dt_s / 2.0;
+            v += a_now * dt_s;
+            let up = count as f64 + 1.0 + hysteresis / 2.0;
+            let down = count as f64 - hysteresis / 2.0;
+            let crossed = if x >= up {
+                Some((up, 1))
+            } else if x < down {
+                Some((down, -1))
+            } else {
+                None
+            };
+            if let Some((at, step)) = crossed {
+                let fraction = ((at - x0) / (x - x0)).clamp(0.0, 1.0);
+                let time = (t + fraction * dt_s * 1e9) as u64;
+                let time = edges.last().map_or(time, |&(last, _): &(u64, i64)| time.max(last + 1));
+                edges.push((time, step));
+                count += step;
+            }
+            t += dt_s * 1e9;
+        }
+    }
+    edges
+}
+
+fn pieces() -> impl Strategy<Value = Vec<(i8, u16)>> {
+    prop::collection::vec((any::<i8>().prop_map(|a| a.max(-127)), 10_u16..3000), 4..24)
+}
+
+fn totals() -> impl Strategy<Value = Vec<(u64, i64)>> {
+    prop::collection::vec((0_u64..30_000_000, -40_i64..=40), 1..20).prop_map(|mut t| {
+        t.sort_unstable();
+        t
+    })
+}
+
+/// The ledger, the legality and the separation that hold whenever the gate's promise does.
+fn assert_kept(seen: &Seen, status: &Status, separation_ns: u64, design: Design) {
+    let axis = &status.axes[0];
+    assert!(!axis.faults.any(), "{axis:?}");
+    assert_eq!(seen.illegal, 0);
+    assert_eq!(seen.mtc_minus_scale, axis.completed);
+    assert_eq!(axis.mtc_minus_scale, axis.completed);
+    assert!(seen.ours_ns >= separation_ns, "{} ns beside our inversion", seen.ours_ns);
+    let step = if design == Design::C { 2 } else { 4 };
+    assert!(seen.offsets.iter().all(|o| o % 2 == 0));
+    assert_eq!(axis.completed % step, 0);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Random motion with reversals and dither, random requests, random latencies within the gate's promise.
+    #[test]
+    fn the_ledger_balances_within_the_promise(
+        pieces in pieces(), totals in totals(), choices in prop::collection::vec(any::<u16>(), 64),
+        log_accel in 4.0..7.0_f64, design in prop::sample::select(vec![Design::C, Design::A, Design::Original]),
+        stamps in any::<bool>(), max_gap_ns in 40_u64..400,
+    ) {
+        let accel = 10_f64.powf(log_accel);
+        let hysteresis = 0.1;
+        let config = AxisConfig {
+            design, max_accel_counts_s2: accel * 1.001, hysteresis_counts: hysteresis * 0.9,
+            // An edge is seen at the end of the next look at the latest, and acted on one look after its separation.
+            detect_ns: 3 * max_gap_ns, write_ns: 2 * max_gap_ns, guard_ns: 50, ..AxisConfig::default()
+        };
+        prop_assume!(config.gate().is_some());
+        let edges = motion(&pieces, accel, 300_000.0, hysteresis);
+        let rig = Rig::new(edges, 0, Jittery { choices, at: 0, max_gap_ns }, stamps);
+        let (seen, status, _) = run(config, rig, &totals);
+        assert_kept(&seen, &status, 500, design);
+        prop_assert_eq!(status.axes[0].overlaps, 0);
+    }
+
+    /// Latencies far beyond the promise, edges at any moment: the ledger balances or a fault is latched, and an illegal
+    /// state never comes from us.
+    #[test]
+    fn beyond_the_promise_it_balances_or_is_latched(
+        times in prop::collection::vec((1_u64..5000, any::<bool>()), 1..400), totals in totals(),
+        choices in prop::collection::vec(any::<u16>(), 64), stamps in any::<bool>(), max_gap_ns in 21_u64..1200,
+        insert_at_rest in any::<bool>(),
+    ) {
+        let mut t = 1000;
+        let edges: Vec<_> = times.iter().map(|&(dt, up)| { t += dt; (t, if up { 1 } else { -1 }) }).collect();
+        let rest = if insert_at_rest { RestPolicy::Insert { after_ns: 2000 } } else { RestPolicy::Wait };
+        let config = AxisConfig { rest, ..AxisConfig::default() };
+        let totals: Vec<_> = totals.iter().map(|&(t, n)| (t / 100, n)).collect();
+        let rig = Rig::new(edges, 0, Jittery { choices, at: 0, max_gap_ns }, stamps);
+        let (seen, status, events) = run(config, rig, &totals);
+        let axis = &status.axes[0];
+        prop_assert_eq!(seen.illegal, 0);
+        if axis.faults.any() {
+            prop_assert!(events.iter().any(|e| matches!(e, EventKind::Fault(_))));
+        } else if stamps || times.iter().all(|&(dt, _)| dt > 2 * max_gap_ns) {
+            // Looks further apart can miss a pair of edges that cancel out, with an inversion between them.
+            prop_assert_eq!(seen.mtc_minus_scale, axis.completed);
+            prop_assert_eq!(axis.mtc_minus_scale, axis.completed);
+        }
+    }
+}
+
+/// 4 states × 2 directions × ± insertion × a real edge of either direction at every point of the insertion, on a card
+/// that stamps edges (the order is always certain) and on one that is polled (certain, or latched).
+#[test]
+fn a_real_edge_at_every_point_of_an_insertion() {
+    let mut worked_out = 0;
+    let mut latched = 0;
+    for stamps in [true, false] {
+        for start in 0..4_i64 {
+            for direction in [1, -1] {
+                for total in [2, -2] {
+                    for second in [1, -1] {
+                        for at in (10..2000).step_by(10) {
+                            let edges = vec![
+                                (100_000, direction),
+                                (200_000, direction),
+                                (200_000 + at, second),
+                                (400_000, direction),
+                                (500_000, direction),
+                                (600_000, direction),
+                            ];
+                            let rig = Rig::new(edges, start, Steady(40), stamps);
+                            let (seen, status, _) = run(AxisConfig::default(), rig, &[(150_000, total)]);
+                            let axis = &status.axes[0];
+                            let what = format!(
+                                "{start} {direction} {total} {second} at {at} stamps {stamps}: {axis:?}"
+                            );
+                            assert_eq!(seen.illegal, 0, "{what}");
+                            if axis.faults.any() {
+                                assert!(!stamps, "a stamped order is never unknown: {what}");
+                                latched += 1;
+                            } else {
+                                assert_eq!(seen.mtc_minus_scale, axis.completed, "{what}");
+                                assert_eq!(axis.completed, total, "served in the end: {what}");
+                                worked_out += axis.overlaps;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+    assert!(worked_out > 1000, "{worked_out} overlaps worked out");
+    assert!(
+        latched > 0 && latched < 320,
+        "{latched} of 6400 latched: only edges within a look of an inversion may"
+    );
+}
+
+/// The general algorithm of NISTIR 4832 in every state and direction, alone.
+#[test]
+fn every_state_direction_and_sign_is_served() {
+    for design in [Design::C, Design::A, Design::Original] {
+        for start in 0..4_i64 {
+            for direction in [1, -1] {
+                for total in [4, -4, 40, -40] {
+                    let edges = (1..=200).map(|n| (n * 50_000, direction)).collect();
+                    let config = AxisConfig { design, ..AxisConfig::default() };
+                    let (seen, status, _) =
+                        run(config, Rig::new(edges, start, Steady(30), false), &[(60_000, total)]);
+                    assert_kept(&seen, &status, 500, design);
+                    assert_eq!(status.axes[0].completed, total, "{design:?} {start} {direction}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_remainder_smaller_than_one_increment_stays() {
+    for (design, total, served) in
+        [(Design::C, 7, 6), (Design::C, -3, -2), (Design::A, 7, 4), (Design::C, 1, 0)]
+    {
+        let edges = (1..=200).map(|n| (n * 50_000, 1)).collect();
+        let config = AxisConfig { design, ..AxisConfig::default() };
+        let (seen, status, _) = run(config, Rig::new(edges, 0, Steady(30), false), &[(60_000, total)]);
+        assert_eq!((status.axes[0].completed, seen.mtc_minus_scale), (served, served));
+    }
+}
+
+#[test]
+fn at_rest_the_policy_decides() {
+    for (rest, served) in [(RestPolicy::Wait, 0), (RestPolicy::Insert { after_ns: 10_000 }, 6)] {
+        let config = AxisConfig { rest, ..AxisConfig::default() };
+        let rig = Rig::new(vec![(10_000, 1)], 0, Steady(30), false);
+        let (seen, status, _) = run(config, rig, &[(20_000, 6)]);
+        assert_kept(&seen, &status, 500, Design::C);
+        assert_eq!(status.axes[0].completed, served);
+    }
+}
+
+#[test]
+fn no_insertion_while_the_axis_is_too_fast_and_catch_up_afterwards() {
+    // 1 µs a count is too fast for 500 ns separation; then 100 µs a count.
+    let fast = (1..=1000_u64).map(|n| (10_000 + n * 1000, 1));
+    let slow = (1..=100_u64).map(|n| (1_010_000 + n * 100_000, 1));
+    let config = AxisConfig { max_accel_counts_s2: 0.0, ..AxisConfig::default() };
+    let rig = Rig::new(fast.chain(slow).collect(), 0, Steady(30), false);
+    let (seen, status, _) = run(config, rig, &[(20_000, 20)]);
+    assert_kept(&seen, &status, 500, Design::C);
+    assert_eq!(status.axes[0].completed, 20);
+    assert!(status.axes[0].waited_for_gate > 900);
+}
+
+#[test]
+fn the_rate_cap_spaces_insertions() {
+    // 1000 counts/s: one insertion of 2 counts every 2 ms, with an edge every 100 µs for 10 ms.
+    let edges = (1..=100_u64).map(|n| (n * 100_000, 1)).collect();
+    let config = AxisConfig { max_rate_counts_s: 1000.0, ..AxisConfig::default() };
+    let (seen, status, _) = run(config, Rig::new(edges, 0, Steady(50), false), &[(150_000, 100)]);
+    assert_kept(&seen, &status, 500, Design::C);
+    assert_eq!(status.axes[0].completed, 10);
+}
+
+#[test]
+fn an_illegal_transition_is_latched_and_corrections_freeze() {
+    let mut edges: Vec<_> = (1..=20_u64).map(|n| (n * 100_000, 1)).collect();
+    edges[10].1 = 2;
+    let (seen, status, events) =
+        run(AxisConfig::default(), Rig::new(edges, 0, Steady(50), false), &[(1_150_000, 4)]);
+    let axis = &status.axes[0];
+    assert_eq!((axis.illegal, axis.completed, seen.mtc_minus_scale), (1, 0, -2));
+    assert!(!axis.homed);
+    assert!(events.contains(&EventKind::Fault(Fault::IllegalTransition)));
+}
+
+#[test]
+fn a_look_that_comes_too_late_is_latched_when_counts_may_have_passed() {
+    struct Sleepy(u64);
+    impl Computer for Sleepy {
+        fn gap_ns(&mut self) -> u64 {
+            self.0 += 1;
+            if self.0 == 20_000 { 400_000 } else { 50 }
+        }
+
+        fn write_ns(&mut self, _gap: u64) -> u64 {
+            1
+        }
+    }
+    // 100 µs a count: four counts pass in 400 µs, and the fifth looks like the first.
+    let edges = (1..=30_u64).map(|n| (n * 100_000, 1)).collect();
+    let config = AxisConfig { max_accel_counts_s2: 1e3, hysteresis_counts: 0.1, ..AxisConfig::default() };
+    let (_, status, events) = run(config, Rig::new(edges, 0, Sleepy(0), false), &[(150_000, 4)]);
+    assert!(status.axes[0].faults.any());
+    assert!(
+        events.contains(&EventKind::Fault(Fault::PollGap))
+            || events.contains(&EventKind::Fault(Fault::IllegalTransition))
+    );
+}

@@ -1,0 +1,345 @@
+//! The set-up of a real-time thread: every finding on a tree of files that looks like a system, and the real thing.
+#![allow(clippy::unwrap_used)] // a test may
+use rtec_rt::setup::{Finding, Report, System, Wanted, apply};
+use std::fs;
+use std::path::Path;
+
+/// A machine on which nothing is left to wish for, with CPU 3 for real time.
+const IDEAL: &[(&str, &str)] = &[
+    ("proc/sys/kernel/osrelease", "6.12.48-rt-amd64\n"),
+    (
+        "proc/version",
+        "Linux version 6.12.48-rt-amd64 (Debian) #1 SMP PREEMPT_RT Debian 6.12.48-1 (2025-09-20)\n",
+    ),
+    ("proc/cmdline", "quiet isolcpus=managed_irq,domain,3 nohz_full=3 rcu_nocbs=3 irqaffinity=0-2\n"),
+    ("proc/cpuinfo", "processor\t: 0\nmodel name\t: A CPU\nflags\t\t: fpu tsc constant_tsc nonstop_tsc\n"),
+    ("proc/swaps", "Filename\t\t\t\tType\t\tSize\t\tUsed\t\tPriority\n"),
+    ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
+    ("proc/thread-self/status", "Name:\trtec\nCapEff:\t0000000000000000\n"),
+    (
+        "proc/self/limits",
+        "Limit                     Soft Limit           Hard Limit           Units     \n\
+         Max locked memory         unlimited            unlimited            bytes     \n\
+         Max realtime priority     95                   95                             \n",
+    ),
+    ("proc/irq/9/acpi/.keep", ""),
+    ("proc/irq/9/effective_affinity_list", "0\n"),
+    ("proc/irq/30/smp_affinity_list", "0-3\n"),
+    ("sys/kernel/realtime", "1\n"),
+    ("sys/kernel/debug/sched/fair_server/cpu3/runtime", "0\n"),
+    ("sys/kernel/mm/transparent_hugepage/enabled", "always [madvise] never\n"),
+    ("sys/devices/system/cpu/online", "0-3\n"),
+    ("sys/devices/system/cpu/isolated", "3\n"),
+    ("sys/devices/system/cpu/nohz_full", "3\n"),
+    ("sys/devices/system/cpu/cpu3/cpufreq/scaling_governor", "performance\n"),
+    ("sys/devices/system/cpu/cpu3/topology/thread_siblings_list", "3\n"),
+    ("sys/devices/system/clocksource/clocksource0/current_clocksource", "tsc\n"),
+];
+
+fn put(root: &Path, path: &str, text: &str) {
+    let path = root.join(path);
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, text).unwrap();
+}
+
+fn ideal() -> tempfile::TempDir {
+    let root = tempfile::tempdir().unwrap();
+    for (path, text) in IDEAL {
+        put(root.path(), path, text);
+    }
+    root
+}
+
+fn not_ok(report: &Report) -> Vec<&str> {
+    report.findings.iter().filter(|f| !f.ok).map(|f| f.name).collect()
+}
+
+#[test]
+fn an_ideal_machine_has_no_remedy() {
+    let root = ideal();
+    let system = System::at(root.path());
+    assert_eq!(system.default_cpu(), 3);
+    let report = system.inspect(3, 80);
+    assert_eq!(not_ok(&report), Vec::<&str>::new());
+    assert!(report.can_arm());
+    assert!(report.findings.iter().all(|f| f.remedy.is_empty() && f.errno.is_none()));
+    assert_eq!(report.kernel, "6.12.48-rt-amd64");
+    assert_eq!(
+        report.kernel_command_line,
+        "isolcpus=managed_irq,domain,3 nohz_full=3 rcu_nocbs=3 irqaffinity=0,1,2"
+    );
+}
+
+/// One thing changed on the ideal machine: the finding that must tell, what it reads, whether that forbids arming, and
+/// a word of its remedy.
+type Case = (&'static str, &'static str, &'static str, &'static str, bool, &'static str);
+
+const CASES: &[Case] = &[
+    (
+        "proc/sys/kernel/sched_rt_runtime_us",
+        "950000\n",
+        "rt_throttling",
+        "950000",
+        true,
+        "sched_rt_runtime_us=-1",
+    ),
+    (
+        "sys/kernel/debug/sched/fair_server/cpu3/runtime",
+        "50000000\n",
+        "fair_server",
+        "50000000",
+        true,
+        "fair_server/cpu3/runtime",
+    ),
+    ("sys/devices/system/cpu/isolated", "\n", "isolated", "none", false, "isolcpus=3"),
+    ("sys/devices/system/cpu/isolated", "1-2\n", "isolated", "1-2", false, "isolcpus=3"),
+    ("sys/devices/system/cpu/nohz_full", "(null)\n", "nohz_full", "(null)", false, "nohz_full=3"),
+    ("proc/cmdline", "quiet\n", "rcu_nocbs", "none", false, "rcu_nocbs=3"),
+    ("proc/cmdline", "rcu_nocbs=1,2\n", "rcu_nocbs", "1,2", false, "rcu_nocbs=3"),
+    ("proc/irq/9/effective_affinity_list", "2-3\n", "irq_affinity", "1: 9 acpi", false, "irqaffinity=0,1,2"),
+    (
+        "sys/devices/system/cpu/cpu3/cpufreq/scaling_governor",
+        "powersave\n",
+        "governor",
+        "powersave",
+        false,
+        "scaling_governor",
+    ),
+    ("sys/devices/system/cpu/cpu3/topology/thread_siblings_list", "1,3\n", "smt", "CPU 1", false, "nosmt"),
+    (
+        "sys/devices/system/clocksource/clocksource0/current_clocksource",
+        "hpet\n",
+        "clocksource",
+        "hpet",
+        false,
+        "tsc",
+    ),
+    (
+        "sys/kernel/mm/transparent_hugepage/enabled",
+        "[always] madvise never\n",
+        "transparent_hugepage",
+        "always",
+        false,
+        "madvise",
+    ),
+    (
+        "proc/swaps",
+        "Filename Type Size Used Priority\n/dev/sda2 partition 999420 0 -2\n",
+        "swap",
+        "/dev/sda2",
+        false,
+        "swapoff",
+    ),
+    (
+        "proc/self/limits",
+        "Max locked memory         8388608   8388608  bytes\nMax realtime priority 95 95\n",
+        "memlock_limit",
+        "8388608",
+        false,
+        "@rtec - memlock unlimited",
+    ),
+    (
+        "proc/self/limits",
+        "Max locked memory unlimited unlimited bytes\nMax realtime priority     0  0\n",
+        "rtprio_limit",
+        "0",
+        false,
+        "@rtec - rtprio 80",
+    ),
+    (
+        "proc/cpuinfo",
+        "model name\t: A CPU\nflags\t\t: fpu hypervisor tsc\n",
+        "hypervisor",
+        "virtual machine",
+        false,
+        "machine itself",
+    ),
+];
+
+#[test]
+fn each_finding_tells_what_it_is_for_and_no_other_does() {
+    for &(path, text, name, got, forbids, remedy) in CASES {
+        let root = ideal();
+        put(root.path(), path, text);
+        let report = System::at(root.path()).inspect(3, 80);
+        assert_eq!(not_ok(&report), [name], "{path}");
+        let finding = report.finding(name).unwrap();
+        assert_eq!(finding.got, got);
+        assert!(finding.remedy.contains(remedy), "{name}: {}", finding.remedy);
+        assert_eq!(!report.can_arm(), forbids, "{name}");
+    }
+}
+
+#[test]
+fn a_kernel_that_is_not_preempt_rt_is_named() {
+    let root = ideal();
+    fs::remove_file(root.path().join("sys/kernel/realtime")).unwrap();
+    put(root.path(), "proc/version", "Linux version 6.18.44 #1 SMP PREEMPT_DYNAMIC @0\n");
+    let report = System::at(root.path()).inspect(3, 80);
+    assert_eq!(not_ok(&report), ["preempt_rt"]);
+    assert_eq!(report.finding("preempt_rt").unwrap().got, "PREEMPT_DYNAMIC");
+}
+
+#[test]
+fn a_capability_overrides_a_limit() {
+    let root = ideal();
+    put(
+        root.path(),
+        "proc/self/limits",
+        "Max locked memory 8388608 8388608 bytes\nMax realtime priority 0 0\n",
+    );
+    put(root.path(), "proc/thread-self/status", "CapEff:\t0000000000804000\n");
+    assert_eq!(not_ok(&System::at(root.path()).inspect(3, 80)), Vec::<&str>::new());
+    put(root.path(), "proc/thread-self/status", "CapEff:\t0000000000004000\n");
+    assert_eq!(not_ok(&System::at(root.path()).inspect(3, 80)), ["rtprio_limit"]);
+}
+
+#[test]
+fn emulation_is_named_from_the_cpu_s_name() {
+    let root = ideal();
+    put(root.path(), "proc/cpuinfo", "model name\t: QEMU TCG CPU version 2.5+\nflags\t\t: fpu hypervisor\n");
+    let report = System::at(root.path()).inspect(3, 80);
+    assert_eq!(report.emulated.as_deref(), Some("QEMU TCG"));
+    assert_eq!(report.finding("hypervisor").unwrap().got, "emulated by QEMU TCG");
+}
+
+#[test]
+fn an_older_kernel_has_no_fair_server_and_a_hidden_one_cannot_be_required() {
+    let root = ideal();
+    fs::remove_dir_all(root.path().join("sys/kernel/debug")).unwrap();
+    let hidden = System::at(root.path()).inspect(3, 80);
+    let finding = hidden.finding("fair_server").unwrap();
+    assert!(!finding.ok && !finding.needed_to_arm && hidden.can_arm());
+    assert_eq!(finding.errno.as_ref().unwrap().errno, libc::ENOENT);
+    put(root.path(), "proc/sys/kernel/osrelease", "6.6.101-rt59\n");
+    assert!(System::at(root.path()).inspect(3, 80).finding("fair_server").unwrap().ok);
+}
+
+#[test]
+fn an_empty_tree_arms_nothing_and_says_which_file_is_missing() {
+    let root = tempfile::tempdir().unwrap();
+    let system = System::at(root.path());
+    assert_eq!(system.default_cpu(), 0);
+    let report = system.inspect(0, 80);
+    assert!(!report.can_arm());
+    let throttling = report.missing().next().unwrap();
+    assert_eq!(throttling.name, "rt_throttling");
+    let error = throttling.errno.as_ref().unwrap();
+    assert_eq!(error.errno, libc::ENOENT);
+    assert!(error.operation.contains("sched_rt_runtime_us"), "{error}");
+    assert_eq!(report.kernel_command_line, "", "one CPU cannot be set apart");
+}
+
+#[test]
+fn the_report_is_one_json_object() {
+    let root = ideal();
+    put(root.path(), "proc/sys/kernel/sched_rt_runtime_us", "950000\n");
+    let json = serde_json::to_value(System::at(root.path()).inspect(3, 80)).unwrap();
+    assert_eq!(json["cpu"], 3);
+    let throttling = &json["findings"][0];
+    assert_eq!(throttling["name"], "rt_throttling");
+    assert_eq!(
+        (throttling["ok"].as_bool(), throttling["needed_to_arm"].as_bool()),
+        (Some(false), Some(true))
+    );
+}
+
+fn is_root() -> bool {
+    // SAFETY: takes nothing, touches nothing.
+    unsafe { libc::geteuid() == 0 }
+}
+
+/// The settings of the calling thread as the kernel shows them to everybody, by way of `/proc` and not of our report.
+struct Shown {
+    policy: u32,
+    rt_priority: u32,
+    cpus: String,
+    locked_kb: u64,
+}
+
+fn shown() -> Shown {
+    let stat = fs::read_to_string("/proc/thread-self/stat").unwrap();
+    // Fields 40 and 41 of proc(5), counted after the name in brackets, which is field 2.
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+    let status = fs::read_to_string("/proc/thread-self/status").unwrap();
+    let line = |key: &str| status.lines().find_map(|l| l.strip_prefix(key)).unwrap().trim().to_owned();
+    Shown {
+        rt_priority: fields[37].parse().unwrap(),
+        policy: fields[38].parse().unwrap(),
+        cpus: line("Cpus_allowed_list:"),
+        locked_kb: line("VmLck:").trim_end_matches(" kB").parse().unwrap(),
+    }
+}
+
+#[test]
+fn root_gets_everything_that_is_ours_to_apply() {
+    if !is_root() {
+        eprintln!("SKIPPED: not root, so SCHED_FIFO, mlockall and cpu_dma_latency cannot be applied here");
+        return;
+    }
+    std::thread::spawn(|| {
+        let system = System::live();
+        let cpu = system.default_cpu();
+        let before = shown();
+        let (held, report) = apply(&system, Wanted { cpu, priority: 42 });
+        let after = shown();
+        assert_eq!((before.policy, before.rt_priority), (0, 0));
+        assert_eq!((after.policy, after.rt_priority), (libc::SCHED_FIFO as u32, 42));
+        assert_eq!(after.cpus, cpu.to_string());
+        assert!(after.locked_kb > 1000, "{} kB locked", after.locked_kb);
+        let open = |what: &str| {
+            fs::read_dir("/proc/self/fd")
+                .unwrap()
+                .flatten()
+                .any(|fd| fs::read_link(fd.path()).is_ok_and(|target| target == Path::new(what)))
+        };
+        assert!(open("/dev/cpu_dma_latency"));
+        drop(held);
+        assert!(!open("/dev/cpu_dma_latency"), "closed with the guard");
+        for name in ["scheduler", "affinity", "memory_lock", "stack", "cpu_dma_latency"] {
+            let finding: &Finding = report.finding(name).unwrap();
+            assert!(finding.ok && finding.needed_to_arm, "{finding:?}");
+        }
+    })
+    .join()
+    .unwrap();
+}
+
+#[test]
+fn without_privileges_it_runs_on_and_names_what_is_missing() {
+    std::thread::spawn(|| {
+        // By the bare system call, so that this thread alone becomes nobody.
+        // SAFETY: three numbers go in, no memory is touched.
+        let dropped = unsafe { libc::syscall(libc::SYS_setresuid, 65534, 65534, 65534) } == 0;
+        assert!(dropped || !is_root());
+        let system = System::live();
+        let (_held, report) = apply(&system, Wanted { cpu: system.default_cpu(), priority: 80 });
+        assert!(!report.can_arm());
+        let scheduler = report.finding("scheduler").unwrap();
+        let limit = report.finding("rtprio_limit").unwrap();
+        assert_eq!(scheduler.ok, limit.ok, "the limit explains the refusal");
+        if !limit.ok {
+            assert_eq!(scheduler.errno.as_ref().unwrap().errno, libc::EPERM);
+            assert_eq!(scheduler.errno.as_ref().unwrap().operation, "sched_setscheduler");
+            assert_eq!((shown().policy, shown().rt_priority), (0, 0));
+            assert!(scheduler.remedy.contains("CAP_SYS_NICE"));
+        }
+        let affinity = report.finding("affinity").unwrap();
+        assert!(affinity.ok, "needs no privilege: {affinity:?}");
+    })
+    .join()
+    .unwrap();
+}
+
+#[test]
+fn impossible_wishes_are_reported_not_fatal() {
+    std::thread::spawn(|| {
+        let (_held, report) = apply(&System::live(), Wanted { cpu: 1000, priority: 100 });
+        let errno = |name: &str| report.finding(name).unwrap().errno.as_ref().unwrap().errno;
+        assert_eq!(errno("scheduler"), libc::EINVAL);
+        assert_eq!(errno("affinity"), libc::EINVAL);
+        assert!(!report.can_arm());
+    })
+    .join()
+    .unwrap();
+}

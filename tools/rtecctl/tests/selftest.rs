@@ -1,0 +1,122 @@
+//! `rtecctl selftest latency`: the ledger, the document and the text's shape. No figure is asserted: time is the machine's.
+
+use serde_json::Value;
+use std::process::{Command, Output};
+
+fn latency(options: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(["selftest", "latency", "--duration", "600ms"])
+        .args(options)
+        .output()
+        .expect("the binary was built with this test")
+}
+
+fn text(out: &Output) -> String {
+    String::from_utf8(out.stdout.clone()).expect("UTF-8")
+}
+
+/// What a line looks like: every number as one 9, every run of blanks as it may vary with the numbers' width.
+fn shape(line: &str) -> String {
+    let mut shape = String::new();
+    for c in line.chars() {
+        let c = if c.is_ascii_digit() { '9' } else { c };
+        if !(matches!(c, '9' | ' ') && shape.ends_with(c)) {
+            shape.push(c);
+        }
+    }
+    shape.replace(": 9", ":9").replace("( 9", "(9")
+}
+
+#[test]
+fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed() {
+    for backend in ["mock", "mapped"] {
+        let out = latency(&["--json", "--backend", backend]);
+        let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+        for key in ["wakeup_ns", "poll_gap_ns", "edge_to_done_ns"] {
+            for figure in ["min", "p50", "p99", "p9999", "max", "samples"] {
+                assert!(document[key][figure].is_u64(), "{backend}: {key}.{figure}");
+            }
+            let counts =
+                document[key]["histogram"].as_array().expect("buckets").iter().map(|b| b[2].as_u64());
+            assert_eq!(counts.sum::<Option<u64>>(), document[key]["samples"].as_u64());
+        }
+        let verdict = document["verdict"].as_str().expect("a verdict");
+        assert_eq!(out.status.code(), Some(i32::from(verdict == "fail")));
+        assert_eq!(verdict == "pass", document["reason"] == "");
+        let safe = &document["max_safe_edge_rate_hz"]["default"];
+        assert!(safe.is_f64() || safe.is_null() && verdict == "fail");
+        assert!(document["wakeup_ns"]["samples"].as_u64() > Some(0));
+        if document["far_side"].is_null() {
+            eprintln!("SKIPPED: one CPU only, so nobody can play the machine while the engine polls");
+            continue;
+        }
+        assert_eq!(document["ledger_balanced"], true);
+        assert!(document["edge_to_done_ns"]["samples"].as_u64() > Some(0), "{backend}: no insertion");
+        assert_eq!(document["far_side"]["illegal"], 0);
+        // The MTC was given its separation after the edge and between the inversions, at every single insertion.
+        assert!(document["edge_to_done_ns"]["min"].as_u64() >= document["separations_ns"].as_u64());
+    }
+}
+
+#[test]
+fn unmet_settings_fail_with_their_remedy() {
+    let out = latency(&["--json"]);
+    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let missing = document["missing_to_arm"].as_array().expect("a list");
+    let reason = document["reason"].as_str().expect("a text");
+    for name in missing {
+        assert!(reason.contains(name.as_str().expect("a name")), "{reason}");
+    }
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(reason.is_empty() || stderr.contains(reason), "{stderr}");
+}
+
+#[test]
+fn text_and_histogram_file_have_the_shape_of_cyclictest() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let file = dir.path().join("histogram");
+    let out = text(&latency(&["--histfile", file.to_str().expect("UTF-8")]));
+    let histogram = std::fs::read_to_string(&file).expect("the histogram file");
+    assert!(out.contains(&histogram), "the same histogram in both places");
+    assert_eq!(std::fs::read_dir(dir.path()).expect("a directory").count(), 1, "no temporary file stays");
+    assert_eq!(out.lines().filter(|l| l.starts_with("T:")).count(), 3);
+    // What plotting scripts do: rows are the lines that are neither empty nor a comment, the maximum has its comment.
+    let rows: Vec<&str> = histogram.lines().filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    assert_eq!(rows.len(), 400);
+    assert!(rows.iter().enumerate().all(|(us, row)| row.starts_with(&format!("{us:06} "))));
+
+    let arguments = ["-q", "-l", "20", "-i", "1000", "-t", "3", "-h", "400"];
+    let Ok(cyclictest) = Command::new("cyclictest").args(arguments).output() else {
+        eprintln!("SKIPPED: cyclictest (Debian rt-tests) is not there to be compared with");
+        return;
+    };
+    let theirs = text(&cyclictest);
+    let their_rows: Vec<&str> = theirs.lines().filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    assert_eq!(their_rows.len(), rows.len());
+    for (ours, theirs) in rows.iter().zip(&their_rows) {
+        assert_eq!(shape(ours), shape(theirs));
+        assert_eq!(ours.split_once(' ').map(|s| s.0), theirs.split_once(' ').map(|s| s.0));
+    }
+    for key in [
+        "# Histogram",
+        "# Total:",
+        "# Min Latencies:",
+        "# Avg Latencies:",
+        "# Max Latencies:",
+        "# Histogram Overflows:",
+    ] {
+        let line = |text: &str| text.lines().find(|l| l.starts_with(key)).map(shape);
+        assert!(line(&theirs).is_some(), "{key} in cyclictest's output:\n{theirs}");
+        assert_eq!(line(&histogram), line(&theirs), "{key}");
+    }
+    let plain = Command::new("cyclictest").args(["-q", "-l", "20", "-i", "1000", "-t", "3"]).output();
+    let plain = text(&plain.expect("it ran a moment ago"));
+    let thread = |text: &str| text.lines().find(|l| l.starts_with("T: 0")).map(shape);
+    assert_eq!(thread(&out), thread(&plain));
+}
+
+#[test]
+fn a_duration_without_a_unit_is_a_usage_error() {
+    let out = latency(&["--duration", "soon"]);
+    assert_eq!(out.status.code(), Some(2));
+}
