@@ -15,6 +15,12 @@ const DECISIVE: f64 = 3.0;
 /// Log odds by which a shape without a name must beat the best named explanation.
 const SHAPE_DECISIVE: f64 = 3.0;
 
+/// An effect that changes the root mean square by less than this share of the whole gap is not worth a name: on a real
+/// machine everything shows a little of everything.
+const WORTH: f64 = 0.015;
+/// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
+const EXPLAINED: f64 = 0.15;
+
 /// Another explanation of the same thing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rival {
@@ -260,16 +266,27 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     let level = level / 2.0;
     let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
     // What does not stand out from chance goes, weakest first.
+    let whole = rms(&search.residual(&search.empty()).0);
     let mut evidence: Vec<f64>;
     loop {
         evidence = (0..named.members.len()).map(|i| named.score - search.without(&named, i).score).collect();
+        let now = rms(&search.residual(&named).0);
+        let worth: Vec<f64> =
+            (0..evidence.len()).map(|i| rms(&search.residual(&search.without(&named, i)).0) - now).collect();
+        let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]));
+        if let Some(w) = least.filter(|w| worth[*w] < WORTH * whole) {
+            named = search.without(&named, w);
+            continue;
+        }
         let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
         match weakest {
             Some(w) if chance.named.tail(evidence[w]) > level => named = search.without(&named, w),
             _ => break,
         }
     }
-    let unexplained: Vec<Shape> = if any.score > named.score + SHAPE_DECISIVE {
+    let left = rms(&search.residual(&named).0);
+    let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
+    let unexplained: Vec<Shape> = if !mostly && any.score > named.score + SHAPE_DECISIVE {
         let gain = any.score - named.score;
         let real = chance.any.tail(gain) <= level;
         any.members

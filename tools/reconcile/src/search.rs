@@ -617,9 +617,7 @@ impl<'p, 'r> Search<'p, 'r> {
     /// Whether an offer repeats what a set has: the same hypothesis, unless it may stand twice.
     fn repeats(&self, set: &Set, offer: &Offer) -> bool {
         let may = |name: &str| {
-            ["screw_periodic", "subdivision", "lost_counts", "form_bump", "probe_lobing"]
-                .iter()
-                .any(|l| name.starts_with(l))
+            ["screw_periodic", "subdivision", "form_bump", "probe_lobing"].iter().any(|l| name.starts_with(l))
         };
         set.members.iter().any(|m| {
             let (a, b) = (&self.all.list[m.hypothesis], &self.all.list[offer.hypothesis]);

@@ -1,6 +1,6 @@
 //! From the analysis to the document, the better model and the figures of the gap.
 
-use crate::analysis::{Answer, Finding, Tried};
+use crate::analysis::{Answer, Finding, Rival, Tried};
 use crate::fit::{self, Term};
 use crate::hypotheses::Shape;
 use crate::problem::{Stack, known, rms};
@@ -9,7 +9,7 @@ use crate::{Options, SEED};
 use rtec_driver::input::InputError;
 use rtec_model::effect::{Against, Difference, Effect, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Kind, Record, Role};
 use serde_json::{Map, Value, json};
 
 /// How far measured and simulated are apart, for the responses of one unit.
@@ -156,6 +156,7 @@ pub fn reconcile(
     for (f, t) in answer.findings.iter_mut().zip(&terms[file.len()..]) {
         f.effect = whole_counts(&t.effect, train, &t.half);
     }
+    warm_plate(&mut answer.findings, train);
     let mut model = machine.clone();
     let mut refined = Vec::new();
     for (e, before) in file.iter().enumerate().filter(|(e, _)| moved[*e]) {
@@ -203,6 +204,24 @@ pub fn reconcile(
         level: options.level,
         phi: answer.phi,
     })
+}
+
+/// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
+/// not at 20 °C.
+fn warm_plate(findings: &mut [Finding], train: &[Record]) {
+    let silent = train
+        .iter()
+        .all(|r| matches!(r.kind, Kind::Plate | Kind::Part) && r.column(&Role::Temperature).is_none());
+    let ppm: Vec<f64> =
+        findings.iter().filter(|f| f.effect.card().name == "scale").map(|f| f.effect.scalar(0)).collect();
+    let (lo, hi) = ppm.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+    if !silent || ppm.len() < 2 || lo * hi <= 0.0 || (hi - lo).abs() > 0.5 * lo.abs().max(hi.abs()) {
+        return;
+    }
+    for f in findings.iter_mut().filter(|f| f.effect.card().name == "scale") {
+        let name = format!("thermal_expansion.{}", f.effect.axes()[0]);
+        f.rivals.push(Rival { name, sensor: None, margin: 0.0 });
+    }
 }
 
 /// Lost counts are whole ones: rounded where the interval allows.
