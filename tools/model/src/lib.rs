@@ -9,6 +9,7 @@
 //! | [`chain`] | the other way to build a model: error components of each joint, combined by homogeneous transforms |
 //! | [`fit`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
 //! | [`sensors`] | temperatures through what Linux offers, each watched |
+//! | [`rehearse`] | a recorded shift replayed against a new model |
 //! | [`iso230`], [`plate`] | evaluations as the standards define them |
 //! | [`import`] | other tools' files as run records |
 //! | [`plot`] | charts as SVG |
@@ -26,4 +27,5 @@ pub mod machine;
 pub mod plate;
 pub mod plot;
 pub mod record;
+pub mod rehearse;
 pub mod sensors;

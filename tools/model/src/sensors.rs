@@ -10,7 +10,7 @@
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
 use crate::document::Table;
-use crate::record::{Record, Role};
+use crate::record::Record;
 use rtec_driver::input::InputError;
 use std::collections::BTreeMap;
 use std::fs;
@@ -516,13 +516,6 @@ pub fn read_by<'e>(effects: impl IntoIterator<Item = &'e crate::effect::Effect>)
     names.sort();
     names.dedup();
     names
-}
-
-/// Columns of role temperature that a record lacks for a model, in order.
-#[must_use]
-pub fn lacking(names: &[String], record: &Record) -> Vec<String> {
-    let has: Vec<&str> = record.names(&Role::Temperature).collect();
-    names.iter().filter(|n| !has.contains(&n.as_str())).cloned().collect()
 }
 
 #[cfg(test)]
