@@ -94,6 +94,11 @@ pub struct Dropped {
     pub with: String,
     /// Its own γ.
     pub gamma: f64,
+    /// γ of its lagged difference.
+    pub gamma_lagged: f64,
+    /// Range of the sensor, K.
+    #[serde(rename = "range_K")]
+    pub range_k: f64,
 }
 
 /// One round of the refit.
@@ -971,6 +976,8 @@ fn fit_response(
                     alpha: *alpha,
                     with: kept[*with].sensor.clone(),
                     gamma: own.gamma,
+                    gamma_lagged: own.gamma_lagged,
+                    range_k: own.range_k,
                 }
             })
             .collect(),
@@ -1209,9 +1216,9 @@ impl Report {
     pub fn chart(&self) -> Chart {
         let mut all: Vec<(String, f64, f64)> =
             self.kept.iter().map(|k| (k.sensor.clone(), k.gamma_lagged, k.range_k)).collect();
-        all.extend(self.dropped.iter().map(|d| (format!("({})", d.sensor), d.gamma, f64::NAN)));
+        all.extend(self.dropped.iter().map(|d| (format!("({})", d.sensor), d.gamma_lagged, d.range_k)));
         all.sort_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-        let widest = all.iter().map(|a| a.2).filter(|v| v.is_finite()).fold(1e-9, f64::max);
+        let widest = all.iter().map(|a| a.2).fold(1e-9, f64::max);
         let title = format!(
             "{}: correlation γ (up) and temperature range (down); in brackets: redundant",
             self.response

@@ -11,6 +11,7 @@
 //! | [`sensors`] | temperatures through what Linux offers, each watched |
 //! | [`rehearse`] | a recorded shift replayed against a new model |
 //! | [`iso230`], [`plate`] | evaluations as the standards define them |
+//! | [`plan`] | the test sequence a machine is characterised with |
 //! | [`import`] | other tools' files as run records |
 //! | [`plot`] | charts as SVG |
 //! | [`document`], [`date`] | TOML tables read with line and column; calendar days |
@@ -24,6 +25,7 @@ pub mod import;
 pub mod iso230;
 pub mod live;
 pub mod machine;
+pub mod plan;
 pub mod plate;
 pub mod plot;
 pub mod record;
