@@ -28,7 +28,7 @@ impl Motion {
     const fn pace(self) -> (u64, u64) {
         match self {
             Self::Still => (100, u64::MAX),
-            Self::Moving => (2000, 1),
+            Self::Moving => (100, 1),
             Self::Correcting => (100, 32),
         }
     }
