@@ -86,7 +86,20 @@ pub struct Batch {
 /// # Errors
 /// A bad file; a place measured twice on one part; fewer than three parts at a place.
 pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
-    let series = read(file)?;
+    evaluate_text(file, &crate::sheet::read_text(file)?, seen, judgement)
+}
+
+/// As [`evaluate`], from text already in memory; `file` only names it.
+///
+/// # Errors
+/// As [`evaluate`].
+pub fn evaluate_text(
+    file: &Path,
+    text: &str,
+    seen: Option<&[PointError]>,
+    judgement: Judgement,
+) -> Result<Batch, InputError> {
+    let series = read(file, text)?;
     let mut places: Vec<Place> = series.iter().map(|s| statistics(s, seen)).collect();
     let means: Vec<f64> = places.iter().map(|p| p.p_value).collect();
     let trends: Vec<f64> = places.iter().map(|p| p.trend_p_value).collect();
@@ -115,9 +128,9 @@ pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) 
     Ok(Batch { places, offer_table, offers })
 }
 
-fn read(file: &Path) -> Result<Vec<Series>, InputError> {
+fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
     let known = ["part", "feature", "angle_rad", "error_um", "nominal_mm", "measured_mm"];
-    let sheet = Sheet::read(file, &known, |_| false)?;
+    let sheet = Sheet::parse(file, text, &known, |_| false)?;
     let (parts, features) = (sheet.words("part")?, sheet.words("feature")?);
     let angles = sheet.optional("angle_rad")?;
     let errors = if let Some(errors) = sheet.optional("error_um")? {

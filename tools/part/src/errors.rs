@@ -112,11 +112,19 @@ impl Probed {
     /// # Errors
     /// As [`Sheet::read`]; a direction without length; one approach column without the other.
     pub fn read(file: &Path) -> Result<Self, InputError> {
+        Self::parse(file, &crate::sheet::read_text(file)?)
+    }
+
+    /// As [`Probed::read`], from text already in memory; `file` only names it.
+    ///
+    /// # Errors
+    /// As [`Probed::read`].
+    pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
         let known = ["z_mm", "x_mm", "approach_z", "approach_x", "point", "t_s", "uncertainty_um", "feature"];
         let is_sensor = |name: &str| {
             name.strip_prefix('T').is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
         };
-        let sheet = Sheet::read(file, &known, is_sensor)?;
+        let sheet = Sheet::parse(file, text, &known, is_sensor)?;
         let pair = |z: &str, x: &str| -> Result<Vec<Zx>, InputError> {
             Ok(sheet.numbers(z)?.into_iter().zip(sheet.numbers(x)?).map(|(z, x)| Zx::new(z, x)).collect())
         };

@@ -349,11 +349,42 @@ pub fn pathfin(records: &[Record], unit: Unit) -> String {
     })
 }
 
+/// Read a file of expected trips (`probpath.cdl`): where the tip's centre is at the trip of each gauging point.
+///
+/// # Errors
+/// A line that is no touch record, gauging points out of sequence, or none at all.
+pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
+    let records = read_records(file, unit)?;
+    if let Some(i) = records.iter().position(|r| !matches!(r.role, Role::Touch(_))) {
+        return Err(InputError::at(
+            file,
+            i + 1,
+            1,
+            "a record that is no touch",
+            "the expected trips, as touches",
+        ));
+    }
+    Ok(records.into_iter().map(|r| r.at).collect())
+}
+
 /// Read a path file.
 ///
 /// # Errors
 /// A line that is no record, gauging points out of sequence, or no record at all.
 pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
+    let records = read_records(file, unit)?;
+    let order = |i: usize| records.get(i).map(|r: &Record| r.role);
+    for (i, r) in records.iter().enumerate() {
+        let touch_is_embraced = !matches!(r.role, Role::Touch(_))
+            || i > 0 && order(i - 1) == Some(Role::Start) && order(i + 1) == Some(Role::Finish);
+        if !touch_is_embraced {
+            return Err(InputError::at(file, i + 1, 0, "a touch", "start, touch and finish in this order"));
+        }
+    }
+    Ok(records)
+}
+
+fn read_records(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
     let mut records = Vec::new();
     let mut touches = 0;
     for (i, line) in read_text(file)?.lines().enumerate() {
@@ -384,14 +415,6 @@ pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> 
             rest.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         let Some([z, x, _]) = numbers.as_deref() else { return bad(line.trim(), form) };
         records.push(Record { role, at: Zx::new(*z, *x) * unit.0 });
-    }
-    let order = |i: usize| records.get(i).map(|r: &Record| r.role);
-    for (i, r) in records.iter().enumerate() {
-        let touch_is_embraced = !matches!(r.role, Role::Touch(_))
-            || i > 0 && order(i - 1) == Some(Role::Start) && order(i + 1) == Some(Role::Finish);
-        if !touch_is_embraced {
-            return Err(InputError::at(file, i + 1, 0, "a touch", "start, touch and finish in this order"));
-        }
     }
     if touches == 0 {
         return Err(InputError::whole(file, "no gauging point", "start, touch, finish for each point"));

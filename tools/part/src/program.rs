@@ -194,6 +194,12 @@ impl Parameters {
         Ok(())
     }
 
+    /// Machine positions that nobody has set: a program that moves to them is not ready for a machine.
+    pub fn untold(&self) -> impl Iterator<Item = &'static str> {
+        let positions = PARAMETERS.iter().filter(|p| matches!(p.number, 13 | 19 | 22 | 23));
+        positions.filter(|p| self.get(p.number) == p.default).map(|p| p.name)
+    }
+
     fn get(&self, number: u32) -> &str {
         self.0.get(&number).map_or("", String::as_str)
     }

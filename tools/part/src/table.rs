@@ -223,7 +223,7 @@ pub struct Holding {
 }
 
 /// Share of an increment that the wanted value must pass the boundary by.
-const HYSTERESIS: f64 = 0.1;
+const HYSTERESIS: f64 = 0.02;
 
 impl Holding {
     /// The total to request for an error.

@@ -84,12 +84,12 @@ fn totals_are_asked_where_the_tool_will_be() {
 #[test]
 fn a_trembling_position_sends_no_counts() {
     let mut held = Holding::default();
-    assert_eq!(held.request(&ORIGINAL, 2.2), 0, "just past the boundary");
-    assert_eq!(held.request(&ORIGINAL, 2.5), 4);
-    for error in [1.9, 2.1, 1.8] {
+    assert_eq!(held.request(&ORIGINAL, 2.05), 0, "just past the boundary");
+    assert_eq!(held.request(&ORIGINAL, 2.1), 4);
+    for error in [1.95, 2.05, 1.93] {
         assert_eq!(held.request(&ORIGINAL, error), 4, "{error}");
     }
-    assert_eq!(held.request(&ORIGINAL, 1.5), 0);
+    assert_eq!(held.request(&ORIGINAL, 1.9), 0);
 }
 
 #[test]

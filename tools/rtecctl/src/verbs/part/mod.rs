@@ -1,12 +1,19 @@
 //! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854). One file per step.
 
+mod bench;
 mod errors;
 mod features;
+mod finish;
+mod inspect;
 mod points;
 mod post_process;
+mod probe;
 mod program;
+mod run;
 mod table;
 
+use crate::Outcome;
+use rtec_part::experiment::ExperimentError;
 use std::path::Path;
 
 /// Probe a part and compensate its errors: the steps of the process-intermittent and post-process loops
@@ -22,9 +29,13 @@ enum Step {
     Features(Box<features::Args>),
     Points(Box<points::Args>),
     Program(Box<program::Args>),
+    Probe(Box<probe::Args>),
     Errors(Box<errors::Args>),
     Table(Box<table::Args>),
+    Finish(Box<finish::Args>),
+    Inspect(Box<inspect::Args>),
     PostProcess(Box<post_process::Args>),
+    Run(Box<run::Args>),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -32,9 +43,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Step::Features(args) => features::run(args),
         Step::Points(args) => points::run(args),
         Step::Program(args) => program::run(args),
+        Step::Probe(args) => probe::run(args),
         Step::Errors(args) => errors::run(args),
         Step::Table(args) => table::run(args),
+        Step::Finish(args) => finish::run(args),
+        Step::Inspect(args) => inspect::run(args),
         Step::PostProcess(args) => post_process::run(args),
+        Step::Run(args) => run::run(args),
     }
 }
 
@@ -64,4 +79,15 @@ fn print(text: &str) -> anyhow::Result<()> {
 /// A usage finding that clap cannot express: exit code 2.
 fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> anyhow::Error {
     rtec_driver::input::InputError::whole(Path::new(argument), found, expected).into()
+}
+
+/// An experiment's failure with its exit code: bad points are bad input, a latched fault is a fault, a trip that is
+/// not as planned is a no.
+fn failed(error: ExperimentError) -> anyhow::Error {
+    match error {
+        ExperimentError::Points(input) => input.into(),
+        ExperimentError::Fault(_) => Outcome::Fault(error.to_string()).into(),
+        ExperimentError::Trip(_) => Outcome::No(error.to_string()).into(),
+        other => other.into(),
+    }
 }
