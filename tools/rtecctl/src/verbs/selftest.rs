@@ -175,6 +175,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// The highest edge rate at which an insertion still has time on an axis, with this machine's latency.
 fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
+    if measured.edge_to_done.ns.samples() == 0 {
+        return None; // nothing is known
+    }
     let axis = AxisConfig { detect_ns, write_ns: measured.write_ns(), ..axis };
     axis.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
 }
@@ -190,8 +193,13 @@ fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
         format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
     }));
     if measured.edge_to_done.ns.samples() == 0 {
-        let why = if measured.far.is_some() { "no insertion was seen" } else { "it needs a second CPU" };
+        let why = if measured.far.is_some() {
+            "no insertion was seen"
+        } else {
+            "a polling loop needs a second CPU"
+        };
         reasons.push(format!("edge to done was not measured: {why}"));
+        return reasons;
     }
     if !measured.balanced() {
         reasons.push("the ledger does not balance".into());
