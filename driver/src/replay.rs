@@ -18,38 +18,82 @@ impl<F: FnMut(u64, State)> Listener for F {
     }
 }
 
+/// What stands between the scale and the MTC: how A' and B' come from A and B and the two output lines of an axis.
+pub trait Gates: Copy {
+    /// A' and B'. `outputs`: bit 0 the line of A, bit 1 the line of B.
+    fn out(self, scale: State, outputs: u8) -> State;
+
+    /// The output lines with which A' = A and B' = B.
+    fn transparent(self, scale: State) -> u8;
+}
+
+/// An XOR gate per signal (NISTIR 4832, Design C).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Xor;
+
+impl Gates for Xor {
+    #[inline]
+    fn out(self, scale: State, outputs: u8) -> State {
+        scale.inverted(outputs)
+    }
+
+    fn transparent(self, _scale: State) -> u8 {
+        0
+    }
+}
+
+/// No gate: the output lines are A' and B' themselves (NISTIR 4832, Design B).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Through;
+
+impl Gates for Through {
+    #[inline]
+    fn out(self, _scale: State, outputs: u8) -> State {
+        State::from_bits(outputs)
+    }
+
+    fn transparent(self, scale: State) -> u8 {
+        scale.bits()
+    }
+}
+
 /// Plays a trace to the engine as axis 0 of the standard layout, and what comes out to a listener.
 ///
 /// Changes carry their own times, writes are in effect at the time of the look before them: the order of edges and
 /// inversions is always certain here.
 #[derive(Debug)]
-pub struct ReplayCard<T, L> {
+pub struct ReplayCard<T, L, G = Xor> {
+    gates: G,
     trace: T,
     listener: L,
     next: Option<TracePoint>,
     error: Option<InputError>,
     t_ns: u64,
     scale: State,
+    /// A' and B' as they stand.
+    sent: State,
     outputs: u64,
     edges: u64,
 }
 
-impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener> ReplayCard<T, L> {
+impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> ReplayCard<T, L, G> {
     /// Reads the initial state. An empty trace stands for an axis at rest at A = B = low.
     ///
     /// # Errors
     /// When the first row is bad.
-    pub fn new(mut trace: T, mut listener: L) -> Result<Self, InputError> {
+    pub fn new(gates: G, mut trace: T, mut listener: L) -> Result<Self, InputError> {
         let first = trace.next().transpose()?.unwrap_or(TracePoint { t_ns: 0, state: State::default() });
         listener.changed(first.t_ns, first.state);
         let mut card = Self {
+            gates,
             trace,
             listener,
             next: None,
             error: None,
             t_ns: first.t_ns,
             scale: first.state,
-            outputs: 0,
+            sent: first.state,
+            outputs: u64::from(gates.transparent(first.state)),
             edges: 0,
         };
         card.advance();
@@ -85,11 +129,11 @@ impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener> ReplayCard
 
     #[inline]
     fn out(&self) -> State {
-        self.scale.inverted(AxisLines::standard(0, false).inverters(self.outputs))
+        self.gates.out(self.scale, AxisLines::standard(0, false).inverters(self.outputs))
     }
 }
 
-impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener> Card for ReplayCard<T, L> {
+impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> Card for ReplayCard<T, L, G> {
     #[inline]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         let mut edge_ns = None;
@@ -99,8 +143,11 @@ impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener> Card for R
                 edge_ns = Some(point.t_ns);
                 self.scale = point.state;
                 self.edges += 1;
-                let out = self.out();
-                self.listener.changed(point.t_ns, out);
+                let before = self.sent;
+                self.sent = self.out();
+                if self.sent != before {
+                    self.listener.changed(point.t_ns, self.sent);
+                }
                 self.advance();
             }
             // A bad row ends the replay where it stands, not at the engine's next appointment.
@@ -112,11 +159,11 @@ impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener> Card for R
 
     #[inline]
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
-        let before = self.out();
+        let before = self.sent;
         self.outputs = self.outputs & !mask | value & mask;
-        let after = self.out();
-        if after != before {
-            self.listener.changed(self.t_ns, after);
+        self.sent = self.out();
+        if self.sent != before {
+            self.listener.changed(self.t_ns, self.sent);
         }
         Ok(Some(self.t_ns))
     }
@@ -135,7 +182,8 @@ mod tests {
         let points = [(10, 0), (20, 1), (30, 3)]
             .map(|(t_ns, bits)| Ok(TracePoint { t_ns, state: State::from_bits(bits) }));
         let mut heard = Vec::new();
-        let mut card = ReplayCard::new(points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();
+        let mut card =
+            ReplayCard::new(Xor, points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();
         assert_eq!(card.sample(u64::MAX).unwrap().edge_ns, Some(20));
         assert_eq!(card.sample(25).unwrap(), Sample { t_ns: 25, inputs: 1, edge_ns: None });
         assert_eq!(card.write(1, 1).unwrap(), Some(25));

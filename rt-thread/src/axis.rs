@@ -534,6 +534,11 @@ impl Axis {
         if self.config.design == Design::C || self.wire.inverters != 0 { 1 } else { 2 }
     }
 
+    /// The Original RTEC inserts at A = B = low only.
+    fn place(&self) -> bool {
+        self.config.design != Design::Original || self.scale.state() == State::default()
+    }
+
     fn ready(&self) -> bool {
         let increment = if self.wire.inverters != 0 && self.config.design != Design::C {
             2
@@ -548,7 +553,7 @@ impl Axis {
         if !self.ready() || !permit.insert {
             return Insertion::Idle;
         }
-        if self.config.design == Design::Original && self.scale.state() != State::default() {
+        if !self.place() {
             self.shut = GateState::WaitingForEdge;
             return Insertion::Idle;
         }
@@ -579,8 +584,7 @@ impl Axis {
             Insertion::Idle => {
                 let RestPolicy::Insert { after_ns } = self.config.rest else { return 0 };
                 let quiet_since = self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns);
-                let low = self.config.design != Design::Original || self.scale.state() == State::default();
-                if look.permit.insert && low && self.ready() && t_ns >= quiet_since + after_ns {
+                if look.permit.insert && self.place() && self.ready() && t_ns >= quiet_since + after_ns {
                     return self.invert_first(self.pending() > 0, self.pairs(), t_ns, t_ns);
                 }
                 0
@@ -685,7 +689,7 @@ impl Axis {
             | Insertion::Between { effective_ns: Some(e), .. } => after(e),
             Insertion::Half { .. } | Insertion::Between { .. } => 0,
             Insertion::Idle => match self.config.rest {
-                RestPolicy::Insert { after_ns } if self.ready() => {
+                RestPolicy::Insert { after_ns } if self.ready() && self.place() => {
                     self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns) + after_ns
                 }
                 _ => u64::MAX,

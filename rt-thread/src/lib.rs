@@ -11,6 +11,7 @@
 //! | [`link`] | requests down, events up, status in a snapshot |
 //! | [`replay`] | the engine over a recording, and what the MTC would have counted |
 //! | [`selftest`] | this machine's latencies, measured with the real engine |
+//! | [`through`] | Design B: the signals pass through the computer |
 //! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
 //! | [`snapshot`] | the latest state, for a reader that never stops the writer |
 //! | [`thread`] | the pinned thread and its loop |
@@ -27,3 +28,4 @@ pub mod selftest;
 pub mod setup;
 pub mod snapshot;
 pub mod thread;
+pub mod through;

@@ -2,11 +2,11 @@
 
 use crate::axis::AxisConfig;
 use crate::engine::{Engine, MachineConfig, StartError};
-use crate::event::{EventKind, Fault, Refusal};
-use rtec_driver::card::{AxisLines, CardError, MachineLines};
+use crate::event::{AxisStatus, Event, EventKind, Fault, Refusal, Request};
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
 use rtec_driver::input::InputError;
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_driver::replay::{Listener, ReplayCard};
+use rtec_driver::replay::{Gates, Listener, ReplayCard, Xor};
 use rtec_driver::trace::{Request as Total, TracePoint};
 use serde::Serialize;
 
@@ -81,7 +81,8 @@ pub enum ReplayError {
 }
 
 /// The MTC's side: decodes what it is sent, and passes it on.
-struct Mtc<L> {
+#[derive(Debug)]
+pub struct Mtc<L> {
     decoder: Option<Decoder>,
     last_ns: Option<u64>,
     min_separation_ns: Option<u64>,
@@ -106,6 +107,84 @@ impl<L: Listener> Listener for Mtc<L> {
     }
 }
 
+/// One corrected axis, homed: what a replay, or a comparison of designs, drives. [`Engine`] is one for the designs on XOR
+/// gates, [`crate::through::Through`] one for Design B.
+pub trait Corrector {
+    /// One look at the card and everything that follows from it; a card that can wait does so at most until `by_ns`.
+    ///
+    /// # Errors
+    /// When the card fails.
+    fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError>;
+
+    /// Takes a new total, counts.
+    ///
+    /// # Errors
+    /// When the card fails.
+    fn correct<C: Card>(
+        &mut self,
+        total_counts: i64,
+        large: bool,
+        card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError>;
+
+    /// The axis at this moment.
+    fn axis(&self) -> AxisStatus;
+
+    /// The card's time of the last look, ns.
+    fn now_ns(&self) -> u64;
+}
+
+impl Corrector for Engine {
+    fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        Engine::poll(self, card, by_ns, tell)
+    }
+
+    fn correct<C: Card>(
+        &mut self,
+        total_counts: i64,
+        large: bool,
+        card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        self.take(Request::Correct { axis: 0, total_counts, large }, card, tell)
+    }
+
+    fn axis(&self) -> AxisStatus {
+        self.status().axes[0]
+    }
+
+    fn now_ns(&self) -> u64 {
+        Engine::now_ns(self)
+    }
+}
+
+/// An engine of one axis on `card`, homed where it stands, corrections enabled.
+///
+/// # Errors
+/// When the axis cannot be corrected as configured.
+pub fn homed_engine<C: Card>(
+    config: AxisConfig,
+    card: &mut C,
+    tell: &mut impl FnMut(Event) -> bool,
+) -> Result<Engine, StartError> {
+    let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let mut engine = Engine::new(card, &[config], machine, &[])?;
+    engine.start_homed(card, tell)?;
+    Ok(engine)
+}
+
 /// Plays `trace` with `totals` to the engine as one homed axis; `to` hears every change that the MTC sees.
 /// `large` flags every request as meant, whatever its size. Memory does not grow with the trace.
 ///
@@ -123,13 +202,34 @@ where
     R: Iterator<Item = Result<Total, InputError>>,
     L: Listener,
 {
-    let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
+    let start = |card: &mut ReplayCard<T, Mtc<L>>| homed_engine(config, card, &mut |_| true);
+    replay_with(Xor, start, trace, totals, large, to)
+}
+
+/// As [`replay`], with another design: `start` makes its corrector on a card with these gates.
+///
+/// # Errors
+/// At the first bad row, or when `start` fails.
+pub fn replay_with<G, M, T, R, L>(
+    gates: G,
+    start: impl FnOnce(&mut ReplayCard<T, Mtc<L>, G>) -> Result<M, StartError>,
+    trace: T,
+    totals: R,
+    large: bool,
+    to: L,
+) -> Result<(Outcome, L), ReplayError>
+where
+    G: Gates,
+    M: Corrector,
+    T: Iterator<Item = Result<TracePoint, InputError>>,
+    R: Iterator<Item = Result<Total, InputError>>,
+    L: Listener,
+{
     let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
-    let mut card = ReplayCard::new(trace, mtc)?;
-    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
-    let mut engine = Engine::new(&mut card, &[config], machine, &[])?;
+    let mut card = ReplayCard::new(gates, trace, mtc)?;
+    let mut corrector = start(&mut card)?;
     let mut outcome = Outcome::default();
-    let mut tell = |event: crate::event::Event| {
+    let mut tell = |event: Event| {
         match event.kind {
             EventKind::Refused { total_counts, why } => {
                 outcome.refused.push(Refused { t_ns: event.t_ns, requested: total_counts, why });
@@ -139,16 +239,14 @@ where
         }
         true
     };
-    engine.start_homed(&mut card, &mut tell).map_err(StartError::Card)?;
     let mut totals = totals;
     let mut next = totals.next().transpose()?;
     loop {
-        while let Some(total) = next.filter(|t| t.t_ns <= engine.now_ns()) {
-            let request = crate::event::Request::Correct { axis: 0, total_counts: total.requested, large };
-            engine.take(request, &mut card, &mut tell).map_err(StartError::Card)?;
+        while let Some(total) = next.filter(|t| t.t_ns <= corrector.now_ns()) {
+            corrector.correct(total.requested, large, &mut card, &mut tell).map_err(StartError::Card)?;
             next = totals.next().transpose()?;
         }
-        match engine.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut tell) {
+        match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut tell) {
             Ok(()) => {}
             Err(CardError::Ended) => break,
             Err(error) => return Err(StartError::Card(error).into()),
@@ -157,7 +255,7 @@ where
     if let Some(error) = card.take_error() {
         return Err(error.into());
     }
-    let axis = engine.status().axes[0];
+    let axis = corrector.axis();
     outcome.edges = card.edges();
     let mtc = card.into_listener();
     let decoder = mtc.decoder.unwrap_or_default();

@@ -152,6 +152,13 @@ impl Measured {
         )
     }
 
+    /// Time of one write until the next look, ns: half of what an insertion took beyond the separations that it has to
+    /// keep, but for one in ten thousand. Rarer delays are in [`Self::detect_ns`].
+    #[must_use]
+    pub fn write_ns(&self) -> u64 {
+        self.seen_to_done.p9999().saturating_sub(self.separations_ns()).div_ceil(2)
+    }
+
     /// The part of edge to done that is wanted: the MTC's separation after the edge, and between the two inversions.
     #[must_use]
     pub fn separations_ns(&self) -> u64 {
@@ -252,7 +259,7 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
     mut progress: impl FnMut(&str, u64),
 ) -> Result<Measured, SelftestError> {
     // Everything but the real-time thread leaves its CPU; threads started from here do as this one does.
-    let second_cpu = setup::leave(options.cpu);
+    let left = setup::leave(options.cpu);
     let wakeup = measure_wake_ups(options, &mut progress)?;
 
     // The far side keeps its dwell time and waits for each insertion: the last period alone decides.
@@ -268,8 +275,9 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
     let (mut done, done_reader) = histogram();
     std::thread::scope(|scope| {
         let _end = AtEnd(&between);
-        let far_side = second_cpu
-            .then(|| {
+        let far_side = left
+            .as_ref()
+            .map(|_| {
                 std::thread::Builder::new()
                     .name("far-side".into())
                     .spawn_scoped(scope, || play(&mut far, &between, &mut done, options.seed))

@@ -573,14 +573,29 @@ pub fn apply(system: &System, wanted: Wanted) -> (Held, Report) {
     (Held { _cpu_dma_latency: cpu_dma_latency }, report)
 }
 
-/// Takes the calling thread, and those it starts from now on, off `cpu`, so that nothing there competes with the
-/// real-time thread. `false` when no other CPU is left to it: then it stays.
+/// The calling thread and those it starts stay off a CPU until this is dropped.
+#[derive(Debug)]
+#[must_use = "the thread may run everywhere again as soon as this is dropped"]
+pub struct Left {
+    before: nix::sched::CpuSet,
+}
+
+/// Takes the calling thread, and those it starts meanwhile, off `cpu`, so that nothing there competes with the
+/// real-time thread. `None` when no other CPU is left to it: then it stays.
 #[must_use]
-pub fn leave(cpu: usize) -> bool {
+pub fn leave(cpu: usize) -> Option<Left> {
     let me = nix::unistd::Pid::from_raw(0);
-    let Ok(mut set) = nix::sched::sched_getaffinity(me) else { return false };
-    let _ = set.unset(cpu); // a CPU that cannot be in the set is not in it
-    nix::sched::sched_setaffinity(me, &set).is_ok()
+    let before = nix::sched::sched_getaffinity(me).ok()?;
+    let mut others = before;
+    let _ = others.unset(cpu); // a CPU that cannot be in the set is not in it
+    nix::sched::sched_setaffinity(me, &others).ok().map(|()| Left { before })
+}
+
+impl Drop for Left {
+    fn drop(&mut self) {
+        // It was allowed a moment ago; where it no longer is, the thread stays where it is.
+        let _ = nix::sched::sched_setaffinity(nix::unistd::Pid::from_raw(0), &self.before);
+    }
 }
 
 fn scheduler(priority: u8) -> Finding {

@@ -460,7 +460,7 @@ fn read_lines(
             let expected = "no lines: the mock and the replay have theirs in fixed places";
             source.finding(section.offset, format!("lines of {owner}"), expected);
         }
-        return Some(AxisLines::standard(n, false));
+        return Some(AxisLines::standard(n, card.kind == Some(Kind::Mock)));
     }
     let meaning = "{ a = \"in0\", b = \"in1\", invert_a = \"out0\", invert_b = \"out1\" }";
     if !section.has("lines") {

@@ -345,6 +345,9 @@ impl Happened {
     pub fn of(event: &Event, axis: Option<(&str, f64)>) -> Self {
         let mut trip = None;
         let (kind, text) = match event.kind {
+            EventKind::Refused { total_counts: 0, why } => {
+                ("refused", format!("refused: {}", explain_refusal(why)))
+            }
             EventKind::Refused { total_counts, why } => {
                 ("refused", format!("{total_counts:+} counts refused: {}", explain_refusal(why)))
             }

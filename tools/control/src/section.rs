@@ -266,5 +266,6 @@ fn shown(text: &str, key: &str, span: &Range<usize>) -> String {
 pub(crate) fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     let scored = words.iter().map(|w| (strsim::damerau_levenshtein(word, w), *w));
     let (distance, near) = scored.min_by_key(|(d, _)| *d)?;
-    (distance <= 1 + word.chars().count() / 4).then_some(near)
+    let length = word.chars().count();
+    (distance < length && distance <= 1 + length / 4).then_some(near)
 }

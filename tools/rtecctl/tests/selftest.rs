@@ -15,6 +15,12 @@ fn text(out: &Output) -> String {
     String::from_utf8(out.stdout.clone()).expect("UTF-8")
 }
 
+/// Says loudly that something could not be compared; with `RTEC_REQUIRE=1` that is a failure.
+fn skipped(why: &str) {
+    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
+    eprintln!("SKIPPED: {why}");
+}
+
 /// What a line looks like: every number as one 9, every run of blanks as it may vary with the numbers' width.
 fn shape(line: &str) -> String {
     let mut shape = String::new();
@@ -47,7 +53,7 @@ fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed
         assert!(safe.is_f64() || safe.is_null() && verdict == "fail");
         assert!(document["wakeup_ns"]["samples"].as_u64() > Some(0));
         if document["far_side"].is_null() {
-            eprintln!("SKIPPED: one CPU only, so nobody can play the machine while the engine polls");
+            skipped("one CPU only, so nobody can play the machine while the engine polls");
             continue;
         }
         assert_eq!(document["ledger_balanced"], true);
@@ -87,7 +93,7 @@ fn text_and_histogram_file_have_the_shape_of_cyclictest() {
 
     let arguments = ["-q", "-l", "20", "-i", "1000", "-t", "3", "-h", "400"];
     let Ok(cyclictest) = Command::new("cyclictest").args(arguments).output() else {
-        eprintln!("SKIPPED: cyclictest (Debian rt-tests) is not there to be compared with");
+        skipped("cyclictest (Debian rt-tests) is not there to be compared with");
         return;
     };
     let theirs = text(&cyclictest);
@@ -113,6 +119,26 @@ fn text_and_histogram_file_have_the_shape_of_cyclictest() {
     let plain = text(&plain.expect("it ran a moment ago"));
     let thread = |text: &str| text.lines().find(|l| l.starts_with("T: 0")).map(shape);
     assert_eq!(thread(&out), thread(&plain));
+}
+
+#[test]
+fn the_configuration_s_axes_have_their_own_rates() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let file = dir.path().join("rtec.toml");
+    let text = include_str!("../../control/src/default.toml");
+    std::fs::write(&file, text).expect("a writable directory");
+    let names: Vec<String> =
+        rtec_control::config::Config::embedded().axes.into_iter().map(|a| a.name).collect();
+    let out = latency(&["--json", "--config", file.to_str().expect("UTF-8")]);
+    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let rates = document["max_safe_edge_rate_hz"].as_object().expect("an object");
+    assert!(names.iter().all(|name| rates.contains_key(name)) && rates.len() == names.len(), "{rates:?}");
+    assert!(document["rt"]["detect_ns"].is_u64() && document["rt"]["write_ns"].is_u64());
+
+    std::fs::write(&file, "[machine]\nnmae = \"x\"\n").expect("a writable directory");
+    let out = latency(&["--config", file.to_str().expect("UTF-8")]);
+    assert_eq!(out.status.code(), Some(2));
+    assert!(out.stdout.is_empty() && String::from_utf8_lossy(&out.stderr).contains("rtec.toml:2"));
 }
 
 #[test]

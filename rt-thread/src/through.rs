@@ -1,0 +1,204 @@
+//! Design B (NISTIR 4832): A and B pass through the computer, which may add or leave out single counts on the way.
+//!
+//! A' and B' are driven, not gated: the state for scale count n and total c is that of count n + c. Real edges and
+//! inserted steps go out one after the other, each with the MTC's separation before it. What the computer does not look
+//! at in time is lost, and when it stops the MTC sees an axis at rest.
+
+use crate::axis::{AxisConfig, RestPolicy};
+use crate::event::{AxisStatus, Event, EventKind, Fault, Faults, GateState, Refusal};
+use crate::gate::{Gate, GateInput};
+use crate::replay::Corrector;
+use rtec_driver::card::{Card, CardError};
+use rtec_driver::quadrature::{Decoder, State};
+
+/// One axis whose signals pass through the computer: homed at zero where it stands.
+#[derive(Debug)]
+pub struct Through {
+    config: AxisConfig,
+    gate: Gate,
+    scale: Decoder,
+    /// State of A' and B' and its count.
+    out: Decoder,
+    requested: i64,
+    completed: i64,
+    look_ns: u64,
+    last_edge_ns: Option<u64>,
+    period_ns: u64,
+    /// The last edge has opened the gate: a step may begin until then, ns.
+    open_until_ns: Option<u64>,
+    /// No further change of A' and B' before this, ns.
+    free_ns: u64,
+    /// No insertion before this, ns: the rate cap.
+    next_allowed_ns: u64,
+    insertions: u64,
+    waited_for_gate: u64,
+    faults: Faults,
+}
+
+impl Through {
+    /// Takes over the card as it stands. `None` where the configuration leaves no time for a step at any speed.
+    ///
+    /// # Errors
+    /// When the card cannot be read or written.
+    pub fn new<C: Card>(config: AxisConfig, card: &mut C) -> Result<Option<Self>, CardError> {
+        let Some(gate) = Self::gate(&config) else { return Ok(None) };
+        let sample = card.sample(0)?;
+        let state = config.lines.scale(sample.inputs);
+        let mut through = Self {
+            config,
+            gate,
+            scale: Decoder::new(state),
+            out: Decoder::new(state),
+            requested: 0,
+            completed: 0,
+            look_ns: sample.t_ns,
+            last_edge_ns: None,
+            period_ns: 0,
+            open_until_ns: None,
+            free_ns: sample.t_ns,
+            next_allowed_ns: sample.t_ns,
+            insertions: 0,
+            waited_for_gate: 0,
+            faults: Faults::NONE,
+        };
+        through.drive(state, card)?;
+        Ok(Some(through))
+    }
+
+    /// A step needs the edge passed on, the separation, the step and its separation.
+    #[must_use]
+    pub fn gate(config: &AxisConfig) -> Option<Gate> {
+        let step_ns = config.write_ns + config.min_separation_ns;
+        Gate::new(GateInput {
+            max_accel_counts_s2: config.max_accel_counts_s2,
+            hysteresis_counts: config.hysteresis_counts,
+            need_ns: (config.detect_ns + 2 * step_ns + config.guard_ns).max(1),
+        })
+    }
+
+    fn drive<C: Card>(&mut self, state: State, card: &mut C) -> Result<(), CardError> {
+        let lines = &self.config.lines;
+        let mask = 1 << lines.invert_a | 1 << lines.invert_b;
+        let value = u64::from(state.a()) << lines.invert_a | u64::from(state.b()) << lines.invert_b;
+        let done_ns = card.write(mask, value)?;
+        self.out.update(state);
+        self.free_ns = done_ns.unwrap_or(self.look_ns) + self.config.min_separation_ns;
+        Ok(())
+    }
+
+    fn fault(&mut self, fault: Fault, tell: &mut impl FnMut(Event) -> bool) {
+        if self.faults.latch(fault) {
+            tell(Event { t_ns: self.look_ns, axis: Some(0), kind: EventKind::Fault(fault) });
+        }
+    }
+
+    /// Scale count plus total: where the MTC should be.
+    fn due(&self) -> i64 {
+        self.scale.count() + self.completed
+    }
+
+    /// After an edge: until when may a step begin, so that the next edge cannot come before it is done?
+    fn open(&mut self, edge_ns: u64) -> Option<u64> {
+        let quiet_ns = self.gate.quiet_ns(self.period_ns);
+        if self.period_ns >= self.gate.min_period_ns() && quiet_ns >= self.gate.need_ns() {
+            return Some(edge_ns + quiet_ns - self.config.write_ns - self.config.min_separation_ns);
+        }
+        self.waited_for_gate += u64::from(self.pending());
+        None
+    }
+
+    fn pending(&self) -> bool {
+        self.requested != self.completed && !self.faults.any()
+    }
+
+    /// May a step be inserted now, with everything that came passed on?
+    fn due_now(&self) -> bool {
+        let quiet_since = self.last_edge_ns.unwrap_or(0).max(self.next_allowed_ns);
+        let rests = match self.config.rest {
+            RestPolicy::Insert { after_ns } => self.look_ns >= quiet_since + after_ns,
+            RestPolicy::Wait => false,
+        };
+        let open =
+            self.look_ns >= self.next_allowed_ns && self.open_until_ns.is_some_and(|t| self.look_ns <= t);
+        self.pending() && self.out.count() == self.due() && self.look_ns >= self.free_ns && (open || rests)
+    }
+}
+
+impl Corrector for Through {
+    fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        let waits = self.out.count() == self.due() && !(self.pending() && self.open_until_ns.is_some());
+        let mut wake_ns = if waits { u64::MAX } else { self.free_ns };
+        if let RestPolicy::Insert { after_ns } = self.config.rest
+            && self.pending()
+        {
+            wake_ns = wake_ns.min(self.last_edge_ns.unwrap_or(0).max(self.next_allowed_ns) + after_ns);
+        }
+        let sample = card.sample(wake_ns.min(by_ns))?;
+        self.look_ns = sample.t_ns;
+        let state = self.config.lines.scale(sample.inputs);
+        if state != self.scale.state() {
+            let edge_ns = sample.edge_ns.unwrap_or(sample.t_ns);
+            self.period_ns = self.last_edge_ns.map_or(0, |last| edge_ns - last);
+            self.last_edge_ns = Some(edge_ns);
+            if self.scale.update(state).is_none() {
+                self.fault(Fault::IllegalTransition, tell);
+            }
+            self.open_until_ns = self.open(edge_ns);
+        }
+        self.open_until_ns = self.open_until_ns.filter(|&t| self.look_ns <= t);
+        if self.due_now() {
+            self.open_until_ns = None;
+            self.completed += (self.requested - self.completed).signum();
+            self.insertions += 1;
+            self.next_allowed_ns = self.look_ns + (1e9 / self.config.max_rate_counts_s) as u64;
+        }
+        // One count at a time, never two signals at once.
+        if self.out.count() != self.due() && self.look_ns >= self.free_ns {
+            let next = self.out.state().next(self.due() > self.out.count());
+            self.drive(next, card)?;
+        }
+        Ok(())
+    }
+
+    fn correct<C: Card>(
+        &mut self,
+        total_counts: i64,
+        _large: bool,
+        _card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        if total_counts.unsigned_abs() > self.config.max_correction_counts.unsigned_abs() {
+            let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
+            tell(Event { t_ns: self.look_ns, axis: Some(0), kind });
+        } else {
+            self.requested = total_counts;
+        }
+        Ok(())
+    }
+
+    fn axis(&self) -> AxisStatus {
+        AxisStatus {
+            position_counts: self.scale.count(),
+            mtc_minus_scale: self.out.count() - self.scale.count(),
+            requested: self.requested,
+            completed: self.completed,
+            in_effect: self.completed,
+            homed: !self.faults.any(),
+            gate: if self.faults.any() { GateState::Fault } else { GateState::WaitingForEdge },
+            faults: self.faults,
+            insertions: self.insertions,
+            waited_for_gate: self.waited_for_gate,
+            illegal: self.scale.illegal(),
+            ..AxisStatus::default()
+        }
+    }
+
+    fn now_ns(&self) -> u64 {
+        self.look_ns
+    }
+}

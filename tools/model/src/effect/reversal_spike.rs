@@ -1,0 +1,73 @@
+//! `reversal_spike.A`: the peak after a change of direction that dies out with the travel since.
+
+use super::{Card, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, Search, State};
+
+#[derive(Debug)]
+pub(super) struct ReversalSpike(Card);
+
+const UM: usize = 0;
+const LENGTH: usize = 1;
+
+impl ReversalSpike {
+    pub(super) fn new() -> Self {
+        Self(Card {
+            name: "reversal_spike".to_owned(),
+            law: "e = um·dir·exp(−d/length_mm), d = travel since the last reversal".to_owned(),
+            cause: "static friction: the axis sticks while the drive winds up".to_owned(),
+            naming: Naming::One,
+            quantity: Quantity::Error,
+            parameters: vec![
+                Parameter::linear("um", "um", 100.0),
+                Parameter::new("length_mm", "mm", [0.01, 50.0], Search::Smooth).limits(1e-9, 1e6),
+            ],
+            needs: vec![Need::Direction, Need::Position(0)],
+            experiment:
+                "ballbar (ISO 230-4), read at the quadrants; short strokes with dense readings after reversal"
+                    .to_owned(),
+        })
+    }
+}
+
+/// Travel since the last row of the old direction; `None` before the first reversal or without a direction.
+///
+/// State: the last direction, the position before, the travel since the last row of the present direction (it
+/// becomes the start when the direction changes), the travel since the reversal (−1 before the first).
+fn travel(now: &Input, state: &mut State) -> Option<f64> {
+    let p = now.p_mm[0];
+    if !state.started {
+        *state = State { started: true, x: [now.dir, p, 0.0, -1.0] };
+        return None;
+    }
+    let [mut old, before, mut since_row, mut since_reversal] = state.x;
+    let step = (p - before).abs();
+    since_row += step;
+    if since_reversal >= 0.0 {
+        since_reversal += step;
+    }
+    if now.dir != 0.0 {
+        if old * now.dir < 0.0 {
+            since_reversal = since_row;
+        }
+        old = now.dir;
+        since_row = 0.0;
+    }
+    state.x = [old, p, since_row, since_reversal];
+    (since_reversal >= 0.0 && now.dir != 0.0).then_some(since_reversal)
+}
+
+impl Law for ReversalSpike {
+    fn card(&self) -> &Card {
+        &self.0
+    }
+
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
+        out[0] = travel(now, state).map_or(0.0, |d| now.dir * (-d / effect.scalar(LENGTH)).exp());
+    }
+
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
+        let Some(d) = travel(now, state) else { return };
+        let length = effect.scalar(LENGTH);
+        out[UM] = now.dir * (-d / length).exp();
+        out[LENGTH] = effect.scalar(UM) * out[UM] * d / (length * length);
+    }
+}

@@ -1,0 +1,576 @@
+//! `machine.toml`: a named list of effects, read strictly; written so that nothing the user wrote is lost.
+
+use crate::document::{self, Table};
+use crate::effect::{Against, Dictionary, Difference, Effect, Need, Parameter, ValueError};
+use crate::record::{Record, write_whole};
+use rtec_driver::input::InputError;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use toml_edit::{Array, DocumentMut, InlineTable, Item, Value, value};
+
+/// A record that something was fitted on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Source {
+    /// The record's CSV.
+    pub file: String,
+    /// SHA-256 of it, in hexadecimal.
+    pub sha256: String,
+}
+
+impl Source {
+    /// The source that a record is.
+    #[must_use]
+    pub fn of(record: &Record) -> Self {
+        Self { file: record.file.clone(), sha256: record.sha256.clone() }
+    }
+}
+
+/// Where an effect comes from. All of it may be absent, as in what a person writes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Provenance {
+    /// Who or what added it.
+    pub added_by: Option<String>,
+    /// The date, as ISO 8601.
+    pub date: Option<String>,
+    /// The records it was fitted on.
+    pub from: Vec<Source>,
+    /// Interval of each parameter, one pair per value.
+    pub interval: BTreeMap<String, Vec<[f64; 2]>>,
+}
+
+/// An effect of a machine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Listed {
+    /// The effect.
+    pub effect: Effect,
+    /// Where it comes from.
+    pub provenance: Provenance,
+}
+
+/// A machine model.
+#[derive(Debug, Clone)]
+pub struct Machine {
+    /// The file, as the user named it.
+    pub path: PathBuf,
+    name: String,
+    listed: Vec<Listed>,
+    dictionary: Dictionary,
+    doc: DocumentMut,
+}
+
+impl Machine {
+    /// An ideal machine: no effects.
+    #[must_use]
+    pub fn ideal(name: &str) -> Self {
+        let mut doc = DocumentMut::new();
+        doc["name"] = value(name);
+        Self {
+            path: PathBuf::from("machine.toml"),
+            name: name.to_owned(),
+            listed: Vec::new(),
+            dictionary: Dictionary::default(),
+            doc,
+        }
+    }
+
+    /// Reads a machine model with the built-in effects, and with those of the file that its key `dictionary` names.
+    ///
+    /// # Errors
+    /// The first finding, with file, line and column: syntax, unknown key or effect, a parameter that is missing, not
+    /// a finite number or outside its limits, `minus` together with `reference_degC`, one effect twice.
+    pub fn read(path: &Path) -> Result<Self, InputError> {
+        let text = document::read(path)?;
+        Self::parse(path, &text)
+    }
+
+    /// As [`Machine::read`], from text; `path` is for messages and for what the file refers to.
+    ///
+    /// # Errors
+    /// As [`Machine::read`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
+        let doc = document::parse(path, text)?;
+        let root = Table::root(path, text, &doc);
+        root.only(&["name", "note", "effect"])?;
+        let name = root.required("name", "the machine's name, as name = \"…\"")?.str("the machine's name")?;
+        if let Some(note) = root.get("note") {
+            note.str("free text")?;
+        }
+        let dictionary = Dictionary::default();
+        let mut listed: Vec<Listed> = Vec::new();
+        let tables =
+            root.get("effect").map(|e| e.tables("[[effect]] tables")).transpose()?.unwrap_or_default();
+        for table in tables {
+            let next = read_effect(table, &dictionary)?;
+            if listed.iter().any(|l| l.effect.identity() == next.effect.identity()) {
+                let found = format!("effect `{}` a second time", next.effect.name());
+                let expected = "one of a name, unless sensors, periods, knots or times differ";
+                return Err(table.required("name", "")?.error(found, expected));
+            }
+            listed.push(next);
+        }
+        let name = name.to_owned();
+        let doc = doc.into_mut();
+        Ok(Self { path: path.to_owned(), name, listed, dictionary, doc })
+    }
+
+    /// The machine's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The effects with where they come from, in the file's order.
+    #[must_use]
+    pub fn listed(&self) -> &[Listed] {
+        &self.listed
+    }
+
+    /// The effects, in the file's order.
+    pub fn effects(&self) -> impl Iterator<Item = &Effect> {
+        self.listed.iter().map(|l| &l.effect)
+    }
+
+    /// The dictionary it was read with.
+    #[must_use]
+    pub fn dictionary(&self) -> &Dictionary {
+        &self.dictionary
+    }
+
+    /// Appends an effect.
+    ///
+    /// # Errors
+    /// It is there already.
+    pub fn push(&mut self, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
+        if self.listed.iter().any(|l| l.effect.identity() == effect.identity()) {
+            return Err(ValueError::new(
+                "name",
+                format!("`{}` a second time", effect.name()),
+                "one of a name",
+            ));
+        }
+        let table = effect_table(&effect, &provenance);
+        self.tables().push(table);
+        self.listed.push(Listed { effect, provenance });
+        Ok(())
+    }
+
+    /// Sets a parameter of the n-th effect, and its interval; comments and order of the file stay.
+    ///
+    /// # Errors
+    /// Unknown parameter, a value outside its limits.
+    ///
+    /// # Panics
+    /// When there is no n-th effect.
+    pub fn set(
+        &mut self,
+        n: usize,
+        parameter: &str,
+        values: &[f64],
+        interval: Option<&[[f64; 2]]>,
+    ) -> Result<(), ValueError> {
+        let listed = &mut self.listed[n];
+        listed.effect.set(parameter, values)?;
+        let array = listed.effect.card().parameters.iter().any(|p| p.name == parameter && p.array);
+        if let Some(interval) = interval {
+            listed.provenance.interval.insert(parameter.to_owned(), interval.to_vec());
+        }
+        let Some(table) = self.tables().get_mut(n) else { return Ok(()) };
+        replace(table, parameter, numbers(values, array));
+        if let Some(interval) = interval {
+            if let Some(t) = table.get_mut("interval").and_then(Item::as_table_like_mut) {
+                t.insert(parameter, value(pairs(interval, array)));
+            } else {
+                let mut t = InlineTable::new();
+                t.insert(parameter, pairs(interval, array));
+                table.insert("interval", value(t));
+            }
+        }
+        Ok(())
+    }
+
+    /// The file's effects as tables; an empty or inline array becomes one of `[[effect]]`.
+    fn tables(&mut self) -> &mut toml_edit::ArrayOfTables {
+        let item = &mut self.doc["effect"];
+        if !item.is_array_of_tables() {
+            let inline = std::mem::take(item);
+            let mut tables = toml_edit::ArrayOfTables::new();
+            if let Ok(Value::Array(array)) = inline.into_value() {
+                for v in array {
+                    if let Value::InlineTable(t) = v {
+                        tables.push(t.into_table());
+                    }
+                }
+            }
+            *item = Item::ArrayOfTables(tables);
+        }
+        item.as_array_of_tables_mut().expect("made one above")
+    }
+
+    /// The file's text.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        self.doc.to_string()
+    }
+
+    /// Writes the model, whole or not at all.
+    ///
+    /// # Errors
+    /// The directory cannot be written.
+    pub fn write(&self, path: &Path) -> std::io::Result<()> {
+        write_whole(path, self.to_text().as_bytes())
+    }
+
+    /// The sum of the effects at every row of a record, for each response in the record's order; and what the record
+    /// does not log and was taken as zero (effect, role).
+    ///
+    /// # Errors
+    /// An effect reads a sensor or channel that the record does not have.
+    pub fn predict(&self, record: &Record) -> Result<Prediction, InputError> {
+        let mut columns: Vec<(String, Vec<f64>)> =
+            record.responses().map(|c| (c.name.clone(), vec![0.0; record.rows()])).collect();
+        let mut taken_as_zero = Vec::new();
+        for effect in self.effects() {
+            let acts = effect.acts_on(record);
+            if acts.is_empty() {
+                continue;
+            }
+            let bound = effect.bind(record).map_err(|m| {
+                let expected = format!("a column of role {}", m.what);
+                InputError::whole(&record.path, m.to_string(), expected)
+            })?;
+            for (role, component) in acts {
+                let place = record.responses().position(|c| c.role == role);
+                if let Some((_, out)) = place.and_then(|p| columns.get_mut(p)) {
+                    bound.add(effect, component, out);
+                }
+            }
+            taken_as_zero.extend(bound.taken_as_zero().iter().map(|r| (effect.name(), r.to_string())));
+        }
+        Ok(Prediction { columns, taken_as_zero })
+    }
+}
+
+impl Machine {
+    /// Where a record asks the model beyond the range it was fitted on, effect by effect: the differences are held
+    /// at the bound there.
+    #[must_use]
+    pub fn out_of_range(&self, record: &Record) -> Vec<String> {
+        let mut found = Vec::new();
+        for effect in self.effects() {
+            let (Some([lo, hi]), Some(delta), Ok(bound)) =
+                (effect.range_k, &effect.delta, effect.bind(record))
+            else {
+                continue;
+            };
+            let mut free = effect.clone();
+            free.range_k = None;
+            let n = effect.coefficient_count();
+            let mut basis = vec![0.0; n * bound.rows()];
+            bound.basis(&free, 0, &mut basis);
+            // The first basis column of growth and lag is the (lagged) difference itself.
+            if effect.card().naming != crate::effect::Naming::One || n != 2 {
+                continue;
+            }
+            let outside = basis[..bound.rows()].iter().filter(|d| **d < lo || **d > hi).count();
+            if outside > 0 {
+                let share = 100.0 * outside as f64 / bound.rows() as f64;
+                found.push(format!(
+                    "{} {delta}: {share:.1} % of the rows outside {lo:.2} to {hi:.2} K, held at the bound",
+                    effect.name()
+                ));
+            }
+        }
+        found
+    }
+}
+
+/// What a model says about a record.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prediction {
+    /// Per response: its column's name and the sum of the effects at every row.
+    pub columns: Vec<(String, Vec<f64>)>,
+    /// Effects that read a quantity the record does not log: effect and role. It was taken as zero.
+    pub taken_as_zero: Vec<(String, String)>,
+}
+
+const PROVENANCE: [&str; 4] = ["added_by", "date", "from", "interval"];
+
+fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, InputError> {
+    let entry = table.required("name", "the effect's name, as name = \"scale.x\"")?;
+    let mut effect =
+        dictionary.effect(entry.str("the effect's name")?).map_err(|e| entry.error(e.found, e.expected))?;
+    let parameters: Vec<Parameter> = effect.card().parameters.clone();
+    let thermal = effect.card().needs.contains(&Need::Delta);
+    let mut known: Vec<&str> = vec!["name"];
+    known.extend(parameters.iter().map(|p| p.name.as_str()));
+    if thermal {
+        known.extend(["sensor", "minus", "reference_degC", "range_K"]);
+    }
+    known.extend(PROVENANCE);
+    table.only(&known)?;
+
+    if thermal {
+        let sensor =
+            table.required("sensor", "the sensor's name, as sensor = \"T8\"")?.str("a sensor's name")?;
+        let minus = table.get("minus");
+        let reference = table.get("reference_degC");
+        let against = match (minus, reference) {
+            (Some(_), Some(r)) => {
+                return Err(r.key_error("`minus` and `reference_degC` both", "one of the two, or neither"));
+            }
+            (Some(m), None) => Against::Sensor(m.str("a sensor's name")?.to_owned()),
+            (None, Some(r)) => Against::Reference(r.number("a temperature in degC")?),
+            (None, None) => Against::Standard,
+        };
+        effect.delta = Some(Difference { sensor: sensor.to_owned(), against });
+        let range = "a pair [lowest, highest] of temperature differences in K";
+        effect.range_k = table.get("range_K").map(|r| r.pair(range)).transpose()?;
+    }
+
+    let mut values: Vec<f64> = Vec::new();
+    let mut width: Option<usize> = None;
+    for p in &parameters {
+        let given = match (table.get(&p.name), p.default) {
+            (Some(e), _) if p.array => {
+                let v = e.numbers(&format!("an array of numbers in {}", p.unit))?;
+                if v.is_empty() || width.is_some_and(|w| w != v.len()) {
+                    let expected =
+                        width.map_or("at least one".to_owned(), |w| format!("{w}, as the other array has"));
+                    return Err(e.error(format!("{} values in `{}`", v.len(), p.name), expected));
+                }
+                v
+            }
+            (Some(e), _) => vec![e.number(&format!("a number in {}", p.unit))?],
+            (None, Some(default)) => vec![default],
+            (None, None) => {
+                let form = if p.array { "[…]" } else { "…" };
+                let expected = format!("{} = {form} ({})", p.name, p.unit);
+                return Err(entry.error(format!("no `{}` in effect `{}`", p.name, entry.text()), expected));
+            }
+        };
+        width = Some(given.len());
+        values.extend(given);
+    }
+    effect.set_values(&values).map_err(|e| {
+        let place = table.get(&e.parameter).unwrap_or(entry);
+        place.error(format!("{} = {}", e.parameter, e.found), e.expected)
+    })?;
+
+    let provenance = read_provenance(table, &effect)?;
+    Ok(Listed { effect, provenance })
+}
+
+fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, InputError> {
+    let text = |key: &str| table.get(key).map(|e| e.str("text").map(str::to_owned)).transpose();
+    let mut provenance = Provenance { added_by: text("added_by")?, ..Provenance::default() };
+    // A date may be TOML's own or a string.
+    provenance.date = table.get("date").map(|e| e.text());
+    if let Some(from) = table.get("from") {
+        let form = "{ file = \"…\", sha256 = \"…\" }, or an array of them";
+        let sources = from.table(form).map(|t| vec![t]).or_else(|_| from.tables(form))?;
+        for t in sources {
+            t.only(&["file", "sha256"])?;
+            let get = |key: &str| -> Result<String, InputError> {
+                Ok(t.required(key, form)?.str(form)?.to_owned())
+            };
+            provenance.from.push(Source { file: get("file")?, sha256: get("sha256")? });
+        }
+    }
+    if let Some(interval) = table.get("interval") {
+        let form = "[low, high] per parameter, as interval = { um = [5.8, 6.4] }";
+        for e in interval.table(form)?.entries() {
+            let known = effect.value(e.key()).ok_or_else(|| e.unknown_key("a parameter of the effect"))?;
+            let pairs = e.pairs(form)?;
+            if pairs.len() != known.len() {
+                return Err(
+                    e.error(format!("{} intervals", pairs.len()), format!("{}, one per value", known.len()))
+                );
+            }
+            provenance.interval.insert(e.key().to_owned(), pairs);
+        }
+    }
+    Ok(provenance)
+}
+
+/// Replaces a value and keeps the comment behind it.
+fn replace(table: &mut toml_edit::Table, key: &str, mut new: Value) {
+    match table.get_mut(key).and_then(Item::as_value_mut) {
+        Some(old) => {
+            *new.decor_mut() = old.decor().clone();
+            *old = new;
+        }
+        None => {
+            table.insert(key, value(new));
+        }
+    }
+}
+
+fn numbers(values: &[f64], array: bool) -> Value {
+    if array { values.iter().copied().collect::<Array>().into() } else { values[0].into() }
+}
+
+fn pairs(interval: &[[f64; 2]], array: bool) -> Value {
+    let pair = |p: &[f64; 2]| Value::from(p.iter().copied().collect::<Array>());
+    if array { interval.iter().map(pair).collect::<Array>().into() } else { pair(&interval[0]) }
+}
+
+fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
+    let mut t = toml_edit::Table::new();
+    t["name"] = value(effect.name());
+    if let Some(d) = &effect.delta {
+        t["sensor"] = value(&d.sensor);
+        match &d.against {
+            Against::Sensor(m) => t["minus"] = value(m),
+            Against::Reference(degc) => t["reference_degC"] = value(*degc),
+            Against::Standard => {}
+        }
+    }
+    for (i, p) in effect.card().parameters.iter().enumerate() {
+        t[&p.name] = value(numbers(effect.get(i), p.array));
+    }
+    if let Some([lo, hi]) = effect.range_k {
+        t["range_K"] = value([lo, hi].into_iter().collect::<Array>());
+    }
+    if let Some(by) = &provenance.added_by {
+        t["added_by"] = value(by);
+    }
+    if let Some(date) = &provenance.date {
+        t["date"] = value(date);
+    }
+    let source = |s: &Source| {
+        let mut t = InlineTable::new();
+        t.insert("file", s.file.as_str().into());
+        t.insert("sha256", s.sha256.as_str().into());
+        t
+    };
+    match provenance.from.as_slice() {
+        [] => {}
+        [one] => t["from"] = value(source(one)),
+        many => t["from"] = value(many.iter().map(source).collect::<Array>()),
+    }
+    if !provenance.interval.is_empty() {
+        let mut interval = InlineTable::new();
+        for (name, of) in &provenance.interval {
+            let array = effect.card().parameters.iter().any(|p| p.name == *name && p.array);
+            interval.insert(name, pairs(of, array));
+        }
+        t["interval"] = value(interval);
+    }
+    t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LATHE: &str = "# my lathe\nname = \"demo lathe\"\n\n[[effect]]\nname = \"scale.x\"\nppm = 12.0 # measured in May\n\n\
+                         [[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 0.114\n\
+                         um_per_K2 = -0.0008\n";
+
+    fn parse(text: &str) -> Result<Machine, InputError> {
+        Machine::parse(Path::new("m.toml"), text)
+    }
+
+    #[test]
+    fn example_of_the_formats_reads() {
+        let m = parse(LATHE).unwrap();
+        assert_eq!(m.name(), "demo lathe");
+        let names: Vec<String> = m.effects().map(Effect::name).collect();
+        assert_eq!(names, ["scale.x", "thermal_growth.z"]);
+        let growth = m.effects().nth(1).unwrap();
+        assert_eq!(growth.delta, Some(Difference::pair("T8", "T18")));
+        assert_eq!(growth.values(), [0.114, -0.0008]);
+    }
+
+    #[test]
+    fn nothing_the_user_wrote_is_lost() {
+        let mut m = parse(LATHE).unwrap();
+        assert_eq!(m.to_text(), LATHE);
+        m.set(0, "ppm", &[12.9], Some(&[[12.5, 13.3]])).unwrap();
+        let mut added = m.dictionary().effect("reversal.y").unwrap();
+        added.set("um", &[6.1]).unwrap();
+        let provenance = Provenance {
+            added_by: Some("reconcile".into()),
+            date: Some("2026-05-01".into()),
+            from: vec![Source { file: "y.csv".into(), sha256: "ab".into() }],
+            interval: [("um".to_owned(), vec![[5.8, 6.4]])].into(),
+        };
+        m.push(added, provenance.clone()).unwrap();
+        let text = m.to_text();
+        assert!(
+            text.starts_with("# my lathe\n") && text.contains("ppm = 12.9 # measured in May\n"),
+            "{text}"
+        );
+        assert!(text.contains("interval = { um = [5.8, 6.4] }"), "{text}");
+        let again = parse(&text).unwrap();
+        assert_eq!(again.listed(), m.listed());
+        assert_eq!(again.listed()[2].provenance, provenance);
+    }
+
+    #[test]
+    fn an_ideal_machine_may_be_written_in_every_way() {
+        for text in ["name = \"m\"\n", "name = \"m\"\neffect = []\n"] {
+            let mut m = parse(text).unwrap();
+            assert_eq!(m.listed().len(), 0);
+            let offset = m.dictionary().effect("offset.z").unwrap();
+            m.push(offset, Provenance::default()).unwrap();
+            assert_eq!(parse(&m.to_text()).unwrap().listed(), m.listed(), "{}", m.to_text());
+        }
+        let m = parse("name = \"m\"\neffect = [{ name = \"scale.x\", ppm = 1 }]\n").unwrap();
+        assert_eq!(m.effects().next().unwrap().values(), [1.0]);
+    }
+
+    #[test]
+    fn findings_carry_their_place() {
+        let head = "name = \"m\"\n[[effect]]\n";
+        for (body, line, column, found) in [
+            ("name = \"scale.x\"\n", 3, 8, "no `ppm`"),
+            ("name = \"scales.x\"\nppm = 1\n", 3, 8, "`scales.x`"),
+            ("name = \"scale\"\nppm = 1\n", 3, 8, "`scale`"),
+            ("name = \"scale.x.y\"\nppm = 1\n", 3, 8, "`scale.x.y`"),
+            ("name = \"squareness.x.x\"\nurad = 1\n", 3, 8, "`squareness.x.x`"),
+            ("name = \"scale.x\"\nppm = nan\n", 4, 7, "ppm = nan"),
+            ("name = \"scale.x\"\nppm = \"1\"\n", 4, 7, "ppm = 1"),
+            ("name = \"scale.x\"\nppm = 1\npmp = 2\n", 5, 1, "unknown key `pmp`"),
+            ("name = \"scale.x\"\nppm = 1\nsensor = \"T1\"\n", 5, 1, "unknown key `sensor`"),
+            ("name = \"thermal_growth.x\"\num_per_K = 1\n", 2, 1, "no `sensor`"),
+            (
+                "name = \"thermal_growth.x\"\num_per_K = 1\nsensor = \"T1\"\nminus = \"T2\"\nreference_degC = 20\n",
+                7,
+                1,
+                "both",
+            ),
+            ("name = \"screw_periodic.x\"\num = 1\nperiod_mm = 0.1\n", 5, 13, "period_mm = 0.1"),
+            ("name = \"position_map.x\"\nknots_mm = [0, 0]\num = [1, 2]\n", 4, 12, "knots_mm"),
+            ("name = \"position_map.x\"\nknots_mm = [0, 1]\num = [1]\n", 5, 6, "1 values"),
+            ("name = \"probe_lobing\"\num = 1\nlobes = 2.5\n", 5, 9, "lobes = 2.5"),
+            ("name = \"scale.x\"\nppm = 1\n[[effect]]\nname = \"scale.x\"\nppm = 2\n", 6, 8, "second time"),
+            ("name = \"scale.x\"\nppm = 1\ninterval = { ppm = [2, 1] }\n", 5, 20, "ppm"),
+            ("name = \"scale.x\"\nppm = = 1\n", 4, 7, "found"),
+        ] {
+            let e = parse(&format!("{head}{body}")).unwrap_err();
+            assert_eq!((e.line, e.column), (line, column), "{body}: {e}");
+            assert!(e.to_string().contains(found), "{body}: {e}");
+        }
+        assert!(parse("[[effect]]\nname = \"scale.x\"\nppm = 1\n").unwrap_err().found.contains("no `name`"));
+        assert_eq!(parse("nam = \"x\"\n").unwrap_err().line, 1);
+    }
+
+    #[test]
+    fn one_name_twice_needs_another_sensor_period_knot_or_time() {
+        let two =
+            |a: &str, b: &str| parse(&format!("name = \"m\"\n[[effect]]\n{a}\n[[effect]]\n{b}\n")).is_ok();
+        let growth = |s: &str| format!("name = \"thermal_growth.z\"\num_per_K = 1\n{s}");
+        assert!(two(&growth("sensor = \"T1\""), &growth("sensor = \"T2\"")));
+        assert!(two(&growth("sensor = \"T1\""), &growth("sensor = \"T1\"\nminus = \"T2\"")));
+        assert!(!two(&growth("sensor = \"T1\""), &growth("sensor = \"T1\"\nreference_degC = 21")));
+        let screw = |p: f64| format!("name = \"screw_periodic.z\"\num = 1\nperiod_mm = {p}");
+        assert!(two(&screw(5.0), &screw(10.0)) && !two(&screw(5.0), &screw(5.0)));
+        let lost = |t: f64| format!("name = \"lost_counts.z\"\num = 1\nat_s = {t}");
+        assert!(two(&lost(5.0), &lost(10.0)) && !two(&lost(5.0), &lost(5.0)));
+        let rotation = |n: &str| format!("name = \"rotation.{n}\"\nurad = 1");
+        assert!(!two(&rotation("x.y"), &rotation("y.x")));
+        let angular = |n: &str| format!("name = \"angular.{n}\"\nurad_per_m = 1");
+        assert!(!two(&angular("x.y.z"), &angular("x.z.y")) && two(&angular("x.y.z"), &angular("y.x.z")));
+    }
+}

@@ -1,0 +1,176 @@
+//! A plate of holes drilled by the machine and measured elsewhere: offset, scale, rotation, and what is left.
+
+use crate::plot::{Chart, Series, Style};
+use crate::record::{Axis, Record, Role};
+use rtec_driver::input::InputError;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Channel of a plate's record that holds each hole's nominal diameter, mm.
+pub const NOMINAL_DIAMETER: &str = "nominal_d";
+
+/// Linear thermal expansion of aluminium, 1/K: what a scale would mean as a temperature.
+pub const ALUMINIUM_PER_K: f64 = 23.1e-6;
+
+/// A plate's fit: measured = scale · R(rotation) · nominal + offset, then a quadrupole.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Plate {
+    /// Holes used.
+    pub holes: usize,
+    /// Offset of the measured holes, mm.
+    pub offset_mm: [f64; 2],
+    /// Scale, measured over nominal.
+    pub scale: f64,
+    /// The same as an error, ppm.
+    pub scale_ppm: f64,
+    /// Rotation, degrees, counter-clockwise.
+    pub rotation_deg: f64,
+    /// The same as `rotation.x.y`, µrad.
+    pub rotation_urad: f64,
+    /// RMS of the residual's length after offset, scale and rotation, µm.
+    pub rms_um: f64,
+    /// The same for the holes of each nominal diameter (mm), where the record has it: drills differ.
+    pub rms_um_by_diameter: BTreeMap<String, f64>,
+    /// Magnitude m of the quadrupole in what is left: position · m · cos 2(θ − φ), along the radius.
+    pub quadrupole: f64,
+    /// Its angle φ, degrees: the direction in which the plate is longest.
+    pub quadrupole_deg: f64,
+    /// RMS of the residual's length after the quadrupole too, µm.
+    pub rms_quadrupole_um: f64,
+    /// The scale as a temperature of an aluminium plate, K: the data cannot tell the two apart.
+    #[serde(rename = "scale_as_aluminium_K")]
+    pub scale_as_aluminium_k: f64,
+    /// What this data cannot tell.
+    pub remark: String,
+    /// Residual of every hole after offset, scale and rotation, µm (x, y), in the record's order.
+    pub residual_um: Vec<[f64; 2]>,
+}
+
+/// What a plate's fit makes small.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Norm {
+    /// The sum of the squared residual lengths.
+    Squares,
+    /// The sum of their fourth powers, as some published plate fits have it: the worst holes count for more.
+    Fourth,
+}
+
+/// Fits a plate over both axes together.
+///
+/// An RMS is the root of the mean squared length of the residuals.
+///
+/// # Errors
+/// The record lacks position or error of x or y, or has fewer than three holes.
+pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
+    let get = |role: fn(Axis) -> Role, name: &str| {
+        let axis = Axis::new(name).map(role);
+        axis.as_ref().and_then(|r| record.data(r)).ok_or_else(|| {
+            InputError::whole(
+                &record.path,
+                format!("no {name} of a plate"),
+                "columns position and error of x and y",
+            )
+        })
+    };
+    let (x, y) = (get(Role::Position, "x")?, get(Role::Position, "y")?);
+    let (ex, ey) = (get(Role::Error, "x")?, get(Role::Error, "y")?);
+    let n = x.len();
+    if n < 3 {
+        return Err(InputError::whole(&record.path, format!("{n} holes"), "at least three"));
+    }
+    // measured = a·x − b·y + cx, b·x + a·y + cy: linear in (cx, cy, a, b)
+    let solve = |columns: usize, of: &dyn Fn(usize, usize) -> [f64; 2], to: &nalgebra::DVector<f64>| {
+        let a = nalgebra::DMatrix::from_fn(2 * n, columns, |row, j| of(row / 2, j)[row % 2]);
+        let weighted = |w: &[f64]| {
+            let rows = |row: usize| w[row / 2].sqrt();
+            let aw = nalgebra::DMatrix::from_fn(2 * n, columns, |i, j| rows(i) * a[(i, j)]);
+            let bw = nalgebra::DVector::from_fn(2 * n, |i, _| rows(i) * to[i]);
+            aw.svd(true, true).solve(&bw, 1e-12).map_err(|e| {
+                InputError::whole(
+                    &record.path,
+                    format!("holes that do not span a plane ({e})"),
+                    "a plate of holes",
+                )
+            })
+        };
+        let mut fit = weighted(&vec![1.0; n])?;
+        let mut left = to - &a * &fit;
+        if norm == Norm::Fourth {
+            // Newton's step for Σ r⁴ is a third of the way to the fit weighted by r².
+            for _ in 0..100 {
+                let w: Vec<f64> = (0..n).map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).collect();
+                fit += (weighted(&w)? - &fit) / 3.0;
+                left = to - &a * &fit;
+            }
+        }
+        Ok::<_, InputError>((fit, left))
+    };
+    let mx: Vec<f64> = x.iter().zip(ex).map(|(x, e)| x + e / 1000.0).collect();
+    let my: Vec<f64> = y.iter().zip(ey).map(|(y, e)| y + e / 1000.0).collect();
+    let measured =
+        nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { mx[row / 2] } else { my[row / 2] });
+    let similarity = |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], y[i]], [-y[i], x[i]]][j];
+    let (fit, left) = solve(4, &similarity, &measured)?;
+    // residual = fitted position · m · cos 2(θ − φ), along the radius: linear in (m·cos 2φ, m·sin 2φ)
+    let radial = |i: usize, j: usize| {
+        let at = [mx[i] - left[2 * i], my[i] - left[2 * i + 1]];
+        let theta = 2.0 * at[1].atan2(at[0]);
+        let f = if j == 0 { theta.cos() } else { theta.sin() };
+        at.map(|v| v * f)
+    };
+    let (quad, left_quad) = solve(2, &radial, &left)?;
+    let rms_of = |left: &nalgebra::DVector<f64>, rows: &[usize]| {
+        let sum: f64 = rows.iter().map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).sum();
+        1000.0 * (sum / rows.len() as f64).sqrt()
+    };
+    let all: Vec<usize> = (0..n).collect();
+    let mut kinds: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    if let Some(d) = record.channel(NOMINAL_DIAMETER) {
+        for (i, d) in d.iter().enumerate() {
+            kinds.entry(format!("{d}")).or_default().push(i);
+        }
+    }
+    let (a, b) = (fit[2], fit[3]);
+    let scale = a.hypot(b);
+    let rotation = b.atan2(a);
+    let as_k = (scale - 1.0) / ALUMINIUM_PER_K;
+    Ok(Plate {
+        holes: n,
+        offset_mm: [fit[0], fit[1]],
+        scale,
+        scale_ppm: (scale - 1.0) * 1e6,
+        rotation_deg: rotation.to_degrees(),
+        rotation_urad: rotation * 1e6,
+        rms_um: rms_of(&left, &all),
+        rms_um_by_diameter: kinds.iter().map(|(d, rows)| (d.clone(), rms_of(&left, rows))).collect(),
+        quadrupole: quad[0].hypot(quad[1]),
+        quadrupole_deg: (quad[1].atan2(quad[0]) / 2.0).to_degrees(),
+        rms_quadrupole_um: rms_of(&left_quad, &all),
+        scale_as_aluminium_k: as_k,
+        remark: format!(
+            "a scale of {:+.1} ppm cannot be told from an aluminium plate measured {as_k:+.2} K from where it was drilled",
+            (scale - 1.0) * 1e6
+        ),
+        residual_um: (0..n).map(|i| [1000.0 * left[2 * i], 1000.0 * left[2 * i + 1]]).collect(),
+    })
+}
+
+impl Plate {
+    /// Residuals as strokes on the plate, enlarged.
+    #[must_use]
+    pub fn chart(&self, record: &Record) -> Chart {
+        let data =
+            |name: &str| Axis::new(name).and_then(|a| record.data(&Role::Position(a))).unwrap_or_default();
+        let (x, y) = (data("x"), data("y"));
+        // 10 µm are drawn as a thirtieth of the plate.
+        let size = x.iter().chain(y).fold(1.0_f64, |m, v| m.max(v.abs()));
+        let per_um = size / 150.0;
+        let mut chart =
+            Chart::new("Plate residuals (a stroke of 1/30 of the plate is 10 µm)", "x (mm)", "y (mm)");
+        for ((x, y), [ex, ey]) in x.iter().zip(y).zip(&self.residual_um) {
+            let stroke = vec![(*x, *y), (x + per_um * ex, y + per_um * ey)];
+            chart.series.push(Series::new("", Style::Line, stroke));
+        }
+        chart.with(Series::new("holes", Style::Dots, x.iter().copied().zip(y.iter().copied()).collect()))
+    }
+}

@@ -1,0 +1,213 @@
+//! Plots as SVG text: what a report shows, small and without fonts or scripts of its own.
+
+use plotters::prelude::*;
+use plotters::style::RGBColor;
+
+/// How a series is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Style {
+    /// A line through the points.
+    Line,
+    /// One dot per point.
+    Dots,
+    /// A bar from zero to each point.
+    Bars,
+    /// A shaded band: the first half of the points is its lower edge, the second half its upper edge.
+    Band,
+}
+
+/// One series of points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    /// Name in the legend; empty for none.
+    pub label: String,
+    /// (x, y), in the chart's units.
+    pub points: Vec<(f64, f64)>,
+    /// How it is drawn.
+    pub style: Style,
+}
+
+impl Series {
+    /// A series of points.
+    #[must_use]
+    pub fn new(label: &str, style: Style, points: Vec<(f64, f64)>) -> Self {
+        Self { label: label.to_owned(), points, style }
+    }
+
+    /// A band between two edges over the same x.
+    #[must_use]
+    pub fn band(label: &str, x: &[f64], lower: &[f64], upper: &[f64]) -> Self {
+        let edge = |y: &[f64]| x.iter().copied().zip(y.iter().copied()).collect::<Vec<_>>();
+        Self::new(label, Style::Band, [edge(lower), edge(upper)].concat())
+    }
+}
+
+/// A chart with its axes' labels (with units).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Chart {
+    /// Title.
+    pub title: String,
+    /// Label of the x axis, with its unit.
+    pub x: String,
+    /// Label of the y axis, with its unit.
+    pub y: String,
+    /// Ticks of the x axis by name instead of number: tick i stands at x = i.
+    pub x_names: Vec<String>,
+    /// The series, drawn in order.
+    pub series: Vec<Series>,
+}
+
+/// Colours that colour-blind readers tell apart (Okabe and Ito).
+const COLOURS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(80, 80, 80),
+];
+
+/// A drawing that failed; the back end writes into memory, so only a chart without any finite point does.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the chart `{title}` could not be drawn: {reason}")]
+pub struct PlotError {
+    title: String,
+    reason: String,
+}
+
+impl Chart {
+    /// A chart without series.
+    #[must_use]
+    pub fn new(title: &str, x: &str, y: &str) -> Self {
+        Self { title: title.to_owned(), x: x.to_owned(), y: y.to_owned(), ..Self::default() }
+    }
+
+    /// Adds a series.
+    #[must_use]
+    pub fn with(mut self, series: Series) -> Self {
+        self.series.push(series);
+        self
+    }
+
+    /// The chart as an SVG document of this size in pixels.
+    ///
+    /// # Errors
+    /// No finite point in any series.
+    pub fn svg(&self, width: u32, height: u32) -> Result<String, PlotError> {
+        let mut text = String::new();
+        self.draw(&mut text, width, height)
+            .map_err(|reason| PlotError { title: self.title.clone(), reason: reason.to_string() })?;
+        Ok(text)
+    }
+
+    fn bounds(&self) -> Option<([f64; 2], [f64; 2])> {
+        let mut x = [f64::INFINITY, f64::NEG_INFINITY];
+        let mut y = x;
+        for s in &self.series {
+            for &(px, py) in s.points.iter().filter(|p| p.0.is_finite() && p.1.is_finite()) {
+                x = [x[0].min(px), x[1].max(px)];
+                y = [y[0].min(py), y[1].max(py)];
+            }
+            if s.style == Style::Bars {
+                y = [y[0].min(0.0), y[1].max(0.0)];
+            }
+        }
+        if !self.x_names.is_empty() {
+            x = [-0.7, self.x_names.len() as f64 - 0.3];
+        }
+        let pad = |[lo, hi]: [f64; 2], by: f64| {
+            let span = if hi > lo { hi - lo } else { hi.abs().max(1.0) };
+            [lo - by * span, hi + by * span]
+        };
+        x[0].is_finite().then(|| (pad(x, if self.x_names.is_empty() { 0.02 } else { 0.0 }), pad(y, 0.06)))
+    }
+
+    fn draw(&self, text: &mut String, width: u32, height: u32) -> Result<(), Box<dyn std::error::Error>> {
+        let ([x0, x1], [y0, y1]) = self.bounds().ok_or("no finite point")?;
+        let area = SVGBackend::with_string(text, (width, height)).into_drawing_area();
+        area.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(&area)
+            .caption(&self.title, ("sans-serif", 18))
+            .margin(10)
+            .x_label_area_size(42)
+            .y_label_area_size(64)
+            .build_cartesian_2d(x0..x1, y0..y1)?;
+        let names = &self.x_names;
+        let name_of = |v: &f64| {
+            let i = v.round();
+            let near = (v - i).abs() < 1e-6 && i >= 0.0;
+            names.get(i as usize).filter(|_| near).cloned().unwrap_or_default()
+        };
+        let number_of = |v: &f64| plain(*v, x1 - x0);
+        let mut mesh = chart.configure_mesh();
+        mesh.x_desc(&self.x)
+            .y_desc(&self.y)
+            .label_style(("sans-serif", 13))
+            .axis_desc_style(("sans-serif", 14))
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(BLACK.mix(0.12));
+        if names.is_empty() {
+            mesh.x_label_formatter(&number_of).draw()?;
+        } else {
+            mesh.x_labels(names.len() * 2 + 1).x_label_formatter(&name_of).draw()?;
+        }
+        let width_of_bar = if names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
+        for (i, s) in self.series.iter().enumerate() {
+            let colour = COLOURS[i % COLOURS.len()];
+            let points = s.points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite());
+            let drawn = match s.style {
+                Style::Line => chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?,
+                Style::Dots => chart.draw_series(points.map(|p| Circle::new(p, 2, colour.filled())))?,
+                Style::Bars => chart.draw_series(points.map(|(x, y)| {
+                    Rectangle::new([(x - width_of_bar, 0.0), (x + width_of_bar, y)], colour.mix(0.8).filled())
+                }))?,
+                Style::Band => {
+                    let (lower, upper) = s.points.split_at(s.points.len() / 2);
+                    let around: Vec<_> = lower.iter().chain(upper.iter().rev()).copied().collect();
+                    chart.draw_series(std::iter::once(Polygon::new(around, colour.mix(0.2).filled())))?
+                }
+            };
+            if !s.label.is_empty() {
+                drawn
+                    .label(&s.label)
+                    .legend(move |(x, y)| Rectangle::new([(x, y - 3), (x + 14, y + 3)], colour.filled()));
+            }
+        }
+        if self.series.iter().any(|s| !s.label.is_empty()) {
+            chart
+                .configure_series_labels()
+                .label_font(("sans-serif", 13))
+                .background_style(WHITE.mix(0.85))
+                .border_style(BLACK.mix(0.3))
+                .draw()?;
+        }
+        area.present()?;
+        Ok(())
+    }
+}
+
+/// A tick's number with as many decimals as the axis' span asks for.
+fn plain(v: f64, span: f64) -> String {
+    let decimals = (1.0 - span.log10()).ceil().clamp(0.0, 6.0) as usize;
+    format!("{v:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chart_is_an_svg_with_its_words() {
+        let chart = Chart::new("Growth <z>", "t (min)", "e (µm)")
+            .with(Series::band("95 %", &[0.0, 1.0], &[-1.0, -1.0], &[1.0, 2.0]))
+            .with(Series::new("measured", Style::Dots, vec![(0.0, 0.0), (1.0, f64::NAN), (1.0, 1.0)]))
+            .with(Series::new("model", Style::Line, vec![(0.0, 0.1), (1.0, 0.9)]));
+        let svg = chart.svg(640, 400).unwrap();
+        for word in ["<svg", "measured", "t (min)", "e (µm)", "Growth &lt;z&gt;"] {
+            assert!(svg.contains(word), "{word}");
+        }
+        assert!(!svg.contains("NaN"));
+        assert!(Chart::new("empty", "x", "y").svg(100, 100).is_err());
+    }
+}

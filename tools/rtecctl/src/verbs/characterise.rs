@@ -1,0 +1,24 @@
+//! `rtecctl characterise …`: plan, record, import and evaluate the runs that a model is made from.
+
+mod evaluate;
+mod import;
+
+/// Plan, record, import and evaluate measurements of a machine
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Verb {
+    Evaluate(evaluate::Args),
+    Import(import::Args),
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    match &args.verb {
+        Verb::Evaluate(args) => evaluate::run(args),
+        Verb::Import(args) => import::run(args),
+    }
+}

@@ -1,0 +1,85 @@
+//! `rtecctl designs`: every insertion design of the sources on the same motion and computer.
+
+use anyhow::Context;
+use rtec_model::record::write_whole;
+use rtec_sim::bench::AnyDesign;
+use rtec_sim::computer::Computer;
+use rtec_sim::designs::{Motion, compare, waveforms};
+use std::path::PathBuf;
+
+/// Compare the insertion designs: increment, time, safe speed, rest, what happens when the computer dies
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The computer that does the insertions
+    #[arg(long, value_enum, default_value = "8051")]
+    computer: Model,
+    /// Instead: this PC, as `rtecctl selftest latency --json` measured it
+    #[arg(long, value_name = "FILE", conflicts_with = "computer")]
+    latency: Option<PathBuf>,
+    /// Speed of the motion, as encoder frequency in Hz (a quarter of the count rate)
+    #[arg(long, value_name = "HZ", default_value_t = Motion::default().encoder_hz, value_parser = positive)]
+    encoder_hz: f64,
+    /// Acceleration of the motion, counts/s²
+    #[arg(long, value_name = "A", default_value_t = Motion::default().accel_counts_s2, value_parser = positive)]
+    accel: f64,
+    /// Length of each way of the motion, counts
+    #[arg(long, value_name = "N", default_value_t = Motion::default().counts,
+          value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
+    counts: u64,
+    /// Seed of all noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Draw the waveforms (A, B, A', B', count) of every design into this directory
+    #[arg(long, value_name = "DIR", num_args = 0..=1, default_missing_value = ".")]
+    plot: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Model {
+    /// 8051 at 12 MHz (NISTIR 4832)
+    #[value(name = "8051")]
+    I8051,
+    /// A digital signal processor, 100 ns an instruction
+    Dsp,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(v) if v > 0.0 && f64::is_finite(v) => Ok(v),
+        _ => Err("expected a number above zero".into()),
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let computer = match (&args.latency, args.computer) {
+        (Some(file), _) => Computer::measured(file)?,
+        (None, Model::I8051) => Computer::i8051(),
+        (None, Model::Dsp) => Computer::dsp(),
+    };
+    let motion = Motion {
+        encoder_hz: args.encoder_hz,
+        accel_counts_s2: args.accel,
+        counts: args.counts,
+        ..Motion::default()
+    };
+    eprintln!("rtecctl: running five designs on: {}", computer.name);
+    let comparison = compare(&computer, motion, args.seed);
+    if let Some(dir) = &args.plot {
+        std::fs::create_dir_all(dir).with_context(|| format!("making {}", dir.display()))?;
+        for design in AnyDesign::ALL {
+            let file = dir.join(format!("design-{}.svg", design.name()));
+            let svg = waveforms(design, &computer, 3);
+            write_whole(&file, svg.as_bytes()).with_context(|| format!("writing {}", file.display()))?;
+            eprintln!("rtecctl: wrote {}", file.display());
+        }
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&comparison)?);
+    } else {
+        print!("{}", comparison.to_table());
+    }
+    Ok(())
+}

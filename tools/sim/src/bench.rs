@@ -1,0 +1,511 @@
+//! One axis in motion, any design on any computer, and what the MTC made of it.
+
+use crate::computer::Computer;
+use crate::ecc::{Ecc, Pll};
+use crate::noise::Noise;
+use rtec_driver::card::{AxisLines, Card, CardError, Sample};
+use rtec_driver::input::InputError;
+use rtec_driver::quadrature::{Decoder, State};
+use rtec_driver::replay::{Gates, Listener, Through as Direct, Xor};
+use rtec_driver::trace::{Request, TracePoint};
+use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::engine::StartError;
+use rtec_rt::event::{Event, EventKind};
+use rtec_rt::replay::{Corrector, Outcome, ReplayError, homed_engine, replay, replay_with};
+use rtec_rt::through::Through;
+use serde::{Deserialize, Serialize};
+
+/// Every insertion design of the sources.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AnyDesign {
+    /// NISTIR 4832, the "Original RTEC": pulses through OR gates.
+    Original,
+    /// NISTIR 4832, Design A.
+    A,
+    /// NISTIR 4832, Design B: the signals pass through the computer.
+    B,
+    /// NISTIR 4832, Design C: two inversions.
+    C,
+    /// CMTI (2014): the Error Correction Circuit.
+    Ecc,
+}
+
+impl AnyDesign {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Original, Self::A, Self::B, Self::C, Self::Ecc];
+
+    /// Its name on the command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Original => "original",
+            Self::A => "a",
+            Self::B => "b",
+            Self::C => "c",
+            Self::Ecc => "ecc",
+        }
+    }
+
+    /// The design of this name.
+    #[must_use]
+    pub fn parse(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|d| d.name() == name)
+    }
+
+    /// Counts of one insertion.
+    #[must_use]
+    pub const fn increment_counts(self) -> i64 {
+        match self {
+            Self::Original | Self::A | Self::Ecc => 4,
+            Self::B => 1,
+            Self::C => 2,
+        }
+    }
+
+    /// A and B reach the MTC only through the computer.
+    #[must_use]
+    pub const fn through_computer(self) -> bool {
+        matches!(self, Self::B)
+    }
+
+    /// The design as the engine knows it; Design B and the ECC are configured like Design C.
+    pub(crate) const fn engine(self) -> Design {
+        match self {
+            Self::Original => Design::Original,
+            Self::A => Design::A,
+            Self::B | Self::C | Self::Ecc => Design::C,
+        }
+    }
+}
+
+/// Plays a recorded trace to any design, as [`replay`] does to those on XOR gates.
+///
+/// # Errors
+/// At the first bad row, or when the axis cannot be corrected as configured.
+pub fn replay_any<T, R, L>(
+    design: AnyDesign,
+    config: AxisConfig,
+    trace: T,
+    totals: R,
+    large: bool,
+    to: L,
+) -> Result<(Outcome, L), ReplayError>
+where
+    T: Iterator<Item = Result<TracePoint, InputError>>,
+    R: Iterator<Item = Result<Request, InputError>>,
+    L: Listener,
+{
+    let config = AxisConfig { lines: AxisLines::standard(0, false), design: design.engine(), ..config };
+    match design {
+        AnyDesign::Original | AnyDesign::A | AnyDesign::C => replay(config, trace, totals, large, to),
+        AnyDesign::B => replay_with(
+            Direct,
+            |card| Through::new(config, card)?.ok_or(StartError::NoGate(0)),
+            trace,
+            totals,
+            large,
+            to,
+        ),
+        AnyDesign::Ecc => {
+            let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?);
+            replay_with(Direct, start, trace, totals, large, to)
+        }
+    }
+}
+
+/// The Original RTEC's gates: a pulse is OR-ed in. At A = B = low the same as an inversion, elsewhere a level that is
+/// already high hides it (NISTIR 4832, The "Original RTEC").
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Or;
+
+impl Gates for Or {
+    fn out(self, scale: State, outputs: u8) -> State {
+        State::from_bits(scale.bits() | outputs)
+    }
+
+    fn transparent(self, _scale: State) -> u8 {
+        0
+    }
+}
+
+/// A scale's edge: time, ns, and +1 or −1 count.
+pub type Edge = (u64, i64);
+
+/// Constant speed for `counts` counts in one direction, beginning at `from_ns`.
+#[must_use]
+pub fn constant(from_ns: u64, encoder_hz: f64, counts: u64, direction: i64) -> Vec<Edge> {
+    let period_ns = 0.25e9 / encoder_hz;
+    (0..counts).map(|n| (from_ns + (n as f64 * period_ns) as u64, direction)).collect()
+}
+
+/// A move of `counts` counts and back: from rest up to `encoder_hz` and down to rest, twice, with `rest_ns` in between.
+/// The acceleration is in counts/s².
+#[must_use]
+pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_ns: u64) -> Vec<Edge> {
+    let mut edges = Vec::new();
+    let mut from_ns = rest_ns;
+    for direction in [1, -1] {
+        let (v, a, s) = (4.0 * encoder_hz, accel_counts_s2, counts as f64 + 0.5);
+        let ramp = (v * v / (2.0 * a)).min(s / 2.0);
+        let peak = (2.0 * a * ramp).sqrt();
+        let total_s = 2.0 * peak / a + (s - 2.0 * ramp) / peak;
+        for n in 1..=counts {
+            let x = n as f64;
+            let t = if x < ramp {
+                (2.0 * x / a).sqrt()
+            } else if x <= s - ramp {
+                peak / a + (x - ramp) / peak
+            } else {
+                total_s - (2.0 * (s - x) / a).sqrt()
+            };
+            edges.push((from_ns + (t * 1e9) as u64, direction));
+        }
+        from_ns += (total_s * 1e9) as u64 + rest_ns;
+    }
+    edges
+}
+
+/// A computer at work on one axis: looks that come when it has time, writes that land when they land.
+struct Rig<'a, G> {
+    gates: G,
+    computer: Option<&'a Computer>,
+    /// Each look is one pass of a loop (Design B).
+    passes: bool,
+    edges: &'a [Edge],
+    next: usize,
+    end_ns: u64,
+    die_ns: u64,
+    /// A circuit goes on without the computer that only asks it.
+    goes_on: bool,
+    scale: Decoder,
+    /// The scale as the last look saw it.
+    seen: State,
+    outputs: u64,
+    t_ns: u64,
+    /// The computer is busy with an edge until then.
+    busy_ns: u64,
+    /// The last change of the outputs; the next comes a step later.
+    wrote_ns: Option<u64>,
+    noise: Noise,
+    mtc: Decoder,
+    sent: State,
+    last_out_ns: Option<u64>,
+    min_separation_ns: u64,
+    /// Every change: time, scale, MTC, MTC's count.
+    log: Option<Vec<(u64, State, State, i64)>>,
+    /// Scale and MTC counts at the computer's death.
+    at_death: Option<(i64, i64)>,
+}
+
+impl<G: Gates> Rig<'_, G> {
+    fn out(&mut self, t_ns: u64) {
+        let lines = AxisLines::standard(0, false);
+        let out = self.gates.out(self.scale.state(), lines.inverters(self.outputs));
+        if out != self.sent {
+            self.sent = out;
+            self.mtc.update(out);
+            if let Some(last) = self.last_out_ns {
+                self.min_separation_ns = self.min_separation_ns.min(t_ns - last);
+            }
+            self.last_out_ns = Some(t_ns);
+        }
+        if let Some(log) = &mut self.log {
+            log.push((t_ns, self.scale.state(), out, self.mtc.count()));
+        }
+    }
+
+    /// Lets the scale run to `t_ns`.
+    fn run_to(&mut self, t_ns: u64) {
+        while let Some(&(edge_ns, step)) = self.edges.get(self.next).filter(|e| e.0 <= t_ns) {
+            if self.at_death.is_none() && edge_ns > self.die_ns {
+                self.at_death = Some((self.scale.count(), self.mtc.count()));
+            }
+            self.next += 1;
+            let state = self.scale.state().next(step > 0);
+            self.scale.update(state);
+            self.out(edge_ns);
+        }
+        self.t_ns = self.t_ns.max(t_ns);
+    }
+
+    fn next_edge_ns(&self) -> u64 {
+        self.edges.get(self.next).map_or(u64::MAX, |e| e.0)
+    }
+}
+
+impl<G: Gates> Card for Rig<'_, G> {
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        // When does the next look come? A circuit, and a computer that waits for an edge, look at once.
+        let waits = |rig: &Self| rig.next_edge_ns().min(wake_ns);
+        let mut look_ns = match self.computer {
+            None => waits(self).max(self.t_ns),
+            Some(c) if self.passes => self.t_ns + c.pass_ns.max(1),
+            Some(c) if c.looks.is_empty() => {
+                if self.seen == self.scale.state() { waits(self) } else { self.t_ns }.max(self.t_ns)
+            }
+            Some(c) => self.t_ns + c.next_look_ns(&mut self.noise).max(1),
+        };
+        look_ns = look_ns.max(self.busy_ns);
+        if let (Some(c), Some(wrote)) = (self.computer, self.wrote_ns)
+            && !self.passes
+            && self.seen == self.scale.state()
+            && wake_ns <= wrote + c.step_ns
+        {
+            look_ns = look_ns.max(wrote + c.step_ns);
+        }
+        if look_ns > self.die_ns && !self.goes_on || look_ns >= self.end_ns {
+            let end_ns = self.end_ns;
+            self.run_to(end_ns);
+            return Err(CardError::Ended);
+        }
+        self.run_to(look_ns);
+        self.t_ns = look_ns;
+        if self.scale.state() != self.seen {
+            self.seen = self.scale.state();
+            if let (Some(c), false) = (self.computer, self.passes) {
+                self.busy_ns = look_ns + c.react_ns;
+            }
+        }
+        // A circuit, and a computer that waits for the edge, know its time.
+        let waits = self.computer.is_none_or(|c| c.looks.is_empty() && !self.passes);
+        let edge_ns = (waits && self.next > 0 && self.edges[self.next - 1].0 == look_ns).then_some(look_ns);
+        Ok(Sample { t_ns: look_ns, inputs: u64::from(self.seen.bits()), edge_ns })
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        let delay_ns = match self.computer {
+            Some(c) if c.write_ns > 0 => c.next_look_ns(&mut self.noise).min(c.write_ns),
+            _ => 0,
+        };
+        // A write under way when the computer dies still lands: it was on the bus.
+        let landed_ns = self.t_ns + delay_ns;
+        self.run_to(landed_ns);
+        self.outputs = self.outputs & !mask | value & mask;
+        self.out(landed_ns);
+        self.wrote_ns = Some(landed_ns);
+        Ok(Some(landed_ns))
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// A run on the bench.
+#[derive(Debug, Clone)]
+pub struct Run<'a> {
+    /// Which design.
+    pub design: AnyDesign,
+    /// On which computer. The ECC is a circuit and needs none.
+    pub computer: &'a Computer,
+    /// The axis; its times are set from the computer's.
+    pub config: AxisConfig,
+    /// The scale's state before the first edge.
+    pub start: State,
+    /// The motion.
+    pub edges: &'a [Edge],
+    /// Requested totals and when, ns.
+    pub totals: &'a [(u64, i64)],
+    /// The computer stops at this time, ns.
+    pub die_ns: u64,
+    /// The speed gate is told nothing: every insertion is tried (what the report's computer would do without its timer).
+    pub ungated: bool,
+    /// Seed of the computer's and the PLL's noise.
+    pub seed: u64,
+    /// Keep every change for a plot.
+    pub keep_log: bool,
+}
+
+/// What came of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Seen {
+    /// Counts of the scale.
+    pub scale: i64,
+    /// Counts of the MTC.
+    pub mtc: i64,
+    /// What the corrector says it has inserted.
+    pub completed: i64,
+    /// What was asked of it.
+    pub requested: i64,
+    /// Insertions made.
+    pub insertions: u64,
+    /// Both signals at once, at the MTC.
+    pub illegal: u64,
+    /// Shortest time between two edges at the MTC, ns.
+    pub min_separation_ns: u64,
+    /// Real edges that fell into an insertion.
+    pub overlaps: u64,
+    /// Edges at which an insertion was due and the axis too fast.
+    pub waited_for_gate: u64,
+    /// Latched faults.
+    pub faults: usize,
+    /// Shortest and longest time from an edge to the end of the insertion it opened, ns.
+    pub edge_to_done_ns: Option<(u64, u64)>,
+    /// Scale and MTC counts when the computer died.
+    pub at_death: Option<(i64, i64)>,
+    /// Largest deviation from 90° of a split pulse, degrees (ECC).
+    pub worst_phase_deg: f64,
+    /// Every change, where asked for: time, scale, MTC, MTC's count.
+    pub log: Vec<(u64, State, State, i64)>,
+}
+
+impl Seen {
+    /// What the MTC has beyond scale and completed: zero, or a mistake.
+    #[must_use]
+    pub const fn error_counts(&self) -> i64 {
+        self.mtc - self.scale - self.completed
+    }
+}
+
+impl Run<'_> {
+    /// An axis at rest at A = B = low, no requests, no death, gated.
+    #[must_use]
+    pub fn new(design: AnyDesign, computer: &Computer) -> Run<'_> {
+        Run {
+            design,
+            computer,
+            config: AxisConfig::default(),
+            start: State::default(),
+            edges: &[],
+            totals: &[],
+            die_ns: u64::MAX,
+            ungated: false,
+            seed: 1,
+            keep_log: false,
+        }
+    }
+
+    /// The axis as the design on this computer is configured.
+    #[must_use]
+    pub fn config(&self) -> AxisConfig {
+        let config = self.computer.configure(self.design.engine(), self.config);
+        let config = match self.design {
+            // One pass to see the edge and write it, at the latest one after it came; steps in passes of their own.
+            AnyDesign::B => {
+                AxisConfig { detect_ns: 2 * self.computer.pass_ns, write_ns: self.computer.pass_ns, ..config }
+            }
+            _ => config,
+        };
+        if self.ungated {
+            let rest = RestPolicy::Insert { after_ns: self.computer.react_ns };
+            AxisConfig { detect_ns: 0, write_ns: 0, guard_ns: 0, max_accel_counts_s2: 0.0, rest, ..config }
+        } else {
+            config
+        }
+    }
+
+    /// Runs it. `None` where the computer is too slow for this axis at any speed.
+    #[must_use]
+    pub fn run(&self) -> Option<Seen> {
+        let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
+        match self.design {
+            AnyDesign::Original => {
+                self.go(Or, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
+            }
+            AnyDesign::A | AnyDesign::C => {
+                self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
+            }
+            AnyDesign::B => {
+                self.go(Direct, |card| Through::new(config, card).ok().flatten(), |_| (0.0, None))
+            }
+            AnyDesign::Ecc => self.go(
+                Direct,
+                |card| Ecc::new(Pll::default(), self.seed, card).ok(),
+                |ecc| (ecc.worst_phase_deg(), ecc.pulse_ns()),
+            ),
+        }
+    }
+
+    fn go<'s, G: Gates, M: Corrector>(
+        &'s self,
+        gates: G,
+        start: impl FnOnce(&mut Rig<'s, G>) -> Option<M>,
+        circuit: impl FnOnce(&M) -> (f64, Option<(u64, u64)>),
+    ) -> Option<Seen> {
+        let is_circuit = self.design == AnyDesign::Ecc;
+        let last_ns = self.edges.last().map_or(0, |e| e.0).max(self.totals.last().map_or(0, |t| t.0));
+        let mut rig = Rig {
+            gates,
+            computer: if is_circuit { None } else { Some(self.computer) },
+            passes: self.design.through_computer(),
+            edges: self.edges,
+            next: 0,
+            end_ns: last_ns + 5_000_000,
+            die_ns: self.die_ns,
+            goes_on: is_circuit,
+            scale: Decoder::new(self.start),
+            seen: self.start,
+            outputs: u64::from(gates.transparent(self.start)),
+            t_ns: 0,
+            busy_ns: 0,
+            wrote_ns: None,
+            noise: Noise::new(self.seed, 0xBE),
+            mtc: Decoder::new(self.start),
+            sent: self.start,
+            last_out_ns: None,
+            min_separation_ns: u64::MAX,
+            log: self.keep_log.then(Vec::new),
+            at_death: None,
+        };
+        rig.out(0);
+        let mut corrector = start(&mut rig)?;
+        let mut faults = 0;
+        let mut tell = |e: Event| {
+            faults += usize::from(matches!(e.kind, EventKind::Fault(_)));
+            true
+        };
+        let mut totals = self.totals.iter().filter(|t| t.0 <= self.die_ns).copied().peekable();
+        let mut edge_to_done: Option<(u64, u64)> = None;
+        let (mut insertions, mut last_edge_ns) = (0, 0);
+        loop {
+            while let Some((_, total)) = totals.next_if(|t| t.0 <= corrector.now_ns()) {
+                corrector.correct(total, true, &mut rig, &mut tell).ok()?;
+            }
+            let by_ns = totals.peek().map_or(u64::MAX, |t| t.0);
+            let seen = rig.seen;
+            match corrector.poll(&mut rig, by_ns, &mut tell) {
+                Ok(()) => {}
+                Err(CardError::Ended) => break,
+                Err(CardError::Io { .. }) => return None,
+            }
+            if rig.seen != seen {
+                last_edge_ns = rig.edges[rig.next - 1].0;
+            }
+            let axis = corrector.axis();
+            let made = axis.insertions > insertions && axis.mtc_minus_scale == axis.completed;
+            if made && rig.next > 0 {
+                insertions = axis.insertions;
+                // The last change, and the time after it in which the hardware is not free.
+                let done =
+                    rig.wrote_ns.unwrap_or(rig.t_ns).max(rig.t_ns) - last_edge_ns + self.computer.after_ns;
+                edge_to_done =
+                    Some(edge_to_done.map_or((done, done), |(lo, hi)| (lo.min(done), hi.max(done))));
+            }
+        }
+        let axis = corrector.axis();
+        let (worst_phase_deg, pulse_ns) = circuit(&corrector);
+        Some(Seen {
+            scale: rig.scale.count(),
+            mtc: rig.mtc.count(),
+            completed: axis.completed,
+            requested: axis.requested,
+            insertions: axis.insertions,
+            illegal: rig.mtc.illegal(),
+            min_separation_ns: rig.min_separation_ns,
+            overlaps: axis.overlaps,
+            waited_for_gate: axis.waited_for_gate,
+            faults,
+            edge_to_done_ns: if is_circuit { pulse_ns } else { edge_to_done },
+            at_death: rig.at_death,
+            worst_phase_deg,
+            log: rig.log.unwrap_or_default(),
+        })
+    }
+}
+
+/// An axis that is told to insert although it rests.
+#[must_use]
+pub fn insert_at_rest(config: AxisConfig) -> AxisConfig {
+    AxisConfig { rest: RestPolicy::Insert { after_ns: 1_000_000 }, ..config }
+}

@@ -1,0 +1,170 @@
+//! Computing hardware as a timing model: how long from an edge until the outputs change.
+
+use crate::noise::Noise;
+use rtec_driver::input::InputError;
+use rtec_rt::axis::{AxisConfig, Design};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// A computer that corrects one axis. All times in ns.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Computer {
+    /// What it is.
+    pub name: String,
+    /// From recognising an edge until the first output can change.
+    pub react_ns: u64,
+    /// Between two changes of its outputs.
+    pub step_ns: u64,
+    /// After the last change, until it is free again.
+    pub after_ns: u64,
+    /// One pass of a loop that reads A and B and writes A' and B' (Design B).
+    pub pass_ns: u64,
+    /// Time between two looks while it waits: cumulative share and ns. Empty: an edge is recognised at once, and the
+    /// reaction time holds it all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub looks: Vec<(f64, u64)>,
+    /// From an order until the output has changed, at the worst.
+    pub write_ns: u64,
+}
+
+/// The share of a measured distribution that a timing model takes as the worst; what is later is rarer than any test.
+const TAIL: f64 = 0.9999;
+
+impl Computer {
+    /// The 8051 family at 12 MHz. NISTIR 4832, The "Original RTEC": 4 µs from recognising "A&B low" until a pulse can be
+    /// added, pulses 2 µs wide overlapping by half (3 µs for the pair), 2 µs after them. A pass of Design B: some ten
+    /// instructions of one microsecond.
+    #[must_use]
+    pub fn i8051() -> Self {
+        Self {
+            name: "8051, 12 MHz".into(),
+            react_ns: 4000,
+            step_ns: 1000,
+            after_ns: 2000,
+            pass_ns: 10_000,
+            looks: Vec::new(),
+            write_ns: 0,
+        }
+    }
+
+    /// A digital signal processor of 1992, an order of magnitude faster than the 8051 (NISTIR 4832, Design B): 20 MHz,
+    /// 100 ns an instruction, byte-wide I/O that needs masking. Steps are as long as a 1 MHz decoder needs.
+    #[must_use]
+    pub fn dsp() -> Self {
+        Self {
+            name: "DSP, 100 ns an instruction".into(),
+            react_ns: 500,
+            step_ns: 500,
+            after_ns: 500,
+            pass_ns: 1000,
+            looks: Vec::new(),
+            write_ns: 0,
+        }
+    }
+
+    /// A PC that polls, from what `rtecctl selftest latency --json` measured on it: its distribution of the time between
+    /// two looks (`poll_gap_ns`).
+    ///
+    /// # Errors
+    /// When the file cannot be read or is no such document.
+    pub fn measured(file: &Path) -> Result<Self, InputError> {
+        #[derive(Deserialize)]
+        struct Document {
+            poll_gap_ns: Figures,
+        }
+        #[derive(Deserialize)]
+        struct Figures {
+            histogram: Vec<(u64, u64, u64)>,
+        }
+        let expected = "the JSON of `rtecctl selftest latency --json`";
+        let text = std::fs::read_to_string(file)
+            .map_err(|e| InputError::whole(file, format!("error `{e}`"), "a file that can be read"))?;
+        let document: Document = serde_json::from_str(&text)
+            .map_err(|e| InputError::at(file, e.line(), e.column(), e.to_string(), expected))?;
+        let buckets = document.poll_gap_ns.histogram;
+        let samples: u64 = buckets.iter().map(|b| b.2).sum();
+        if samples == 0 || buckets.windows(2).any(|w| w[1].0 < w[0].0) {
+            return Err(InputError::whole(file, "an empty or unordered histogram in poll_gap_ns", expected));
+        }
+        let mut below = 0;
+        let looks: Vec<(f64, u64)> = buckets
+            .iter()
+            .map(|&(_, high, count)| {
+                below += count;
+                (below as f64 / samples as f64, high.max(1))
+            })
+            .collect();
+        let worst = at_share(&looks, TAIL);
+        Ok(Self {
+            name: format!("PC, measured ({samples} looks, {TAIL} of them within {worst} ns)"),
+            react_ns: 2 * worst,
+            step_ns: 500,
+            after_ns: 500,
+            pass_ns: worst,
+            looks,
+            write_ns: worst,
+        })
+    }
+
+    /// The time until the next look, ns.
+    pub(crate) fn next_look_ns(&self, noise: &mut Noise) -> u64 {
+        at_share(&self.looks, noise.uniform())
+    }
+
+    /// The time until the next look at the worst, ns.
+    #[must_use]
+    pub fn worst_look_ns(&self) -> u64 {
+        at_share(&self.looks, TAIL)
+    }
+
+    /// An axis as it is configured for this computer: its speed gate is told all of these times.
+    #[must_use]
+    pub fn configure(&self, design: Design, config: AxisConfig) -> AxisConfig {
+        AxisConfig {
+            design,
+            min_separation_ns: self.step_ns,
+            detect_ns: self.worst_look_ns() + self.react_ns.saturating_sub(self.step_ns),
+            write_ns: 2 * self.worst_look_ns(),
+            guard_ns: self.after_ns.saturating_sub(self.step_ns),
+            ..config
+        }
+    }
+}
+
+fn at_share(looks: &[(f64, u64)], share: f64) -> u64 {
+    let at = looks.partition_point(|l| l.0 < share).min(looks.len().saturating_sub(1));
+    looks.get(at).map_or(0, |l| l.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// NISTIR 4832, The "Original RTEC": "a total of 9 µs".
+    #[test]
+    fn the_8051_needs_nine_microseconds() {
+        let computer = Computer::i8051();
+        let config = computer.configure(Design::Original, AxisConfig::default());
+        assert_eq!(config.gate().unwrap().need_ns(), 9000);
+        // Design C: two inversions instead of four.
+        let config = computer.configure(Design::C, AxisConfig::default());
+        assert_eq!(config.gate().unwrap().need_ns(), 7000);
+    }
+
+    #[test]
+    fn a_measured_histogram_gives_its_tail() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("latency.json");
+        let looks = "[[40,41,99990],[80,81,9],[5000,5119,1]]";
+        std::fs::write(&file, format!("{{\"poll_gap_ns\":{{\"histogram\":{looks}}},\"verdict\":\"pass\"}}"))
+            .unwrap();
+        let computer = Computer::measured(&file).unwrap();
+        assert_eq!(computer.worst_look_ns(), 41);
+        let mut noise = Noise::new(1, 0);
+        assert!((0..1000).all(|_| computer.next_look_ns(&mut noise) <= 5119));
+        std::fs::write(&file, "{\"poll_gap_ns\":{\"histogram\":[]}}").unwrap();
+        assert!(Computer::measured(&file).unwrap_err().to_string().contains("empty"));
+        std::fs::write(&file, "{\n\"poll\":1}").unwrap();
+        assert_eq!(Computer::measured(&file).unwrap_err().line, 2);
+    }
+}

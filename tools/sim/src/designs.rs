@@ -1,0 +1,434 @@
+//! The designs compared on the same motion, and their waveforms.
+
+use crate::bench::{AnyDesign, Edge, Run, Seen, constant, insert_at_rest, there_and_back};
+use crate::computer::Computer;
+use rtec_driver::quadrature::State;
+use rtec_rt::axis::AxisConfig;
+use serde::Serialize;
+use std::fmt::Write as _;
+
+/// The motion that all designs are put through: from rest up to speed and back to rest, both ways, with corrections
+/// of both signs asked for throughout.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Motion {
+    /// Encoder frequency at speed (a quarter of the count rate), Hz.
+    pub encoder_hz: f64,
+    /// Acceleration, counts/s².
+    pub accel_counts_s2: f64,
+    /// Length of each way, counts.
+    pub counts: u64,
+    /// Rest before each way, ns.
+    pub rest_ns: u64,
+    /// Largest correction asked for, counts.
+    pub correction_counts: i64,
+}
+
+impl Default for Motion {
+    /// The report's turning centre: 1 µm counts, rapid traverse at 7 m/min, "about 30 kHz" (NISTIR 4832, Altering the
+    /// Position Signal).
+    fn default() -> Self {
+        Self {
+            encoder_hz: 7e6 / 60.0 / 4.0,
+            accel_counts_s2: 1e6,
+            counts: 20_000,
+            rest_ns: 20_000_000,
+            correction_counts: 60,
+        }
+    }
+}
+
+impl Motion {
+    /// The scale's edges.
+    #[must_use]
+    pub fn edges(&self) -> Vec<Edge> {
+        there_and_back(self.encoder_hz, self.accel_counts_s2, self.counts, self.rest_ns)
+    }
+
+    /// Totals that sweep up and down in steps of twelve counts, all through the motion.
+    fn totals(&self, edges: &[Edge]) -> Vec<(u64, i64)> {
+        let last_ns = edges.last().map_or(0, |e| e.0);
+        let steps = 5 * self.correction_counts / 12;
+        let down = 2 * (self.correction_counts / 12);
+        let mut total = 0;
+        (1..=steps)
+            .map(|n| {
+                total += if n % (down + 1) < down / 2 { 12 } else { -12 };
+                (
+                    last_ns * n as u64 / (steps as u64 + 1),
+                    total.clamp(-self.correction_counts, self.correction_counts),
+                )
+            })
+            .collect()
+    }
+}
+
+/// What happens at the MTC when the computer stops at the worst moment.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Death {
+    /// Stopped at the kindest moment: MTC counts per scale count from then on.
+    pub best_follows: f64,
+    /// Stopped at the worst moment: MTC counts per scale count from then on.
+    pub worst_follows: f64,
+    /// Counts lost at the MTC over the rest of the motion, at the worst moment.
+    pub worst_count_error: i64,
+    /// Share of all moments in the motion at which the MTC went on seeing the scale.
+    pub share_harmless: f64,
+}
+
+/// One design's row.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Which.
+    pub design: AnyDesign,
+    /// Counts of one insertion.
+    pub increment_counts: i64,
+    /// From the edge that opens it until the hardware is free again, ns, as run (ECC: one pulse, at the motion's speed).
+    pub insertion_time_ns: Option<u64>,
+    /// Highest encoder frequency at which corrections are served and nothing goes wrong, Hz; 0: none.
+    pub max_safe_encoder_hz: f64,
+    /// Lowest such frequency, Hz (ECC: below it the PLL does not lock).
+    pub min_safe_encoder_hz: f64,
+    /// Corrections are served at rest in each of the four states.
+    pub works_at_rest: bool,
+    /// Of the four states at rest, those in which corrections are served.
+    pub states_served_at_rest: u8,
+    /// A and B reach the MTC only through the computer.
+    pub signals_pass_through_computer: bool,
+    /// Illegal transitions that the MTC saw, on the motion.
+    pub illegal_states: u64,
+    /// Largest error left in the MTC's count, on the motion.
+    pub worst_count_error: i64,
+    /// The last total was reached when the motion ended, or what was left of it is below one increment.
+    pub served: bool,
+    /// What happens when the computer dies, in words, from what was run.
+    pub when_computer_dies: String,
+    /// The same in figures.
+    pub death: Death,
+}
+
+/// The comparison, as `rtecctl designs --json` prints it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// One row per design.
+    pub designs: Vec<Row>,
+    /// The motion.
+    pub motion: Motion,
+    /// The computer.
+    pub timing: Computer,
+}
+
+/// Runs every design on the same motion and computer.
+#[must_use]
+pub fn compare(computer: &Computer, motion: Motion, seed: u64) -> Comparison {
+    let designs = AnyDesign::ALL.map(|d| row(d, computer, &motion, seed)).into();
+    Comparison { designs, motion, timing: computer.clone() }
+}
+
+fn row(design: AnyDesign, computer: &Computer, motion: &Motion, seed: u64) -> Row {
+    let edges = motion.edges();
+    let totals = motion.totals(&edges);
+    let config = AxisConfig { max_accel_counts_s2: motion.accel_counts_s2, ..AxisConfig::default() };
+    let run = Run { config, edges: &edges, totals: &totals, seed, ..Run::new(design, computer) };
+    let (mut illegal, mut worst, mut served) = (0, 0_i64, true);
+    let mut insertion_ns: Option<u64> = None;
+    for start in 0..4 {
+        let run = Run { start: State::from_bits(start), seed: seed + u64::from(start), ..run.clone() };
+        let Some(seen) = run.run() else {
+            served = false;
+            continue;
+        };
+        illegal += seen.illegal;
+        worst = if seen.error_counts().abs() > worst.abs() { seen.error_counts() } else { worst };
+        served &= (seen.requested - seen.completed).abs() < design.increment_counts();
+        insertion_ns = match (insertion_ns, seen.edge_to_done_ns) {
+            (Some(a), Some((b, _))) => Some(a.min(b)),
+            (a, b) => a.or(b.map(|b| b.0)),
+        };
+    }
+    let (low, high) = safe_range(design, computer, config, seed);
+    let states =
+        (0..4).filter(|&s| served_at_rest(design, computer, config, State::from_bits(s))).count() as u8;
+    let death = death(&run);
+    Row {
+        design,
+        increment_counts: design.increment_counts(),
+        insertion_time_ns: insertion_ns,
+        max_safe_encoder_hz: high,
+        min_safe_encoder_hz: low,
+        works_at_rest: states == 4,
+        states_served_at_rest: states,
+        signals_pass_through_computer: design.through_computer(),
+        illegal_states: illegal,
+        worst_count_error: worst,
+        served,
+        when_computer_dies: death.in_words(),
+        death,
+    }
+}
+
+/// At this encoder frequency corrections of both signs are served, in both directions, in full, with nothing wrong at
+/// the MTC: no illegal transition, no edge closer than its separation, no count too many or too few, 90° kept.
+#[must_use]
+pub fn safe_at(
+    design: AnyDesign,
+    computer: &Computer,
+    config: AxisConfig,
+    encoder_hz: f64,
+    seed: u64,
+) -> bool {
+    let counts = 3000;
+    (0..4_u8).all(|phase| {
+        [1, -1].into_iter().all(|direction| {
+            let edges = constant(1_000_000 + 137 * u64::from(phase), encoder_hz, counts, direction);
+            let at = |share: u64| edges[(counts * share / 100) as usize].0;
+            let totals = [(at(20), 12), (at(60), -12)];
+            let run = Run {
+                config,
+                start: State::from_bits(phase),
+                edges: &edges,
+                totals: &totals,
+                seed: seed + u64::from(phase),
+                ..Run::new(design, computer)
+            };
+            run.run().is_some_and(|seen| clean(&seen, run.config().min_separation_ns))
+        })
+    })
+}
+
+fn clean(seen: &Seen, separation_ns: u64) -> bool {
+    seen.completed == seen.requested
+        && seen.error_counts() == 0
+        && seen.illegal == 0
+        && seen.faults == 0
+        && seen.overlaps == 0
+        && seen.min_separation_ns >= separation_ns.min(500)
+        && seen.worst_phase_deg < 20.0
+}
+
+/// The lowest and the highest encoder frequency at which the design is safe, Hz, by bisection to 0.1 %. (0, 0): none.
+#[must_use]
+pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, seed: u64) -> (f64, f64) {
+    let safe = |hz: f64| safe_at(design, computer, config, hz, seed);
+    // From the slowest that is of interest upwards; the ECC is not safe at the slow end.
+    let from = [100.0, 10_000.0].into_iter().find(|&hz| safe(hz));
+    let Some(from) = from else { return (0.0, 0.0) };
+    let bisect = |mut good: f64, mut bad: f64| {
+        while (good - bad).abs() > 1e-3 * good.max(bad) {
+            let middle = (good * bad).sqrt();
+            *if safe(middle) { &mut good } else { &mut bad } = middle;
+        }
+        good
+    };
+    let high = if safe(10e6) { 10e6 } else { bisect(from, 10e6) };
+    let low = if from > 100.0 { bisect(from, 100.0) } else { 0.0 };
+    (low, high)
+}
+
+fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig, state: State) -> bool {
+    let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
+    let config = insert_at_rest(config);
+    let run = Run { config, start: state, totals: &totals, ..Run::new(design, computer) };
+    run.run().is_some_and(|s| s.completed == -12 && s.error_counts() == 0 && s.illegal == 0)
+}
+
+/// Stops the computer at many moments, among them every stage of the insertions.
+fn death(run: &Run<'_>) -> Death {
+    let Some(whole) = (Run { keep_log: true, ..run.clone() }).run() else {
+        return Death { best_follows: 0.0, worst_follows: 0.0, worst_count_error: 0, share_harmless: 0.0 };
+    };
+    // Just after changes of A' and B', and moments spread over the motion.
+    let changes: Vec<u64> = whole.log.windows(2).filter(|w| w[0].1 == w[1].1).map(|w| w[1].0).collect();
+    let end_ns = run.edges.last().map_or(0, |e| e.0);
+    let spread: Vec<u64> = (1..100).map(|n| end_ns * n / 110).collect();
+    let chosen = changes.iter().step_by(changes.len().div_ceil(100).max(1)).take(100).map(|t| t + 1);
+    let mut death =
+        Death { best_follows: 0.0, worst_follows: 1.0, worst_count_error: 0, share_harmless: 0.0 };
+    let mut harmless = 0;
+    let stop = |die_ns: u64| -> Option<(f64, i64)> {
+        let seen = Run { die_ns, ..run.clone() }.run()?;
+        let (scale, mtc) = seen.at_death?;
+        // Over the longest travel that follows: where the axis turned, the way back undoes nothing of a mirrored count.
+        let after: Vec<i64> = run.edges.iter().filter(|e| e.0 > die_ns).map(|e| e.1).collect();
+        let travel = after
+            .iter()
+            .scan(0, |x, s| {
+                *x += s;
+                Some(*x)
+            })
+            .max_by_key(|x: &i64| x.abs())?;
+        let upto = after
+            .iter()
+            .scan(0, |x, s| {
+                *x += s;
+                Some(*x)
+            })
+            .position(|x| x == travel)?
+            + 1;
+        let last = run.edges.len() - after.len() + upto;
+        let seen = Run { die_ns, edges: &run.edges[..last], ..run.clone() }.run().unwrap_or(seen);
+        let (moved, heard) = (seen.scale - scale, seen.mtc - mtc);
+        (moved != 0).then(|| (heard as f64 / moved as f64, heard - moved))
+    };
+    for die_ns in spread.iter().copied() {
+        let Some((follows, error)) = stop(die_ns) else { continue };
+        if death.best_follows == 0.0 || (follows - 1.0).abs() < (death.best_follows - 1.0).abs() {
+            death.best_follows = follows;
+        }
+        harmless += usize::from(error.abs() <= 2);
+    }
+    for die_ns in spread.iter().copied().chain(chosen) {
+        let Some((follows, error)) = stop(die_ns) else { continue };
+        if error.abs() > death.worst_count_error.abs() {
+            (death.worst_follows, death.worst_count_error) = (follows, error);
+        }
+    }
+    death.share_harmless = harmless as f64 / spread.len() as f64;
+    death
+}
+
+impl Death {
+    /// In words.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let after = |follows: f64| {
+            if (follows - 1.0).abs() < 0.01 {
+                "the MTC goes on seeing the scale"
+            } else if (follows + 1.0).abs() < 0.01 {
+                "the MTC counts mirrored"
+            } else if follows.abs() < 0.01 {
+                "the MTC sees an axis at rest"
+            } else {
+                "the MTC sees part of the counts"
+            }
+        };
+        let (best, worst) = (after(self.best_follows), after(self.worst_follows));
+        if best == worst {
+            format!("at any moment: {worst}")
+        } else {
+            format!("between insertions: {best}; inside one: {worst}")
+        }
+    }
+}
+
+impl Comparison {
+    /// The table a designer needs.
+    #[must_use]
+    pub fn to_table(&self) -> String {
+        let m = &self.motion;
+        let mut s = format!(
+            "motion: {} counts there and back at {:.1} kHz (encoder), {:.3e} counts/s², corrections to ±{} counts\n\
+             computer: {}\n\n",
+            m.counts,
+            m.encoder_hz / 1e3,
+            m.accel_counts_s2,
+            m.correction_counts,
+            self.timing.name
+        );
+        let _ = writeln!(
+            s,
+            "design    counts  time/insertion  safe encoder frequency     at rest  through PC  illegal  count error  \
+             when the computer dies"
+        );
+        for r in &self.designs {
+            let time = r.insertion_time_ns.map_or("—".into(), |t| format!("{:.2} µs", t as f64 / 1e3));
+            let range = match (r.min_safe_encoder_hz, r.max_safe_encoder_hz) {
+                (_, 0.0) => "none".into(),
+                (0.0, hi) => format!("to {:.2} kHz", hi / 1e3),
+                (lo, hi) => format!("{:.2} to {:.2} kHz", lo / 1e3, hi / 1e3),
+            };
+            let _ = writeln!(
+                s,
+                "{:<9} {:>6}  {time:>14}  {range:<25}  {:<7}  {:<10}  {:>7}  {:>11}  {}",
+                r.design.name(),
+                format!("±{}", r.increment_counts),
+                if r.works_at_rest { "yes".into() } else { format!("{} of 4", r.states_served_at_rest) },
+                if r.signals_pass_through_computer { "yes" } else { "no" },
+                r.illegal_states,
+                r.worst_count_error,
+                r.when_computer_dies
+            );
+        }
+        s
+    }
+}
+
+/// Waveforms of one design as an SVG: A, B, A', B' and the MTC's count, while it adds and then takes off `pulses`
+/// increments (NISTIR 4832, figure 2; CMTI 2014, figures 8 and 9).
+#[must_use]
+pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String {
+    let increments = pulses * design.increment_counts();
+    let counts = 8 * (increments as u64) + 40;
+    let edges = constant(100_000, 5000.0, counts, 1);
+    let at = |share: u64| edges[(counts * share / 100) as usize].0 - 1;
+    let totals = [(at(12), increments), (at(55), 0)];
+    let run = Run { edges: &edges, totals: &totals, keep_log: true, ..Run::new(design, computer) };
+    let Some(seen) = run.run() else { return String::new() };
+    draw(design, &seen.log, &totals)
+}
+
+type Level = fn(&(u64, State, State, i64)) -> bool;
+
+fn draw(design: AnyDesign, log: &[(u64, State, State, i64)], totals: &[(u64, i64)]) -> String {
+    let (from, to) = match (log.first(), log.last()) {
+        (Some(_), Some(last)) => (90_000_u64, last.0 + 20_000),
+        _ => return String::new(),
+    };
+    let (left, width, row) = (60.0, 1180.0, 44.0);
+    let x = |t: u64| left + width * (t.max(from) - from) as f64 / (to - from) as f64;
+    let mut s = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 1280 400\" font-family=\"sans-serif\" \
+         font-size=\"14\">\n<rect width=\"1280\" height=\"400\" fill=\"white\"/>\n<text x=\"{left}\" y=\"22\">Design \
+         {}: A and B of the scale, A' and B' at the MTC, and its count</text>\n",
+        design.name()
+    );
+    let signals: [(&str, &str, Level); 4] = [
+        ("A", "#777", |l| l.1.a()),
+        ("B", "#777", |l| l.1.b()),
+        ("A'", "#036", |l| l.2.a()),
+        ("B'", "#036", |l| l.2.b()),
+    ];
+    for (n, (name, colour, level)) in signals.into_iter().enumerate() {
+        let base = 80.0 + row * n as f64;
+        let y = |high: bool| if high { base - 26.0 } else { base };
+        let mut points = format!("{left:.1},{:.1}", y(log.first().is_some_and(level)));
+        let mut last = log.first().is_some_and(level);
+        for l in log {
+            if level(l) != last {
+                let _ = write!(points, " {:.1},{:.1} {:.1},{:.1}", x(l.0), y(last), x(l.0), y(!last));
+                last = !last;
+            }
+        }
+        let _ = write!(points, " {:.1},{:.1}", left + width, y(last));
+        let _ = writeln!(
+            s,
+            "<text x=\"16\" y=\"{base:.0}\">{name}</text><polyline fill=\"none\" stroke=\"{colour}\" \
+             stroke-width=\"1.2\" points=\"{points}\"/>"
+        );
+    }
+    let max = log.iter().map(|l| l.3).max().unwrap_or(1).max(1);
+    let y = |count: i64| 370.0 - 110.0 * count as f64 / max as f64;
+    let mut points = format!("{left:.1},{:.1}", y(0));
+    let mut count = 0;
+    for l in log {
+        if l.3 != count {
+            let _ = write!(points, " {:.1},{:.1} {:.1},{:.1}", x(l.0), y(count), x(l.0), y(l.3));
+            count = l.3;
+        }
+    }
+    let _ = write!(points, " {:.1},{:.1}", left + width, y(count));
+    let _ = writeln!(
+        s,
+        "<text x=\"10\" y=\"372\">count</text><text x=\"20\" y=\"268\">{max}</text><polyline fill=\"none\" \
+         stroke=\"#a30\" stroke-width=\"1.2\" points=\"{points}\"/>"
+    );
+    for &(t, total) in totals {
+        let _ = writeln!(
+            s,
+            "<line x1=\"{0:.1}\" x2=\"{0:.1}\" y1=\"40\" y2=\"372\" stroke=\"#393\" stroke-dasharray=\"4 3\"/>\
+             <text x=\"{1:.1}\" y=\"40\" fill=\"#393\">requested {total}</text>",
+            x(t),
+            x(t) + 3.0
+        );
+    }
+    s + "</svg>\n"
+}

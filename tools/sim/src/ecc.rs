@@ -1,0 +1,337 @@
+//! The Error Correction Circuit of CMTI (2014): pulses are subtracted by blocking them, added by splitting each into two
+//! with a phase-locked loop that doubles their frequency.
+//!
+//! | block of the paper | here |
+//! |---|---|
+//! | pulse subtraction (fig. 2): counter, comparator, AND gates | A' = B' = low until as many pulses of A have passed |
+//! | XOR of A and B, PLL frequency doubler (fig. 4), 90° phase shifter (fig. 5) | ticks of a VCO, two for each count of the scale |
+//! | pulse pre-conditioning (fig. 6) | both begin and end at A = B = low |
+//! | direction detector and corrector (fig. 7) | the last count's direction decides which way a tick counts |
+//! | full adder, counter, comparator | after twice the compensation value in pulses the encoder's own are passed again |
+//! | acknowledgement, 4-bit value | the controller asks for at most 15 pulses at a time and books them when acknowledged |
+//!
+//! The PLL is a behavioural model of what the paper measured of it, not of its parts.
+
+use crate::noise::Noise;
+use rtec_driver::card::{AxisLines, Card, CardError};
+use rtec_driver::quadrature::{Decoder, State};
+use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
+use rtec_rt::replay::Corrector;
+use serde::Serialize;
+
+/// What the paper measured of its PLL: frequencies of the XOR of A and B, which is twice the encoder's.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Pll {
+    /// It begins to double, Hz.
+    pub lock_from_hz: f64,
+    /// It doubles cleanly from here, Hz.
+    pub clean_from_hz: f64,
+    /// It doubles cleanly up to here, Hz.
+    pub clean_to_hz: f64,
+    /// It doubles up to here, Hz.
+    pub lock_to_hz: f64,
+    /// Time constant with which the VCO follows a changing input, ns.
+    pub follow_ns: f64,
+}
+
+impl Default for Pll {
+    /// CMTI (2014), section 2.2.2: from 700 Hz, clean 2.3 to 125 kHz, up to 160 kHz. The time constant is that of the
+    /// loop's natural frequency, 2 kHz with the parts given there (R3 = 360 Ω, R4 = 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
+    fn default() -> Self {
+        Self {
+            lock_from_hz: 700.0,
+            clean_from_hz: 2300.0,
+            clean_to_hz: 125_000.0,
+            lock_to_hz: 160_000.0,
+            follow_ns: 76_000.0,
+        }
+    }
+}
+
+/// The largest compensation value, pulses (CMTI 2014, section 2.2.7: four bits).
+pub const MAX_PULSES: i64 = 15;
+
+/// What the circuit passes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Passing {
+    Encoder,
+    /// Blocking: pulses of A still to be blocked.
+    Blocked {
+        left: i64,
+    },
+    /// Splitting: counts still to be sent.
+    Split {
+        left: i64,
+    },
+}
+
+/// One axis with the circuit in its feedback, and the embedded controller that asks for compensation.
+#[derive(Debug)]
+pub struct Ecc {
+    pll: Pll,
+    lines: AxisLines,
+    scale: Decoder,
+    out: Decoder,
+    passing: Passing,
+    /// What is under way, pulses with sign.
+    asked: i64,
+    requested: i64,
+    completed: i64,
+    insertions: u64,
+    look_ns: u64,
+    last_edge_ns: Option<u64>,
+    /// Direction detector.
+    positive: bool,
+    /// Time between two scale counts that the VCO stands for, ns.
+    vco_ns: f64,
+    input_hz: f64,
+    tick_ns: Option<u64>,
+    /// The tick between the last scale edge and the next has been sent.
+    half_sent: bool,
+    noise: Noise,
+    worst_phase_deg: f64,
+    acknowledged: u64,
+    begun_ns: u64,
+    /// Shortest and longest time per pulse, ns.
+    pulse_ns: Option<(u64, u64)>,
+}
+
+impl Ecc {
+    /// Takes over a card without gates: its output lines are A' and B'.
+    ///
+    /// # Errors
+    /// When the card cannot be read or written.
+    pub fn new<C: Card>(pll: Pll, seed: u64, card: &mut C) -> Result<Self, CardError> {
+        let lines = AxisLines::standard(0, false);
+        let sample = card.sample(0)?;
+        let state = lines.scale(sample.inputs);
+        let mut ecc = Self {
+            pll,
+            lines,
+            scale: Decoder::new(state),
+            out: Decoder::new(state),
+            passing: Passing::Encoder,
+            asked: 0,
+            requested: 0,
+            completed: 0,
+            insertions: 0,
+            look_ns: sample.t_ns,
+            last_edge_ns: None,
+            positive: true,
+            vco_ns: 0.5e9 / pll.lock_from_hz,
+            input_hz: 0.0,
+            tick_ns: None,
+            half_sent: false,
+            noise: Noise::new(seed, 0xECC),
+            worst_phase_deg: 0.0,
+            acknowledged: 0,
+            begun_ns: 0,
+            pulse_ns: None,
+        };
+        ecc.send(state, card)?;
+        Ok(ecc)
+    }
+
+    /// Acknowledgements so far: compensations brought to their end.
+    #[must_use]
+    pub fn acknowledged(&self) -> u64 {
+        self.acknowledged
+    }
+
+    /// Largest deviation from 90° between two edges of a split pulse, degrees of phase.
+    #[must_use]
+    pub fn worst_phase_deg(&self) -> f64 {
+        self.worst_phase_deg
+    }
+
+    /// Shortest and longest time that one pulse took, ns: a cycle of the encoder.
+    #[must_use]
+    pub fn pulse_ns(&self) -> Option<(u64, u64)> {
+        self.pulse_ns
+    }
+
+    fn send<C: Card>(&mut self, state: State, card: &mut C) -> Result<(), CardError> {
+        let lines = &self.lines;
+        let mask = 1 << lines.invert_a | 1 << lines.invert_b;
+        card.write(mask, u64::from(state.a()) << lines.invert_a | u64::from(state.b()) << lines.invert_b)?;
+        self.out.update(state);
+        Ok(())
+    }
+
+    /// A tick of the phase shifter's clock: one count further in the encoder's direction.
+    fn tick<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
+        if let Passing::Split { left } = &mut self.passing {
+            *left -= 1;
+            let done = *left == 0;
+            let next = self.out.state().next(self.positive);
+            self.send(next, card)?;
+            if done {
+                self.acknowledge(card)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The multiplexer goes back to the encoder; the controller books what it asked for, whatever came of it.
+    fn acknowledge<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
+        self.passing = Passing::Encoder;
+        self.tick_ns = None;
+        self.completed += 4 * self.asked;
+        let took = (self.look_ns - self.begun_ns) / self.asked.unsigned_abs().max(1);
+        self.pulse_ns = Some(self.pulse_ns.map_or((took, took), |(lo, hi)| (lo.min(took), hi.max(took))));
+        self.asked = 0;
+        self.insertions += 1;
+        self.acknowledged += 1;
+        if self.out.state() != self.scale.state() {
+            let state = self.scale.state();
+            self.send(state, card)?;
+        }
+        Ok(())
+    }
+
+    fn in_range(&self, from: f64, to: f64) -> bool {
+        (from..=to).contains(&self.input_hz)
+    }
+
+    /// The VCO ticks between two scale edges as well: halfway where it locks cleanly.
+    fn schedule_half(&mut self, edge_ns: u64) {
+        let clean = self.in_range(self.pll.clean_from_hz, self.pll.clean_to_hz);
+        let shift = if clean { 0.0 } else { 0.9 * (self.noise.uniform() - 0.5) };
+        self.worst_phase_deg = self.worst_phase_deg.max(90.0 * shift.abs());
+        self.tick_ns = Some(edge_ns + (self.vco_ns * 0.5 * (1.0 + shift)) as u64);
+        self.half_sent = false;
+    }
+
+    /// Time between two ticks of a VCO that is not locked: it rests at one end of its range, ns.
+    fn free_ns(&self) -> u64 {
+        let limit =
+            if self.input_hz > self.pll.lock_to_hz { self.pll.lock_to_hz } else { self.pll.lock_from_hz };
+        (0.25e9 / limit) as u64
+    }
+
+    fn edge<C: Card>(&mut self, state: State, edge_ns: u64, card: &mut C) -> Result<(), CardError> {
+        let before = self.scale.state();
+        let Some(step) = self.scale.update(state) else { return self.send(state, card) };
+        let period_ns = self.last_edge_ns.map_or(f64::INFINITY, |last| (edge_ns - last).max(1) as f64);
+        self.last_edge_ns = Some(edge_ns);
+        self.positive = step > 0;
+        self.input_hz = 0.5e9 / period_ns;
+        let locked = self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz);
+        let limits = [0.5e9 / self.pll.lock_to_hz, 0.5e9 / self.pll.lock_from_hz];
+        let target = period_ns.clamp(limits[0], limits[1]);
+        self.vco_ns += (target - self.vco_ns) * (1.0 - libm::exp(-target / self.pll.follow_ns));
+        match &mut self.passing {
+            Passing::Encoder => self.send(state, card)?,
+            Passing::Blocked { left } => {
+                // The counter counts rising edges of A whichever way the axis moves.
+                *left -= i64::from(state.a() && !before.a());
+                if *left <= 0 && state == State::default() {
+                    self.acknowledge(card)?;
+                }
+                return Ok(());
+            }
+            Passing::Split { .. } if locked => {
+                // Phase lock: two ticks a count, this one and the one before it if it is still due.
+                if !self.half_sent {
+                    self.tick(card)?;
+                }
+                self.tick(card)?;
+                if matches!(self.passing, Passing::Split { .. }) {
+                    self.schedule_half(edge_ns);
+                }
+                return Ok(());
+            }
+            Passing::Split { .. } => {
+                self.tick_ns.get_or_insert(edge_ns + 1);
+                return Ok(());
+            }
+        }
+        self.begin(state, edge_ns);
+        Ok(())
+    }
+
+    /// At A = B = low the controller's next request may begin.
+    fn begin(&mut self, state: State, edge_ns: u64) {
+        let pulses = ((self.requested - self.completed) / 4).clamp(-MAX_PULSES, MAX_PULSES);
+        if pulses == 0 || state != State::default() {
+            return;
+        }
+        self.asked = pulses;
+        self.begun_ns = edge_ns;
+        // More counts in the direction of motion are added pulses, fewer are blocked ones.
+        if (pulses > 0) == self.positive {
+            self.passing = Passing::Split { left: 8 * pulses.abs() };
+            self.schedule_half(edge_ns);
+        } else {
+            self.passing = Passing::Blocked { left: pulses.abs() };
+        }
+    }
+}
+
+impl Corrector for Ecc {
+    fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        _tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        let splitting = matches!(self.passing, Passing::Split { .. });
+        // An input that has fallen below the lock range leaves the VCO running at its lowest frequency.
+        let loses_ns = self.last_edge_ns.map_or(u64::MAX, |t| t + (0.5e9 / self.pll.lock_from_hz) as u64);
+        let mut wake_ns = if splitting { self.tick_ns.unwrap_or(loses_ns) } else { u64::MAX };
+        wake_ns = wake_ns.max(self.look_ns);
+        let sample = card.sample(wake_ns.min(by_ns))?;
+        self.look_ns = sample.t_ns;
+        let state = self.lines.scale(sample.inputs);
+        if state != self.scale.state() {
+            return self.edge(state, sample.edge_ns.unwrap_or(sample.t_ns), card);
+        }
+        if splitting && self.look_ns >= wake_ns {
+            self.tick(card)?;
+            self.half_sent = true;
+            let locked = self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz) && self.look_ns < loses_ns;
+            self.tick_ns = if !matches!(self.passing, Passing::Split { .. }) {
+                None
+            } else if locked {
+                Some(loses_ns)
+            } else {
+                Some(self.look_ns + self.free_ns())
+            };
+        }
+        Ok(())
+    }
+
+    fn correct<C: Card>(
+        &mut self,
+        total_counts: i64,
+        _large: bool,
+        _card: &mut C,
+        tell: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        if total_counts.abs() > 1000 {
+            let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
+            tell(Event { t_ns: self.look_ns, axis: Some(0), kind });
+        } else {
+            self.requested = total_counts;
+        }
+        Ok(())
+    }
+
+    fn axis(&self) -> AxisStatus {
+        AxisStatus {
+            position_counts: self.scale.count(),
+            mtc_minus_scale: self.out.count() - self.scale.count(),
+            requested: self.requested,
+            completed: self.completed,
+            in_effect: self.completed,
+            homed: true,
+            insertions: self.insertions,
+            illegal: self.scale.illegal(),
+            ..AxisStatus::default()
+        }
+    }
+
+    fn now_ns(&self) -> u64 {
+        self.look_ns
+    }
+}

@@ -1,0 +1,15 @@
+//! The simulated machine, for the unchanged engine to run against, and every insertion design side by side.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
+//! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
+//! | [`bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
+//! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
+//! | [`noise`] | seeded noise |
+
+pub mod bench;
+pub mod computer;
+pub mod designs;
+pub mod ecc;
+pub mod noise;

@@ -1,0 +1,26 @@
+//! Seeded noise, the same on every machine.
+
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{RngCore, SeedableRng};
+
+/// A stream of pseudo-random numbers.
+#[derive(Debug, Clone)]
+pub struct Noise(Xoshiro256PlusPlus);
+
+impl Noise {
+    /// The stream of a seed; `stream` tells several uses of one seed apart.
+    #[must_use]
+    pub fn new(seed: u64, stream: u64) -> Self {
+        Self(Xoshiro256PlusPlus::seed_from_u64(seed ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15)))
+    }
+
+    /// Uniform in 0..1.
+    pub fn uniform(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Normal with mean 0 and standard deviation 1: the sum of twelve uniforms, exact arithmetic on every machine.
+    pub fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
+}

@@ -1,0 +1,247 @@
+//! What the papers say of their designs, each figure with report and section.
+
+#![allow(clippy::unwrap_used)]
+
+use rtec_driver::quadrature::State;
+use rtec_rt::axis::AxisConfig;
+use rtec_sim::bench::{AnyDesign, Run, Seen, constant, there_and_back};
+use rtec_sim::computer::Computer;
+use rtec_sim::designs::{Comparison, Motion, compare, safe_at, safe_range, waveforms};
+
+fn comparison(computer: &Computer) -> Comparison {
+    compare(computer, Motion { counts: 4000, ..Motion::default() }, 1)
+}
+
+/// NISTIR 4832, The "Original RTEC", Designs A to C; CMTI 2014: the whole table, on the 8051 and on a DSP.
+#[test]
+fn the_table_is_what_the_papers_say() {
+    for (computer, b_serves) in [(Computer::i8051(), false), (Computer::dsp(), true)] {
+        let table = comparison(&computer);
+        println!("{}", table.to_table());
+        for row in &table.designs {
+            assert_eq!((row.illegal_states, row.worst_count_error), (0, 0), "{row:?}");
+            assert_eq!(row.signals_pass_through_computer, row.design == AnyDesign::B);
+            let states = match row.design {
+                AnyDesign::Original => 1,
+                AnyDesign::Ecc => 0,
+                _ => 4,
+            };
+            assert_eq!(row.states_served_at_rest, states, "{row:?}");
+            let words = row.when_computer_dies.as_str();
+            match row.design {
+                AnyDesign::B => assert_eq!(words, "at any moment: the MTC sees an axis at rest"),
+                AnyDesign::Ecc => assert_eq!(words, "at any moment: the MTC goes on seeing the scale"),
+                _ => assert!(
+                    words.starts_with("between insertions: the MTC goes on seeing the scale"),
+                    "{words}"
+                ),
+            }
+            if row.design == AnyDesign::B && b_serves {
+                assert!(row.max_safe_encoder_hz > 40_000.0, "{row:?}");
+            }
+        }
+    }
+}
+
+/// NISTIR 4832, The "Original RTEC": 4 µs + 3 µs + 2 µs = 9 µs; at 30 kHz A and B are low for about 8 µs and it no longer
+/// fits. Design C takes somewhat less time.
+#[test]
+fn at_30_khz_nine_microseconds_no_longer_fit() {
+    let computer = Computer::i8051();
+    let config = AxisConfig::default();
+    let run = |design, hz: f64| {
+        let edges = constant(1_000_000, hz, 4000, 1);
+        let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
+        Run { edges: &edges, totals: &totals, ..Run::new(design, &computer) }.run().unwrap()
+    };
+    let slow = run(AnyDesign::Original, 10_000.0);
+    assert_eq!((slow.completed, slow.edge_to_done_ns), (-40, Some((9000, 9000))));
+    assert_eq!(run(AnyDesign::C, 10_000.0).edge_to_done_ns, Some((7000, 7000)));
+    let rapid = run(AnyDesign::Original, 30_000.0);
+    assert_eq!((rapid.completed, rapid.error_counts()), (0, 0));
+    assert!(rapid.waited_for_gate > 0);
+    for design in [AnyDesign::Original, AnyDesign::A] {
+        let (_, high) = safe_range(design, &computer, config, 1);
+        // A quarter of a cycle must hold 9 µs.
+        assert!((27_000.0..27_800.0).contains(&high), "{design:?}: {high} Hz");
+    }
+    let (_, high) = safe_range(AnyDesign::C, &computer, config, 1);
+    assert!((35_000.0..35_720.0).contains(&high), "{high} Hz");
+}
+
+/// NISTIR 4832, The "Original RTEC": without its timer "the routine may run into the next signal transition".
+#[test]
+fn without_the_speed_gate_it_runs_into_the_next_transition() {
+    let computer = Computer::i8051();
+    let run = |hz: f64| {
+        let edges = constant(1_000_000, hz, 4000, 1);
+        let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
+        Run { edges: &edges, totals: &totals, ungated: true, ..Run::new(AnyDesign::Original, &computer) }
+            .run()
+            .unwrap()
+    };
+    let wrong =
+        |seen: &Seen| seen.overlaps > 0 || seen.illegal > 0 || seen.error_counts() != 0 || seen.faults > 0;
+    assert!(!wrong(&run(25_000.0)));
+    assert!(wrong(&run(40_000.0)));
+}
+
+/// NISTIR 4832, The "Original RTEC": the machine cannot be corrected at rest outside A = B = low; Design A in any state.
+#[test]
+fn the_original_cannot_insert_at_rest_outside_low_low() {
+    let computer = Computer::i8051();
+    for bits in 0..4 {
+        for (design, served) in [(AnyDesign::Original, bits == 0), (AnyDesign::A, true), (AnyDesign::C, true)]
+        {
+            let config = rtec_sim::bench::insert_at_rest(AxisConfig::default());
+            let totals = [(1_000_000, 8), (60_000_000, 8)];
+            let start = State::from_bits(bits);
+            let seen = Run { config, start, totals: &totals, ..Run::new(design, &computer) }.run().unwrap();
+            assert_eq!(seen.completed, if served { 8 } else { 0 }, "{design:?} in {start:?}");
+            assert_eq!(seen.mtc, seen.completed);
+        }
+    }
+}
+
+/// NISTIR 4832, Design B: an 8051 is at least an order of magnitude too slow for the 100 kHz that are moderate; a
+/// position count and a correction count are the same size; when the computer stops, position feedback is lost.
+#[test]
+fn design_b_needs_a_faster_computer_and_steps_by_one() {
+    let config = AxisConfig::default();
+    assert!(!safe_at(AnyDesign::B, &Computer::i8051(), config, 10_000.0, 1));
+    assert!(safe_at(AnyDesign::B, &Computer::dsp(), config, 40_000.0, 1));
+    let computer = Computer::dsp();
+    // "Current generation digital signal processors have the speed capability to handle these signals."
+    let edges = constant(1_000_000, 100_000.0, 4000, 1);
+    let passed = Run { edges: &edges, ..Run::new(AnyDesign::B, &computer) }.run().unwrap();
+    assert_eq!((passed.mtc, passed.illegal), (4000, 0));
+    let edges = constant(1_000_000, 10_000.0, 4000, 1);
+    let totals = [(edges[500].0, 7), (edges[2000].0, -3)];
+    let run = Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::B, &computer) };
+    let seen = run.run().unwrap();
+    assert_eq!((seen.completed, seen.error_counts(), seen.insertions, seen.illegal), (-3, 0, 17, 0));
+    let dead = Run { die_ns: edges[1000].0, ..run }.run().unwrap();
+    let (scale, mtc) = dead.at_death.unwrap();
+    assert_eq!((dead.mtc - mtc, dead.illegal), (0, 0));
+    assert!(dead.scale - scale > 2900);
+    // An 8051 that is asked to pass 100 kHz loses counts: it may tell the MTC of an illegal state, or of none at all.
+    let edges = constant(1_000_000, 100_000.0, 4000, 1);
+    let lost = Run { edges: &edges, ..Run::new(AnyDesign::B, &Computer::i8051()) }.run().unwrap();
+    assert!(lost.mtc < lost.scale / 2, "{lost:?}");
+}
+
+/// CMTI 2014, section 3, figures 8 and 9: three pulses subtracted, three added, the specified number exactly, 90° kept.
+#[test]
+fn three_pulses_added_and_three_subtracted() {
+    let computer = Computer::dsp();
+    for direction in [1, -1] {
+        let edges = constant(1_000_000, 10_000.0, 4000, direction);
+        for total in [12, -12] {
+            let totals = [(edges[500].0, total)];
+            let run =
+                Run { edges: &edges, totals: &totals, keep_log: true, ..Run::new(AnyDesign::Ecc, &computer) };
+            let seen = run.run().unwrap();
+            assert_eq!((seen.mtc - seen.scale, seen.completed, seen.illegal), (total, total, 0));
+            assert!(seen.worst_phase_deg < 1e-6);
+            // Adding splits three cycles into six at twice the frequency; subtracting only leaves pulses out.
+            let adds = (total > 0) == (direction > 0);
+            let shortest = if adds { 12_500 } else { 25_000 };
+            assert!(seen.min_separation_ns.abs_diff(shortest) <= 2, "{} ns", seen.min_separation_ns);
+        }
+    }
+}
+
+/// CMTI 2014, section 2.2.7: at most 15 pulses at a time; section 2.3: the next request waits for the acknowledgement.
+#[test]
+fn more_than_fifteen_pulses_take_two_compensations() {
+    let computer = Computer::dsp();
+    let edges = constant(1_000_000, 10_000.0, 4000, 1);
+    for (pulses, compensations) in [(15, 1), (16, 2), (45, 3)] {
+        let totals = [(edges[500].0, 4 * pulses)];
+        let seen =
+            Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::Ecc, &computer) }.run().unwrap();
+        assert_eq!((seen.insertions, seen.completed, seen.error_counts()), (compensations, 4 * pulses, 0));
+    }
+}
+
+/// CMTI 2014, section 2.2.2: the PLL doubles from 700 Hz, cleanly from 2.3 to 125 kHz, up to 160 kHz of the XOR signal,
+/// which is twice the encoder's frequency.
+#[test]
+fn the_ecc_works_in_its_lock_range_only() {
+    let (low, high) = safe_range(AnyDesign::Ecc, &Computer::dsp(), AxisConfig::default(), 1);
+    assert!((1150.0..1153.0).contains(&low), "{low} Hz");
+    assert!((62_400.0..=62_501.0).contains(&high), "{high} Hz");
+    let computer = Computer::dsp();
+    let run = |hz: f64| {
+        let edges = constant(1_000_000, hz, 8000, 1);
+        let totals = [(edges[2000].0, 12)];
+        Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::Ecc, &computer) }.run().unwrap()
+    };
+    // It still doubles between 125 and 160 kHz, and between 700 Hz and 2.3 kHz, but 90° are not kept.
+    for hz in [70_000.0, 500.0] {
+        let seen = run(hz);
+        assert_eq!((seen.error_counts(), seen.illegal), (0, 0));
+        assert!(seen.worst_phase_deg > 20.0);
+    }
+    // Outside it does not: the VCO runs on its own, and what is booked is not what was added.
+    assert!([85_000.0, 120_000.0, 300.0, 150.0].into_iter().any(|hz| {
+        let seen = run(hz);
+        seen.error_counts() != 0 || seen.illegal > 0
+    }));
+}
+
+/// What the CMTI paper does not say: a reversal while pulses are blocked or split leaves the MTC with a wrong count.
+#[test]
+fn the_ecc_goes_wrong_at_reversal() {
+    let computer = Computer::dsp();
+    let edges = there_and_back(5000.0, 2e6, 2000, 0);
+    let turn = edges[1999].0;
+    let wrong = (0..40).filter(|n| {
+        let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
+        let seen =
+            Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::Ecc, &computer) }.run().unwrap();
+        seen.error_counts() != 0 || seen.illegal > 0
+    });
+    assert!(wrong.count() > 0);
+    // Design C is asked the same and is never wrong.
+    for n in 0..40 {
+        let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
+        let config = AxisConfig { max_accel_counts_s2: 2e6, ..AxisConfig::default() };
+        let seen = Run { config, edges: &edges, totals: &totals, ..Run::new(AnyDesign::C, &computer) }
+            .run()
+            .unwrap();
+        assert_eq!((seen.error_counts(), seen.illegal, seen.faults), (0, 0, 0));
+    }
+}
+
+/// NISTIR 4832, Design C: a computer that stops between insertions leaves the signals as they are; one that stops between
+/// the two inversions leaves the MTC counting mirrored, which the report does not say.
+#[test]
+fn when_the_computer_stops() {
+    let computer = Computer::i8051();
+    let edges = constant(1_000_000, 10_000.0, 4000, 1);
+    let totals = [(edges[500].0, 2)];
+    let run = Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::C, &computer) };
+    let after = |die_ns| {
+        let seen = Run { die_ns, ..run.clone() }.run().unwrap();
+        let (scale, mtc) = seen.at_death.unwrap();
+        (seen.mtc - mtc) as f64 / (seen.scale - scale) as f64
+    };
+    let opened = edges[501].0;
+    for (moment, follows) in [(3000, 1.0), (4500, -1.0), (10_000, 1.0)] {
+        assert!((after(opened + moment) - follows).abs() < 1e-9, "{moment} ns after the edge");
+    }
+}
+
+#[test]
+fn same_seed_same_bytes_and_every_design_draws() {
+    let table = |seed| {
+        serde_json::to_string(&compare(&Computer::dsp(), Motion { counts: 400, ..Motion::default() }, seed))
+    };
+    assert_eq!(table(3).unwrap(), table(3).unwrap());
+    for design in AnyDesign::ALL {
+        let svg = waveforms(design, &Computer::dsp(), 3);
+        assert!(svg.starts_with("<svg") && svg.matches("polyline").count() == 5, "{design:?}");
+        assert_eq!(svg, waveforms(design, &Computer::dsp(), 3));
+    }
+}
