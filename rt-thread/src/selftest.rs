@@ -10,7 +10,7 @@
 
 use crate::axis::AxisConfig;
 use crate::engine::{Engine, MachineConfig, StartError};
-use crate::event::{GateState, Mode, Request};
+use crate::event::{Mode, Request};
 use crate::histogram::{Recorder, Snapshot, histogram};
 use crate::link::ControlEnd;
 use crate::setup::{self, Report, System, Wanted, apply};
@@ -40,6 +40,8 @@ const DWELL_NS: (u64, u64) = (20_000, 40_000);
 const RESOLUTION_NS: u64 = 1_000;
 /// How often the control side looks after the engine: seldom, because it may share the far side's CPU.
 const CONTROL_INTERVAL: Duration = Duration::from_millis(2);
+/// A request that has shown no effect for this long is sent again, ns.
+const ASK_AGAIN_NS: u64 = 20_000_000;
 const SECOND: Duration = Duration::from_secs(1);
 
 /// Which card to measure with.
@@ -318,7 +320,9 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
             poll_gap: Latency { last_ns: poll_gap_ns.p50(), ns: poll_gap_ns, tid: loop_tid },
             seen_to_done: timing.edge_to_done_ns.snapshot(),
             edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: far_tid },
-            completed: control.completed + ended.status.axes().first().map_or(0, |a| a.in_effect),
+            // Not the axis's own total: that begins anew at every homing.
+            completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64)
+                * axis.design.increment_counts(),
             faults: control.faults,
             wakeup,
             far,
@@ -330,8 +334,6 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
 /// The control side while the engine runs: always a correction pending, homed again after a fault.
 #[derive(Debug, Default)]
 struct Control {
-    /// Completed before the last homing, counts.
-    completed: i64,
     faults: u64,
     state: Homed,
 }
@@ -341,8 +343,6 @@ enum Homed {
     /// Asked for at this look of the engine, or not yet.
     #[default]
     Never,
-    /// A fault was seen at this look, ns; what was under way then must end first.
-    Faulted { since_ns: u64 },
     /// Asked for at this look, ns.
     Asked { at_ns: u64 },
     /// Correcting.
@@ -355,23 +355,14 @@ impl Control {
         while control.event().is_some() {}
         let status = control.status();
         between.looked_ns.store(status.t_ns, Release);
-        let Some(axis) = status.axes().first() else { return };
         match self.state {
             Homed::Never => self.ask(control, status.t_ns),
-            Homed::Faulted { since_ns } if status.t_ns > since_ns && axis.gate != GateState::Inserting => {
-                self.completed += axis.in_effect;
-                self.ask(control, status.t_ns);
-            }
-            Homed::Asked { at_ns } if status.t_ns > at_ns => {
-                if status.mode == Mode::Run {
-                    self.state = Homed::Done;
-                } else {
-                    self.ask(control, status.t_ns);
-                }
-            }
+            Homed::Asked { .. } if status.mode == Mode::Run => self.state = Homed::Done,
+            // An insertion was under way, and the request refused.
+            Homed::Asked { at_ns } if status.t_ns > at_ns + ASK_AGAIN_NS => self.ask(control, status.t_ns),
             Homed::Done if status.mode == Mode::Fault => {
                 self.faults += 1;
-                self.state = Homed::Faulted { since_ns: status.t_ns };
+                self.ask(control, status.t_ns);
             }
             _ => {}
         }

@@ -2,12 +2,14 @@
 //!
 //! | module | what |
 //! |---|---|
+//! | [`daemon`] | a real `rtecd`, a user with `rtecctl`, and a machine at the end of a shared-memory card |
 //! | [`judge`] | LinuxCNC's `encoder` component and sigrok's graycode decoder as counters of a trace |
 //! | [`ledger`] | what a corrected trace must count, from the scale's trace and the order of the inversions |
 //! | [`workload`] | three axes on a card in memory: what benchmarks time |
 //! | [`machine`] | a two-axis machine with a known error, driven by LinuxCNC, corrected by the engine |
 //! | [`planted`] | corrected traces made without the engine, right ones and wrong ones: the judges' own test |
 
+pub mod daemon;
 pub mod judge;
 pub mod ledger;
 pub mod machine;

@@ -28,7 +28,8 @@ impl Motion {
     const fn pace(self) -> (u64, u64) {
         match self {
             Self::Still => (100, u64::MAX),
-            Self::Moving => (2000, 1),
+            // Never longer unseen than an insertion needs, or it would be a poll gap.
+            Self::Moving => (1000, 1),
             Self::Correcting => (100, 32),
         }
     }

@@ -53,12 +53,12 @@ fn sigrok_counts_what_is_due_at_every_state_and_catches_every_planted_fault() {
     let trace = corrected(&motion(5000), 7, 500, Fault::None);
     let verdict = sigrok(&trace).unwrap();
     assert_eq!(verdict, Verdict { judged: trace.len() as u64, wrong: 0, first_wrong: None });
-    for fault in FAULTS {
-        // It counts a double transition as two counts of its own choice: right by chance, one time in two.
-        if fault != Fault::BothAtOnce {
-            assert_caught(sigrok(&corrected(&motion(5000), 7, 500, fault)).unwrap(), fault);
-        }
+    for fault in [Fault::Missing, Fault::WrongOrder] {
+        assert_caught(sigrok(&corrected(&motion(5000), 7, 500, fault)).unwrap(), fault);
     }
+    // It has no count for a double transition: one of the states stays without.
+    let both = sigrok(&corrected(&motion(5000), 7, 500, Fault::BothAtOnce)).unwrap_err().to_string();
+    assert!(both.contains("sigrok counted"), "{both}");
 }
 
 /// What is due by the gates' law, from the two traces alone, is what the generator says is due.

@@ -130,10 +130,18 @@ pub struct ControlConfig {
     pub socket: PathBuf,
     /// The group that may use it.
     pub group: Option<String>,
-    /// What a restart takes over.
-    pub state_file: PathBuf,
+    /// What a restart takes over; `None` is beside the socket.
+    pub state_file: Option<PathBuf>,
     /// Silence of the control side after which no insertion begins, ms.
     pub stale_ms: u64,
+}
+
+impl ControlConfig {
+    /// Where the state file is.
+    #[must_use]
+    pub fn state_path(&self) -> PathBuf {
+        self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))
+    }
 }
 
 /// Everything that is wrong with a configuration.
@@ -319,10 +327,9 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
     root.finish(source);
 
     let relative = |path: &str| source.file.parent().unwrap_or(Path::new("")).join(path);
-    let socket = socket.map_or_else(|| default_directory().join("control.sock"), |s| relative(s.value));
     let control = ControlConfig {
-        state_file: state_file.map_or_else(|| socket.with_file_name("state"), |s| relative(s.value)),
-        socket,
+        state_file: state_file.map(|s| relative(s.value)),
+        socket: socket.map_or_else(|| default_directory().join("control.sock"), |s| relative(s.value)),
         group: group.map(|g| g.value.to_owned()),
         stale_ms: stale_ms.map_or(500, |s| s.value as u64),
     };

@@ -88,7 +88,7 @@ fn values_arrive_where_they_belong() {
     assert_eq!((engine.lines.a, engine.lines.invert_b, engine.lines.read_back), (4, 3, Some((6, 7))));
     assert_eq!((config.lines.probe, config.lines.hold), (Some(28), None));
     assert_eq!(config.control.socket, Path::new("/etc/rtec/run/s"));
-    assert_eq!(config.control.state_file, Path::new("/etc/rtec/run/state"));
+    assert_eq!(config.control.state_path(), Path::new("/etc/rtec/run/state"));
     assert_eq!((config.rt.cpu, config.rt.priority, config.rt.latency_measured), (Some(3), 90, true));
     assert!(matches!(&config.card, CardConfig::Mapped { file, .. } if file == Path::new("/etc/rtec/regs")));
 }

@@ -33,11 +33,12 @@ enum Verb {
     Hold(verbs::hold::Args),
     Clear(verbs::clear::Args),
     Part(verbs::part::Args),
+    Model(verbs::model::Args),
+    Reconcile(verbs::reconcile::Args),
     Replay(verbs::replay::Args),
     Trace(verbs::trace::Args),
     Platform(verbs::platform::Args),
     Selftest(verbs::selftest::Args),
-    Model(verbs::model::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -75,11 +76,12 @@ fn main() -> ExitCode {
         Verb::Hold(args) => verbs::hold::run(&args),
         Verb::Clear(args) => verbs::clear::run(&args),
         Verb::Part(args) => verbs::part::run(&args),
+        Verb::Model(args) => verbs::model::run(&args),
+        Verb::Reconcile(args) => verbs::reconcile::run(&args),
         Verb::Replay(args) => verbs::replay::run(&args),
         Verb::Trace(args) => verbs::trace::run(&args),
         Verb::Platform(args) => verbs::platform::run(&args),
         Verb::Selftest(args) => verbs::selftest::run(&args),
-        Verb::Model(args) => verbs::model::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");

@@ -78,6 +78,39 @@ fn unmet_settings_fail_with_their_remedy() {
 }
 
 #[test]
+fn without_privileges_it_measures_all_the_same_and_names_what_is_missing() {
+    use std::os::unix::fs::PermissionsExt;
+    use std::os::unix::process::CommandExt;
+    const NOBODY: u32 = 65534;
+    let dir = tempfile::tempdir().expect("a directory");
+    let program = dir.path().join("rtecctl");
+    std::fs::copy(env!("CARGO_BIN_EXE_rtecctl"), &program).expect("a copy that everybody may run");
+    for path in [dir.path(), &program] {
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).expect("our own file");
+    }
+    let mut command = Command::new(&program);
+    command.args(["selftest", "latency", "--duration", "600ms", "--json"]);
+    let root = std::fs::metadata("/proc/self").is_ok_and(|me| std::os::unix::fs::MetadataExt::uid(&me) == 0);
+    if root {
+        command.uid(NOBODY).gid(NOBODY).current_dir("/");
+    }
+    let out = command.output().expect("the copy runs");
+    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    assert!(document["poll_gap_ns"]["samples"].as_u64() > Some(0));
+    assert_eq!(document["ledger_balanced"], true, "{document}");
+    let missing =
+        |name: &str| document["missing_to_arm"].as_array().is_some_and(|m| m.iter().any(|f| f == name));
+    // Someone with a real-time limit of his own gets the priority without being root.
+    if root || missing("scheduler") {
+        assert!(missing("scheduler"));
+        assert_eq!((out.status.code(), &document["verdict"]), (Some(1), &Value::from("fail")));
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(stderr.contains("sched_setscheduler: Operation not permitted"), "{stderr}");
+        assert!(stderr.contains("CAP_SYS_NICE"), "{stderr}");
+    }
+}
+
+#[test]
 fn text_and_histogram_file_have_the_shape_of_cyclictest() {
     let dir = tempfile::tempdir().expect("a directory");
     let file = dir.path().join("histogram");

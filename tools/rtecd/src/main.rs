@@ -172,8 +172,8 @@ fn work<C: Card + Send + 'static>(
     // The outputs of a mock card end with its process: there is nothing to be taken over.
     let journal = match config.card {
         CardConfig::Mapped { .. } => {
-            let file = &config.control.state_file;
-            let opened = Journal::open(file).with_context(|| format!("state file {}", file.display()))?;
+            let file = config.control.state_path();
+            let opened = Journal::open(&file).with_context(|| format!("state file {}", file.display()))?;
             Some(opened)
         }
         CardConfig::Mock | CardConfig::Replay { .. } => None,

@@ -6,10 +6,20 @@
 //! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
 //! | [`bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
+//! | [`path`], [`gcode`] | the controller's trajectories and programs |
+//! | [`axis`], [`machine`] | the machine as a card: drives, scales, decoders, probe |
+//! | [`heat`] | a thermal network and its sensors |
+//! | [`sim`] | machine, engine and corrector together: runs programs, probes, tells where the tool is |
 //! | [`noise`] | seeded noise |
 
+pub mod axis;
 pub mod bench;
 pub mod computer;
 pub mod designs;
 pub mod ecc;
+pub mod gcode;
+pub mod heat;
+pub mod machine;
 pub mod noise;
+pub mod path;
+pub mod sim;

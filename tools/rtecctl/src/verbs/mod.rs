@@ -16,6 +16,7 @@ pub(crate) mod model;
 pub(crate) mod part;
 pub(crate) mod platform;
 pub(crate) mod probe;
+pub(crate) mod reconcile;
 pub(crate) mod replay;
 pub(crate) mod selftest;
 pub(crate) mod shadow;

@@ -96,7 +96,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let untold: Vec<&str> = parameters.untold().collect();
     if !untold.is_empty() {
-        eprintln!("rtecctl: machine positions left at 0: {}; set them before the program runs", untold.join(", "));
+        eprintln!(
+            "rtecctl: machine positions left at 0: {}; set them before the program runs",
+            untold.join(", ")
+        );
     }
     let made = match &args.date {
         Some(date) => date.clone(),

@@ -1,0 +1,314 @@
+//! One axis of the machine: drive, screw with backlash, friction, and the scale that counts.
+
+use rtec_driver::quadrature::{Decoder, State};
+
+/// What an axis is made of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxisSpec {
+    /// `x`, `y` or `z`.
+    pub name: &'static str,
+    /// Lowest and highest position, mm.
+    pub travel_mm: [f64; 2],
+    /// What one count of the scale is worth, µm.
+    pub count_um: f64,
+    /// Signal period of the scale, µm.
+    pub signal_period_um: f64,
+    /// Interpolation error within the signal period, amplitude, µm.
+    pub interpolation_um: f64,
+    /// Hysteresis of the scale's edges on reversal, counts.
+    pub hysteresis_counts: f64,
+    /// Fastest speed, mm/s.
+    pub speed_mm_s: f64,
+    /// Acceleration, mm/s².
+    pub accel_mm_s2: f64,
+    /// Jerk, mm/s³.
+    pub jerk_mm_s3: f64,
+    /// Lead of the screw, mm.
+    pub lead_mm: f64,
+    /// Play between screw and table, µm. The scale is on the table.
+    pub backlash_um: f64,
+    /// Moved mass, with what the motor's inertia amounts to, kg.
+    pub mass_kg: f64,
+    /// Force of Coulomb friction, N.
+    pub coulomb_n: f64,
+    /// Viscous friction, N per m/s.
+    pub viscous_n_s_per_m: f64,
+    /// Largest force of the drive, N.
+    pub max_force_n: f64,
+    /// Gain of the position loop, 1/s.
+    pub position_gain_per_s: f64,
+    /// Bandwidth of the speed loop, 1/s.
+    pub speed_gain_per_s: f64,
+    /// Share of the commanded speed that is fed forward; the rest is following error: (1 − share)·v/gain.
+    pub feed_forward: f64,
+}
+
+impl AxisSpec {
+    /// A ball-screw axis with a glass scale of 1 µm, rapid traverse 10 m/min.
+    #[must_use]
+    pub fn new(name: &'static str, travel_mm: f64) -> Self {
+        Self {
+            name,
+            travel_mm: [-travel_mm / 2.0, travel_mm / 2.0],
+            count_um: 1.0,
+            signal_period_um: 20.0,
+            interpolation_um: 0.0,
+            hysteresis_counts: 0.1,
+            speed_mm_s: 10_000.0 / 60.0,
+            accel_mm_s2: 1000.0,
+            jerk_mm_s3: 20_000.0,
+            lead_mm: 10.0,
+            backlash_um: 2.0,
+            mass_kg: 300.0,
+            coulomb_n: 60.0,
+            viscous_n_s_per_m: 400.0,
+            max_force_n: 4000.0,
+            position_gain_per_s: 60.0,
+            speed_gain_per_s: 600.0,
+            feed_forward: 1.0,
+        }
+    }
+}
+
+/// An axis in motion. Lengths inside are in counts; position 0 is the middle of count 0.
+#[derive(Debug, Clone)]
+pub(crate) struct AxisSim {
+    pub spec: AxisSpec,
+    /// Motor side of the screw and table, counts (edges of the scale lie at whole numbers).
+    motor: f64,
+    table: f64,
+    /// Counts/s.
+    speed: f64,
+    /// Integral of the speed loop, counts/s².
+    integral: f64,
+    /// Force of the drive, N.
+    pub force_n: f64,
+    pub accel_mm_s2: f64,
+    /// Commanded speed of the drive, counts/s, and acceleration fed forward, counts/s².
+    wanted: (f64, f64),
+    /// Friction beside what the spec has, N: at −v and +v.
+    pub extra_friction: Friction,
+    scale: Decoder,
+    /// What the MTC counts.
+    pub mtc: Decoder,
+    /// Counts of the scale at the machine's zero; the scale starts at count `origin`.
+    pub origin: i64,
+    /// The next edge within the present step, ns; `u64::MAX`: none.
+    pub next_ns: u64,
+    next: f64,
+    per_count: f64,
+    up: bool,
+    step: (u64, f64, f64),
+    /// Shortest time between two edges at the MTC, ns.
+    pub min_separation_ns: u64,
+    pub last_out_ns: u64,
+    /// Direction of the last motion of more than a few counts.
+    pub direction: f64,
+    turned_at: f64,
+    interpolation: Vec<f64>,
+}
+
+/// Friction and force of the true machine, as its model names them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Friction {
+    /// kg instead of the spec's.
+    pub mass_kg: Option<f64>,
+    pub coulomb_n: Option<f64>,
+    pub viscous_n_s_per_m: Option<f64>,
+    /// N per m/s of |v|.
+    pub asymmetric_n_s_per_m: f64,
+    /// N.
+    pub offset_n: f64,
+}
+
+impl AxisSim {
+    pub(crate) fn new(spec: AxisSpec, at_mm: f64) -> Self {
+        let counts = at_mm * 1000.0 / spec.count_um;
+        let table = counts + 0.5;
+        let origin = table.floor() as i64;
+        let state = State::default();
+        let per_period = (spec.signal_period_um / spec.count_um).round().max(1.0) as usize;
+        let interpolation = if spec.interpolation_um == 0.0 {
+            Vec::new()
+        } else {
+            let turn = 2.0 * std::f64::consts::PI / per_period as f64;
+            (0..per_period)
+                .map(|n| spec.interpolation_um / spec.count_um * libm::sin(turn * n as f64))
+                .collect()
+        };
+        Self {
+            spec,
+            motor: table,
+            table,
+            speed: 0.0,
+            integral: 0.0,
+            force_n: 0.0,
+            accel_mm_s2: 0.0,
+            wanted: (0.0, 0.0),
+            extra_friction: Friction::default(),
+            scale: Decoder::new(state),
+            mtc: Decoder::new(state),
+            origin,
+            next_ns: u64::MAX,
+            next: 0.0,
+            per_count: 0.0,
+            up: true,
+            step: (0, 0.0, 0.0),
+            min_separation_ns: u64::MAX,
+            last_out_ns: 0,
+            direction: 0.0,
+            turned_at: table,
+            interpolation,
+        }
+    }
+
+    fn count_mm(&self) -> f64 {
+        self.spec.count_um / 1000.0
+    }
+
+    pub(crate) fn scale(&self) -> State {
+        self.scale.state()
+    }
+
+    pub(crate) fn scale_count(&self) -> i64 {
+        self.scale.count()
+    }
+
+    /// Where the table is by the scale, without its quantisation, at `t_ns` within the present step, mm.
+    pub(crate) fn position_mm(&self, t_ns: u64) -> f64 {
+        let (from_ns, from, per_ns) = self.step;
+        (from + per_ns * t_ns.saturating_sub(from_ns) as f64 - 0.5) * self.count_mm()
+    }
+
+    pub(crate) fn velocity_mm_s(&self) -> f64 {
+        self.step.2 * 1e9 * self.count_mm()
+    }
+
+    /// What the MTC makes of its count, mm.
+    pub(crate) fn counted_mm(&self) -> f64 {
+        (self.origin + self.mtc.count()) as f64 * self.count_mm()
+    }
+
+    /// The position loop: closed on what the MTC counts. Once per servo tick.
+    pub(crate) fn servo(&mut self, p_mm: f64, v_mm_s: f64, a_mm_s2: f64) {
+        let count = self.count_mm();
+        let error = (p_mm - self.counted_mm()) / count;
+        let rests = v_mm_s == 0.0 && a_mm_s2 == 0.0;
+        // In position within its resolution: a good servo does not dither.
+        let error = if rests && error.abs() <= 0.6 { 0.0 } else { error };
+        self.wanted = (
+            self.spec.position_gain_per_s * error + self.spec.feed_forward * v_mm_s / count,
+            self.spec.feed_forward * a_mm_s2 / count,
+        );
+    }
+
+    /// Drive off (servo fault): the axis runs out against friction.
+    pub(crate) fn switch_off(&mut self) {
+        self.wanted = (0.0, 0.0);
+    }
+
+    /// Moves the axis on by one step and finds the scale's edges in it.
+    pub(crate) fn advance(&mut self, from_ns: u64, step_ns: u64) {
+        let dt = step_ns as f64 * 1e-9;
+        let f = &self.extra_friction;
+        let mass = f.mass_kg.unwrap_or(self.spec.mass_kg);
+        let viscous = f.viscous_n_s_per_m.unwrap_or(self.spec.viscous_n_s_per_m);
+        let coulomb = f.coulomb_n.unwrap_or(self.spec.coulomb_n);
+        let m_per_count = self.spec.count_um * 1e-6;
+        // Speed loop of the drive: PI with the commanded acceleration fed forward.
+        let error = self.wanted.0 - self.speed;
+        let k = self.spec.speed_gain_per_s;
+        let limit = self.spec.max_force_n / mass / m_per_count;
+        // The integral is what friction takes, at the most.
+        self.integral = (self.integral + 0.2 * k * k * error * dt).clamp(-limit, limit);
+        let drive = (self.wanted.1 + k * error + self.integral).clamp(-limit, limit);
+        let v_m = self.speed * m_per_count;
+        let linear = viscous * v_m + f.asymmetric_n_s_per_m * v_m.abs() + f.offset_n;
+        let free = self.speed + (drive - linear / mass / m_per_count) * dt;
+        let brake = coulomb / mass / m_per_count * dt;
+        let speed = if free.abs() <= brake { 0.0 } else { free - brake.copysign(free) };
+        if speed == 0.0 && self.wanted == (0.0, 0.0) {
+            self.integral = 0.0;
+        }
+        self.accel_mm_s2 = (speed - self.speed) / dt * self.count_mm();
+        self.force_n = drive * mass * m_per_count;
+        let before = self.table;
+        self.motor += (speed + self.speed) / 2.0 * dt;
+        self.speed = speed;
+        let play = self.spec.backlash_um / self.spec.count_um / 2.0;
+        self.table = self.table.clamp(self.motor - play, self.motor + play);
+        let per_ns = (self.table - before) / step_ns as f64;
+        self.step = (from_ns, before, per_ns);
+        // A reversal counts when it has gone further than any overshoot.
+        if (self.table - self.turned_at) * self.direction >= 0.0 {
+            self.turned_at = self.table;
+        }
+        if (self.table - self.turned_at).abs() > 3.0 {
+            self.direction = if self.table > self.turned_at { 1.0 } else { -1.0 };
+            self.turned_at = self.table;
+        }
+        self.find_edge(from_ns, step_ns);
+    }
+
+    fn find_edge(&mut self, from_ns: u64, step_ns: u64) {
+        let (_, before, per_ns) = self.step;
+        self.next_ns = u64::MAX;
+        if per_ns == 0.0 {
+            return;
+        }
+        self.up = per_ns > 0.0;
+        self.per_count = 1.0 / per_ns.abs();
+        let count = self.origin + self.scale.count();
+        let half = self.spec.hysteresis_counts / 2.0;
+        let edge = if self.up { (count + 1) as f64 + half } else { count as f64 - half };
+        let edge = edge + self.interpolation_at(if self.up { count + 1 } else { count });
+        self.next = (edge - before) / per_ns;
+        self.book(from_ns, step_ns);
+    }
+
+    fn interpolation_at(&self, boundary: i64) -> f64 {
+        if self.interpolation.is_empty() {
+            0.0
+        } else {
+            self.interpolation[boundary.rem_euclid(self.interpolation.len() as i64) as usize]
+        }
+    }
+
+    #[inline]
+    fn book(&mut self, from_ns: u64, step_ns: u64) {
+        self.next_ns = if self.next < step_ns as f64 {
+            // A threshold passed a hair before the step began is crossed at its beginning.
+            from_ns + self.next.max(0.0) as u64
+        } else {
+            u64::MAX
+        };
+    }
+
+    /// The scale's edge at `next_ns`: both counters move on. Returns the new state of the scale, and whether the MTC saw an
+    /// illegal transition.
+    #[inline]
+    pub(crate) fn edge(&mut self, inverters: u8, step_ns: u64) -> (State, bool) {
+        let t_ns = self.next_ns;
+        let state = self.scale.state().next(self.up);
+        self.scale.update(state);
+        let illegal = self.decode(state, inverters, t_ns);
+        self.next += self.per_count;
+        if !self.interpolation.is_empty() {
+            let count = self.origin + self.scale.count();
+            let (last, coming) = if self.up { (count, count + 1) } else { (count + 1, count) };
+            let shift = self.interpolation_at(coming) - self.interpolation_at(last);
+            self.next += shift * if self.up { self.per_count } else { -self.per_count };
+        }
+        self.book(self.step.0, step_ns);
+        (state, illegal)
+    }
+
+    /// What the MTC's decoder makes of a change.
+    #[inline]
+    pub(crate) fn decode(&mut self, scale: State, inverters: u8, t_ns: u64) -> bool {
+        let illegal = self.mtc.update(scale.inverted(inverters)).is_none();
+        self.min_separation_ns = self.min_separation_ns.min(t_ns - self.last_out_ns);
+        self.last_out_ns = t_ns;
+        illegal
+    }
+}

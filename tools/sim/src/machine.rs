@@ -1,0 +1,541 @@
+//! The machine as a [`Card`]: axes, controller, decoders and probe, on a virtual nanosecond clock.
+//!
+//! Event driven: [`Card::sample`] jumps to the scale's next edge, the probe's trip or the engine's appointment, whichever
+//! comes first. Between events the axes move in steps of constant speed; every edge has the time at which the moving
+//! table crosses it.
+
+use crate::axis::{AxisSim, AxisSpec, Friction};
+use crate::gcode::Block;
+use crate::path::{AXES, Along, Command, Limits, Profile, Shape};
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+
+/// Time step of the axes, ns.
+pub const STEP_NS: u64 = 250_000;
+/// Period of the controller's position loop, ns.
+pub const SERVO_NS: u64 = 1_000_000;
+
+/// What stops a controller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ServoFault {
+    /// Both signals of an axis changed at once (NISTIR 4832, Design B: "typically a *servo fault* message").
+    IllegalState {
+        /// Which axis.
+        axis: usize,
+    },
+    /// Two edges closer together than its decoder can follow.
+    TooFast {
+        /// Which axis.
+        axis: usize,
+    },
+    /// The axis is further from where it should be than the controller allows: feedback lost or mirrored.
+    FollowingError {
+        /// Which axis.
+        axis: usize,
+    },
+}
+
+/// The controller (MTC).
+#[derive(Debug, Clone, PartialEq)]
+pub struct ControllerSpec {
+    /// Highest count rate of its decoder: edges closer than the inverse are a servo fault, Hz.
+    pub decoder_hz: f64,
+    /// Following error at which it gives up, mm.
+    pub max_following_mm: f64,
+}
+
+impl Default for ControllerSpec {
+    /// A decoder for square waves of 500 kHz.
+    fn default() -> Self {
+        Self { decoder_hz: 2e6, max_following_mm: 2.0 }
+    }
+}
+
+/// Signed distance from the probe's tip to the part's surface, mm, for the tip's centre at X, Y, Z (mm): contact at zero.
+pub type Surface = Box<dyn Fn([f64; AXES]) -> f64 + Send>;
+
+/// A move under way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Job {
+    Idle,
+    Move { shape: Shape, profile: Profile, t_s: f64 },
+    Dwell { left_s: f64 },
+}
+
+/// The simulated machine.
+pub struct Machine {
+    axes: Vec<AxisSim>,
+    /// Axis of the controller (0 X, 1 Y, 2 Z) of each axis of the machine.
+    place: Vec<usize>,
+    lines: Vec<AxisLines>,
+    controller: ControllerSpec,
+    min_separation_ns: u64,
+    program: std::collections::VecDeque<Block>,
+    job: Job,
+    command: Command,
+    /// Share of the programmed speed at which the path is run: feed hold takes it to zero and back.
+    pace: f64,
+    hold: bool,
+    fault: Option<ServoFault>,
+    rpm: f64,
+    coolant: bool,
+    t_ns: u64,
+    step_from_ns: u64,
+    step_end_ns: u64,
+    outputs: u64,
+    inputs: u64,
+    /// Time of the next event within the step: an edge of an axis, or the probe (`axes.len()`).
+    next: (u64, usize),
+    surface: Option<Surface>,
+    /// Tool minus scale, mm: the true machine's errors.
+    tool_offset_mm: [f64; AXES],
+    /// Time from contact to the probe's line, ns.
+    probe_delay_ns: u64,
+    distance_mm: f64,
+    trip_ns: u64,
+    edges: u64,
+}
+
+impl std::fmt::Debug for Machine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Machine").field("t_ns", &self.t_ns).field("axes", &self.axes).finish_non_exhaustive()
+    }
+}
+
+impl Machine {
+    /// A machine at rest at `at_mm` (X, Y, Z). Its axes are `x`, `y` or `z`, in any order.
+    #[must_use]
+    pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
+        let place: Vec<usize> =
+            axes.iter().map(|a| ["x", "y", "z"].iter().position(|n| *n == a.name).unwrap_or(0)).collect();
+        let sims = axes.iter().zip(&place).map(|(a, &p)| AxisSim::new(a.clone(), at_mm[p])).collect();
+        let lines: Vec<AxisLines> = (0..axes.len() as u8).map(|n| AxisLines::standard(n, true)).collect();
+        let min_separation_ns = (1e9 / controller.decoder_hz) as u64;
+        let mut machine = Self {
+            axes: sims,
+            place,
+            lines,
+            controller,
+            min_separation_ns,
+            program: std::collections::VecDeque::new(),
+            job: Job::Idle,
+            command: Command { p_mm: at_mm, ..Command::default() },
+            pace: 1.0,
+            hold: false,
+            fault: None,
+            rpm: 0.0,
+            coolant: false,
+            t_ns: 0,
+            step_from_ns: 0,
+            step_end_ns: 0,
+            outputs: 0,
+            inputs: 0,
+            next: (u64::MAX, 0),
+            surface: None,
+            tool_offset_mm: [0.0; AXES],
+            probe_delay_ns: 0,
+            distance_mm: f64::INFINITY,
+            trip_ns: u64::MAX,
+            edges: 0,
+        };
+        for axis in &mut machine.axes {
+            axis.last_out_ns = 0;
+            axis.advance(0, 1);
+        }
+        machine
+    }
+
+    /// Number of axes.
+    #[must_use]
+    pub fn axis_count(&self) -> usize {
+        self.axes.len()
+    }
+
+    /// The card's lines of every axis, with A' and B' read back.
+    #[must_use]
+    pub fn lines(&self) -> &[AxisLines] {
+        &self.lines
+    }
+
+    /// The machine's own lines.
+    #[must_use]
+    pub const fn machine_lines(&self) -> MachineLines {
+        MachineLines::standard()
+    }
+
+    /// Appends blocks to the program.
+    pub fn load(&mut self, blocks: impl IntoIterator<Item = Block>) {
+        self.program.extend(blocks);
+    }
+
+    /// No block is under way or waiting.
+    #[must_use]
+    pub fn finished(&self) -> bool {
+        self.program.is_empty() && self.job == Job::Idle
+    }
+
+    /// Time, ns.
+    #[must_use]
+    pub const fn now_ns(&self) -> u64 {
+        self.t_ns
+    }
+
+    /// Edges of all scales so far.
+    #[must_use]
+    pub const fn edges(&self) -> u64 {
+        self.edges
+    }
+
+    /// What stopped the controller.
+    #[must_use]
+    pub const fn fault(&self) -> Option<ServoFault> {
+        self.fault
+    }
+
+    /// What the controller commands.
+    #[must_use]
+    pub const fn command(&self) -> Command {
+        self.command
+    }
+
+    /// Spindle speed, rpm.
+    #[must_use]
+    pub const fn rpm(&self) -> f64 {
+        self.rpm
+    }
+
+    /// Coolant is on.
+    #[must_use]
+    pub const fn coolant(&self) -> bool {
+        self.coolant
+    }
+
+    /// Where the table of an axis is by its scale, not quantised, mm.
+    #[must_use]
+    pub fn position_mm(&self, axis: usize) -> f64 {
+        self.axes[axis].position_mm(self.t_ns)
+    }
+
+    /// Its speed, mm/s.
+    #[must_use]
+    pub fn velocity_mm_s(&self, axis: usize) -> f64 {
+        self.axes[axis].velocity_mm_s()
+    }
+
+    /// Its acceleration, mm/s².
+    #[must_use]
+    pub fn acceleration_mm_s2(&self, axis: usize) -> f64 {
+        self.axes[axis].accel_mm_s2
+    }
+
+    /// Force of its drive, N.
+    #[must_use]
+    pub fn force_n(&self, axis: usize) -> f64 {
+        self.axes[axis].force_n
+    }
+
+    /// Direction of its last motion of more than three counts.
+    #[must_use]
+    pub fn direction(&self, axis: usize) -> f64 {
+        self.axes[axis].direction
+    }
+
+    /// Where the controller believes it is, mm.
+    #[must_use]
+    pub fn counted_mm(&self, axis: usize) -> f64 {
+        self.axes[axis].counted_mm()
+    }
+
+    /// Counts to the MTC minus counts of the scale, since the start.
+    #[must_use]
+    pub fn mtc_minus_scale(&self, axis: usize) -> i64 {
+        self.axes[axis].mtc.count() - self.axes[axis].scale_count()
+    }
+
+    /// Shortest time between two edges at the MTC so far, ns.
+    #[must_use]
+    pub fn min_separation_ns(&self, axis: usize) -> u64 {
+        self.axes[axis].min_separation_ns
+    }
+
+    /// Scale count of the machine's zero at the start: position in counts minus this is the count since the start.
+    #[must_use]
+    pub fn origin_counts(&self, axis: usize) -> i64 {
+        self.axes[axis].origin
+    }
+
+    pub(crate) fn set_friction(&mut self, axis: usize, friction: Friction) {
+        self.axes[axis].extra_friction = friction;
+    }
+
+    /// Where the tool is away from where the scales say, mm.
+    pub fn set_tool_offset_mm(&mut self, offset_mm: [f64; AXES]) {
+        self.tool_offset_mm = offset_mm;
+    }
+
+    /// Time from contact to the probe's line, ns.
+    #[must_use]
+    pub const fn probe_delay_ns(&self) -> u64 {
+        self.probe_delay_ns
+    }
+
+    /// The part that the probe may touch, and the delay from contact to the probe's line, ns. `None`: out of reach.
+    pub fn set_surface(&mut self, surface: Option<Surface>, delay_ns: u64) {
+        self.surface = surface;
+        self.probe_delay_ns = delay_ns;
+        self.distance_mm = f64::INFINITY;
+        self.trip_ns = u64::MAX;
+        self.inputs &= !(1 << 28);
+    }
+
+    /// The tool (or the probe's tip), X, Y, Z, mm, at a time of the present step.
+    #[must_use]
+    pub fn tool_mm(&self) -> [f64; AXES] {
+        self.tool_at(self.t_ns)
+    }
+
+    fn tool_at(&self, t_ns: u64) -> [f64; AXES] {
+        let mut p = self.command.p_mm;
+        for (axis, &place) in self.axes.iter().zip(&self.place) {
+            p[place] = axis.position_mm(t_ns) + self.tool_offset_mm[place];
+        }
+        p
+    }
+
+    /// Feed hold as the engine's line asks for it.
+    #[must_use]
+    pub const fn held(&self) -> bool {
+        self.hold
+    }
+
+    /// The controller's side of a new servo period.
+    fn servo(&mut self) {
+        let dt = SERVO_NS as f64 * 1e-9;
+        // Where the axes should be now; speed and acceleration are fed forward for the period that begins.
+        let due_mm = self.command.p_mm;
+        // Feed hold: the path slows down within a tenth of a second, and is taken up again alike.
+        let target = if self.hold || self.fault.is_some() { 0.0 } else { 1.0 };
+        self.pace += (target - self.pace).clamp(-dt / 0.1, dt / 0.1);
+        let mut left = dt * self.pace;
+        let at_full_pace = self.pace;
+        while left > 0.0 || self.job == Job::Idle {
+            match &mut self.job {
+                Job::Idle => {
+                    let Some(block) = self.program.pop_front() else {
+                        self.command.v_mm_s = [0.0; AXES];
+                        self.command.a_mm_s2 = [0.0; AXES];
+                        break;
+                    };
+                    self.job = self.begin(block);
+                }
+                Job::Dwell { left_s } => {
+                    let used = left.min(*left_s);
+                    *left_s -= used;
+                    left -= used;
+                    if *left_s <= 0.0 {
+                        self.job = Job::Idle;
+                    }
+                }
+                Job::Move { shape, profile, t_s } => {
+                    *t_s += left;
+                    left = 0.0;
+                    let along = profile.at(*t_s);
+                    let paced = Along {
+                        v_mm_s: along.v_mm_s * at_full_pace,
+                        a_mm_s2: along.a_mm_s2 * at_full_pace * at_full_pace,
+                        ..along
+                    };
+                    self.command = shape.at(paced);
+                    if *t_s >= profile.duration_s() {
+                        self.job = Job::Idle;
+                        break;
+                    }
+                }
+            }
+        }
+        for (n, axis) in self.axes.iter_mut().enumerate() {
+            let p = self.place[n];
+            if self.fault.is_some() {
+                axis.switch_off();
+                continue;
+            }
+            if (due_mm[p] - axis.counted_mm()).abs() > self.controller.max_following_mm {
+                self.fault = Some(ServoFault::FollowingError { axis: n });
+            }
+            axis.servo(due_mm[p], self.command.v_mm_s[p], self.command.a_mm_s2[p]);
+        }
+    }
+
+    fn begin(&mut self, block: Block) -> Job {
+        let from = self.command.p_mm;
+        let (shape, feed) = match block {
+            Block::Spindle { rpm } => {
+                self.rpm = rpm;
+                return Job::Idle;
+            }
+            Block::Coolant { on } => {
+                self.coolant = on;
+                return Job::Idle;
+            }
+            Block::Dwell { seconds } => return Job::Dwell { left_s: seconds },
+            Block::Rapid { to } => (Shape::Line { from, to }, f64::INFINITY),
+            Block::Feed { to, feed_mm_s } => (Shape::Line { from, to }, feed_mm_s),
+            Block::Arc { to, plane: (i, j), centre, clockwise, feed_mm_s } => {
+                let start_rad = libm::atan2(from[j] - centre.1, from[i] - centre.0);
+                let end_rad = libm::atan2(to[j] - centre.1, to[i] - centre.0);
+                let turn = 2.0 * std::f64::consts::PI;
+                let mut sweep_rad = end_rad - start_rad;
+                if clockwise {
+                    while sweep_rad > -1e-9 {
+                        sweep_rad -= turn;
+                    }
+                } else {
+                    while sweep_rad < 1e-9 {
+                        sweep_rad += turn;
+                    }
+                }
+                let radius_mm = libm::hypot(from[i] - centre.0, from[j] - centre.1);
+                let k = AXES - i - j;
+                let third_mm = to[k] - from[k];
+                let arc =
+                    Shape::Arc { from, plane: (i, j), centre, radius_mm, start_rad, sweep_rad, third_mm };
+                (arc, feed_mm_s)
+            }
+        };
+        let length = shape.length_mm();
+        if length == 0.0 {
+            return Job::Idle;
+        }
+        // Each axis within its own limits along the direction it takes.
+        let share = |n: usize| match shape {
+            Shape::Line { from, to } => ((to[n] - from[n]) / length).abs(),
+            Shape::Arc { .. } => 1.0,
+        };
+        let least = |limit: fn(&AxisSpec) -> f64| {
+            self.axes.iter().zip(&self.place).fold(f64::INFINITY, |least, (a, &p)| {
+                let s = share(p);
+                if s > 0.0 { least.min(limit(&a.spec) / s) } else { least }
+            })
+        };
+        let accel_mm_s2 = least(|a| a.accel_mm_s2);
+        let limits = Limits {
+            speed_mm_s: least(|a| a.speed_mm_s).min(feed).min(shape.speed_limit_mm_s(0.5 * accel_mm_s2)),
+            accel_mm_s2,
+            jerk_mm_s3: least(|a| a.jerk_mm_s3),
+        };
+        Job::Move { shape, profile: Profile::new(length, limits), t_s: 0.0 }
+    }
+
+    /// Moves everything on by one step.
+    fn step(&mut self) {
+        let from_ns = self.step_end_ns;
+        if from_ns.is_multiple_of(SERVO_NS) {
+            self.servo();
+        }
+        self.step_from_ns = from_ns;
+        self.step_end_ns = from_ns + STEP_NS;
+        for axis in &mut self.axes {
+            axis.advance(from_ns, STEP_NS);
+        }
+        if self.surface.is_some() {
+            self.find_contact(from_ns);
+        }
+        self.find_next();
+    }
+
+    /// When within this step does the tip touch the part?
+    fn find_contact(&mut self, from_ns: u64) {
+        let Some(surface) = &self.surface else { return };
+        let (before, after) = (surface(self.tool_at(from_ns)), surface(self.tool_at(from_ns + STEP_NS)));
+        self.distance_mm = after;
+        if before > 0.0 && after <= 0.0 {
+            let (mut early, mut late) = (from_ns, from_ns + STEP_NS);
+            while late - early > 1 {
+                let middle = u64::midpoint(early, late);
+                *if surface(self.tool_at(middle)) > 0.0 { &mut early } else { &mut late } = middle;
+            }
+            self.trip_ns = late + self.probe_delay_ns;
+        } else if after > 0.0 && self.trip_ns == u64::MAX {
+            self.inputs &= !(1 << 28);
+        }
+    }
+
+    #[inline]
+    fn find_next(&mut self) {
+        let mut next = (self.trip_ns, self.axes.len());
+        for (n, axis) in self.axes.iter().enumerate() {
+            if axis.next_ns < next.0 {
+                next = (axis.next_ns, n);
+            }
+        }
+        self.next = next;
+    }
+
+    #[inline]
+    fn check(&mut self, axis: usize, illegal: bool, separation_ns: u64) {
+        if self.fault.is_none() {
+            if illegal {
+                self.fault = Some(ServoFault::IllegalState { axis });
+            } else if separation_ns < self.min_separation_ns {
+                self.fault = Some(ServoFault::TooFast { axis });
+            }
+        }
+    }
+
+    #[inline]
+    fn show(&mut self, axis: usize) {
+        let a = &self.axes[axis];
+        let bits = u64::from(a.scale().bits()) | u64::from(a.mtc.state().bits()) << 2;
+        self.inputs = self.inputs & !(0xF << (4 * axis)) | bits << (4 * axis);
+    }
+}
+
+impl Card for Machine {
+    #[inline]
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        loop {
+            let (next_ns, which) = self.next;
+            if next_ns <= wake_ns && next_ns <= self.step_end_ns {
+                self.t_ns = self.t_ns.max(next_ns);
+                if which == self.axes.len() {
+                    self.trip_ns = u64::MAX;
+                    self.inputs |= 1 << 28;
+                } else {
+                    let inverters = (self.outputs >> (2 * which) & 3) as u8;
+                    let last_ns = self.axes[which].last_out_ns;
+                    let (_, illegal) = self.axes[which].edge(inverters, STEP_NS);
+                    self.edges += 1;
+                    self.check(which, illegal, next_ns - last_ns);
+                    self.show(which);
+                }
+                self.find_next();
+                return Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: Some(self.t_ns) });
+            }
+            if wake_ns <= self.step_end_ns {
+                self.t_ns = self.t_ns.max(wake_ns);
+                return Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: None });
+            }
+            self.t_ns = self.step_end_ns;
+            self.step();
+        }
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        let before = self.outputs;
+        self.outputs = before & !mask | value & mask;
+        for n in 0..self.axes.len() {
+            if (before ^ self.outputs) >> (2 * n) & 3 != 0 {
+                let inverters = (self.outputs >> (2 * n) & 3) as u8;
+                let (scale, last_ns) = (self.axes[n].scale(), self.axes[n].last_out_ns);
+                let illegal = self.axes[n].decode(scale, inverters, self.t_ns);
+                self.check(n, illegal, self.t_ns - last_ns);
+                self.show(n);
+            }
+        }
+        self.hold = self.outputs >> 28 & 1 != 0;
+        Ok(Some(self.t_ns))
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}

@@ -1,0 +1,265 @@
+//! The controller's trajectory: jerk-limited motion along lines and arcs.
+
+/// Limits of the motion along a path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Speed, mm/s.
+    pub speed_mm_s: f64,
+    /// Acceleration, mm/s².
+    pub accel_mm_s2: f64,
+    /// Jerk, mm/s³.
+    pub jerk_mm_s3: f64,
+}
+
+/// Path length, speed and acceleration along the path at one time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Along {
+    /// mm from the start.
+    pub s_mm: f64,
+    /// mm/s.
+    pub v_mm_s: f64,
+    /// mm/s².
+    pub a_mm_s2: f64,
+}
+
+/// Jerk-limited motion from rest to rest over a length (seven phases, symmetric).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Profile {
+    length_mm: f64,
+    jerk_mm_s3: f64,
+    /// Duration of rising acceleration, of the whole speeding up, and at constant speed, s.
+    rise_s: f64,
+    up_s: f64,
+    cruise_s: f64,
+}
+
+impl Profile {
+    /// The fastest motion within the limits.
+    #[must_use]
+    pub fn new(length_mm: f64, limits: Limits) -> Self {
+        let Limits { speed_mm_s: v, accel_mm_s2: a, jerk_mm_s3: j } = limits;
+        let (mut rise_s, mut up_s) =
+            if v * j < a * a { ((v / j).sqrt(), 2.0 * (v / j).sqrt()) } else { (a / j, a / j + v / a) };
+        let mut cruise_s = length_mm / v - up_s;
+        if cruise_s < 0.0 {
+            // Too short for the full speed.
+            cruise_s = 0.0;
+            rise_s = a / j;
+            up_s = rise_s / 2.0 + (rise_s * rise_s / 4.0 + length_mm / a).sqrt();
+            if up_s < 2.0 * rise_s {
+                rise_s = libm::cbrt(length_mm / (2.0 * j));
+                up_s = 2.0 * rise_s;
+            }
+        }
+        Self { length_mm, jerk_mm_s3: j, rise_s, up_s, cruise_s }
+    }
+
+    /// Duration, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        2.0 * self.up_s + self.cruise_s
+    }
+
+    /// Where the motion is `t_s` after its start.
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> Along {
+        let total_s = self.duration_s();
+        if t_s >= total_s {
+            return Along { s_mm: self.length_mm, ..Along::default() };
+        }
+        let (j, tj, ta) = (self.jerk_mm_s3, self.rise_s, self.up_s);
+        let peak_a = j * tj;
+        let peak_v = peak_a * (ta - tj);
+        let speeding_up = |t: f64| {
+            if t < tj {
+                Along { s_mm: j * t * t * t / 6.0, v_mm_s: j * t * t / 2.0, a_mm_s2: j * t }
+            } else if t < ta - tj {
+                let u = t - tj;
+                let v0 = peak_a * tj / 2.0;
+                Along {
+                    s_mm: peak_a * tj * tj / 6.0 + v0 * u + peak_a * u * u / 2.0,
+                    v_mm_s: v0 + peak_a * u,
+                    a_mm_s2: peak_a,
+                }
+            } else {
+                let w = ta - t;
+                Along {
+                    s_mm: peak_v * ta / 2.0 - peak_v * w + j * w * w * w / 6.0,
+                    v_mm_s: peak_v - j * w * w / 2.0,
+                    a_mm_s2: j * w,
+                }
+            }
+        };
+        if t_s < ta {
+            speeding_up(t_s.max(0.0))
+        } else if t_s <= ta + self.cruise_s {
+            Along { s_mm: peak_v * ta / 2.0 + peak_v * (t_s - ta), v_mm_s: peak_v, a_mm_s2: 0.0 }
+        } else {
+            let back = speeding_up(total_s - t_s);
+            Along { s_mm: self.length_mm - back.s_mm, v_mm_s: back.v_mm_s, a_mm_s2: -back.a_mm_s2 }
+        }
+    }
+}
+
+/// Axes that a controller moves together: X, Y, Z.
+pub const AXES: usize = 3;
+
+/// Position, speed and acceleration of every axis, mm and s.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Command {
+    /// mm.
+    pub p_mm: [f64; AXES],
+    /// mm/s.
+    pub v_mm_s: [f64; AXES],
+    /// mm/s².
+    pub a_mm_s2: [f64; AXES],
+}
+
+/// The shape of one move.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// A straight line (G00, G01).
+    Line {
+        /// Start, mm.
+        from: [f64; AXES],
+        /// End, mm.
+        to: [f64; AXES],
+    },
+    /// An arc in the plane of two axes (G02, G03), the third moving along evenly.
+    Arc {
+        /// Start, mm.
+        from: [f64; AXES],
+        /// The plane's first and second axis.
+        plane: (usize, usize),
+        /// Centre in the plane, mm.
+        centre: (f64, f64),
+        /// Radius, mm.
+        radius_mm: f64,
+        /// Angle of the start, rad.
+        start_rad: f64,
+        /// Angle swept, rad; positive from the first axis towards the second.
+        sweep_rad: f64,
+        /// Travel of the third axis, mm.
+        third_mm: f64,
+    },
+}
+
+impl Shape {
+    /// Length of the path, mm.
+    #[must_use]
+    pub fn length_mm(&self) -> f64 {
+        match self {
+            Self::Line { from, to } => {
+                from.iter().zip(to).map(|(a, b)| (b - a) * (b - a)).sum::<f64>().sqrt()
+            }
+            Self::Arc { radius_mm, sweep_rad, third_mm, .. } => {
+                let round = radius_mm * sweep_rad;
+                (round * round + third_mm * third_mm).sqrt()
+            }
+        }
+    }
+
+    /// The speed that keeps an arc's centripetal acceleration within a limit, mm/s.
+    #[must_use]
+    pub fn speed_limit_mm_s(&self, accel_mm_s2: f64) -> f64 {
+        match self {
+            Self::Line { .. } => f64::INFINITY,
+            Self::Arc { radius_mm, .. } => (accel_mm_s2 * radius_mm).sqrt(),
+        }
+    }
+
+    /// All axes at a place along the path.
+    #[must_use]
+    pub fn at(&self, along: Along) -> Command {
+        let length = self.length_mm();
+        let Along { s_mm: s, v_mm_s: v, a_mm_s2: a } = along;
+        let mut c = Command::default();
+        match self {
+            Self::Line { from, to } => {
+                for n in 0..AXES {
+                    let unit = if length > 0.0 { (to[n] - from[n]) / length } else { 0.0 };
+                    // Exactly at the end, whatever the rounding along the way.
+                    c.p_mm[n] = if s >= length { to[n] } else { from[n] + unit * s };
+                    c.v_mm_s[n] = unit * v;
+                    c.a_mm_s2[n] = unit * a;
+                }
+            }
+            &Self::Arc { from, plane: (i, j), centre, radius_mm: r, start_rad, sweep_rad, third_mm } => {
+                let share = if length > 0.0 { s / length } else { 1.0 };
+                let angle = start_rad + sweep_rad * share;
+                let (sin, cos) = libm::sincos(angle);
+                let turn = if length > 0.0 { sweep_rad / length } else { 0.0 };
+                let (w, dw) = (turn * v, turn * a);
+                c.p_mm = from;
+                c.p_mm[i] = centre.0 + r * cos;
+                c.p_mm[j] = centre.1 + r * sin;
+                c.v_mm_s[i] = -r * sin * w;
+                c.v_mm_s[j] = r * cos * w;
+                c.a_mm_s2[i] = -r * (cos * w * w + sin * dw);
+                c.a_mm_s2[j] = -r * (sin * w * w - cos * dw);
+                let k = AXES - i - j;
+                let rise = if length > 0.0 { third_mm / length } else { 0.0 };
+                c.p_mm[k] = from[k] + third_mm * share;
+                c.v_mm_s[k] = rise * v;
+                c.a_mm_s2[k] = rise * a;
+            }
+        }
+        c
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn profiles_are_consistent_within_their_limits_and_end_where_they_should() {
+        let limits = Limits { speed_mm_s: 100.0, accel_mm_s2: 1000.0, jerk_mm_s3: 20_000.0 };
+        for length in [0.001, 0.5, 3.0, 14.9, 15.1, 50.0, 1000.0] {
+            let p = Profile::new(length, limits);
+            let n = 20_000;
+            let dt = p.duration_s() / f64::from(n);
+            let mut last = p.at(0.0);
+            for k in 1..=n {
+                let now = p.at(dt * f64::from(k));
+                let mean_v = (now.v_mm_s + last.v_mm_s) / 2.0;
+                assert!(
+                    (now.s_mm - last.s_mm - mean_v * dt).abs() < 1e-6 * length.max(1.0),
+                    "{length} at {k}"
+                );
+                assert!(
+                    (now.a_mm_s2 - last.a_mm_s2).abs() <= 20_000.0 * dt * 1.001 + 1e-6,
+                    "{length} at {k}"
+                );
+                assert!(now.v_mm_s <= 100.0 + 1e-9 && now.a_mm_s2.abs() <= 1000.0 + 1e-6);
+                last = now;
+            }
+            assert!((last.s_mm - length).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn an_arc_keeps_its_radius_and_its_derivatives() {
+        let arc = Shape::Arc {
+            from: [10.0, 0.0, 5.0],
+            plane: (0, 1),
+            centre: (0.0, 0.0),
+            radius_mm: 10.0,
+            start_rad: 0.0,
+            sweep_rad: 3.0,
+            third_mm: 0.0,
+        };
+        let (v, ds) = (50.0, 1e-4);
+        let at = |s: f64| arc.at(Along { s_mm: s, v_mm_s: v, a_mm_s2: 7.0 });
+        for s in [0.1, 9.0, 29.0] {
+            let (a, b, c) = (at(s - ds), at(s), at(s + ds));
+            assert!((libm::hypot(b.p_mm[0], b.p_mm[1]) - 10.0).abs() < 1e-12);
+            for n in 0..3 {
+                let slope = (c.p_mm[n] - a.p_mm[n]) / (2.0 * ds) * v;
+                assert!((slope - b.v_mm_s[n]).abs() < 1e-6);
+            }
+            let centripetal = libm::hypot(b.a_mm_s2[0], b.a_mm_s2[1]);
+            assert!((centripetal - libm::hypot(250.0, 7.0)).abs() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,615 @@
+//! The machine with the unchanged engine in its feedback and a corrector that tells it what it knows.
+
+use crate::axis::{AxisSpec, Friction};
+use crate::gcode::Block;
+use crate::heat::{Heat, SENSORS};
+use crate::machine::{ControllerSpec, Machine, ServoFault, Surface};
+use crate::noise::Noise;
+use crate::path::{AXES, Command};
+use rtec_driver::card::CardError;
+use rtec_model::effect::{Effect, Missing};
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::record::Axis;
+use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
+
+/// How often the corrector computes new totals, ns (NISTIR 4832, Alternate Configurations: every 10 to 20 ms).
+pub const CONTROL_NS: u64 = 10_000_000;
+
+/// Names of the controller's axes.
+pub const NAMES: [&str; AXES] = ["x", "y", "z"];
+
+/// A machine, as it is built.
+#[derive(Debug, Clone)]
+pub struct Spec {
+    /// Its axes.
+    pub axes: Vec<AxisSpec>,
+    /// Its controller.
+    pub controller: ControllerSpec,
+    /// The insertion design.
+    pub design: Design,
+    /// What to do for an axis at rest.
+    pub rest: RestPolicy,
+    /// Time from an edge until the engine acts on it, at the worst, and of one write, ns: what the speed gate is told.
+    pub detect_ns: u64,
+    /// See `detect_ns`.
+    pub write_ns: u64,
+    /// Temperature of the hall, °C.
+    pub ambient_degc: f64,
+}
+
+impl Spec {
+    /// The machining centre of WO 97/43703: X 24 in, Y 28 in, Z 60 in.
+    #[must_use]
+    pub fn machining_centre() -> Self {
+        Self::new(vec![AxisSpec::new("x", 609.6), AxisSpec::new("y", 711.2), AxisSpec::new("z", 1524.0)])
+    }
+
+    /// The turning centre of NISTIR 4832: X and Z, 1 µm scales.
+    #[must_use]
+    pub fn turning_centre() -> Self {
+        Self::new(vec![AxisSpec::new("x", 400.0), AxisSpec::new("z", 1000.0)])
+    }
+
+    /// A machine of these axes, corrected by Design C, also at rest.
+    #[must_use]
+    pub fn new(axes: Vec<AxisSpec>) -> Self {
+        Self {
+            axes,
+            controller: ControllerSpec::default(),
+            design: Design::C,
+            rest: RestPolicy::Insert { after_ns: 5_000_000 },
+            detect_ns: 500,
+            write_ns: 200,
+            ambient_degc: 20.0,
+        }
+    }
+
+    /// The engine's configuration of one axis.
+    fn config(&self, n: usize, machine: &Machine) -> AxisConfig {
+        let axis = &self.axes[n];
+        AxisConfig {
+            lines: machine.lines()[n],
+            design: self.design,
+            max_correction_counts: 5000,
+            min_separation_ns: 500,
+            // The servo may overshoot what the trajectory keeps to.
+            max_accel_counts_s2: 4.0 * axis.accel_mm_s2 * 1000.0 / axis.count_um,
+            hysteresis_counts: axis.hysteresis_counts,
+            rest: self.rest,
+            detect_ns: self.detect_ns,
+            write_ns: self.write_ns,
+            ..AxisConfig::default()
+        }
+    }
+}
+
+/// Why a simulation cannot be made or go on.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// An effect reads a sensor or channel that the simulated machine does not have.
+    #[error(transparent)]
+    Missing(#[from] Missing),
+    /// The engine cannot correct the machine as specified.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// The simulated card failed, which it never does.
+    #[error(transparent)]
+    Card(#[from] CardError),
+    /// The controller gave up.
+    #[error("the controller stopped at {t_s:.3} s: {fault:?}")]
+    Servo {
+        /// When, s.
+        t_s: f64,
+        /// Why.
+        fault: ServoFault,
+    },
+    /// The engine latched a fault.
+    #[error("the engine latched {fault:?} at {t_s:.3} s")]
+    Engine {
+        /// When, s.
+        t_s: f64,
+        /// Which.
+        fault: Fault,
+    },
+}
+
+/// A probe's trip: what the engine captured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trip {
+    /// Position of X, Y, Z by the scales, mm, interpolated between the edges before and after the trip.
+    pub position_mm: [f64; AXES],
+    /// Half the width of what it may be, mm.
+    pub within_mm: [f64; AXES],
+}
+
+/// The machine at one moment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moment {
+    /// s.
+    pub t_s: f64,
+    /// What the controller commands.
+    pub command: Command,
+    /// By the scales, mm.
+    pub position_mm: [f64; AXES],
+    /// By the controller's count, mm.
+    pub counted_mm: [f64; AXES],
+    /// mm/s.
+    pub velocity_mm_s: [f64; AXES],
+    /// mm/s².
+    pub acceleration_mm_s2: [f64; AXES],
+    /// Direction of the last motion.
+    pub direction: [f64; AXES],
+    /// Force of the drives, N.
+    pub force_n: [f64; AXES],
+    /// The true machine's error: tool minus scale, µm.
+    pub error_um: [f64; AXES],
+    /// What has been inserted, µm.
+    pub inserted_um: [f64; AXES],
+    /// Where the tool is, mm.
+    pub tool_mm: [f64; AXES],
+    /// rpm.
+    pub rpm: f64,
+    /// Coolant on.
+    pub coolant: bool,
+}
+
+impl Moment {
+    /// What the tool is off from where the controller believes it, µm: the machine's error less what was inserted.
+    #[must_use]
+    pub fn off_um(&self, axis: usize) -> f64 {
+        self.error_um[axis] - self.inserted_um[axis]
+    }
+}
+
+/// What moves a coordinate system's error into the corrector: where radial part errors have their centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PartCentre {
+    /// The plane's first and second axis (0 X, 1 Y, 2 Z); angles run from the first towards the second.
+    pub plane: (usize, usize),
+    /// Centre, mm.
+    pub centre_mm: (f64, f64),
+}
+
+/// A running simulation.
+#[derive(Debug)]
+pub struct Sim {
+    /// The machine.
+    pub machine: Machine,
+    engine: Engine,
+    heat: Heat,
+    truth: Live,
+    known: Option<Live>,
+    place: Vec<usize>,
+    count_um: Vec<f64>,
+    increment: i64,
+    next_control_ns: u64,
+    events: Vec<Event>,
+    trips: [Option<Capture>; AXES],
+    channels: Vec<f64>,
+    noise: Noise,
+    /// Load on X, Y, Z, N: set by whoever cuts.
+    pub load_n: [f64; AXES],
+    part: Option<PartCentre>,
+    probing: bool,
+    probe_angle_rad: f64,
+    travel: [(f64, f64); AXES],
+    known_speed: [f64; AXES],
+    known_position: [f64; AXES],
+}
+
+impl Sim {
+    /// A cold machine at rest at `at_mm` (X, Y, Z), homed there, with the errors of `truth`. `known`: what the corrector
+    /// is told; `None`: corrections are off.
+    ///
+    /// # Errors
+    /// An effect reads what the machine does not have; a configuration that leaves no time for an insertion.
+    pub fn new<'e>(
+        spec: &Spec,
+        truth: impl IntoIterator<Item = &'e Effect>,
+        known: Option<Vec<&'e Effect>>,
+        at_mm: [f64; AXES],
+        seed: u64,
+    ) -> Result<Self, SimError> {
+        let truth: Vec<&Effect> = truth.into_iter().collect();
+        let mut channels: Vec<String> = truth
+            .iter()
+            .chain(known.iter().flatten())
+            .filter_map(|e| e.channel().map(str::to_owned))
+            .collect();
+        channels.sort();
+        channels.dedup();
+        let layout = Layout {
+            axes: NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
+            sensors: SENSORS.iter().map(|s| s.0.to_owned()).collect(),
+            channels,
+        };
+        let mut machine = Machine::new(&spec.axes, spec.controller.clone(), at_mm);
+        let place: Vec<usize> =
+            spec.axes.iter().map(|a| NAMES.iter().position(|n| *n == a.name).unwrap_or(0)).collect();
+        let mut probe_delay_ns = 0;
+        for effect in &truth {
+            let value = |name: &str| effect.value(name).map_or(0.0, |v| v[0]);
+            if effect.card().name == "probe_latency" {
+                probe_delay_ns = probe_delay_ns.max((value("us") * 1000.0).max(0.0) as u64);
+            }
+        }
+        for (n, &p) in place.iter().enumerate() {
+            machine.set_friction(n, friction(&truth, NAMES[p]));
+        }
+        let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
+        let rt = MachineConfig { lines: machine.machine_lines(), may_arm: true };
+        let mut engine = Engine::new(&mut machine, &configs, rt, &[])?;
+        let mut events = Vec::new();
+        let mut tell = |e: Event| {
+            events.push(e);
+            true
+        };
+        engine.start_homed(&mut machine, &mut tell)?;
+        let on_part = |e: &&Effect| !matches!(e.card().name.as_str(), "probe_latency" | "probe_lobing");
+        let known = match known {
+            Some(effects) => Some(Live::new(effects.into_iter().filter(on_part), layout.clone())?),
+            None => None,
+        };
+        machine.set_surface(None, probe_delay_ns);
+        let channel_count = layout.channels.len();
+        let mut sim = Self {
+            engine,
+            heat: Heat::cold(spec.ambient_degc, 0.02, seed),
+            truth: Live::new(truth, layout)?,
+            known,
+            place,
+            count_um: spec.axes.iter().map(|a| a.count_um).collect(),
+            increment: spec.design.increment_counts(),
+            next_control_ns: CONTROL_NS,
+            events,
+            trips: [None; AXES],
+            channels: vec![0.0; channel_count],
+            noise: Noise::new(seed, 0xC0),
+            load_n: [0.0; AXES],
+            part: None,
+            probing: false,
+            probe_angle_rad: 0.0,
+            travel: [(0.0, 0.0); AXES],
+            known_speed: [0.0; AXES],
+            known_position: at_mm,
+            machine,
+        };
+        sim.evaluate_truth();
+        sim.events.clear();
+        Ok(sim)
+    }
+
+    /// Names of the logged channels.
+    #[must_use]
+    pub fn channel_names(&self) -> &[String] {
+        &self.truth.layout().channels
+    }
+
+    /// Values of the logged channels.
+    #[must_use]
+    pub fn channels(&self) -> &[f64] {
+        &self.channels
+    }
+
+    /// Readings of the temperature sensors, °C, in the order of [`SENSORS`].
+    #[must_use]
+    pub fn temperatures_degc(&self) -> &[f64] {
+        self.heat.readings_degc()
+    }
+
+    /// The heat in the machine.
+    #[must_use]
+    pub fn heat(&self) -> &Heat {
+        &self.heat
+    }
+
+    /// The engine's status.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        self.engine.status()
+    }
+
+    /// Where the part's radial errors are counted from, for the corrector; `None`: they are not corrected.
+    pub fn set_part(&mut self, part: Option<PartCentre>) {
+        self.part = part;
+    }
+
+    /// Runs for `seconds`.
+    ///
+    /// # Errors
+    /// The controller gave up, or the engine latched a fault.
+    pub fn advance(&mut self, seconds: f64) -> Result<(), SimError> {
+        self.advance_by_ns((seconds * 1e9).round() as u64)
+    }
+
+    fn advance_by_ns(&mut self, ns: u64) -> Result<(), SimError> {
+        let end_ns = self.machine.now_ns() + ns;
+        loop {
+            let by_ns = end_ns.min(self.next_control_ns);
+            let (engine, machine, events) = (&mut self.engine, &mut self.machine, &mut self.events);
+            let mut tell = |e: Event| {
+                events.push(e);
+                true
+            };
+            while engine.now_ns() < by_ns {
+                engine.poll(machine, by_ns, &mut tell)?;
+            }
+            if by_ns == self.next_control_ns {
+                self.control()?;
+            }
+            self.digest()?;
+            if by_ns == end_ns {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Runs until the program is done and the axes have come to rest.
+    ///
+    /// # Errors
+    /// As [`Sim::advance`].
+    pub fn finish(&mut self) -> Result<(), SimError> {
+        while !self.machine.finished() {
+            self.advance_by_ns(CONTROL_NS)?;
+        }
+        self.advance_by_ns(10 * CONTROL_NS)
+    }
+
+    /// Loads blocks and runs them to their end.
+    ///
+    /// # Errors
+    /// As [`Sim::advance`].
+    pub fn run(&mut self, blocks: impl IntoIterator<Item = Block>) -> Result<(), SimError> {
+        self.machine.load(blocks);
+        self.finish()
+    }
+
+    /// Events become trips and errors.
+    fn digest(&mut self) -> Result<(), SimError> {
+        for event in self.events.drain(..) {
+            match (event.kind, event.axis) {
+                (EventKind::Fault(fault), _) => {
+                    return Err(SimError::Engine { t_s: event.t_ns as f64 * 1e-9, fault });
+                }
+                (EventKind::Trip(capture), Some(axis)) => {
+                    self.trips[self.place[usize::from(axis)]] = Some(capture);
+                }
+                _ => {}
+            }
+        }
+        match self.machine.fault() {
+            Some(fault) => Err(SimError::Servo { t_s: self.machine.now_ns() as f64 * 1e-9, fault }),
+            None => Ok(()),
+        }
+    }
+
+    /// Every 10 ms: heat, the true machine's errors, and new totals.
+    fn control(&mut self) -> Result<(), SimError> {
+        let t_s = self.next_control_ns as f64 * 1e-9;
+        self.next_control_ns += CONTROL_NS;
+        self.heat.advance(t_s, self.machine.rpm(), self.machine.coolant());
+        if self.next_control_ns.is_multiple_of(100 * CONTROL_NS) {
+            for channel in &mut self.channels {
+                *channel += 0.1 * self.noise.normal() - 0.002 * *channel;
+            }
+        }
+        self.evaluate_truth();
+        if self.known.is_some() && !self.probing {
+            self.correct(t_s)?;
+        }
+        Ok(())
+    }
+
+    fn evaluate_truth(&mut self) {
+        let mut axes = [AxisNow::default(); AXES];
+        for (n, &p) in self.place.iter().enumerate() {
+            axes[p] = AxisNow {
+                position_mm: self.machine.position_mm(n),
+                velocity_mm_s: self.machine.velocity_mm_s(n),
+                acceleration_mm_s2: self.machine.acceleration_mm_s2(n),
+                direction: self.machine.direction(n),
+                load_n: self.load_n[p],
+            };
+        }
+        let frame = Frame {
+            t_s: self.machine.now_ns() as f64 * 1e-9,
+            axes: &axes,
+            temperatures_degc: self.heat.readings_degc(),
+            channels: &self.channels,
+            rpm: self.machine.rpm(),
+            coolant: f64::from(u8::from(self.machine.coolant())),
+            angle_rad: self.probe_angle_rad,
+            probing: false,
+        };
+        self.truth.evaluate(&frame);
+        let mut offset = [0.0; AXES];
+        for (o, e) in offset.iter_mut().zip(self.truth.errors_um()) {
+            *o = e / 1000.0;
+        }
+        self.machine.set_tool_offset_mm(offset);
+    }
+
+    /// The corrector: what it knows of the machine, at the positions that the engine counts.
+    fn correct(&mut self, t_s: f64) -> Result<(), SimError> {
+        let status = self.engine.status();
+        let mut axes = [AxisNow::default(); AXES];
+        let dt = CONTROL_NS as f64 * 1e-9;
+        for (n, &p) in self.place.iter().enumerate() {
+            let counts = self.machine.origin_counts(n) + status.axes[n].position_counts;
+            let position_mm = counts as f64 * self.count_um[n] / 1000.0;
+            let velocity = (position_mm - self.known_position[p]) / dt;
+            let (turned_at, direction) = &mut self.travel[p];
+            if (position_mm - *turned_at) * *direction >= 0.0 {
+                *turned_at = position_mm;
+            }
+            if (position_mm - *turned_at).abs() > 3.0 * self.count_um[n] / 1000.0 {
+                *direction = if position_mm > *turned_at { 1.0 } else { -1.0 };
+                *turned_at = position_mm;
+            }
+            axes[p] = AxisNow {
+                position_mm,
+                velocity_mm_s: velocity,
+                acceleration_mm_s2: (velocity - self.known_speed[p]) / dt,
+                direction: *direction,
+                load_n: self.load_n[p],
+            };
+            self.known_speed[p] = velocity;
+            self.known_position[p] = position_mm;
+        }
+        let angle_rad = self.part.map_or(0.0, |part| {
+            let (i, j) = part.plane;
+            let at = |n: usize| axes[n].position_mm;
+            libm::atan2(at(j) - part.centre_mm.1, at(i) - part.centre_mm.0)
+        });
+        let Some(known) = &mut self.known else { return Ok(()) };
+        known.evaluate(&Frame {
+            t_s,
+            axes: &axes,
+            temperatures_degc: self.heat.readings_degc(),
+            channels: &self.channels,
+            rpm: self.machine.rpm(),
+            coolant: f64::from(u8::from(self.machine.coolant())),
+            angle_rad,
+            probing: false,
+        });
+        let mut errors = [0.0; AXES];
+        errors.copy_from_slice(&known.errors_um()[..AXES]);
+        if let Some(part) = self.part {
+            let (sin, cos) = libm::sincos(angle_rad);
+            errors[part.plane.0] += known.radial_um() * cos;
+            errors[part.plane.1] += known.radial_um() * sin;
+        }
+        let events = &mut self.events;
+        let mut tell = |e: Event| {
+            events.push(e);
+            true
+        };
+        for (n, &p) in self.place.iter().enumerate() {
+            let step = self.count_um[n] * self.increment as f64;
+            let total_counts = (errors[p] / step).round() as i64 * self.increment;
+            if total_counts != status.axes[n].requested {
+                let request = Request::Correct { axis: n as u8, total_counts, large: true };
+                self.engine.take(request, &mut self.machine, &mut tell)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The machine at this moment.
+    pub fn moment(&mut self) -> Moment {
+        self.evaluate_truth();
+        let m = &self.machine;
+        let mut now = Moment {
+            t_s: m.now_ns() as f64 * 1e-9,
+            command: m.command(),
+            position_mm: m.command().p_mm,
+            counted_mm: m.command().p_mm,
+            velocity_mm_s: [0.0; AXES],
+            acceleration_mm_s2: [0.0; AXES],
+            direction: [0.0; AXES],
+            force_n: [0.0; AXES],
+            error_um: [0.0; AXES],
+            inserted_um: [0.0; AXES],
+            tool_mm: m.tool_mm(),
+            rpm: m.rpm(),
+            coolant: m.coolant(),
+        };
+        now.error_um.copy_from_slice(&self.truth.errors_um()[..AXES]);
+        for (n, &p) in self.place.iter().enumerate() {
+            now.position_mm[p] = m.position_mm(n);
+            now.counted_mm[p] = m.counted_mm(n);
+            now.velocity_mm_s[p] = m.velocity_mm_s(n);
+            now.acceleration_mm_s2[p] = m.acceleration_mm_s2(n);
+            now.direction[p] = m.direction(n);
+            now.force_n[p] = m.force_n(n);
+            now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * self.count_um[n];
+        }
+        now
+    }
+
+    /// Probing mode on or off. On, nothing is inserted and the engine captures positions at the probe's trip; the part
+    /// that can be touched is `surface`.
+    ///
+    /// # Errors
+    /// The simulated card failed.
+    pub fn probe(&mut self, surface: Option<Surface>) -> Result<(), SimError> {
+        self.probing = surface.is_some();
+        let events = &mut self.events;
+        let mut tell = |e: Event| {
+            events.push(e);
+            true
+        };
+        self.engine.take(Request::Probe(self.probing), &mut self.machine, &mut tell)?;
+        let delay_ns = self.machine.probe_delay_ns();
+        self.machine.set_surface(surface, delay_ns);
+        self.trips = [None; AXES];
+        Ok(())
+    }
+
+    /// Feed hold on or off, as an operator asks the engine for it.
+    ///
+    /// # Errors
+    /// The simulated card failed.
+    pub fn hold(&mut self, on: bool) -> Result<(), SimError> {
+        let events = &mut self.events;
+        let mut tell = |e: Event| {
+            events.push(e);
+            true
+        };
+        self.engine.take(Request::Hold(on), &mut self.machine, &mut tell)?;
+        Ok(())
+    }
+
+    /// Runs blocks in probing mode and returns the first trip in them, if the part was touched.
+    ///
+    /// # Errors
+    /// As [`Sim::advance`].
+    pub fn touch(&mut self, blocks: impl IntoIterator<Item = Block>) -> Result<Option<Trip>, SimError> {
+        self.trips = [None; AXES];
+        self.machine.load(blocks);
+        while !self.machine.finished() {
+            self.advance_by_ns(CONTROL_NS)?;
+        }
+        // A capture is complete with the next edge, or when the axis has stood still for a tenth of a second.
+        self.advance_by_ns(12 * CONTROL_NS)?;
+        if self.place.iter().any(|&p| self.trips[p].is_none()) {
+            return Ok(None);
+        }
+        let mut trip = Trip { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
+        for (n, &p) in self.place.iter().enumerate() {
+            let Some(capture) = self.trips[p] else { continue };
+            let (counts, within) = capture.position_counts();
+            // Edges lie half a count from where the counts are.
+            let position = counts + self.machine.origin_counts(n) as f64 - 0.5;
+            trip.position_mm[p] = position * self.count_um[n] / 1000.0;
+            trip.within_mm[p] = within * self.count_um[n] / 1000.0;
+        }
+        Ok(Some(trip))
+    }
+
+    /// Radial effects of the true probe and part (lobing, form) at an angle, µm.
+    pub fn radial_um(&mut self, angle_rad: f64) -> f64 {
+        self.probe_angle_rad = angle_rad;
+        self.evaluate_truth();
+        self.truth.radial_um()
+    }
+}
+
+/// The forces that a true machine's effects stand for.
+fn friction(effects: &[&Effect], axis: &str) -> Friction {
+    let mut friction = Friction::default();
+    for effect in effects.iter().filter(|e| e.axes().first().is_some_and(|a| a.as_str() == axis)) {
+        let value = effect.values().first().copied().unwrap_or(0.0);
+        match effect.card().name.as_str() {
+            "inertia" => friction.mass_kg = Some(value),
+            "friction_viscous" => friction.viscous_n_s_per_m = Some(value),
+            "friction_coulomb" => friction.coulomb_n = Some(value),
+            "friction_asymmetric" => friction.asymmetric_n_s_per_m = value,
+            "force_offset" => friction.offset_n = value,
+            _ => {}
+        }
+    }
+    friction
+}

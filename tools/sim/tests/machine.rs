@@ -1,0 +1,101 @@
+//! The engine, unchanged, on the simulated machine.
+
+#![allow(clippy::unwrap_used)]
+
+use rtec_model::machine::Machine as Model;
+use rtec_sim::gcode::{Block, parse};
+use rtec_sim::machine::ServoFault;
+use rtec_sim::sim::{Moment, Sim, Spec};
+use std::path::Path;
+
+fn model(text: &str) -> Model {
+    Model::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
+}
+
+fn sim(truth: &Model, known: Option<&Model>) -> Sim {
+    let known = known.map(|k| k.effects().collect());
+    Sim::new(&Spec::machining_centre(), truth.effects(), known, [0.0; 3], 1).unwrap()
+}
+
+fn program(text: &str) -> Vec<Block> {
+    parse(Path::new("p.ngc"), text, [0.0; 3]).unwrap()
+}
+
+#[test]
+fn an_ideal_machine_goes_where_it_is_told() {
+    let mut s = sim(&Model::ideal("m"), None);
+    s.run(program("G0 X20 Y-30 Z10\nG1 X25 F500\nG2 X25 Y-30 I-5 J0 F1000\n")).unwrap();
+    let m = s.moment();
+    for (n, p) in [25.0, -30.0, 10.0].into_iter().enumerate() {
+        assert!((m.position_mm[n] - p).abs() <= 0.0011, "{m:?}");
+        assert!((m.counted_mm[n] - p).abs() <= 0.0011, "{m:?}");
+        assert_eq!(m.off_um(n), 0.0);
+    }
+}
+
+#[test]
+fn following_error_stays_small_in_motion() {
+    let mut s = sim(&Model::ideal("m"), None);
+    s.machine.load(program("G1 X100 Y60 F6000\nG3 X100 Y60 I-20 J0 F2000\n"));
+    let mut worst: f64 = 0.0;
+    while !s.machine.finished() {
+        s.advance(0.01).unwrap();
+        let m: Moment = s.moment();
+        worst = worst.max((m.position_mm[0] - m.command.p_mm[0]).abs());
+    }
+    println!("worst following error {worst} mm");
+    assert!(worst < 0.05, "{worst} mm");
+}
+
+/// Counts added to what the MTC sees move the axis the other way (NISTIR 4832, Altering the Position Signal).
+#[test]
+fn a_known_error_is_taken_out_and_an_unknown_one_stays() {
+    let truth = model("[[effect]]\nname = \"scale.x\"\nppm = 100\n[[effect]]\nname = \"offset.y\"\num = 7\n");
+    let off = |known: Option<&Model>| {
+        let mut s = sim(&truth, known);
+        s.run(program("G1 X200 Y10 F5000\n")).unwrap();
+        s.advance(0.5).unwrap();
+        let m = s.moment();
+        ([0, 1].map(|n| m.off_um(n)), [m.tool_mm[0] - 200.0, m.tool_mm[1] - 10.0].map(|e| 1000.0 * e))
+    };
+    let (off_without, tool_without) = off(None);
+    assert!((off_without[0] - 20.0).abs() < 0.01 && (off_without[1] - 7.0).abs() < 0.01, "{off_without:?}");
+    assert!((tool_without[0] - 20.0).abs() < 1.5);
+    let (off_with, tool_with) = off(Some(&truth));
+    assert!(off_with.iter().all(|e| e.abs() <= 1.01), "{off_with:?}");
+    assert!(tool_with.iter().all(|e| e.abs() <= 2.6), "{tool_with:?}");
+}
+
+#[test]
+fn the_probe_trips_where_the_surface_is() {
+    let mut s = sim(&Model::ideal("m"), None);
+    s.probe(Some(Box::new(|p: [f64; 3]| 7.123_4 - p[0]))).unwrap();
+    // NISTIR 4854, Process-Intermittent Loop: 5 mm stand-off, 2.5 mm over-travel, 2.5 m/min.
+    let trip = s.touch(program("G1 X9.6 F2500\nG0 X0\n")).unwrap().unwrap();
+    assert!((trip.position_mm[0] - 7.1234).abs() < 0.0002, "{trip:?}");
+    assert!(s.touch(program("G1 X5 F2500\nG0 X0\n")).unwrap().is_none());
+    s.probe(None).unwrap();
+}
+
+#[test]
+fn feed_hold_stops_the_path_and_lets_it_go_on() {
+    let mut s = sim(&Model::ideal("m"), None);
+    s.machine.load(program("G1 X100 F6000\n"));
+    s.advance(0.5).unwrap();
+    s.hold(true).unwrap();
+    s.advance(0.5).unwrap();
+    let held = s.moment().position_mm[0];
+    s.advance(0.5).unwrap();
+    assert!((s.moment().position_mm[0] - held).abs() < 0.002 && held < 60.0);
+    s.hold(false).unwrap();
+    s.finish().unwrap();
+    assert!((s.moment().position_mm[0] - 100.0).abs() < 0.0011);
+}
+
+#[test]
+fn an_illegal_state_is_a_servo_fault() {
+    use rtec_driver::card::Card;
+    let mut s = sim(&Model::ideal("m"), None);
+    s.machine.write(3, 3).unwrap();
+    assert_eq!(s.machine.fault(), Some(ServoFault::IllegalState { axis: 0 }));
+}
