@@ -21,6 +21,7 @@ enum Verb {
     Designs(verbs::designs::Args),
     Man(verbs::man::Args),
     Model(verbs::model::Args),
+    Simulate(verbs::simulate::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -47,6 +48,7 @@ fn main() -> ExitCode {
         Verb::Designs(args) => verbs::designs::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
         Verb::Model(args) => verbs::model::run(&args),
+        Verb::Simulate(args) => verbs::simulate::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");

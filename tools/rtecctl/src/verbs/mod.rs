@@ -5,3 +5,4 @@ pub(crate) mod completions;
 pub(crate) mod designs;
 pub(crate) mod man;
 pub(crate) mod model;
+pub(crate) mod simulate;
