@@ -118,10 +118,6 @@ fn records_are_what_the_true_machine_says() {
         effect("squareness.x.y", "urad = 30"),
         effect("straightness.y.x", "knots_mm = [-250, 0, 250]\num = [0, 5, 0]"),
         effect("screw_periodic.x", "um = 3\nperiod_mm = 10\nphase_rad = 0.4"),
-        effect(
-            "thermal_lag.y",
-            "sensor = \"T8\"\nminus = \"T18\"\num_per_K = 2\num_per_K2 = 0\ntau_s = 1200",
-        ),
         effect("coolant.x", "um = 4"),
         effect("following_error.x", "ms = 0.05"),
         effect("spindle_speed.z", "um_per_krpm = 0.4\num_per_krpm2 = 0.1"),
