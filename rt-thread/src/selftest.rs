@@ -42,6 +42,8 @@ const RESOLUTION_NS: u64 = 1_000;
 const CONTROL_INTERVAL: Duration = Duration::from_millis(2);
 /// A request that has shown no effect for this long is sent again, ns.
 const ASK_AGAIN_NS: u64 = 20_000_000;
+/// So much longer than asked for the loop runs while not one insertion has been timed.
+const PATIENCE: Duration = Duration::from_secs(10);
 const SECOND: Duration = Duration::from_secs(1);
 
 /// Which card to measure with.
@@ -298,7 +300,9 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
         let mut control = Control::default();
         let end = Instant::now() + options.run / 2;
         let mut next = Instant::now();
-        while Instant::now() < end && !running.control.ended() {
+        // On a crowded machine the far side may not have had its turn yet.
+        let empty_handed = || Instant::now() < end + PATIENCE && done_reader.snapshot().samples() == 0;
+        while (Instant::now() < end || empty_handed()) && !running.control.ended() {
             if Instant::now() >= next {
                 progress("poll gap and edge to done", end.saturating_duration_since(next).as_secs() + 1);
                 next += SECOND;
