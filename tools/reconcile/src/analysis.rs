@@ -148,13 +148,11 @@ fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
         stack.weigh(&mut missing);
         let others: Vec<Known> = known(stack, machine, now).into_iter().filter(|k| k.effect != e).collect();
-        let (none, waves) = (Hypotheses::periods(stack, &now[e]), Vec::new());
+        let (none, waves) = Hypotheses::periods(stack, &now[e]);
         let search = Search::new(stack, &none, &waves, &others, missing);
         let empty = search.empty();
-        let Some(best) = search.scan(&empty, false).into_iter().next() else { continue };
-        let Cause::Effect { effect, .. } = &best.cause else { continue };
+        let Some(best) = search.scan(&empty, true).into_iter().next() else { continue };
         let same = search.score_of(&empty, &now[e]);
-        let period = effect.scalar(0);
         if best.score > same + 6.0 {
             let mut search = search;
             let set = search.take(&empty, &best);
@@ -163,7 +161,7 @@ fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
             let Some(found) = effect_of(&best.cause, &beta[at..]) else { continue };
             // Another amplitude is another effect, not this one with its period mended.
             let ratio = found.scalar(1) / now[e].scalar(1).abs().max(1e-12);
-            if (0.4..2.5).contains(&ratio) && period.is_finite() {
+            if (0.4..2.5).contains(&ratio) {
                 now[e] = found;
             }
         }
@@ -299,33 +297,6 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     } else {
         Vec::new()
     };
-    if std::env::var_os("RECONCILE_TRACE").is_some() {
-        let show = |s: &Set| {
-            s.members.iter().map(|m| search.all.list[m.hypothesis].label()).collect::<Vec<_>>().join(" + ")
-        };
-        eprintln!(
-            "named {:.2} [{}]  any {:.2} [{}] phi {:.2} n {}",
-            named.score - search.empty().score,
-            show(&named),
-            any.score - search.empty().score,
-            show(&any),
-            named.phi,
-            search.stack.n
-        );
-        for v in found.visited.iter().take(8) {
-            eprintln!(
-                "   {:.2} ll {:.2} {}",
-                v.score - search.empty().score,
-                v.loglik - search.empty().loglik,
-                show(v)
-            );
-        }
-        eprintln!(
-            "   chance named at 1%: evidence {:?} p {:?}",
-            evidence,
-            evidence.iter().map(|e| chance.named.tail(*e)).collect::<Vec<_>>()
-        );
-    }
     let set = if unexplained.is_empty() { named.clone() } else { any.clone() };
     let beta = search.coefficients(&set);
     let mut tried: Vec<Tried> = Vec::new();

@@ -119,21 +119,16 @@ impl Hypotheses {
         (all, waves)
     }
 
-    /// Only the periods near a periodic effect's own, as fine as the travel resolves them.
-    pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> Self {
+    /// Only the periods near a periodic effect's own: 3 % either way.
+    pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> (Self, Vec<Wave>) {
         let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };
-        let Some(places) = distinct(stack, &Role::Position(effect.axes()[0].clone())) else { return all };
-        let span = places[places.len() - 1] - places[0];
-        let name = effect.card().parameters[0].name.clone();
-        let unit = if effect.card().name == "subdivision" { 1e-3 } else { 1.0 };
-        let turns = span / (effect.scalar(0) * unit);
-        let steps = (turns * 0.03 / 0.2).ceil().clamp(0.0, 150.0) as i32;
-        let h = all.hypothesis(effect, stack);
-        for i in -steps..=steps {
-            let period = effect.scalar(0) / (1.0 + f64::from(i) * 0.2 / turns);
-            all.single(stack, h, effect, &[(&name, period)], 0.0);
+        let mut waves = Vec::new();
+        all.effect(stack, effect, 0.0, &mut waves);
+        for w in &mut waves {
+            let own = 1.0 / (effect.scalar(0) * w.unit);
+            (w.from, w.to) = (own * 0.97, own * 1.03);
         }
-        all
+        (all, waves)
     }
 
     fn hypothesis(&mut self, effect: &Effect, stack: &Stack<'_>) -> usize {

@@ -233,14 +233,14 @@ impl AxisSim {
         self.accel_mm_s2 = (speed - self.speed) / dt * self.count_mm();
         self.force_n = drive * mass * m_per_count;
         let before = self.table;
-        self.motor += (speed + self.speed) / 2.0 * dt;
+        self.motor += f64::midpoint(speed, self.speed) * dt;
         self.speed = speed;
         let play = self.spec.backlash_um / self.spec.count_um / 2.0;
         self.table = self.table.clamp(self.motor - play, self.motor + play);
         let per_ns = (self.table - before) / step_ns as f64;
         self.step = (from_ns, before, per_ns);
         // A reversal counts when it has gone further than any overshoot.
-        if (self.table - self.turned_at) * self.direction >= 0.0 {
+        if (self.table - self.turned_at) * self.direction > 0.0 {
             self.turned_at = self.table;
         }
         if (self.table - self.turned_at).abs() > 3.0 {
@@ -248,6 +248,19 @@ impl AxisSim {
             self.turned_at = self.table;
         }
         self.find_edge(from_ns, step_ns);
+    }
+
+    /// Nothing moves and nothing is asked to.
+    pub(crate) fn rests(&self) -> bool {
+        self.speed == 0.0 && self.wanted == (0.0, 0.0)
+    }
+
+    /// Stands still from `from_ns` on.
+    pub(crate) fn stand(&mut self, from_ns: u64) {
+        self.integral = 0.0;
+        self.accel_mm_s2 = 0.0;
+        self.step = (from_ns, self.table, 0.0);
+        self.next_ns = u64::MAX;
     }
 
     fn find_edge(&mut self, from_ns: u64, step_ns: u64) {

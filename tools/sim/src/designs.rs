@@ -239,33 +239,23 @@ fn death(run: &Run<'_>) -> Death {
     // Just after changes of A' and B', and moments spread over the motion.
     let changes: Vec<u64> = whole.log.windows(2).filter(|w| w[0].1 == w[1].1).map(|w| w[1].0).collect();
     let end_ns = run.edges.last().map_or(0, |e| e.0);
-    let spread: Vec<u64> = (1..100).map(|n| end_ns * n / 110).collect();
-    let chosen = changes.iter().step_by(changes.len().div_ceil(100).max(1)).take(100).map(|t| t + 1);
+    let spread: Vec<u64> = (1..60).map(|n| end_ns * n / 66).collect();
+    let chosen = changes.iter().step_by(changes.len().div_ceil(60).max(1)).map(|t| t + 1);
     let mut death =
         Death { best_follows: 0.0, worst_follows: 1.0, worst_count_error: 0, share_harmless: 0.0 };
     let mut harmless = 0;
     let stop = |die_ns: u64| -> Option<(f64, i64)> {
-        let seen = Run { die_ns, ..run.clone() }.run()?;
+        // Over the longest travel that follows: the way back would undo what a mirrored count has gone wrong.
+        let alive = run.edges.partition_point(|e| e.0 <= die_ns);
+        let (mut travel, mut longest, mut upto) = (0_i64, 0_i64, alive);
+        for (n, (_, step)) in run.edges.iter().enumerate().skip(alive) {
+            travel += step;
+            if travel.abs() > longest {
+                (longest, upto) = (travel.abs(), n + 1);
+            }
+        }
+        let seen = Run { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
         let (scale, mtc) = seen.at_death?;
-        // Over the longest travel that follows: where the axis turned, the way back undoes nothing of a mirrored count.
-        let after: Vec<i64> = run.edges.iter().filter(|e| e.0 > die_ns).map(|e| e.1).collect();
-        let travel = after
-            .iter()
-            .scan(0, |x, s| {
-                *x += s;
-                Some(*x)
-            })
-            .max_by_key(|x: &i64| x.abs())?;
-        let upto = after
-            .iter()
-            .scan(0, |x, s| {
-                *x += s;
-                Some(*x)
-            })
-            .position(|x| x == travel)?
-            + 1;
-        let last = run.edges.len() - after.len() + upto;
-        let seen = Run { die_ns, edges: &run.edges[..last], ..run.clone() }.run().unwrap_or(seen);
         let (moved, heard) = (seen.scale - scale, seen.mtc - mtc);
         (moved != 0).then(|| (heard as f64 / moved as f64, heard - moved))
     };

@@ -142,8 +142,11 @@ pub fn parse(file: &Path, text: &str, start: [f64; AXES]) -> Result<Vec<Block>, 
     Ok(blocks)
 }
 
+/// A word of a block: column, letter, value.
+type Word = (usize, char, f64);
+
 /// The words of a line: column, letter, value. Comments in parentheses and after a semicolon are left out.
-fn words(line: &str) -> Result<Vec<(usize, char, f64)>, (usize, String)> {
+fn words(line: &str) -> Result<Vec<Word>, (usize, String)> {
     let mut found = Vec::new();
     let chars: Vec<char> = line.split(';').next().unwrap_or("").to_ascii_uppercase().chars().collect();
     let mut k = 0;

@@ -10,6 +10,7 @@
 //! | [`axis`], [`machine`] | the machine as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
 //! | [`sim`] | machine, engine and corrector together: runs programs, probes, tells where the tool is |
+//! | [`experiment`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
 
 pub mod axis;
@@ -17,6 +18,7 @@ pub mod bench;
 pub mod computer;
 pub mod designs;
 pub mod ecc;
+pub mod experiment;
 pub mod gcode;
 pub mod heat;
 pub mod machine;

@@ -79,7 +79,6 @@ pub struct Machine {
     rpm: f64,
     coolant: bool,
     t_ns: u64,
-    step_from_ns: u64,
     step_end_ns: u64,
     outputs: u64,
     inputs: u64,
@@ -125,7 +124,6 @@ impl Machine {
             rpm: 0.0,
             coolant: false,
             t_ns: 0,
-            step_from_ns: 0,
             step_end_ns: 0,
             outputs: 0,
             inputs: 0,
@@ -425,13 +423,23 @@ impl Machine {
         Job::Move { shape, profile: Profile::new(length, limits), t_s: 0.0 }
     }
 
-    /// Moves everything on by one step.
-    fn step(&mut self) {
+    /// Moves everything on by one step; a machine at rest, by as many servo periods as fit before `wake_ns`.
+    fn step(&mut self, wake_ns: u64) {
         let from_ns = self.step_end_ns;
         if from_ns.is_multiple_of(SERVO_NS) {
             self.servo();
+            let periods = wake_ns.saturating_sub(from_ns) / SERVO_NS;
+            let rests =
+                self.job == Job::Idle && self.trip_ns == u64::MAX && self.axes.iter().all(AxisSim::rests);
+            if rests && periods > 0 && wake_ns < u64::MAX {
+                self.step_end_ns = from_ns + periods * SERVO_NS;
+                for axis in &mut self.axes {
+                    axis.stand(from_ns);
+                }
+                self.find_next();
+                return;
+            }
         }
-        self.step_from_ns = from_ns;
         self.step_end_ns = from_ns + STEP_NS;
         for axis in &mut self.axes {
             axis.advance(from_ns, STEP_NS);
@@ -515,7 +523,7 @@ impl Card for Machine {
                 return Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: None });
             }
             self.t_ns = self.step_end_ns;
-            self.step();
+            self.step(wake_ns);
         }
     }
 

@@ -222,7 +222,7 @@ mod tests {
             let mut last = p.at(0.0);
             for k in 1..=n {
                 let now = p.at(dt * f64::from(k));
-                let mean_v = (now.v_mm_s + last.v_mm_s) / 2.0;
+                let mean_v = f64::midpoint(now.v_mm_s, last.v_mm_s);
                 assert!(
                     (now.s_mm - last.s_mm - mean_v * dt).abs() < 1e-6 * length.max(1.0),
                     "{length} at {k}"

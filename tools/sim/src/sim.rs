@@ -163,13 +163,26 @@ impl Moment {
     }
 }
 
-/// What moves a coordinate system's error into the corrector: where radial part errors have their centre.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PartCentre {
+/// A round part: where its radial errors have their centre, and those that probing has found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
     /// The plane's first and second axis (0 X, 1 Y, 2 Z); angles run from the first towards the second.
     pub plane: (usize, usize),
     /// Centre, mm.
     pub centre_mm: (f64, f64),
+    /// Look-up table of probed radial errors: angle, rad, rising, and µm; linear in between (NISTIR 4854).
+    pub radial_um: Vec<(f64, f64)>,
+}
+
+/// A look-up table between its entries, constant beyond its ends; 0 where it is empty.
+#[must_use]
+pub fn look_up(table: &[(f64, f64)], at: f64) -> f64 {
+    let next = table.partition_point(|p| p.0 < at);
+    match (next.checked_sub(1).and_then(|k| table.get(k)), table.get(next)) {
+        (Some(a), Some(b)) if b.0 > a.0 => a.1 + (b.1 - a.1) * (at - a.0) / (b.0 - a.0),
+        (Some(p), _) | (_, Some(p)) => p.1,
+        (None, None) => 0.0,
+    }
 }
 
 /// A running simulation.
@@ -184,6 +197,7 @@ pub struct Sim {
     place: Vec<usize>,
     count_um: Vec<f64>,
     increment: i64,
+    control_ns: u64,
     next_control_ns: u64,
     events: Vec<Event>,
     trips: [Option<Capture>; AXES],
@@ -191,7 +205,7 @@ pub struct Sim {
     noise: Noise,
     /// Load on X, Y, Z, N: set by whoever cuts.
     pub load_n: [f64; AXES],
-    part: Option<PartCentre>,
+    part: Option<Part>,
     probing: bool,
     probe_angle_rad: f64,
     travel: [(f64, f64); AXES],
@@ -262,6 +276,7 @@ impl Sim {
             place,
             count_um: spec.axes.iter().map(|a| a.count_um).collect(),
             increment: spec.design.increment_counts(),
+            control_ns: CONTROL_NS,
             next_control_ns: CONTROL_NS,
             events,
             trips: [None; AXES],
@@ -271,7 +286,7 @@ impl Sim {
             part: None,
             probing: false,
             probe_angle_rad: 0.0,
-            travel: [(0.0, 0.0); AXES],
+            travel: at_mm.map(|p| (p, 0.0)),
             known_speed: [0.0; AXES],
             known_position: at_mm,
             machine,
@@ -279,6 +294,18 @@ impl Sim {
         sim.evaluate_truth();
         sim.events.clear();
         Ok(sim)
+    }
+
+    /// The controller's axis (0 X, 1 Y, 2 Z) that the machine's n-th axis is.
+    #[must_use]
+    pub fn place(&self, axis: usize) -> usize {
+        self.place[axis]
+    }
+
+    /// What one count of the machine's n-th axis is worth, µm.
+    #[must_use]
+    pub fn count_um(&self, axis: usize) -> f64 {
+        self.count_um[axis]
     }
 
     /// Names of the logged channels.
@@ -311,9 +338,14 @@ impl Sim {
         self.engine.status()
     }
 
-    /// Where the part's radial errors are counted from, for the corrector; `None`: they are not corrected.
-    pub fn set_part(&mut self, part: Option<PartCentre>) {
+    /// The part whose radial errors the corrector takes out; `None`: they are not corrected.
+    pub fn set_part(&mut self, part: Option<Part>) {
         self.part = part;
+    }
+
+    /// How often the corrector computes new totals from now on, ns: errors of a machine at rest change slowly.
+    pub fn set_control_period(&mut self, control_ns: u64) {
+        self.control_ns = control_ns.max(CONTROL_NS);
     }
 
     /// Runs for `seconds`.
@@ -388,9 +420,9 @@ impl Sim {
     /// Every 10 ms: heat, the true machine's errors, and new totals.
     fn control(&mut self) -> Result<(), SimError> {
         let t_s = self.next_control_ns as f64 * 1e-9;
-        self.next_control_ns += CONTROL_NS;
+        self.next_control_ns += self.control_ns;
         self.heat.advance(t_s, self.machine.rpm(), self.machine.coolant());
-        if self.next_control_ns.is_multiple_of(100 * CONTROL_NS) {
+        if self.next_control_ns.is_multiple_of(1_000_000_000) {
             for channel in &mut self.channels {
                 *channel += 0.1 * self.noise.normal() - 0.002 * *channel;
             }
@@ -435,13 +467,13 @@ impl Sim {
     fn correct(&mut self, t_s: f64) -> Result<(), SimError> {
         let status = self.engine.status();
         let mut axes = [AxisNow::default(); AXES];
-        let dt = CONTROL_NS as f64 * 1e-9;
+        let dt = self.control_ns as f64 * 1e-9;
         for (n, &p) in self.place.iter().enumerate() {
             let counts = self.machine.origin_counts(n) + status.axes[n].position_counts;
             let position_mm = counts as f64 * self.count_um[n] / 1000.0;
             let velocity = (position_mm - self.known_position[p]) / dt;
             let (turned_at, direction) = &mut self.travel[p];
-            if (position_mm - *turned_at) * *direction >= 0.0 {
+            if (position_mm - *turned_at) * *direction > 0.0 {
                 *turned_at = position_mm;
             }
             if (position_mm - *turned_at).abs() > 3.0 * self.count_um[n] / 1000.0 {
@@ -458,7 +490,7 @@ impl Sim {
             self.known_speed[p] = velocity;
             self.known_position[p] = position_mm;
         }
-        let angle_rad = self.part.map_or(0.0, |part| {
+        let angle_rad = self.part.as_ref().map_or(0.0, |part| {
             let (i, j) = part.plane;
             let at = |n: usize| axes[n].position_mm;
             libm::atan2(at(j) - part.centre_mm.1, at(i) - part.centre_mm.0)
@@ -476,10 +508,11 @@ impl Sim {
         });
         let mut errors = [0.0; AXES];
         errors.copy_from_slice(&known.errors_um()[..AXES]);
-        if let Some(part) = self.part {
+        if let Some(part) = &self.part {
             let (sin, cos) = libm::sincos(angle_rad);
-            errors[part.plane.0] += known.radial_um() * cos;
-            errors[part.plane.1] += known.radial_um() * sin;
+            let radial_um = known.radial_um() + look_up(&part.radial_um, angle_rad);
+            errors[part.plane.0] += radial_um * cos;
+            errors[part.plane.1] += radial_um * sin;
         }
         let events = &mut self.events;
         let mut tell = |e: Event| {

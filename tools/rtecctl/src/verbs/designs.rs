@@ -76,10 +76,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             eprintln!("rtecctl: wrote {}", file.display());
         }
     }
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&comparison)?);
-    } else {
-        print!("{}", comparison.to_table());
-    }
-    Ok(())
+    let text =
+        if args.json { serde_json::to_string_pretty(&comparison)? + "\n" } else { comparison.to_table() };
+    super::simulate::say(&text)
 }

@@ -20,5 +20,6 @@ pub(crate) mod reconcile;
 pub(crate) mod replay;
 pub(crate) mod selftest;
 pub(crate) mod shadow;
+pub(crate) mod simulate;
 pub(crate) mod status;
 pub(crate) mod trace;

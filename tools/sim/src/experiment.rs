@@ -1,0 +1,832 @@
+//! The experiments that characterise a machine, run on the simulated one: without and with compensation, each with a
+//! run record and a plot.
+
+use crate::axis::AxisSpec;
+use crate::gcode::Block;
+use crate::heat::{Cycle, FIGURE_9, SENSORS};
+use crate::noise::Noise;
+use crate::path::AXES;
+use crate::sim::{Moment, NAMES, Part, Sim, SimError, Spec, look_up};
+use rtec_driver::input::InputError;
+use rtec_model::effect::Effect;
+use rtec_model::machine::Machine as Model;
+use rtec_model::plot::{Chart, Series, Style};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_rt::axis::{Design, RestPolicy};
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+/// What an experiment is run with.
+#[derive(Debug, Clone, Copy)]
+pub struct Setting<'a> {
+    /// The true machine.
+    pub truth: &'a Model,
+    /// What the corrector knows of it.
+    pub known: &'a Model,
+    /// Seed of all noise.
+    pub seed: u64,
+    /// Where records are to lie.
+    pub out: &'a Path,
+}
+
+/// What an experiment leaves.
+#[derive(Debug)]
+pub struct Findings {
+    /// Run records, not yet written: as measured without compensation, and with it (`…-compensated`).
+    pub records: Vec<Record>,
+    /// Plots: file name and SVG.
+    pub plots: Vec<(String, String)>,
+    /// Figures.
+    pub summary: Map<String, Value>,
+}
+
+/// Why an experiment failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ExperimentError {
+    /// The simulation.
+    #[error(transparent)]
+    Sim(#[from] SimError),
+    /// The record.
+    #[error(transparent)]
+    Record(#[from] InputError),
+    /// The plot.
+    #[error(transparent)]
+    Plot(#[from] rtec_model::plot::PlotError),
+}
+
+type Run = fn(&Setting<'_>) -> Result<Findings, ExperimentError>;
+
+/// One experiment.
+#[derive(Debug, Clone, Copy)]
+pub struct Experiment {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// What it does.
+    pub what: &'static str,
+    run: Run,
+}
+
+impl Experiment {
+    /// Runs it.
+    ///
+    /// # Errors
+    /// The machine's effects read what the simulation does not have, or the controller gave up.
+    pub fn run(&self, setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+        (self.run)(setting)
+    }
+
+    /// The experiment of this name.
+    #[must_use]
+    pub fn find(name: &str) -> Option<&'static Self> {
+        EXPERIMENTS.iter().find(|e| e.name == name)
+    }
+}
+
+/// All of them.
+pub const EXPERIMENTS: [Experiment; 11] = [
+    Experiment {
+        name: "linear-displacement",
+        what: "ISO 230-2: 5 cycles over 13 targets, both directions, each axis against a laser",
+        run: linear_displacement,
+    },
+    Experiment {
+        name: "ballbar",
+        what: "circles of 150 mm in three planes, both ways, at 10, 50 and 100 in/min (WO 97/43703, table 1)",
+        run: ballbar,
+    },
+    Experiment {
+        name: "drift",
+        what: "the spindle cycle of WO 97/43703, figure 9, dry and wet: spindle growth and 20 temperatures",
+        run: drift,
+    },
+    Experiment {
+        name: "tool-change-repeatability",
+        what: "ten tool changes with arbitrary moves in between, back to a reference (WO 97/43703, table 3)",
+        run: tool_change,
+    },
+    Experiment {
+        name: "drilling",
+        what: "12 holes and counterbores, cold, warm and hot, wet (WO 97/43703, figure 12 and table 7)",
+        run: drilling,
+    },
+    Experiment {
+        name: "hemisphere",
+        what: "a 38.1 mm nose turned with a worn tool (25 µm flat) and probed at 2.5 m/min (NISTIR 4854)",
+        run: hemisphere,
+    },
+    Experiment { name: "plate", what: "a grid of holes over the XY plane", run: plate },
+    Experiment {
+        name: "feed-sweep",
+        what: "the same stretch at feeds from 0.1 to 10 m/min, both directions",
+        run: feed_sweep,
+    },
+    Experiment {
+        name: "dynamics",
+        what: "drive force over moves of rising speed and acceleration, 1 kHz",
+        run: dynamics,
+    },
+    Experiment {
+        name: "linear-error-240um",
+        what: "240 µm per metre over a quarter of a metre: 15 corrections of 4 µm (NISTIR 4832, The \"Original RTEC\")",
+        run: linear_error,
+    },
+    Experiment {
+        name: "rapid-catch-up",
+        what: "a rapid too fast for insertions: corrections catch up before the tool enters the part (NISTIR 4832)",
+        run: rapid_catch_up,
+    },
+];
+
+/// A row of a record.
+#[derive(Debug, Clone)]
+struct Row {
+    now: Moment,
+    temperatures: Vec<f64>,
+    channels: Vec<f64>,
+    load_n: [f64; AXES],
+    cycle: f64,
+    angle: Option<f64>,
+    radial_um: Option<f64>,
+    /// Direction of approach as commanded; the machine's own where not given.
+    direction: Option<[f64; AXES]>,
+    requested_um: [f64; AXES],
+}
+
+/// Measured rows.
+#[derive(Debug, Default)]
+struct Log {
+    rows: Vec<Row>,
+}
+
+impl Log {
+    fn take(&mut self, sim: &mut Sim, cycle: f64) -> &mut Row {
+        let now = sim.moment();
+        let mut requested_um = [0.0; AXES];
+        for (n, a) in sim.status().axes().iter().enumerate() {
+            requested_um[sim.place(n)] = a.requested as f64 * sim.count_um(n);
+        }
+        self.rows.push(Row {
+            now,
+            temperatures: sim.temperatures_degc().to_vec(),
+            channels: sim.channels().to_vec(),
+            load_n: sim.load_n,
+            cycle,
+            angle: None,
+            radial_um: None,
+            direction: None,
+            requested_um,
+        });
+        let last = self.rows.len() - 1;
+        &mut self.rows[last]
+    }
+}
+
+/// What is measured: axes (0 X, 1 Y, 2 Z), and the instrument's noise, µm.
+struct Measured<'a> {
+    axes: &'a [usize],
+    noise_um: f64,
+    noise: Noise,
+    channels: &'a [String],
+}
+
+/// Digits that the CSV shows: `v` rounded to `1/per` exactly as its decimal is.
+fn digits(v: f64, per: f64) -> f64 {
+    // Plus zero: one representation for it.
+    (v * per).round() / per + 0.0
+}
+
+impl Log {
+    /// The record of these rows: every quantity that an effect may read and that was not zero throughout.
+    fn record(&self, path: &Path, kind: Kind, what: &mut Measured<'_>) -> Result<Record, InputError> {
+        let rows = &self.rows;
+        let mut columns = Vec::new();
+        let mut add = |name: &str, role: Role, unit: &str, data: Vec<f64>, always: bool| {
+            if always || data.iter().any(|v| *v != 0.0) {
+                columns.push(Column { name: name.to_owned(), role, unit: unit.to_owned(), data });
+            }
+        };
+        let column =
+            |f: &dyn Fn(&Row) -> f64, per: f64| rows.iter().map(|r| digits(f(r), per)).collect::<Vec<_>>();
+        let names: Vec<Axis> = NAMES.iter().filter_map(|n| Axis::new(n)).collect();
+        add("t", Role::Time, "s", column(&|r| r.now.t_s, 1e6), true);
+        for (p, axis) in names.iter().enumerate() {
+            let n = axis.as_str();
+            let dir = |r: &Row| r.direction.map_or(r.now.direction[p], |d| d[p]);
+            add(n, Role::Position(axis.clone()), "mm", column(&|r| r.now.position_mm[p], 1e6), false);
+            add(&format!("dir_{n}"), Role::Direction(axis.clone()), "1", column(&dir, 1.0), false);
+            // Measured at a standstill there is no speed worth a column.
+            let moves = rows.iter().any(|r| r.now.velocity_mm_s[p].abs() > 0.01);
+            if moves {
+                let (v, a) = (Role::Velocity(axis.clone()), Role::Acceleration(axis.clone()));
+                add(&format!("v_{n}"), v, "mm/s", column(&|r| r.now.velocity_mm_s[p], 1e6), false);
+                add(&format!("a_{n}"), a, "mm/s2", column(&|r| r.now.acceleration_mm_s2[p], 1e4), false);
+            }
+            let load = Role::Load(axis.clone());
+            add(&format!("load_{n}"), load, "N", column(&|r| r.load_n[p], 1e3), false);
+        }
+        add("n", Role::Cycle, "1", column(&|r| r.cycle, 1.0), false);
+        for (k, (name, ..)) in SENSORS.iter().enumerate() {
+            add(name, Role::Temperature, "degC", column(&|r| r.temperatures[k], 1e3), true);
+        }
+        add("rpm", Role::SpindleSpeed, "rpm", column(&|r| r.now.rpm, 1.0), false);
+        add("wet", Role::Coolant, "1", column(&|r| f64::from(u8::from(r.now.coolant)), 1.0), false);
+        if rows.iter().all(|r| r.angle.is_some()) {
+            add("angle", Role::Angle, "rad", column(&|r| r.angle.unwrap_or(0.0), 1e9), true);
+        }
+        for (k, name) in what.channels.iter().enumerate() {
+            add(name, Role::Channel, "1", column(&|r| r.channels[k], 1e6), true);
+        }
+        let (noise, sigma) = (&mut what.noise, what.noise_um);
+        if rows.iter().all(|r| r.radial_um.is_some()) {
+            let axis = Axis::new("r").map(Role::Error);
+            let data = rows
+                .iter()
+                .map(|r| digits(r.radial_um.unwrap_or(0.0) + sigma * noise.normal(), 1e4))
+                .collect();
+            if let Some(role) = axis {
+                add("e_r", role, "um", data, true);
+            }
+        }
+        for &p in what.axes {
+            let role = if kind == Kind::Dynamics {
+                Role::Force(names[p].clone())
+            } else {
+                Role::Error(names[p].clone())
+            };
+            let (name, unit) = if kind == Kind::Dynamics { ("f", "N") } else { ("e", "um") };
+            let value = |r: &Row| if kind == Kind::Dynamics { r.now.force_n[p] } else { r.now.off_um(p) };
+            let data = rows.iter().map(|r| digits(value(r) + sigma * noise.normal(), 1e4)).collect();
+            add(&format!("{name}_{}", names[p]), role, unit, data, true);
+        }
+        Record::new(path, kind, columns)
+    }
+}
+
+/// Both runs of an experiment: without and with compensation.
+struct Both {
+    logs: [Log; 2],
+    channels: Vec<String>,
+}
+
+fn both(
+    setting: &Setting<'_>,
+    spec: &Spec,
+    at_mm: [f64; AXES],
+    extra: &[Effect],
+    mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
+) -> Result<Both, ExperimentError> {
+    let mut done = Both { logs: [Log::default(), Log::default()], channels: Vec::new() };
+    for (n, log) in done.logs.iter_mut().enumerate() {
+        let known = (n == 1).then(|| setting.known.effects().chain(extra).collect());
+        let mut sim = Sim::new(spec, setting.truth.effects().chain(extra), known, at_mm, setting.seed)?;
+        run(&mut sim, log)?;
+        done.channels = sim.channel_names().to_vec();
+    }
+    Ok(done)
+}
+
+impl Both {
+    /// Two records, a plot of the errors over `x`, and their figures, into `findings`.
+    fn publish(
+        &self,
+        setting: &Setting<'_>,
+        name: &str,
+        kind: Kind,
+        (axes, noise_um): (&[usize], f64),
+        x: (&str, &dyn Fn(&Row) -> f64),
+        findings: &mut Findings,
+    ) -> Result<(), ExperimentError> {
+        let unit = if kind == Kind::Dynamics { "drive force, N" } else { "error, µm" };
+        let mut chart = Chart::new(name, x.0, unit);
+        let mut figures = Map::new();
+        for (log, (suffix, label)) in
+            self.logs.iter().zip([("", "without"), ("-compensated", "with compensation")])
+        {
+            let path = setting.out.join(format!("{name}{suffix}.run.toml"));
+            let stream = 0x10 + suffix.len() as u64;
+            let noise = Noise::new(setting.seed, stream);
+            let mut what = Measured { axes, noise_um, noise, channels: &self.channels };
+            let mut record = log.record(&path, kind, &mut what)?;
+            record.count_um = Some(1.0);
+            record.note = Some(format!("simulated, {label}, seed {}", setting.seed));
+            for column in record.responses() {
+                let axis = column.role.axis().map_or("", Axis::as_str);
+                let points = log.rows.iter().map(x.1).zip(column.data.iter().copied()).collect();
+                let rms = (column.data.iter().map(|e| e * e).sum::<f64>() / column.data.len() as f64).sqrt();
+                let worst = column.data.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
+                figures.insert(
+                    format!("{axis}_{}", if suffix.is_empty() { "without" } else { "with" }),
+                    json!({"max": digits(worst, 1e3), "rms": digits(rms, 1e3)}),
+                );
+                chart = chart.with(Series::new(&format!("{axis} {label}"), Style::Dots, points));
+            }
+            findings.records.push(record);
+        }
+        findings.plots.push((format!("{name}.svg"), chart.svg(900, 520)?));
+        findings.summary.insert(name.to_owned(), Value::Object(figures));
+        Ok(())
+    }
+}
+
+fn nothing() -> Findings {
+    Findings { records: Vec::new(), plots: Vec::new(), summary: Map::new() }
+}
+
+fn along(axis: usize, p: f64) -> [f64; AXES] {
+    let mut to = [0.0; AXES];
+    to[axis] = p;
+    to
+}
+
+fn feed(to: [f64; AXES], mm_min: f64) -> Block {
+    Block::Feed { to, feed_mm_s: mm_min / 60.0 }
+}
+
+fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    for (p, axis) in spec.axes.iter().enumerate() {
+        // ISO 230-2: targets over the travel, each off an even pitch by a random amount so that no period hides.
+        let [lo, hi] = axis.travel_mm.map(|t| t * 0.95);
+        let pitch = (hi - lo) / 12.0;
+        let mut noise = Noise::new(setting.seed, 0x150 + p as u64);
+        let targets: Vec<f64> = (0..13)
+            .map(|k| ((lo + pitch * f64::from(k) + 3.0 * (noise.uniform() - 0.5)) * 1000.0).round() / 1000.0)
+            .collect();
+        // WO 97/43703, text before table 2: 64 in/min.
+        let mm_min = 64.0 * 25.4;
+        let over = 4.0;
+        let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+            sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
+            for cycle in 0..5 {
+                for up in [true, false] {
+                    let order: Vec<f64> =
+                        if up { targets.clone() } else { targets.iter().rev().copied().collect() };
+                    for target in order {
+                        sim.run([feed(along(p, target), mm_min)])?;
+                        sim.advance(0.5)?;
+                        let mut direction = [0.0; AXES];
+                        direction[p] = if up { 1.0 } else { -1.0 };
+                        log.take(sim, f64::from(cycle + 1)).direction = Some(direction);
+                    }
+                    let beyond = if up { targets[12] + over } else { targets[0] - over };
+                    sim.run([feed(along(p, beyond), mm_min)])?;
+                }
+            }
+            Ok(())
+        })?;
+        let name = format!("linear-displacement-{}", axis.name);
+        let x = |r: &Row| r.now.position_mm[p];
+        runs.publish(setting, &name, Kind::Positioning, (&[p], 0.1), ("position, mm", &x), &mut findings)?;
+    }
+    Ok(findings)
+}
+
+fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    let radius = 150.0;
+    for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+        for inches in [10.0, 50.0, 100.0] {
+            let feed_mm_s = inches * 25.4 / 60.0;
+            let mut start = [0.0; AXES];
+            start[i] = radius;
+            let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+                sim.run([Block::Rapid { to: start }])?;
+                for clockwise in [false, true] {
+                    let arc =
+                        Block::Arc { to: start, plane: (i, j), centre: (0.0, 0.0), clockwise, feed_mm_s };
+                    sim.machine.load([arc]);
+                    let every_s = std::f64::consts::TAU * radius / feed_mm_s / 360.0;
+                    // The first and the last degrees speed up and slow down.
+                    while !sim.machine.finished() {
+                        sim.advance(every_s)?;
+                        if sim.machine.finished() {
+                            break;
+                        }
+                        let row = log.take(sim, if clockwise { 2.0 } else { 1.0 });
+                        let p = row.now.position_mm;
+                        row.angle = Some(libm::atan2(p[j], p[i]));
+                    }
+                    sim.finish()?;
+                }
+                Ok(())
+            })?;
+            let name = format!("ballbar-{}{}-{inches}", NAMES[i], NAMES[j]);
+            let x = |r: &Row| r.angle.unwrap_or(0.0);
+            runs.publish(
+                setting,
+                &name,
+                Kind::Ballbar,
+                (&[i.min(j), i.max(j)], 0.1),
+                ("angle, rad", &x),
+                &mut findings,
+            )?;
+        }
+    }
+    Ok(findings)
+}
+
+/// Runs a spindle cycle at rest at the reference and measures every minute.
+fn soak(sim: &mut Sim, log: &mut Log, cycle: Cycle, coolant: bool) -> Result<(), SimError> {
+    sim.set_control_period(100_000_000);
+    sim.machine.load([Block::Coolant { on: coolant }]);
+    log.take(sim, 1.0);
+    for &(rpm, minutes) in cycle {
+        sim.machine.load([Block::Spindle { rpm }]);
+        for _ in 0..minutes as usize {
+            sim.advance(60.0)?;
+            log.take(sim, 1.0);
+        }
+    }
+    Ok(())
+}
+
+fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
+        let runs = both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| {
+            soak(sim, log, FIGURE_9, coolant)
+        })?;
+        let x = |r: &Row| r.now.t_s / 60.0;
+        runs.publish(setting, name, Kind::Drift, (&[0, 1, 2], 0.1), ("time, min", &x), &mut findings)?;
+        let mut chart = Chart::new(&format!("{name}: temperatures"), "time, min", "temperature, °C");
+        for sensor in ["T8", "T9", "T13", "T18", "T20"] {
+            let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
+            let points = runs.logs[0].rows.iter().map(|r| (r.now.t_s / 60.0, r.temperatures[k])).collect();
+            chart = chart.with(Series::new(sensor, Style::Line, points));
+        }
+        findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
+    }
+    Ok(findings)
+}
+
+fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    // 300 in/min between the changes (WO 97/43703, text before table 3).
+    let mm_min = 300.0 * 25.4;
+    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| {
+        let mut moves = Noise::new(setting.seed, 0x7001);
+        let reference = [50.0, 20.0, -100.0];
+        for cycle in 1..=10 {
+            for _ in 0..3 {
+                let to = [250.0, 300.0, 600.0].map(|r| ((moves.uniform() - 0.5) * 2.0 * r).round());
+                sim.run([feed(to, mm_min)])?;
+            }
+            sim.run([feed(reference, mm_min)])?;
+            sim.advance(0.5)?;
+            log.take(sim, f64::from(cycle));
+        }
+        Ok(())
+    })?;
+    let x = |r: &Row| r.cycle;
+    // How well the holder seats in the spindle: a micrometre or so in each direction.
+    let what = (&[0, 1, 2][..], 1.2);
+    runs.publish(
+        setting,
+        "tool-change-repeatability",
+        Kind::Positioning,
+        what,
+        ("tool change", &x),
+        &mut findings,
+    )?;
+    Ok(findings)
+}
+
+fn drilling(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let inch = 25.4;
+    // Figure 12: a plate of 24 in by 8 in; each cycle drills near its corners, the next an inch further in X.
+    let hole = |cycle: usize, n: usize| {
+        let (left, low) = (n == 0 || n == 3, n < 2);
+        let x = if left { -11.0 } else { 9.0 } + cycle as f64;
+        [x * inch, if low { -3.0 * inch } else { 3.0 * inch }, 0.0]
+    };
+    let runs = both(setting, &Spec::machining_centre(), [0.0, 0.0, 100.0], &[], |sim, log| {
+        sim.machine.load([Block::Coolant { on: true }]);
+        for cycle in 0..3 {
+            for n in 0..4 {
+                let at = hole(cycle, n);
+                let above = [at[0], at[1], 5.0];
+                for (depth, rpm, thrust) in [(-0.5 * inch, 2500.0, 400.0), (-0.25 * inch, 1200.0, 250.0)] {
+                    sim.run([Block::Rapid { to: above }, Block::Spindle { rpm }])?;
+                    sim.machine.load([feed([at[0], at[1], depth], 150.0)]);
+                    sim.load_n = [0.0, 0.0, thrust];
+                    sim.finish()?;
+                    log.take(sim, cycle as f64 + 1.0);
+                    sim.load_n = [0.0; AXES];
+                    sim.run([Block::Rapid { to: above }])?;
+                }
+            }
+            if cycle < 2 {
+                // An hour and a half at 5000 rpm, wet, without any motion.
+                sim.run([Block::Spindle { rpm: 5000.0 }])?;
+                sim.set_control_period(100_000_000);
+                sim.advance(5400.0)?;
+                sim.set_control_period(0);
+            }
+        }
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.t_s / 60.0;
+    runs.publish(setting, "drilling", Kind::Part, (&[0, 1, 2], 0.5), ("time, min", &x), &mut findings)?;
+    // As table 7: deviations with reference to hole 1.
+    let mut table = Map::new();
+    for (log, label) in runs.logs.iter().zip(["without", "with"]) {
+        for (p, axis) in NAMES.iter().enumerate() {
+            let first = log.rows[0].now.off_um(p);
+            let worst = log.rows.iter().fold(0.0_f64, |w, r| w.max((r.now.off_um(p) - first).abs()));
+            table.insert(format!("{axis}_{label}_um"), json!(digits(worst, 1e3)));
+        }
+    }
+    findings.summary.insert("largest deviation from hole 1".to_owned(), Value::Object(table));
+    Ok(findings)
+}
+
+/// What a tool nose of radius `nose_mm` leaves too much on the part when a flat of `depth_um` has been ground onto it,
+/// µm, for a contact `away_rad` from the middle of the flat: the nose's support function is that of its chord's ends.
+#[must_use]
+pub fn worn_tool_um(nose_mm: f64, depth_um: f64, away_rad: f64) -> f64 {
+    let half = libm::acos(1.0 - depth_um / 1000.0 / nose_mm);
+    if away_rad.abs() >= half { 0.0 } else { 1000.0 * nose_mm * (1.0 - libm::cos(half - away_rad.abs())) }
+}
+
+/// The hemispherical nose of NISTIR 4854: radius of the finished part, mm.
+pub const NOSE_RADIUS_MM: f64 = 38.1;
+/// Depth of the flat ground on the tool's nose, µm.
+pub const FLAT_UM: f64 = 25.0;
+/// Where the flat cuts: a little above the 45° of the quadrant, rad from Z towards X.
+pub const FLAT_AT_RAD: f64 = 0.7;
+/// Radius of the tool's nose, mm.
+pub const TOOL_NOSE_MM: f64 = 0.8;
+/// Probed points on the quadrant.
+pub const POINTS: usize = 20;
+
+/// Turns the quadrant with the worn tool and notes the radius that it leaves, mm, at every angle (rad from Z towards X).
+///
+/// # Errors
+/// As [`Sim::advance`].
+pub fn turn_hemisphere(sim: &mut Sim, radius_mm: f64) -> Result<Vec<(f64, f64)>, SimError> {
+    let feed_mm_s = 200.0 / 60.0;
+    sim.run([Block::Rapid { to: [0.0, 0.0, radius_mm] }])?;
+    let to = [radius_mm, 0.0, 0.0];
+    sim.machine.load([Block::Arc { to, plane: (2, 0), centre: (0.0, 0.0), clockwise: false, feed_mm_s }]);
+    let mut left = Vec::new();
+    let every_s = std::f64::consts::FRAC_PI_2 * radius_mm / feed_mm_s / 900.0;
+    while !sim.machine.finished() {
+        sim.advance(every_s)?;
+        let tool = sim.machine.tool_mm();
+        let angle = libm::atan2(tool[0], tool[2]);
+        let worn = worn_tool_um(TOOL_NOSE_MM, FLAT_UM, angle - FLAT_AT_RAD);
+        let own = sim.radial_um(angle);
+        left.push((angle, libm::hypot(tool[0], tool[2]) + (worn + own) / 1000.0));
+    }
+    sim.finish()?;
+    sim.run([Block::Rapid { to: [radius_mm + 20.0, 0.0, 0.0] }])?;
+    Ok(left)
+}
+
+/// Probes a turned quadrant at [`POINTS`] points, along the normal at 2.5 m/min with 5 mm stand-off (NISTIR 4854,
+/// Process-Intermittent Loop). Returns angle and captured position (Z, X), mm, of each trip.
+///
+/// # Errors
+/// As [`Sim::advance`].
+pub fn probe_hemisphere(
+    sim: &mut Sim,
+    part: &[(f64, f64)],
+    radius_mm: f64,
+) -> Result<Vec<(f64, [f64; AXES])>, SimError> {
+    let shape: Vec<(f64, f64)> = part.to_vec();
+    let surface = move |p: [f64; AXES]| libm::hypot(p[0], p[2]) - look_up(&shape, libm::atan2(p[0], p[2]));
+    sim.probe(Some(Box::new(surface)))?;
+    let mut points = Vec::new();
+    for k in 0..POINTS {
+        let angle = std::f64::consts::FRAC_PI_2 * (k as f64 + 0.5) / POINTS as f64;
+        let (sin, cos) = libm::sincos(angle);
+        let at = |r: f64| [r * sin, 0.0, r * cos];
+        sim.run([Block::Rapid { to: at(radius_mm + 5.0) }])?;
+        let touch = [feed(at(radius_mm - 2.5), 2500.0), Block::Rapid { to: at(radius_mm + 5.0) }];
+        if let Some(trip) = sim.touch(touch)? {
+            points.push((angle, trip.position_mm));
+        }
+    }
+    sim.probe(None)?;
+    Ok(points)
+}
+
+/// What the finish cut is to correct: probed radial errors less their median, which is the size of the part and not
+/// its form.
+fn form_errors(errors: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut sorted: Vec<f64> = errors.iter().map(|e| e.1).collect();
+    sorted.sort_by(f64::total_cmp);
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    errors.iter().map(|&(angle, e)| (angle, e - median)).collect()
+}
+
+fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    // What the corrector is told of the tool's wear: the semifinish cut's own probed errors.
+    let spec = Spec::turning_centre();
+    let semifinish = NOSE_RADIUS_MM + 0.254;
+    let start = [60.0, 0.0, 60.0];
+    let mut sim = Sim::new(&spec, setting.truth.effects(), None, start, setting.seed)?;
+    let part = turn_hemisphere(&mut sim, semifinish)?;
+    let probed = probe_hemisphere(&mut sim, &part, semifinish)?;
+    let radial = |points: &[(f64, [f64; AXES])], radius: f64| -> Vec<(f64, f64)> {
+        points.iter().map(|(a, p)| (*a, 1000.0 * (libm::hypot(p[0], p[2]) - radius))).collect()
+    };
+    let errors = radial(&probed, semifinish);
+    let knows_form = setting.known.effects().any(|e| e.card().name == "form_bump");
+    let table = if knows_form { Vec::new() } else { form_errors(&errors) };
+    let (mut logs, mut figures) = ([Log::default(), Log::default()], Map::new());
+    for (n, log) in logs.iter_mut().enumerate() {
+        let known = (n == 1).then(|| setting.known.effects().collect());
+        let mut sim = Sim::new(&spec, setting.truth.effects(), known, start, setting.seed)?;
+        let part = Part { plane: (2, 0), centre_mm: (0.0, 0.0), radial_um: table.clone() };
+        sim.set_part(Some(part));
+        let part = turn_hemisphere(&mut sim, NOSE_RADIUS_MM)?;
+        // The errors stay in the part; probing is not corrected.
+        sim.set_part(None);
+        let probed = probe_hemisphere(&mut sim, &part, NOSE_RADIUS_MM)?;
+        let errors = radial(&probed, NOSE_RADIUS_MM);
+        for (angle, error_um) in &errors {
+            let row = log.take(&mut sim, 1.0);
+            row.angle = Some(*angle);
+            row.radial_um = Some(*error_um);
+        }
+        let label = if n == 0 { "without" } else { "with" };
+        let span = |v: &[(f64, f64)]| {
+            v.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), e| (lo.min(e.1), hi.max(e.1)))
+        };
+        let (lo, hi) = span(&errors);
+        figures.insert(format!("form_{label}_um"), json!(digits(hi - lo, 1e3)));
+    }
+    let runs = Both { logs, channels: sim.channel_names().to_vec() };
+    let x = |r: &Row| r.angle.unwrap_or(0.0);
+    runs.publish(setting, "hemisphere", Kind::Probing, (&[], 0.0), ("angle from Z, rad", &x), &mut findings)?;
+    findings.summary.insert("form".to_owned(), Value::Object(figures));
+    Ok(findings)
+}
+
+fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| {
+        for row in 0..9 {
+            for k in 0..9 {
+                let column = if row % 2 == 0 { k } else { 8 - k };
+                let to = [f64::from(column - 4) * 60.0, f64::from(row - 4) * 70.0, 0.0];
+                sim.run([feed(to, 5000.0)])?;
+                sim.advance(0.3)?;
+                log.take(sim, 1.0);
+            }
+        }
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.position_mm[0];
+    runs.publish(setting, "plate", Kind::Plate, (&[0, 1], 0.3), ("X, mm", &x), &mut findings)?;
+    Ok(findings)
+}
+
+fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    for (p, axis) in spec.axes.iter().enumerate() {
+        let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+            let half = 60.0;
+            sim.run([Block::Rapid { to: along(p, -half) }])?;
+            for (n, mm_min) in
+                [100.0, 300.0, 1000.0, 2000.0, 4000.0, 6000.0, 8000.0, 10_000.0].into_iter().enumerate()
+            {
+                for way in [half, -half] {
+                    sim.machine.load([feed(along(p, way), mm_min)]);
+                    // Forty rows over the stretch, whatever the feed; speeding up and slowing down included.
+                    let every_s = 2.0 * half / (mm_min / 60.0) / 40.0;
+                    while !sim.machine.finished() {
+                        sim.advance(every_s)?;
+                        if !sim.machine.finished() {
+                            log.take(sim, n as f64 + 1.0);
+                        }
+                    }
+                    sim.finish()?;
+                }
+            }
+            Ok(())
+        })?;
+        let name = format!("feed-sweep-{}", axis.name);
+        let x = |r: &Row| r.now.velocity_mm_s[p];
+        runs.publish(setting, &name, Kind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), &mut findings)?;
+    }
+    Ok(findings)
+}
+
+fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    for (p, axis) in spec.axes.iter().enumerate() {
+        let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+            for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
+                for way in [40.0 + 10.0 * n as f64, -40.0] {
+                    sim.machine.load([feed(along(p, way), mm_min)]);
+                    while !sim.machine.finished() {
+                        sim.advance(0.001)?;
+                        log.take(sim, n as f64 + 1.0);
+                    }
+                    sim.finish()?;
+                }
+            }
+            Ok(())
+        })?;
+        let name = format!("dynamics-{}", axis.name);
+        let x = |r: &Row| r.now.t_s;
+        runs.publish(setting, &name, Kind::Dynamics, (&[p], 5.0), ("time, s", &x), &mut findings)?;
+    }
+    Ok(findings)
+}
+
+/// An axis of one metre, and its error of 240 µm per metre where the model names no scale error of its own.
+fn one_metre(setting: &Setting<'_>) -> (Spec, Vec<Effect>) {
+    let mut spec = Spec::new(vec![AxisSpec::new("x", 1000.0)]);
+    spec.design = Design::Original;
+    spec.rest = RestPolicy::Wait;
+    let mut extra = Vec::new();
+    let names_one = |m: &Model| m.effects().any(|e| e.name() == "scale.x");
+    if !names_one(setting.truth)
+        && !names_one(setting.known)
+        && let Ok(mut effect) = setting.truth.dictionary().effect("scale.x")
+        && effect.set("ppm", &[240.0]).is_ok()
+    {
+        extra.push(effect);
+    }
+    (spec, extra)
+}
+
+fn linear_error(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let (spec, extra) = one_metre(setting);
+    let mut insertions = 0;
+    let runs = both(setting, &spec, [0.0; 3], &extra, |sim, log| {
+        // A quarter of the travel at a cutting feed.
+        sim.machine.load([feed([250.0, 0.0, 0.0], 500.0)]);
+        while !sim.machine.finished() {
+            sim.advance(0.12)?;
+            log.take(sim, 1.0);
+        }
+        sim.finish()?;
+        insertions = sim.status().axes[0].insertions;
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.position_mm[0];
+    runs.publish(
+        setting,
+        "linear-error-240um",
+        Kind::Positioning,
+        (&[0], 0.0),
+        ("position, mm", &x),
+        &mut findings,
+    )?;
+    findings.summary.insert("insertions".to_owned(), json!(insertions));
+    Ok(findings)
+}
+
+fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let (mut spec, extra) = one_metre(setting);
+    // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
+    let nine =
+        crate::computer::Computer::i8051().configure(Design::Original, rtec_rt::axis::AxisConfig::default());
+    (spec.detect_ns, spec.write_ns) = (nine.detect_ns + nine.guard_ns, 500);
+    let (mut waited, mut entering) = (0, Vec::new());
+    let runs = both(setting, &spec, [0.0; 3], &extra, |sim, log| {
+        let rapid = [
+            Block::Rapid { to: [400.0, 0.0, 0.0] },
+            feed([410.0, 0.0, 0.0], 500.0),
+            feed([440.0, 0.0, 0.0], 200.0),
+        ];
+        sim.machine.load(rapid);
+        while !sim.machine.finished() {
+            sim.advance(0.02)?;
+            log.take(sim, 1.0);
+        }
+        waited = sim.status().axes[0].waited_for_gate;
+        // The tool enters the part after ten millimetres of feed in air.
+        entering =
+            log.rows.iter().filter(|r| r.now.position_mm[0] > 410.0).map(|r| r.now.off_um(0)).collect();
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.position_mm[0];
+    runs.publish(
+        setting,
+        "rapid-catch-up",
+        Kind::Positioning,
+        (&[0], 0.0),
+        ("position, mm", &x),
+        &mut findings,
+    )?;
+    let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
+    let worst = runs.logs[1].rows.iter().map(pending).fold(0.0, f64::max);
+    let in_part = entering.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
+    findings.summary.insert("edges_waited_for_gate".to_owned(), json!(waited));
+    findings.summary.insert("largest_backlog_um".to_owned(), json!(digits(worst, 1e3)));
+    findings.summary.insert("largest_error_in_part_um".to_owned(), json!(digits(in_part, 1e3)));
+    Ok(findings)
+}

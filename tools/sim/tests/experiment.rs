@@ -1,0 +1,180 @@
+//! Published figures that come out of the experiments, and that records are what the true machine says.
+
+#![allow(clippy::unwrap_used)]
+
+use rtec_model::machine::Machine as Model;
+use rtec_model::record::{Record, Role};
+use rtec_sim::experiment::{EXPERIMENTS, Experiment, Findings, Setting, worn_tool_um};
+use rtec_sim::heat::FIGURE_9;
+use std::path::Path;
+
+fn model(text: &str) -> Model {
+    Model::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
+}
+
+fn effect(name: &str, rest: &str) -> String {
+    format!("[[effect]]\nname = \"{name}\"\n{rest}\n")
+}
+
+fn run(name: &str, truth: &Model, known: &Model, seed: u64) -> Findings {
+    let setting = Setting { truth, known, seed, out: Path::new("out") };
+    Experiment::find(name).unwrap().run(&setting).unwrap()
+}
+
+fn record<'a>(findings: &'a Findings, stem: &str) -> &'a Record {
+    let file = format!("{stem}.run.toml");
+    findings.records.iter().find(|r| r.path.file_name().unwrap().to_str() == Some(&file)).unwrap()
+}
+
+/// Largest response of a record.
+fn worst(record: &Record) -> f64 {
+    record.responses().flat_map(|c| c.data.iter()).fold(0.0, |w, e| e.abs().max(w))
+}
+
+/// RMS of what a record shows beyond what a model says of it.
+fn beyond(record: &Record, model: &Model) -> f64 {
+    let predicted = model.predict(record).unwrap();
+    let (mut sum, mut n) = (0.0, 0.0);
+    for (column, (_, said)) in record.responses().zip(&predicted.columns) {
+        for (e, p) in column.data.iter().zip(said) {
+            sum += (e - p) * (e - p);
+            n += 1.0;
+        }
+    }
+    (sum / n).sqrt()
+}
+
+/// NISTIR 4832, The "Original RTEC": 240 µm on a one-metre axis is one correction of 4 µm every 16 700 µm; a part over a
+/// quarter of the travel needs 15.
+#[test]
+fn fifteen_corrections_over_a_quarter_of_the_travel() {
+    let ideal = Model::ideal("m");
+    let findings = run("linear-error-240um", &ideal, &ideal, 1);
+    assert_eq!(findings.summary["insertions"], 15);
+    assert!((worst(record(&findings, "linear-error-240um")) - 60.0).abs() < 0.1);
+    let corrected = record(&findings, "linear-error-240um-compensated");
+    assert!(worst(corrected) <= 2.1, "half a correction of 4 µm: {}", worst(corrected));
+    // Where the corrections fall: evenly, 16.7 mm apart.
+    let x = corrected.data(&Role::Position(rtec_model::record::Axis::new("x").unwrap())).unwrap();
+    let e = &corrected.responses().next().unwrap().data;
+    let steps: Vec<f64> = (1..e.len()).filter(|&k| e[k - 1] - e[k] > 2.0).map(|k| x[k]).collect();
+    assert_eq!(steps.len(), 15);
+    assert!(steps.windows(2).all(|w| (w[1] - w[0] - 16.667).abs() < 1.2), "{steps:?}");
+}
+
+/// NISTIR 4832, The "Original RTEC": corrections that a rapid leaves undone are caught up before the tool enters the part.
+#[test]
+fn a_rapid_is_caught_up_before_the_part() {
+    let ideal = Model::ideal("m");
+    let findings = run("rapid-catch-up", &ideal, &ideal, 1);
+    assert!(findings.summary["edges_waited_for_gate"].as_u64().unwrap() > 1000);
+    assert!(findings.summary["largest_backlog_um"].as_f64().unwrap() > 40.0);
+    assert!(findings.summary["largest_error_in_part_um"].as_f64().unwrap() <= 2.1);
+}
+
+/// NISTIR 4854, Part-Form Error: a flat of 25 µm makes a bump of about 23 µm on which 6 of 20 points fall; after the
+/// correction no component is larger than the 4 µm correction resolution (here 2 µm).
+#[test]
+fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
+    let ideal = Model::ideal("m");
+    let findings = run("hemisphere", &ideal, &ideal, 1);
+    let bump = record(&findings, "hemisphere").responses().next().unwrap().data.clone();
+    let height = bump.iter().fold(0.0_f64, |w, e| w.max(*e));
+    assert!((19.0..=26.0).contains(&height), "{height} µm");
+    let on_bump = bump.iter().filter(|e| **e > 0.5).count();
+    assert!((5..=7).contains(&on_bump), "{on_bump} points: {bump:?}");
+    let after = worst(record(&findings, "hemisphere-compensated"));
+    assert!(after <= 4.0, "{after} µm");
+    assert!((worn_tool_um(0.8, 25.0, 0.0) - 25.0).abs() < 1e-9);
+}
+
+/// WO 97/43703, figure 9 and tables 4 and 5: three hours, then the shorter runs; 20 sensors.
+#[test]
+fn the_spindle_cycle_of_figure_9() {
+    let minutes: f64 = FIGURE_9.iter().map(|c| c.1).sum();
+    assert!((minutes - 435.0).abs() < 1e-9);
+    let truth = model(&effect(
+        "thermal_growth.z",
+        "sensor = \"T13\"\nminus = \"T18\"\num_per_K = -7.0\num_per_K2 = 0.0",
+    ));
+    let findings = run("drift", &truth, &truth, 1);
+    let dry = record(&findings, "drift-dry");
+    assert_eq!(dry.names(&Role::Temperature).count(), 20);
+    assert_eq!(dry.rows(), 436);
+    let z = |r: &Record| r.responses().nth(2).unwrap().data.clone();
+    // Table 4, Z: −0.0048 in after three hours at 5500 rpm.
+    let growth = z(dry)[180];
+    assert!((growth + 122.0).abs() < 15.0, "{growth} µm");
+    assert!(z(dry)[240].abs() < growth.abs() / 2.0, "it shrinks back in an hour's rest");
+    assert!(worst(record(&findings, "drift-dry-compensated")) < 2.5);
+}
+
+/// Every record is the true machine's errors at its rows, and the instrument's noise: what reconciliation builds on.
+#[test]
+fn records_are_what_the_true_machine_says() {
+    let effects = [
+        effect("scale.x", "ppm = 40"),
+        effect("reversal.y", "um = 6"),
+        effect("squareness.x.y", "urad = 30"),
+        effect("straightness.y.x", "knots_mm = [-250, 0, 250]\num = [0, 5, 0]"),
+        effect("screw_periodic.x", "um = 3\nperiod_mm = 10\nphase_rad = 0.4"),
+        effect("coolant.x", "um = 4"),
+        effect("following_error.x", "ms = 0.05"),
+        effect("spindle_speed.z", "um_per_krpm = 0.4\num_per_krpm2 = 0.1"),
+        effect("warm_up.z", "um = 8\ntau_s = 3000"),
+        // A lag is told what happens between two rows only where they are close together: not between two cycles of
+        // drilling.
+        effect(
+            "thermal_lag.y",
+            "sensor = \"T8\"\nminus = \"T18\"\num_per_K = 2\num_per_K2 = 0\ntau_s = 1200",
+        ),
+    ];
+    let ideal = Model::ideal("m");
+    for (name, noise) in [("plate", 0.3), ("drift", 0.1), ("feed-sweep", 0.1), ("drilling", 0.5)] {
+        let lag = usize::from(name != "drilling");
+        let truth = model(&effects[..effects.len() - 1 + lag].concat());
+        let findings = run(name, &truth, &ideal, 2);
+        for r in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {
+            let rms = beyond(r, &truth);
+            assert!(rms < 1.3 * noise + 0.02, "{}: {rms} µm beyond the truth", r.path.display());
+        }
+    }
+}
+
+/// What the corrector knows is taken out to within the resolution, what it does not know stays.
+#[test]
+fn knowing_half_takes_out_half() {
+    let truth = model(&(effect("scale.x", "ppm = 40") + &effect("reversal.x", "um = 12")));
+    let known = model(&effect("scale.x", "ppm = 40"));
+    let findings = run("plate", &truth, &known, 5);
+    let (without, with) = (record(&findings, "plate"), record(&findings, "plate-compensated"));
+    assert!(worst(without) > 14.0);
+    let remains = beyond(with, &model(&effect("reversal.x", "um = 12")));
+    assert!(remains < 0.8, "{remains} µm");
+}
+
+#[test]
+fn same_seed_same_bytes_another_seed_others() {
+    let truth = model(&effect("scale.x", "ppm = 40"));
+    let text = |seed| {
+        let f = run("plate", &truth, &truth, seed);
+        let records: String = f.records.iter().map(|r| r.to_csv() + &r.to_sidecar()).collect();
+        records + &f.plots.iter().map(|p| p.1.as_str()).collect::<String>()
+    };
+    let first = text(7);
+    assert_eq!(first, text(7));
+    assert_ne!(first, text(8));
+}
+
+/// WO 97/43703, text before table 3: ten tool changes; and a record and a plot for every experiment.
+#[test]
+fn every_experiment_is_listed_once_and_tool_changes_repeat() {
+    let mut names = EXPERIMENTS.map(|e| e.name);
+    names.sort_unstable();
+    assert!(names.windows(2).all(|w| w[0] != w[1]));
+    let truth = model(&effect("scale.x", "ppm = 40"));
+    let findings = run("tool-change-repeatability", &truth, &truth, 1);
+    assert_eq!(record(&findings, "tool-change-repeatability").rows(), 10);
+    assert_eq!((findings.records.len(), findings.plots.len()), (2, 1));
+    assert!(findings.plots[0].1.contains("<svg"));
+}
