@@ -2,14 +2,15 @@
 
 use crate::Outcome;
 use anyhow::Context;
-use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
 use rtec_driver::input::InputError;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::Listener;
 use rtec_driver::trace::{RequestReader, TraceFile, TraceFormat, TracePoint, TraceReader};
-use rtec_rt::axis::AxisConfig;
-use rtec_rt::replay::{ReplayError, replay};
+use rtec_rt::axis::{AxisConfig, Design};
+use rtec_rt::replay::ReplayError;
+use rtec_sim::bench::{AnyDesign, replay_any};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -24,8 +25,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     requests: PathBuf,
     /// Insertion design [default: that of the configuration, or c]
-    #[arg(long, value_enum)]
-    design: Option<Design>,
+    #[arg(long, value_parser = designs())]
+    design: Option<AnyDesign>,
     /// Take the axis and its belief window from this configuration; without it: 1 µm counts, 500 ns separation,
     /// 1e6 counts/s², ±1000 counts, requests believed whatever their size
     #[arg(long, value_name = "FILE")]
@@ -44,18 +45,19 @@ pub(crate) struct Args {
     json: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-enum Design {
-    Original,
-    A,
-    B,
-    C,
-    Ecc,
+/// The designs by the names of the contract.
+fn designs() -> impl TypedValueParser<Value = AnyDesign> {
+    PossibleValuesParser::new(AnyDesign::ALL.map(AnyDesign::name))
+        .try_map(|name| AnyDesign::parse(&name).ok_or("no such design"))
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (config, large) = axis(args)?;
+    let design = args.design.unwrap_or(match config.design {
+        Design::Original => AnyDesign::Original,
+        Design::A => AnyDesign::A,
+        Design::C => AnyDesign::C,
+    });
     let trace = TraceReader::open(&args.trace)?;
     let requests = RequestReader::open(&args.requests)?;
     let mut files = Vec::new();
@@ -72,10 +74,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let trace = Progress { trace, points: 0, told: Instant::now() };
     // Without an output nothing listens: the compiler takes the whole branch out of the loop.
     let outcome = if files.is_empty() {
-        replay(config, trace, requests, large, |_, _: State| {}).map(|(outcome, _)| outcome)
+        replay_any(design, config, trace, requests, large, |_, _: State| {}).map(|(outcome, _)| outcome)
     } else {
         let to = Outputs { files, failed: None };
-        match replay(config, trace, requests, large, to) {
+        match replay_any(design, config, trace, requests, large, to) {
             Ok((outcome, to)) => {
                 to.finish()?;
                 Ok(outcome)
@@ -111,7 +113,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// The axis to play, and whether its requests are flagged large.
 fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
-    let (mut axis, large) = match &args.config {
+    let (axis, large) = match &args.config {
         None => (AxisConfig::default(), true),
         Some(file) => {
             let config = Config::load(file)?;
@@ -123,18 +125,6 @@ fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
                 })?,
             };
             (config.axes[n].engine, false)
-        }
-    };
-    axis.design = match args.design {
-        None => axis.design,
-        Some(Design::Original) => rtec_rt::axis::Design::Original,
-        Some(Design::A) => rtec_rt::axis::Design::A,
-        Some(Design::C) => rtec_rt::axis::Design::C,
-        Some(design @ (Design::B | Design::Ecc)) => {
-            let found = format!("--design {}", word(design));
-            let expected = "original, a or c: in this version b and ecc, which pass the signals through the \
-                            computer, cannot be replayed";
-            return Err(InputError::whole(&args.trace, found, expected).into());
         }
     };
     Ok((axis, large))
