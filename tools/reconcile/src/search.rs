@@ -53,7 +53,6 @@ pub(crate) struct Set {
     /// Log likelihood less the price of all freedom.
     pub(crate) score: f64,
     pub(crate) loglik: f64,
-    pub(crate) phi: f64,
     pub(crate) fits: Vec<AtPhi>,
     pub(crate) ids: Vec<usize>,
 }
@@ -227,10 +226,10 @@ impl<'p, 'r> Search<'p, 'r> {
         ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
         let fits = self.fits(&ids);
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
-        let (loglik, phi) = self.best_phi(&values);
+        let (loglik, _) = self.best_phi(&values);
         let price: f64 =
             members.iter().map(|m| m.cost + self.dimension_cost() * m.vectors.len() as f64).sum();
-        Set { members, score: loglik - price, loglik, phi, fits, ids }
+        Set { members, score: loglik - price, loglik, fits, ids }
     }
 
     pub(crate) fn empty(&self) -> Set {
@@ -705,7 +704,7 @@ fn own_products(columns: &[usize], bank: &Bank, stack: &Stack<'_>) -> Vec<Produc
     out
 }
 
-/// K·r with K = WᵀW, the inverse covariance of the noise.
+/// K·r with K = `WᵀW`, the inverse covariance of the noise.
 fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f64> {
     let mut out: Vec<f64> = r.iter().map(|x| (1.0 + phi * phi) * x).collect();
     for s in segments {
