@@ -341,7 +341,7 @@ impl Hypotheses {
         let count = made.iter().zip(made.iter().skip(1)).filter(|(a, b)| a.1 != b.1).count() + 1;
         let price = self.family_cost + SHAPE_COST + (count as f64).ln();
         let mut last: Option<Shape> = None;
-        for (j, shape, columns, grid) in made {
+        for (_, shape, columns, grid) in made {
             let cost = price + grid;
             if last.as_ref() != Some(&shape) {
                 let name = format!("unnamed {}", shape.against.join("·"));

@@ -2,7 +2,7 @@
 //! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
 
 use crate::gram::{Bank, Cholesky, Products, Vector, dot};
-use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column};
+use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column, taus};
 use crate::problem::{Known, Stack};
 use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
@@ -542,7 +542,12 @@ impl<'p, 'r> Search<'p, 'r> {
         };
         let mut effect = effect.clone();
         let (mut score, mut columns) = eval(&effect);
+        // A lag far longer than the run is a straight line by another name, and no ground for prediction.
+        let longest = taus(self.stack).last().copied().unwrap_or(f64::MAX);
         let mut take = |effect: &mut Effect, name: &str, value: f64| -> bool {
+            if name == "tau_s" && value > longest {
+                return false;
+            }
             let mut next = effect.clone();
             if next.set(name, &[value]).is_err() {
                 return false;
