@@ -1,5 +1,7 @@
 //! A few dozen blind cases: the whole suite is the program `rtec-blind`.
 
+#![allow(clippy::unwrap_used)] // helpers of tests count as tests
+
 use rtec_blind::case::{Hides, make};
 use rtec_blind::judge;
 use rtec_blind::score::{Mark, mark};

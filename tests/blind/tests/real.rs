@@ -1,5 +1,7 @@
 //! Real machines: what reconciliation says about measured data that nobody made for it (`../shared/data`).
 
+#![allow(clippy::unwrap_used)] // helpers of tests count as tests
+
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, reconcile};

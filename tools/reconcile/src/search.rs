@@ -383,7 +383,7 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         let (residual, phi) = self.residual(set);
         let step = FREQUENCY_STEP / span;
-        let count = ((wave.to - from) / step).ceil().min(MOST_FREQUENCIES).max(2.0) as usize;
+        let count = ((wave.to - from) / step).ceil().clamp(2.0, MOST_FREQUENCIES) as usize;
         let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
         let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
         gaps.sort_by(f64::total_cmp);
