@@ -19,7 +19,9 @@ const SHAPE_DECISIVE: f64 = 3.0;
 /// machine everything shows a little of everything.
 const WORTH: f64 = 0.015;
 /// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
-const EXPLAINED: f64 = 0.15;
+const EXPLAINED: f64 = 0.2;
+/// Most rivals that are listed for one effect.
+const MOST_RIVALS: usize = 12;
 
 /// Another explanation of the same thing.
 #[derive(Debug, Clone, PartialEq)]
@@ -235,10 +237,9 @@ fn refer(effect: &mut Effect, c: &mut [f64], c0: f64) {
     }
 }
 
-fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
-    let mut named = found.named.clone();
-    let any = found.any.clone();
-    // One member at a time may have a better name, now that the others are in place.
+/// One member at a time may have a better name, with the others in place.
+fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
+    let mut named = set;
     for _ in 0..3 {
         let mut changed = false;
         for i in 0..named.members.len() {
@@ -260,6 +261,13 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             break;
         }
     }
+    named
+}
+
+fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
+    let mut named = found.named.clone();
+    let any = found.any.clone();
+    named = renamed(search, named);
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
     let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
@@ -273,7 +281,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             (0..evidence.len()).map(|i| rms(&search.residual(&search.without(&named, i)).0) - now).collect();
         let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]));
         if let Some(w) = least.filter(|w| worth[*w] < WORTH * whole) {
-            named = search.without(&named, w);
+            let fewer = search.without(&named, w);
+            named = renamed(search, fewer);
             continue;
         }
         let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
@@ -386,6 +395,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             }
             _ => Vec::new(),
         };
+        list.sort_by(|a, b| a.margin.total_cmp(&b.margin));
+        list.truncate(MOST_RIVALS);
         findings.push(Finding { effect, held, p_value: chance.named.tail(own), evidence: own, rivals: list });
     }
     findings.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
