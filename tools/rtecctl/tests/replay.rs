@@ -42,7 +42,7 @@ fn a_recorded_trace_is_replayed_bit_for_bit() {
             &[("--trace", &motion), ("--requests", &requests), ("--out", &out), ("--vcd", &vcd)];
         let run = rtecctl(&["replay", "--json", "--design", design], paths);
         // The ECC's ledger is its own promise; where the motion dithers about one count, what comes out is not.
-        let code = if design == "ecc" { 1 } else { 0 };
+        let code = i32::from(design == "ecc");
         assert_eq!(run.status.code(), Some(code), "{design}: {}", text(&run.stderr));
         same(&format!("{design}.json"), &text(&run.stdout));
         same(&format!("{design}.csv"), &std::fs::read_to_string(&out).unwrap());
