@@ -128,7 +128,7 @@ fn wrong(m: Mark) -> bool {
     matches!(m, Mark::Wrong | Mark::WrongGroup)
 }
 
-/// Prints everything; whether the figures hold.
+/// Prints everything; whether the figures hold, within what so many cases can show.
 fn report(lines: &[Line]) -> bool {
     println!("confusion: what was hidden, what was answered (all others right)");
     let mut confusion: BTreeMap<(String, String), usize> = BTreeMap::new();
@@ -168,7 +168,9 @@ fn report(lines: &[Line]) -> bool {
     let mut row = |name: &str, (k, n): (usize, usize), base: (usize, usize), at_least: bool, bound: f64| {
         let rate = 100.0 * k as f64 / n.max(1) as f64;
         let met = n == 0 || (at_least && rate >= bound) || (!at_least && rate <= bound);
-        good &= met;
+        // A few dozen cases of rare events scatter: the run fails where a figure is missed by two standard errors.
+        let scatter = 200.0 * (bound / 100.0 * (1.0 - bound / 100.0) / n.max(1) as f64).sqrt();
+        good &= n == 0 || (at_least && rate >= bound - scatter) || (!at_least && rate <= bound + scatter);
         println!(
             "    {name:58} {rate:5.1} % ({k}/{n})  BIC {:5.1} %  {} {bound} %  {}",
             100.0 * base.0 as f64 / base.1.max(1) as f64,
