@@ -1,15 +1,15 @@
-//! Prints what reading and writing a trace costs per row: `cargo run --release -p rtec-driver --example trace_speed`.
+//! Prints what reading and writing a trace costs per row:
+//! `cargo run --release -p rtec-driver --example trace_speed [ROWS]`.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::trace::{TraceFormat, TracePoint, TraceReader, TraceWriter};
 use std::path::Path;
 use std::time::Instant;
 
-const ROWS: u64 = 20_000_000;
-
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    for (format, rows) in [(TraceFormat::Csv, ROWS), (TraceFormat::Vcd, ROWS / 4)] {
-        let mut writer = TraceWriter::new(format, Vec::with_capacity(20 * ROWS as usize))?;
+    let rows = std::env::args().nth(1).map_or(Ok(20_000_000), |rows| rows.parse::<u64>())?;
+    for (format, rows) in [(TraceFormat::Csv, rows), (TraceFormat::Vcd, rows / 4)] {
+        let mut writer = TraceWriter::new(format, Vec::with_capacity(20 * rows as usize))?;
         let mut point = TracePoint { t_ns: 1_000_000_000, state: State::default() };
         let start = Instant::now();
         for n in 0..rows {

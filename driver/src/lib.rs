@@ -8,6 +8,7 @@
 //! | [`profile`] | which register and which bit a line is, as data |
 //! | [`mapped`] | a card of memory-mapped registers |
 //! | [`mock`] | a card in the same process |
+//! | [`moving`] | a small moving machine at the other end of the mock card's wires |
 //! | [`replay`] | a recorded trace on a virtual clock |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`input`] | the one shape of error for a file that a person wrote |
@@ -17,6 +18,7 @@ pub mod clock;
 pub mod input;
 pub mod mapped;
 pub mod mock;
+pub mod moving;
 pub mod profile;
 pub mod quadrature;
 pub mod replay;

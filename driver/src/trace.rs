@@ -664,22 +664,24 @@ impl Vcd {
             let Some(keyword) = word(source)? else {
                 return Err(here(source, "the end of the file", "$enddefinitions"));
             };
-            let body = match keyword.as_str() {
-                "$enddefinitions" | "$timescale" | "$scope" | "$upscope" | "$var" => until_end(source)?,
-                "$comment" | "$date" | "$version" => {
+            match keyword.as_str() {
+                "$enddefinitions" => {
                     skip_to_end(source)?;
-                    continue;
+                    break;
                 }
+                "$timescale" => {
+                    let text = until_end(source)?.concat();
+                    ns_per_unit = Some(timescale(source, &text)?);
+                }
+                "$var" => {
+                    let body = until_end(source)?;
+                    variable(source, &body, &mut codes)?;
+                }
+                "$comment" | "$date" | "$version" | "$scope" | "$upscope" => skip_to_end(source)?,
                 other => {
                     let expected = "a VCD definition: $timescale, $scope, $var, $upscope, $enddefinitions";
                     return Err(here(source, &quoted(other), expected));
                 }
-            };
-            match keyword.as_str() {
-                "$enddefinitions" => break,
-                "$timescale" => ns_per_unit = Some(timescale(source, &body.concat())?),
-                "$var" => variable(source, &body, &mut codes)?,
-                _ => {}
             }
         }
         let Some(ns_per_unit) = ns_per_unit else {

@@ -501,8 +501,8 @@ impl Axis {
     /// Enters a real edge of `signal` into the MTC's count, in the order in which it and an inversion fell.
     fn pass_on(&mut self, signal: Signal, edge_ns: u64, tell: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
-            // Two changes of the same signal: the MTC is where it was, whichever came first.
             None => Order::EdgeLast,
+            // Two changes of the same signal: the MTC is where it was, whichever came first.
             Some(u) if u.signal == signal => Order::EdgeLast,
             Some(u) => match (u.done_ns, edge_ns) {
                 (Some(done), e) if e > done => Order::EdgeLast,
@@ -713,10 +713,10 @@ impl Axis {
         let at_rest = since_ns.is_none_or(|s| s > 50_000_000);
         let gate = if self.faults.any() {
             GateState::Fault
-        } else if let Some(blocked) = blocked {
-            blocked
         } else if !self.homed {
             GateState::NotHomed
+        } else if let Some(blocked) = blocked {
+            blocked
         } else if self.insertion != Insertion::Idle {
             GateState::Inserting
         } else if !self.ready() {

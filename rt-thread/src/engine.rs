@@ -5,6 +5,7 @@ use crate::event::{
     AxisStatus, Event, EventKind, Fault, Faults, GateState, MAX_AXES, Mode, Refusal, Request, Status,
 };
 use crate::histogram::{Reader, Recorder, histogram};
+use crate::journal::{Journal, Record};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample};
 
 /// The machine as a whole, beforehand.
@@ -63,6 +64,7 @@ pub struct Engine {
     hold_out: Option<bool>,
     faults: Faults,
     mode: Mode,
+    journal: Option<Journal>,
     poll_gap_ns: Recorder,
     edge_to_done_ns: Recorder,
     timing: Timing,
@@ -124,6 +126,7 @@ impl Engine {
             hold_out: None,
             faults: Faults::NONE,
             mode: Mode::Disabled,
+            journal: None,
             poll_gap_ns,
             edge_to_done_ns,
             timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
@@ -146,6 +149,41 @@ impl Engine {
             self.take(Request::ConfirmHome { axis, position_counts: 0 }, card, tell)?;
         }
         self.take(Request::Enable, card, tell)
+    }
+
+    /// From here on every inversion is noted in `journal` before it is made.
+    pub fn keep_journal(&mut self, journal: Journal) {
+        self.journal = Some(journal);
+        self.note();
+    }
+
+    /// Notes every axis as it is in effect now.
+    fn note(&mut self) {
+        if let Some(journal) = &mut self.journal {
+            for (n, axis) in self.axes.iter().enumerate() {
+                let (inverters, completed) = axis.in_effect();
+                journal.record(n, Record { inverters, completed });
+            }
+        }
+    }
+
+    /// Says whether corrections may be enabled: the card is a mock, or every real-time setting has been verified.
+    pub fn set_may_arm(&mut self, may_arm: bool) {
+        self.machine.may_arm = may_arm;
+    }
+
+    /// No insertion is under way on any axis: both inverters are equal everywhere.
+    #[must_use]
+    pub fn at_rest(&self) -> bool {
+        self.axes.iter().all(Axis::idle)
+    }
+
+    /// The card has failed: every axis is latched. Nothing more can be written.
+    pub fn card_failed(&mut self, error: CardError, tell: &mut impl FnMut(Event) -> bool) {
+        if error != CardError::Ended && self.faults.latch(Fault::Card) {
+            self.mode = Mode::Fault;
+            self.say(None, EventKind::Fault(Fault::Card), tell);
+        }
     }
 
     /// The loop's own timing, to be read at any time from any thread.
@@ -174,7 +212,8 @@ impl Engine {
         let sample = card.sample(self.wake_ns.min(by_ns))?;
         let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
         self.polls += 1;
-        if sample.edge_ns.is_none() {
+        // The first look comes after the thread's set-up, not after another look.
+        if sample.edge_ns.is_none() && self.polls > 1 {
             self.poll_gap_ns.record(sample.t_ns - since_ns);
         }
         let changed = (sample.inputs ^ self.inputs) & self.watched;
@@ -239,6 +278,7 @@ impl Engine {
         }
         self.wake_ns = wake_ns;
         if mask != 0 {
+            self.note();
             let done_ns = card.write(mask, value)?;
             for (axis, _) in self.axes.iter_mut().zip(wrote).filter(|(_, w)| *w) {
                 axis.written(done_ns);
@@ -265,6 +305,8 @@ impl Engine {
         tell: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
+        // A cleared fault leaves corrections off: they come on again by a decision, not by themselves.
+        self.enabled &= !faulted;
         let mode = if faulted {
             Mode::Fault
         } else if self.held {
@@ -319,6 +361,7 @@ impl Engine {
         if let Err(why) = self.try_take(request, tell) {
             self.say(axis, EventKind::Refused { total_counts, why }, tell);
         }
+        self.note();
         self.wake_ns = self.axes.iter().map(|a| a.wake_ns).min().unwrap_or(0);
         self.update_mode(card, tell)
     }

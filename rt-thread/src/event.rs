@@ -1,6 +1,6 @@
 //! What goes over the link: requests down, events up, and what a status shows. All `Copy`, nothing allocates.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Axes that one engine can hold.
 pub const MAX_AXES: usize = 6;
@@ -46,7 +46,7 @@ pub enum Request {
 }
 
 /// What is wrong, latched until cleared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum Fault {

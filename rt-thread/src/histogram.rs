@@ -204,6 +204,27 @@ impl Snapshot {
         self.max = self.max.max(other.max);
     }
 
+    /// The same values in `rows` linear buckets of `width_ns`, as plotting scripts want them, and how many lie beyond.
+    /// What a bucket holds is spread evenly over the rows that it reaches into.
+    #[must_use]
+    pub fn linear(&self, width_ns: u64, rows: usize) -> (Vec<u64>, u64) {
+        let mut linear = vec![0; rows];
+        let mut placed = 0;
+        for b in self.buckets() {
+            let (low, high) = (b.low.max(self.min), b.high.min(self.max));
+            let width = u128::from(high - low) + 1;
+            let mut before = 0;
+            for row in (low / width_ns..=high / width_ns).take_while(|row| *row < rows as u64) {
+                let reach = u128::from((row + 1) * width_ns - low).min(width);
+                let up_to = (u128::from(b.count) * reach / width) as u64;
+                linear[row as usize] += up_to - before;
+                before = up_to;
+            }
+            placed += before;
+        }
+        (linear, self.samples - placed)
+    }
+
     /// The buckets that hold something, in rising order.
     pub fn buckets(&self) -> impl Iterator<Item = Bucket> + '_ {
         self.counts.iter().enumerate().filter(|(_, count)| **count > 0).map(|(i, &count)| {
@@ -358,6 +379,22 @@ mod tests {
             let got = s.quantile(q);
             prop_assert!(got >= truth, "{got} understates {truth}");
             prop_assert!((got - truth) as f64 <= truth as f64 * RELATIVE_ERROR, "{got} for {truth}");
+        }
+
+        #[test]
+        fn linear_rows_keep_every_value_within_a_bucket_of_its_row(
+            values in prop::collection::vec(0_u64..100_000, 1..300),
+        ) {
+            const ROWS: usize = 50;
+            let (rows, beyond) = filled(&values).linear(1000, ROWS);
+            prop_assert_eq!(rows.iter().sum::<u64>() + beyond, values.len() as u64);
+            for (row, count) in rows.iter().enumerate() {
+                // Nothing moves further than its bucket is wide.
+                let reach = (row as u64 * 1000, row as u64 * 1000 + 999);
+                let slack = (reach.1 as f64 * RELATIVE_ERROR) as u64 + 1;
+                let near = |v: &&u64| (reach.0.saturating_sub(slack)..=reach.1 + slack).contains(*v);
+                prop_assert!(*count <= values.iter().filter(near).count() as u64, "row {row}");
+            }
         }
 
         #[test]

@@ -347,13 +347,15 @@ impl System {
         let mut here: Vec<(u32, String)> = entries
             .flatten()
             .filter_map(|entry| {
-                let number = entry.file_name().to_str()?.parse().ok()?;
+                let number: u32 = entry.file_name().to_str()?.parse().ok()?;
                 // A handler shows as a directory with the device's name; without one the interrupt is not in use.
                 let device = std::fs::read_dir(entry.path())
                     .ok()?
                     .flatten()
                     .find(|inner| inner.file_type().is_ok_and(|t| t.is_dir()))?;
-                let list = |name| self.read(entry.path().join(name)).ok().filter(|text| !text.is_empty());
+                let list = |name| {
+                    self.read(format!("proc/irq/{number}/{name}")).ok().filter(|text| !text.is_empty())
+                };
                 let cpus = list("effective_affinity_list").or_else(|| list("smp_affinity_list"))?;
                 cpu_list(&cpus)
                     .contains(&cpu)
@@ -571,6 +573,31 @@ pub fn apply(system: &System, wanted: Wanted) -> (Held, Report) {
     (Held { _cpu_dma_latency: cpu_dma_latency }, report)
 }
 
+/// The calling thread and those it starts stay off a CPU until this is dropped.
+#[derive(Debug)]
+#[must_use = "the thread may run everywhere again as soon as this is dropped"]
+pub struct Left {
+    before: nix::sched::CpuSet,
+}
+
+/// Takes the calling thread, and those it starts meanwhile, off `cpu`, so that nothing there competes with the
+/// real-time thread. `None` when no other CPU is left to it: then it stays.
+#[must_use]
+pub fn leave(cpu: usize) -> Option<Left> {
+    let me = nix::unistd::Pid::from_raw(0);
+    let before = nix::sched::sched_getaffinity(me).ok()?;
+    let mut others = before;
+    let _ = others.unset(cpu); // a CPU that cannot be in the set is not in it
+    nix::sched::sched_setaffinity(me, &others).ok().map(|()| Left { before })
+}
+
+impl Drop for Left {
+    fn drop(&mut self) {
+        // It was allowed a moment ago; where it no longer is, the thread stays where it is.
+        let _ = nix::sched::sched_setaffinity(nix::unistd::Pid::from_raw(0), &self.before);
+    }
+}
+
 fn scheduler(priority: u8) -> Finding {
     let wanted = libc::sched_param { sched_priority: i32::from(priority) };
     // Threads started from here must not inherit the priority: they are helpers.
@@ -658,7 +685,7 @@ fn stack() -> Finding {
             .map_err(|e| OsError { operation: "getrusage".into(), errno: e as i32 })
     };
     touch_stack(STACK_BYTES / PAGE);
-    let wanted = format!("{} KiB without a page fault", STACK_BYTES / 1024);
+    let wanted = format!("{} KiB, no page fault", STACK_BYTES / 1024);
     let second = faults().and_then(|before| {
         touch_stack(STACK_BYTES / PAGE);
         Ok(faults()? - before)

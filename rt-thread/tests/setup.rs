@@ -1,6 +1,6 @@
 //! The set-up of a real-time thread: every finding on a tree of files that looks like a system, and the real thing.
 #![allow(clippy::unwrap_used)] // a test may
-use rtec_rt::setup::{Finding, Report, System, Wanted, apply};
+use rtec_rt::setup::{Finding, Report, System, Wanted, apply, leave};
 use std::fs;
 use std::path::Path;
 
@@ -274,7 +274,9 @@ fn shown() -> Shown {
 #[test]
 fn root_gets_everything_that_is_ours_to_apply() {
     if !is_root() {
-        eprintln!("SKIPPED: not root, so SCHED_FIFO, mlockall and cpu_dma_latency cannot be applied here");
+        let why = "not root, so SCHED_FIFO, mlockall and cpu_dma_latency cannot be applied here";
+        assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
+        eprintln!("SKIPPED: {why}");
         return;
     }
     std::thread::spawn(|| {
@@ -326,6 +328,31 @@ fn without_privileges_it_runs_on_and_names_what_is_missing() {
         }
         let affinity = report.finding("affinity").unwrap();
         assert!(affinity.ok, "needs no privilege: {affinity:?}");
+    })
+    .join()
+    .unwrap();
+}
+
+#[test]
+fn a_thread_leaves_the_cpu_and_may_come_back() {
+    std::thread::spawn(|| {
+        let before = shown().cpus;
+        let cpu = System::live().default_cpu();
+        match leave(cpu) {
+            Some(left) => {
+                assert!(
+                    !std::thread::spawn(shown)
+                        .join()
+                        .unwrap()
+                        .cpus
+                        .split([',', '-'])
+                        .any(|c| c == cpu.to_string())
+                );
+                drop(left);
+            }
+            None => assert_eq!(before, cpu.to_string(), "only with no other CPU"),
+        }
+        assert_eq!(shown().cpus, before);
     })
     .join()
     .unwrap();

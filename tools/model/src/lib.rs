@@ -6,10 +6,19 @@
 //! | [`effect`] | the dictionary: every effect's law, parameters, channels, derivative and experiment |
 //! | [`machine`] | `machine.toml`: a list of named effects, read strictly, written without losing a comment |
 //! | [`live`] | a model evaluated at one instant, without allocation |
-//! | [`document`] | TOML tables read with line and column |
+//! | [`chain`] | the other way to build a model: error components of each joint, combined by homogeneous transforms |
+//! | [`fit`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
+//! | [`sensors`] | temperatures through what Linux offers, each watched |
+//! | [`iso230`], [`plate`] | evaluations as the standards define them |
+//! | [`import`] | other tools' files as run records |
+//! | [`plot`] | charts as SVG |
+//! | [`document`], [`date`] | TOML tables read with line and column; calendar days |
 
+pub mod chain;
+pub mod date;
 pub mod document;
 pub mod effect;
+pub mod fit;
 pub mod import;
 pub mod iso230;
 pub mod live;
@@ -17,3 +26,4 @@ pub mod machine;
 pub mod plate;
 pub mod plot;
 pub mod record;
+pub mod sensors;

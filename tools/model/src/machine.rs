@@ -1,5 +1,6 @@
 //! `machine.toml`: a named list of effects, read strictly; written so that nothing the user wrote is lost.
 
+use crate::chain::Chain;
 use crate::document::{self, Table};
 use crate::effect::{Against, Dictionary, Difference, Effect, Need, Parameter, ValueError};
 use crate::record::{Record, write_whole};
@@ -47,6 +48,23 @@ pub struct Listed {
     pub provenance: Provenance,
 }
 
+/// What a fit says about itself: which response, when, on what, how good, how long it may be trusted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitNote {
+    /// `error.z`
+    pub response: String,
+    /// The date of the fit, as ISO 8601.
+    pub date: String,
+    /// The last day on which it may be used without being looked at again.
+    pub valid_until: String,
+    /// RMS on blocks of time that the fit had not seen, µm.
+    pub rms_um: f64,
+    /// Half width of the 95 % prediction interval, µm.
+    pub half_width_um: f64,
+    /// The records.
+    pub from: Vec<Source>,
+}
+
 /// A machine model.
 #[derive(Debug, Clone)]
 pub struct Machine {
@@ -54,6 +72,8 @@ pub struct Machine {
     pub path: PathBuf,
     name: String,
     listed: Vec<Listed>,
+    fits: Vec<FitNote>,
+    chain: Option<Chain>,
     dictionary: Dictionary,
     doc: DocumentMut,
 }
@@ -68,6 +88,8 @@ impl Machine {
             path: PathBuf::from("machine.toml"),
             name: name.to_owned(),
             listed: Vec::new(),
+            fits: Vec::new(),
+            chain: None,
             dictionary: Dictionary::default(),
             doc,
         }
@@ -90,12 +112,22 @@ impl Machine {
     pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
         let doc = document::parse(path, text)?;
         let root = Table::root(path, text, &doc);
-        root.only(&["name", "note", "effect"])?;
+        root.only(&["name", "note", "dictionary", "chain", "fit", "effect"])?;
         let name = root.required("name", "the machine's name, as name = \"…\"")?.str("the machine's name")?;
         if let Some(note) = root.get("note") {
             note.str("free text")?;
         }
-        let dictionary = Dictionary::default();
+        let beside = |file: &str| path.parent().unwrap_or(Path::new("")).join(file);
+        let mut dictionary = Dictionary::default();
+        if let Some(own) = root.get("dictionary") {
+            dictionary.read_own(&beside(own.str("a file of the project's own laws")?))?;
+        }
+        let chain = match root.get("chain") {
+            Some(e) => Some(Chain::read(&beside(e.str("a file with a kinematic chain")?))?),
+            None => None,
+        };
+        let fits = root.get("fit").map(|e| e.tables("[[fit]] tables")).transpose()?.unwrap_or_default();
+        let fits = fits.into_iter().map(read_fit).collect::<Result<Vec<_>, _>>()?;
         let mut listed: Vec<Listed> = Vec::new();
         let tables =
             root.get("effect").map(|e| e.tables("[[effect]] tables")).transpose()?.unwrap_or_default();
@@ -110,7 +142,7 @@ impl Machine {
         }
         let name = name.to_owned();
         let doc = doc.into_mut();
-        Ok(Self { path: path.to_owned(), name, listed, dictionary, doc })
+        Ok(Self { path: path.to_owned(), name, listed, fits, chain, dictionary, doc })
     }
 
     /// The machine's name.
@@ -128,6 +160,41 @@ impl Machine {
     /// The effects, in the file's order.
     pub fn effects(&self) -> impl Iterator<Item = &Effect> {
         self.listed.iter().map(|l| &l.effect)
+    }
+
+    /// The kinematic chain whose errors add to the effects'.
+    #[must_use]
+    pub fn chain(&self) -> Option<&Chain> {
+        self.chain.as_ref()
+    }
+
+    /// What fits say about themselves.
+    #[must_use]
+    pub fn fits(&self) -> &[FitNote] {
+        &self.fits
+    }
+
+    /// Half width of the 95 % prediction interval of a response, µm, where a fit has said it.
+    #[must_use]
+    pub fn half_width_um(&self, response: &str) -> Option<f64> {
+        self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
+    }
+
+    /// Adds what a fit says about itself.
+    pub fn note_fit(&mut self, note: FitNote) {
+        let mut t = toml_edit::Table::new();
+        t["response"] = value(&note.response);
+        t["date"] = value(&note.date);
+        t["valid_until"] = value(&note.valid_until);
+        t["rms_um"] = value(note.rms_um);
+        t["half_width_um"] = value(note.half_width_um);
+        t["from"] = sources(&note.from);
+        let item =
+            self.doc.entry("fit").or_insert_with(|| Item::ArrayOfTables(toml_edit::ArrayOfTables::new()));
+        if let Some(list) = item.as_array_of_tables_mut() {
+            list.push(t);
+        }
+        self.fits.push(note);
     }
 
     /// The dictionary it was read with.
@@ -246,7 +313,48 @@ impl Machine {
             }
             taken_as_zero.extend(bound.taken_as_zero().iter().map(|r| (effect.name(), r.to_string())));
         }
+        if let Some(chain) = &self.chain {
+            for (column, (_, out)) in record.responses().zip(&mut columns) {
+                chain.add(record, &column.role, out).map_err(|m| {
+                    InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))
+                })?;
+            }
+        }
         Ok(Prediction { columns, taken_as_zero })
+    }
+}
+
+impl Machine {
+    /// Where a record asks the model beyond the range it was fitted on, effect by effect: the differences are held
+    /// at the bound there.
+    #[must_use]
+    pub fn out_of_range(&self, record: &Record) -> Vec<String> {
+        let mut found = Vec::new();
+        for effect in self.effects() {
+            let (Some([lo, hi]), Some(delta), Ok(bound)) =
+                (effect.range_k, &effect.delta, effect.bind(record))
+            else {
+                continue;
+            };
+            let mut free = effect.clone();
+            free.range_k = None;
+            let n = effect.coefficient_count();
+            let mut basis = vec![0.0; n * bound.rows()];
+            bound.basis(&free, 0, &mut basis);
+            // The first basis column of growth and lag is the (lagged) difference itself.
+            if effect.card().naming != crate::effect::Naming::One || n != 2 {
+                continue;
+            }
+            let outside = basis[..bound.rows()].iter().filter(|d| **d < lo || **d > hi).count();
+            if outside > 0 {
+                let share = 100.0 * outside as f64 / bound.rows() as f64;
+                found.push(format!(
+                    "{} {delta}: {share:.1} % of the rows outside {lo:.2} to {hi:.2} K, held at the bound",
+                    effect.name()
+                ));
+            }
+        }
+        found
     }
 }
 
@@ -326,22 +434,38 @@ fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, Inpu
     Ok(Listed { effect, provenance })
 }
 
+fn read_sources(table: Table<'_>) -> Result<Vec<Source>, InputError> {
+    let Some(from) = table.get("from") else { return Ok(Vec::new()) };
+    let form = "{ file = \"…\", sha256 = \"…\" }, or an array of them";
+    let tables = from.table(form).map(|t| vec![t]).or_else(|_| from.tables(form))?;
+    let read = |t: Table<'_>| {
+        t.only(&["file", "sha256"])?;
+        let get =
+            |key: &str| -> Result<String, InputError> { Ok(t.required(key, form)?.str(form)?.to_owned()) };
+        Ok(Source { file: get("file")?, sha256: get("sha256")? })
+    };
+    tables.into_iter().map(read).collect()
+}
+
+fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
+    t.only(&["response", "date", "valid_until", "rms_um", "half_width_um", "from"])?;
+    let text = |key: &str| Ok::<_, InputError>(t.required(key, "text")?.text());
+    Ok(FitNote {
+        response: text("response")?,
+        date: text("date")?,
+        valid_until: text("valid_until")?,
+        rms_um: t.required("rms_um", "µm")?.number("µm")?,
+        half_width_um: t.required("half_width_um", "µm")?.positive("µm, above zero")?,
+        from: read_sources(t)?,
+    })
+}
+
 fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, InputError> {
     let text = |key: &str| table.get(key).map(|e| e.str("text").map(str::to_owned)).transpose();
     let mut provenance = Provenance { added_by: text("added_by")?, ..Provenance::default() };
     // A date may be TOML's own or a string.
     provenance.date = table.get("date").map(|e| e.text());
-    if let Some(from) = table.get("from") {
-        let form = "{ file = \"…\", sha256 = \"…\" }, or an array of them";
-        let sources = from.table(form).map(|t| vec![t]).or_else(|_| from.tables(form))?;
-        for t in sources {
-            t.only(&["file", "sha256"])?;
-            let get = |key: &str| -> Result<String, InputError> {
-                Ok(t.required(key, form)?.str(form)?.to_owned())
-            };
-            provenance.from.push(Source { file: get("file")?, sha256: get("sha256")? });
-        }
-    }
+    provenance.from = read_sources(table)?;
     if let Some(interval) = table.get("interval") {
         let form = "[low, high] per parameter, as interval = { um = [5.8, 6.4] }";
         for e in interval.table(form)?.entries() {
@@ -380,6 +504,20 @@ fn pairs(interval: &[[f64; 2]], array: bool) -> Value {
     if array { interval.iter().map(pair).collect::<Array>().into() } else { pair(&interval[0]) }
 }
 
+/// One source as a table, several as an array of tables.
+fn sources(from: &[Source]) -> Item {
+    let source = |s: &Source| {
+        let mut t = InlineTable::new();
+        t.insert("file", s.file.as_str().into());
+        t.insert("sha256", s.sha256.as_str().into());
+        t
+    };
+    match from {
+        [one] => value(source(one)),
+        many => value(many.iter().map(source).collect::<Array>()),
+    }
+}
+
 fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
     let mut t = toml_edit::Table::new();
     t["name"] = value(effect.name());
@@ -403,16 +541,8 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
     if let Some(date) = &provenance.date {
         t["date"] = value(date);
     }
-    let source = |s: &Source| {
-        let mut t = InlineTable::new();
-        t.insert("file", s.file.as_str().into());
-        t.insert("sha256", s.sha256.as_str().into());
-        t
-    };
-    match provenance.from.as_slice() {
-        [] => {}
-        [one] => t["from"] = value(source(one)),
-        many => t["from"] = value(many.iter().map(source).collect::<Array>()),
+    if !provenance.from.is_empty() {
+        t["from"] = sources(&provenance.from);
     }
     if !provenance.interval.is_empty() {
         let mut interval = InlineTable::new();
@@ -520,6 +650,62 @@ mod tests {
         }
         assert!(parse("[[effect]]\nname = \"scale.x\"\nppm = 1\n").unwrap_err().found.contains("no `name`"));
         assert_eq!(parse("nam = \"x\"\n").unwrap_err().line, 1);
+    }
+
+    #[test]
+    fn a_projects_own_effects_chain_and_fit_notes() {
+        let dir = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+        let law = "[[law]]\nname = \"quill_droop\"\nnaming = \"A.B\"\nlaw = \"e = um·(p_B/100)²\"\ncause = \"weight\"\n\
+                   experiment = \"straightedge\"\nparameters = [{ name = \"um\", unit = \"um\", plausible = 50.0, \
+                   terms = [{ factor = 1e-4, p_B = 2 }] }]\n";
+        write("own.toml", law);
+        write(
+            "chain.toml",
+            "[[joint]]\nname = \"z\"\nbranch = \"tool\"\naxis = \"z\"\ncomponent = [{ of = \"dx\", \
+                             terms = [{ p = 1, value = 2.0 }] }]\n",
+        );
+        let text = "name = \"m\"\ndictionary = \"own.toml\"\nchain = \"chain.toml\"\n[[effect]]\n\
+                    name = \"quill_droop.x.z\"\num = 3.0\n";
+        write("m.toml", text);
+        let mut m = Machine::read(&dir.path().join("m.toml")).unwrap();
+        let axis = |n: &str| crate::record::Axis::new(n).unwrap();
+        let column = |name: &str, role: crate::record::Role, data: &[f64]| {
+            let unit = role.unit().unwrap().to_owned();
+            crate::record::Column { name: name.into(), role, unit, data: data.to_vec() }
+        };
+        let record = Record::new(
+            Path::new("r.run.toml"),
+            crate::record::Kind::Positioning,
+            vec![
+                column("z", crate::record::Role::Position(axis("z")), &[0.0, 200.0]),
+                column("e", crate::record::Role::Error(axis("x")), &[0.0, 0.0]),
+            ],
+        )
+        .unwrap();
+        let p = m.predict(&record).unwrap();
+        // 3·(200/100)² from the own effect, 2·200/100 from the chain
+        assert!(
+            (p.columns[0].1[1] - 16.0).abs() < 1e-9 && p.columns[0].1[0].abs() < 1e-12,
+            "{:?}",
+            p.columns
+        );
+        m.note_fit(FitNote {
+            response: "error.x".into(),
+            date: "2026-05-01".into(),
+            valid_until: "2027-05-01".into(),
+            rms_um: 0.4,
+            half_width_um: 0.8,
+            from: vec![Source { file: "a.csv".into(), sha256: "00".into() }],
+        });
+        let again = Machine::parse(&dir.path().join("m.toml"), &m.to_text()).unwrap();
+        assert_eq!(again.fits(), m.fits());
+        assert_eq!(again.half_width_um("error.x"), Some(0.8));
+        write("own.toml", &law.replace("quill_droop", "scale"));
+        let e = Machine::read(&dir.path().join("m.toml")).unwrap_err();
+        assert!(e.file.ends_with("own.toml") && e.line == 2, "{e}");
+        write("own.toml", &law.replace("p_B", "p_C"));
+        assert!(Machine::read(&dir.path().join("m.toml")).unwrap_err().found.contains("p_C"));
     }
 
     #[test]

@@ -1,10 +1,13 @@
 //! The evaluations against real measurements and their owners' own figures (`../shared/data`, not part of the
 //! project: skipped, and said so, where it is absent).
 
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_model::fit::{self, Options};
 use rtec_model::import;
 use rtec_model::iso230;
 use rtec_model::plate;
-use rtec_model::record::Axis;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::{Path, PathBuf};
 
 /// A file of `../shared/data`, seen from the workspace's root.
@@ -108,4 +111,68 @@ fn the_older_plate_reads_too() {
     let p = plate::evaluate(&record, plate::Norm::Squares).unwrap();
     assert_eq!(p.holes, text.lines().skip(4).filter(|l| !l.trim().is_empty()).count());
     assert!(p.rms_um > 1.0 && p.rms_um < 10.0, "{}", p.rms_um);
+}
+
+/// Rows of the spindle run as a record: growth (error.z) and sixteen temperatures.
+fn spindle(text: &str, rows: std::ops::Range<usize>) -> Record {
+    let lines: Vec<&str> = text.lines().collect();
+    let names: Vec<&str> = lines[0].split(',').collect();
+    let columns = names.iter().enumerate().map(|(k, name)| {
+        let role = match k {
+            0 => Role::Time,
+            1 => Role::Error(Axis::new("z").unwrap()),
+            _ => Role::Temperature,
+        };
+        let value = |l: &&str| l.split(',').nth(k).unwrap().trim().parse::<f64>().unwrap();
+        let data = lines[1..][rows.clone()].iter().map(|l| if k == 0 { 60.0 * value(l) } else { value(l) });
+        Column { name: (*name).to_owned(), unit: role.unit().unwrap().to_owned(), role, data: data.collect() }
+    });
+    Record::new(Path::new("spindle.run.toml"), Kind::Drift, columns.collect()).unwrap()
+}
+
+/// Growth of a real spindle from temperatures alone; sensors, lag and parameters chosen without the block judged.
+#[test]
+fn real_spindle_is_predicted_from_temperatures() {
+    let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
+    let record = spindle(&text, 0..2341);
+    let (machine, reports) = fit::fit(&[&record], &[], &Options::default()).unwrap();
+    let r = &reports[0];
+    let linear = &r.baselines["linear T0-T15"];
+    println!("environment {:?}; {}", r.environment, r.rounds.last().unwrap().added);
+    println!(
+        "mean block RMS {:.3} µm; T0-T15 linear {:.3}, mean {:.3}, persistence {:.3}",
+        r.rms_um.folds_mean,
+        linear.folds_mean,
+        r.baselines["mean"].folds_mean,
+        r.baselines["persistence"].folds_mean
+    );
+    println!(
+        "95 % interval ±{:.2} µm holds {:.1} %",
+        r.interval95.half_width_um,
+        100.0 * r.interval95.coverage_folds
+    );
+    assert_eq!(r.environment.as_deref(), Some("T15"));
+    assert!(r.rms_um.folds_mean < 0.25 * linear.folds_mean);
+    assert!((0.90..=0.99).contains(&r.interval95.coverage_folds));
+    // Physics: growth follows warmth, later.
+    let growth = machine.effects().find(|e| e.card().name == "thermal_lag").unwrap();
+    assert!(growth.value("um_per_K").unwrap()[0] > 0.0 && growth.value("tau_s").unwrap()[0] > 600.0);
+}
+
+/// The trap: what wins inside one stretch may fail on the next. Fitted on the first 30 h, asked for the 9 h after.
+#[test]
+fn real_spindle_is_predicted_into_unseen_later_time() {
+    let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
+    let (early, late) = (spindle(&text, 0..1800), spindle(&text, 1800..2341));
+    let (_, reports) = fit::fit(&[&early], &[&late], &Options::default()).unwrap();
+    let r = &reports[0];
+    let of = |name: &str| r.baselines[name].holdout[0];
+    println!(
+        "hold-out {:.3} µm; T0-T15 linear {:.3}, mean {:.3}",
+        r.rms_um.holdout[0],
+        of("linear T0-T15"),
+        of("mean")
+    );
+    assert!(r.rms_um.holdout[0] < 0.5 * of("linear T0-T15") && r.rms_um.holdout[0] < 0.2 * of("mean"));
+    assert!(r.interval95.coverage_holdout[0] >= 0.9, "{:?}", r.interval95);
 }

@@ -1,5 +1,6 @@
 //! `rtecctl`: the command line of the real-time error corrector. One file per verb.
 
+mod daemon;
 mod verbs;
 
 use clap::{Parser, Subcommand};
@@ -16,12 +17,29 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Demo(verbs::demo::Args),
     Characterise(verbs::characterise::Args),
     Completions(verbs::completions::Args),
+    Config(verbs::config::Args),
     Designs(verbs::designs::Args),
     Man(verbs::man::Args),
+    Status(verbs::status::Args),
+    Home(verbs::home::Args),
+    Enable(verbs::enable::Args),
+    Disable(verbs::disable::Args),
+    Shadow(verbs::shadow::Args),
+    Correct(verbs::correct::Args),
+    Probe(verbs::probe::Args),
+    Hold(verbs::hold::Args),
+    Clear(verbs::clear::Args),
+    Part(verbs::part::Args),
     Model(verbs::model::Args),
     Simulate(verbs::simulate::Args),
+    Reconcile(verbs::reconcile::Args),
+    Replay(verbs::replay::Args),
+    Trace(verbs::trace::Args),
+    Platform(verbs::platform::Args),
+    Selftest(verbs::selftest::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -29,26 +47,43 @@ enum Verb {
 pub(crate) enum Outcome {
     /// Exit 1: the run finished and the answer is no.
     #[error("{0}")]
-    #[allow(dead_code)]
     No(String),
+    /// Exit 2: the request itself is wrong.
+    #[error("{0}")]
+    Bad(String),
     /// Exit 3: the daemon or the hardware could not be reached.
     #[error("{0}")]
-    #[allow(dead_code)]
     Unreachable(String),
     /// Exit 4: a fault is latched.
     #[error("{0}")]
-    #[allow(dead_code)]
     Fault(String),
 }
 
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
+        Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Characterise(args) => verbs::characterise::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
+        Verb::Config(args) => verbs::config::run(&args),
         Verb::Designs(args) => verbs::designs::run(&args),
         Verb::Man(args) => verbs::man::run(&args),
+        Verb::Status(args) => verbs::status::run(&args),
+        Verb::Home(args) => verbs::home::run(&args),
+        Verb::Enable(args) => verbs::enable::run(&args),
+        Verb::Disable(args) => verbs::disable::run(&args),
+        Verb::Shadow(args) => verbs::shadow::run(&args),
+        Verb::Correct(args) => verbs::correct::run(&args),
+        Verb::Probe(args) => verbs::probe::run(&args),
+        Verb::Hold(args) => verbs::hold::run(&args),
+        Verb::Clear(args) => verbs::clear::run(&args),
+        Verb::Part(args) => verbs::part::run(&args),
         Verb::Model(args) => verbs::model::run(&args),
         Verb::Simulate(args) => verbs::simulate::run(&args),
+        Verb::Reconcile(args) => verbs::reconcile::run(&args),
+        Verb::Replay(args) => verbs::replay::run(&args),
+        Verb::Trace(args) => verbs::trace::run(&args),
+        Verb::Platform(args) => verbs::platform::run(&args),
+        Verb::Selftest(args) => verbs::selftest::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");
@@ -58,12 +93,13 @@ fn main() -> ExitCode {
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
 fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<InputError>() {
+        if cause.is::<InputError>() || cause.is::<rtec_control::config::Findings>() {
             return 2;
         }
         if let Some(outcome) = cause.downcast_ref::<Outcome>() {
             return match outcome {
                 Outcome::No(_) => 1,
+                Outcome::Bad(_) => 2,
                 Outcome::Unreachable(_) => 3,
                 Outcome::Fault(_) => 4,
             };

@@ -13,6 +13,7 @@ mod form_bump;
 mod knots;
 mod linear;
 mod lost_counts;
+mod own;
 mod periodic;
 mod reversal_spike;
 mod thermal;

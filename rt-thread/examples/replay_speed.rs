@@ -1,0 +1,40 @@
+//! Edges per second of a replay from a CSV file, and how much memory it took: `replay_speed [EDGES]`.
+//!
+//! The axis goes 1000 counts forth and back at 2 µs a count; a correction of ±2 counts is requested every 500 edges.
+
+use rtec_driver::quadrature::State;
+use rtec_driver::trace::{Request, TraceReader};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::replay::replay;
+use std::io::{BufWriter, Write};
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let edges: u64 = std::env::args().nth(1).map_or(Ok(20_000_000), |n| n.parse())?;
+    let file = std::env::temp_dir().join(format!("rtec-replay-speed-{}.csv", std::process::id()));
+    let mut out = BufWriter::new(std::fs::File::create(&file)?);
+    writeln!(out, "t_ns,a,b\n0,0,0")?;
+    let mut state = State::default();
+    for n in 1..=edges {
+        state = state.next(n / 1000 % 2 == 0);
+        writeln!(out, "{},{},{}", n * 2000, u8::from(state.a()), u8::from(state.b()))?;
+    }
+    out.into_inner()?.sync_all()?;
+    let totals = (1..edges / 500)
+        .map(|n| Ok(Request { t_ns: n * 1_000_000, requested: if n % 2 == 0 { 2 } else { -2 } }));
+    let config = AxisConfig { max_accel_counts_s2: 1e6, ..AxisConfig::default() };
+    let begun = Instant::now();
+    let (outcome, _) = replay(config, TraceReader::open(&file)?, totals, true, |_, _| ())?;
+    let seconds = begun.elapsed().as_secs_f64();
+    std::fs::remove_file(&file)?;
+    let status = std::fs::read_to_string("/proc/self/status")?;
+    let peak = status.lines().find(|l| l.starts_with("VmHWM")).unwrap_or_default();
+    println!(
+        "{} edges in {seconds:.2} s: {:.1} million edges/s; {} insertions, balanced: {}; {peak}",
+        outcome.edges,
+        outcome.edges as f64 / seconds / 1e6,
+        outcome.insertions,
+        outcome.balanced(),
+    );
+    Ok(())
+}

@@ -1,0 +1,221 @@
+//! The link between the control side and real time: requests down one ring, events up another, status in a snapshot.
+//!
+//! Neither side ever waits for the other. What cannot be sent is handed back.
+
+#[cfg(loom)]
+use loom::sync::{
+    Arc,
+    atomic::{AtomicBool, AtomicU64, Ordering},
+};
+#[cfg(not(loom))]
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, AtomicU64, Ordering},
+};
+
+use crate::event::{Event, Request, Status};
+use crate::snapshot::{Reader, Writer, snapshot};
+use crossbeam_utils::CachePadded;
+use ringbuf::traits::{Consumer, Observer, Producer, Split};
+use ringbuf::{HeapCons, HeapProd, HeapRb};
+
+/// Requests that may be on their way.
+pub const REQUESTS: usize = 256;
+/// Events that may be on their way.
+pub const EVENTS: usize = 4096;
+
+/// The words that both sides see, each on a cache line of its own.
+#[derive(Debug)]
+struct Shared {
+    /// Goes up while the control side is alive. Written by the control side, read by the real-time thread.
+    beats: CachePadded<AtomicU64>,
+    /// The real-time thread shall end. Written by the control side, read by the real-time thread.
+    stop: CachePadded<AtomicBool>,
+    /// The real-time thread has ended. Written by the real-time thread, read by the control side.
+    ended: CachePadded<AtomicBool>,
+}
+
+/// The control side's end. `Send`, not `Clone`: one thread speaks at a time.
+pub struct ControlEnd {
+    requests: HeapProd<Request>,
+    events: HeapCons<Event>,
+    status: Reader<Status>,
+    shared: Arc<Shared>,
+}
+
+/// The real-time thread's end.
+pub struct RtEnd {
+    requests: HeapCons<Request>,
+    events: HeapProd<Event>,
+    status: Writer<Status>,
+    shared: Arc<Shared>,
+}
+
+impl std::fmt::Debug for ControlEnd {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ControlEnd").finish_non_exhaustive()
+    }
+}
+
+impl std::fmt::Debug for RtEnd {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RtEnd").finish_non_exhaustive()
+    }
+}
+
+/// The request ring is full; the request is handed back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the request ring is full ({REQUESTS} requests): the real-time thread is not taking them")]
+pub struct Full(pub Request);
+
+/// A new link that begins with `status`.
+#[must_use]
+pub fn link(status: Status) -> (ControlEnd, RtEnd) {
+    let (request_in, request_out) = HeapRb::new(REQUESTS).split();
+    let (event_in, event_out) = HeapRb::new(EVENTS).split();
+    let (writer, reader) = snapshot(status);
+    let shared = Arc::new(Shared {
+        beats: CachePadded::new(AtomicU64::new(0)),
+        stop: CachePadded::new(AtomicBool::new(false)),
+        ended: CachePadded::new(AtomicBool::new(false)),
+    });
+    (
+        ControlEnd { requests: request_in, events: event_out, status: reader, shared: Arc::clone(&shared) },
+        RtEnd { requests: request_out, events: event_in, status: writer, shared },
+    )
+}
+
+impl ControlEnd {
+    /// Sends a request.
+    ///
+    /// # Errors
+    /// Hands the request back when the ring is full.
+    pub fn send(&mut self, request: Request) -> Result<(), Full> {
+        self.requests.try_push(request).map_err(Full)
+    }
+
+    /// Requests on their way that the real-time thread has not taken yet.
+    #[must_use]
+    pub fn pending(&self) -> usize {
+        self.requests.occupied_len()
+    }
+
+    /// The next event, oldest first.
+    pub fn event(&mut self) -> Option<Event> {
+        self.events.try_pop()
+    }
+
+    /// The latest status.
+    pub fn status(&mut self) -> Status {
+        self.status.read()
+    }
+
+    /// Says "I am here". Without it new insertions cease after the stale time.
+    pub fn beat(&mut self) {
+        // This side is the only writer: no read-modify-write is needed.
+        self.shared.beats.store(self.shared.beats.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+    }
+
+    /// Asks the real-time thread to end: corrections freeze, inverters stay as they are.
+    pub fn stop(&self) {
+        self.shared.stop.store(true, Ordering::Release);
+    }
+
+    /// The real-time thread has ended; the last status and all events are there to be read.
+    #[must_use]
+    pub fn ended(&self) -> bool {
+        self.shared.ended.load(Ordering::Acquire)
+    }
+}
+
+impl RtEnd {
+    /// The next request.
+    #[inline]
+    pub fn request(&mut self) -> Option<Request> {
+        self.requests.try_pop()
+    }
+
+    /// Sends an event up; `false` when the ring is full.
+    #[inline]
+    pub fn tell(&mut self, event: Event) -> bool {
+        self.events.try_push(event).is_ok()
+    }
+
+    /// Makes `status` the latest.
+    #[inline]
+    pub fn publish(&mut self, status: Status) {
+        self.status.write(status);
+    }
+
+    /// A number that goes up while the control side is alive.
+    #[inline]
+    #[must_use]
+    pub fn beats(&self) -> u64 {
+        self.shared.beats.load(Ordering::Relaxed)
+    }
+
+    /// The control side has asked for the end.
+    #[inline]
+    #[must_use]
+    pub fn stopped(&self) -> bool {
+        self.shared.stop.load(Ordering::Acquire)
+    }
+
+    /// Says that nothing more will come.
+    pub fn end(&self) {
+        self.shared.ended.store(true, Ordering::Release);
+    }
+}
+
+#[cfg(all(test, not(loom)))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_ring_hands_the_request_back() {
+        let (mut control, mut rt) = link(Status::default());
+        for _ in 0..REQUESTS {
+            control.send(Request::Enable).unwrap();
+        }
+        assert_eq!(control.send(Request::Disable), Err(Full(Request::Disable)));
+        assert_eq!(rt.request(), Some(Request::Enable));
+        control.send(Request::Disable).unwrap();
+    }
+
+    #[test]
+    fn events_beyond_the_ring_are_refused_not_overwritten() {
+        use crate::event::EventKind;
+        let (mut control, mut rt) = link(Status::default());
+        let event = |t_ns| Event { t_ns, axis: None, kind: EventKind::Homed };
+        let kept = (0..5000).filter(|t| rt.tell(event(*t))).count();
+        assert_eq!(kept, EVENTS);
+        assert_eq!(control.event().map(|e| e.t_ns), Some(0));
+    }
+}
+
+#[cfg(all(test, loom))]
+mod tests {
+    use super::*;
+
+    /// The words beside the rings: what was published before the end is there when the end is seen.
+    #[test]
+    fn the_last_status_is_there_when_the_end_is_seen() {
+        loom::model(|| {
+            let (mut control, mut rt) = link(Status::default());
+            control.beat();
+            let thread = loom::thread::spawn(move || {
+                assert_eq!(rt.beats(), 1);
+                rt.publish(Status { t_ns: 7, ..Status::default() });
+                rt.end();
+                rt.stopped()
+            });
+            control.stop();
+            if control.ended() {
+                assert_eq!(control.status().t_ns, 7);
+            }
+            thread.join().unwrap();
+            assert!(control.ended());
+            assert_eq!(control.status().t_ns, 7);
+        });
+    }
+}

@@ -1,0 +1,130 @@
+//! The pinned thread: sets itself up, says what it got, then looks at the card until it is told to stop.
+
+use crate::engine::{Engine, Timing};
+use crate::event::Status;
+use crate::link::{ControlEnd, RtEnd, link};
+use crate::setup::{Report, System, Wanted, apply};
+use rtec_driver::card::{Card, CardError};
+use std::sync::mpsc;
+use std::thread::JoinHandle;
+
+/// How often the status is published and the control side looked after, ns.
+const PUBLISH_NS: u64 = 1_000_000;
+
+/// How the thread shall run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Options {
+    /// CPU and priority; `None` runs as an ordinary thread.
+    pub wanted: Option<Wanted>,
+    /// The card drives a real machine: it is armed only with every setting read back as wanted.
+    pub real: bool,
+    /// Without a sign of life from the control side for this long, no new insertion begins, ns.
+    pub stale_after_ns: u64,
+}
+
+/// A running engine, seen from the control side.
+#[derive(Debug)]
+pub struct Running<C> {
+    /// The link.
+    pub control: ControlEnd,
+    /// The loop's own timing.
+    pub timing: Timing,
+    /// What the set-up found; `None` where none was wanted.
+    pub report: Option<Report>,
+    thread: JoinHandle<Ended<C>>,
+}
+
+/// What the thread leaves behind.
+#[derive(Debug)]
+pub struct Ended<C> {
+    /// The card, its outputs as they were.
+    pub card: C,
+    /// The state at the end.
+    pub status: Status,
+    /// Why it ended, if not by being told to.
+    pub error: Option<CardError>,
+}
+
+/// Why the thread did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum SpawnError {
+    /// The system gave no thread.
+    #[error("starting the real-time thread: {0}")]
+    Thread(#[from] std::io::Error),
+    /// It ended while setting itself up.
+    #[error("the real-time thread ended during its set-up")]
+    SetUp,
+}
+
+/// Starts the thread on an engine and its card.
+///
+/// # Errors
+/// When the system gives no thread.
+pub fn spawn<C: Card + Send + 'static>(
+    mut engine: Engine,
+    card: C,
+    options: Options,
+) -> Result<Running<C>, SpawnError> {
+    let (control, rt) = link(engine.status());
+    let timing = engine.timing();
+    let (say_report, report) = mpsc::sync_channel(1);
+    let thread = std::thread::Builder::new().name("rtec-rt".into()).spawn(move || {
+        let (_held, report) = options.wanted.map(|w| apply(&System::live(), w)).unzip();
+        engine.set_may_arm(!options.real || report.as_ref().is_some_and(Report::can_arm));
+        // The receiver waits for exactly this message; if it has gone, the loop below is told to stop.
+        let _ = say_report.send(report);
+        run(engine, card, rt, options.stale_after_ns)
+    })?;
+    let report = report.recv().map_err(|_| SpawnError::SetUp)?;
+    Ok(Running { control, timing, report, thread })
+}
+
+impl<C> Running<C> {
+    /// Stops the thread and waits for it. Corrections freeze, inverters stay as they are.
+    ///
+    /// # Panics
+    /// When the real-time thread itself panicked.
+    pub fn stop(self) -> (Ended<C>, ControlEnd) {
+        self.control.stop();
+        match self.thread.join() {
+            Ok(ended) => (ended, self.control),
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+    }
+}
+
+/// The loop. Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system.
+pub fn run<C: Card>(mut engine: Engine, mut card: C, mut rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
+    let mut published_ns = 0;
+    let (mut beats, mut beat_ns) = (rt.beats(), engine.now_ns());
+    let error = loop {
+        while let Some(request) = rt.request() {
+            if let Err(error) = engine.take(request, &mut card, &mut |e| rt.tell(e)) {
+                engine.card_failed(error, &mut |e| rt.tell(e));
+            }
+        }
+        if let Err(error) = engine.poll(&mut card, published_ns + PUBLISH_NS, &mut |e| rt.tell(e)) {
+            engine.card_failed(error, &mut |e| rt.tell(e));
+            if error == CardError::Ended {
+                break None;
+            }
+            break Some(error);
+        }
+        let now_ns = engine.now_ns();
+        if now_ns >= published_ns + PUBLISH_NS {
+            if rt.stopped() && engine.at_rest() {
+                break None;
+            }
+            if rt.beats() != beats {
+                (beats, beat_ns) = (rt.beats(), now_ns);
+            }
+            engine.set_control_stale(now_ns - beat_ns > stale_after_ns, &mut |e| rt.tell(e));
+            rt.publish(engine.status());
+            published_ns = now_ns;
+        }
+    };
+    let status = engine.status();
+    rt.publish(status);
+    rt.end();
+    Ended { card, status, error }
+}

@@ -1,0 +1,400 @@
+//! The engine as the control side sees it: requests, refusals, faults, modes, homing, probing, shadow.
+
+#![allow(clippy::unwrap_used)]
+
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{Event, EventKind, Fault, GateState, Mode, Refusal, Request, Status};
+
+const PROBE: u64 = 1 << 28;
+const SWITCH: u64 = 1 << 29;
+const HOLD: u64 = 1 << 28;
+
+/// A card that a test turns by hand.
+#[derive(Default)]
+struct Bench {
+    t_ns: u64,
+    inputs: u64,
+    outputs: u64,
+    writes: usize,
+    broken: bool,
+    count: i64,
+}
+
+impl Card for Bench {
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        self.t_ns += 100;
+        if self.broken {
+            return Err(CardError::Io { op: "reading the lines", errno: 19 });
+        }
+        Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: None })
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        self.writes += 1;
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// An engine on its bench.
+struct Rig {
+    engine: Engine,
+    card: Bench,
+    events: Vec<Event>,
+}
+
+impl Rig {
+    fn with(config: AxisConfig, may_arm: bool) -> Self {
+        let mut card = Bench::default();
+        let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
+        let machine = MachineConfig { lines: MachineLines::standard(), may_arm };
+        let engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
+        Self { engine, card, events: Vec::new() }
+    }
+
+    /// Homed and enabled.
+    fn running(config: AxisConfig) -> Self {
+        let mut rig = Self::with(config, true);
+        rig.take(Request::Home { axis: 0, position_counts: 0 });
+        rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
+        rig.take(Request::Enable);
+        assert_eq!(rig.status().mode, Mode::Run);
+        rig.events.clear();
+        rig
+    }
+
+    fn take(&mut self, request: Request) {
+        let events = &mut self.events;
+        let tell = &mut |e| {
+            events.push(e);
+            true
+        };
+        self.engine.take(request, &mut self.card, tell).unwrap();
+    }
+
+    fn correct(&mut self, total_counts: i64) {
+        self.take(Request::Correct { axis: 0, total_counts, large: false });
+    }
+
+    fn looks(&mut self, n: usize) {
+        for _ in 0..n {
+            let events = &mut self.events;
+            let tell = &mut |e| {
+                events.push(e);
+                true
+            };
+            self.engine.poll(&mut self.card, u64::MAX, tell).unwrap();
+        }
+    }
+
+    /// Moves the scale one count every 100 looks.
+    fn step(&mut self, counts: i64) {
+        for _ in 0..counts.abs() {
+            self.card.count += counts.signum();
+            let state = [0, 1, 3, 2][self.card.count.rem_euclid(4) as usize];
+            self.card.inputs = self.card.inputs & !3 | state;
+            self.looks(100);
+        }
+    }
+
+    fn status(&self) -> Status {
+        self.engine.status()
+    }
+
+    fn refusals(&self) -> Vec<Refusal> {
+        let why = |e: &Event| if let EventKind::Refused { why, .. } = e.kind { Some(why) } else { None };
+        self.events.iter().filter_map(why).collect()
+    }
+
+    fn faults(&self) -> Vec<Fault> {
+        let fault = |e: &Event| if let EventKind::Fault(f) = e.kind { Some(f) } else { None };
+        self.events.iter().filter_map(fault).collect()
+    }
+}
+
+fn windowed() -> AxisConfig {
+    AxisConfig { window_counts: 3, max_correction_counts: 100, ..AxisConfig::default() }
+}
+
+#[test]
+fn nothing_is_accepted_before_homing_and_the_read_back_must_agree() {
+    let mut rig = Rig::with(windowed(), true);
+    rig.correct(2);
+    rig.take(Request::Enable);
+    rig.take(Request::Home { axis: 0, position_counts: 5000 });
+    rig.correct(2);
+    rig.take(Request::ConfirmHome { axis: 0, position_counts: 4999 });
+    rig.take(Request::Enable);
+    assert_eq!(rig.refusals(), [Refusal::NotHomed; 5]);
+    assert_eq!(rig.status().axes[0].position_counts, 5000);
+    rig.take(Request::ConfirmHome { axis: 0, position_counts: 5000 });
+    rig.take(Request::Enable);
+    assert_eq!((rig.status().mode, rig.refusals().len()), (Mode::Run, 5));
+}
+
+#[test]
+fn i_dont_believe_you_and_back_in_range_within_two_readings() {
+    for late in [0, 1] {
+        let mut rig = Rig::running(windowed());
+        rig.correct(50);
+        for _ in 0..late {
+            rig.correct(50);
+        }
+        rig.correct(2);
+        assert_eq!(rig.refusals(), vec![Refusal::NotBelieved; 1 + late]);
+        assert_eq!((rig.status().axes[0].requested, rig.status().mode), (2, Mode::Run));
+        // Believed again: the next doubt starts from the beginning.
+        rig.correct(50);
+        rig.correct(50);
+        assert!(rig.faults().is_empty());
+    }
+}
+
+#[test]
+fn i_still_dont_believe_you_holds_the_machine() {
+    let mut rig = Rig::running(windowed());
+    for _ in 0..3 {
+        rig.correct(50);
+    }
+    assert_eq!(rig.faults(), [Fault::StillNotBelieved]);
+    assert_eq!((rig.status().mode, rig.card.outputs & HOLD), (Mode::Fault, HOLD));
+    rig.correct(2);
+    assert_eq!(rig.refusals().last(), Some(&Refusal::FaultLatched));
+    // The count is not in doubt: cleared, the axis is still homed, and corrections wait to be enabled.
+    rig.take(Request::Clear);
+    assert_eq!((rig.status().mode, rig.card.outputs & HOLD), (Mode::Disabled, 0));
+    rig.take(Request::Enable);
+    assert_eq!(rig.status().mode, Mode::Run);
+}
+
+#[test]
+fn a_large_change_is_believed_when_flagged() {
+    let mut rig = Rig::running(windowed());
+    rig.take(Request::Correct { axis: 0, total_counts: 80, large: true });
+    assert_eq!((rig.status().axes[0].requested, rig.refusals().len()), (80, 0));
+}
+
+#[test]
+fn maximum_warning_and_error_limit() {
+    let mut rig = Rig::running(AxisConfig { warn_counts: 10, error_counts: 20, ..windowed() });
+    for total_counts in [101, -101, i64::MAX, i64::MIN] {
+        rig.take(Request::Correct { axis: 0, total_counts, large: true });
+    }
+    assert_eq!(rig.refusals(), [Refusal::AboveMaximum; 4]);
+    rig.take(Request::Correct { axis: 0, total_counts: -12, large: true });
+    assert!(rig.events.iter().any(|e| e.kind == EventKind::Warning { total_counts: -12 }));
+    rig.take(Request::Correct { axis: 0, total_counts: 20, large: true });
+    assert_eq!((rig.faults(), rig.status().mode), (vec![Fault::ErrorLimit], Mode::Fault));
+    assert_eq!(rig.status().axes[0].requested, -12);
+}
+
+#[test]
+fn a_request_while_disabled_is_answered() {
+    let mut rig = Rig::running(windowed());
+    rig.take(Request::Disable);
+    rig.correct(0);
+    assert!(rig.refusals().is_empty());
+    rig.correct(2);
+    assert_eq!(rig.refusals(), [Refusal::Disabled]);
+    rig.take(Request::Enable);
+    rig.card.inputs |= SWITCH;
+    rig.looks(2);
+    assert_eq!(rig.status().mode, Mode::Disabled);
+    rig.correct(2);
+    rig.take(Request::Enable);
+    assert_eq!(rig.refusals(), [Refusal::Disabled, Refusal::DisableSwitch, Refusal::DisableSwitch]);
+    rig.card.inputs &= !SWITCH;
+    rig.looks(2);
+    assert_eq!(rig.status().mode, Mode::Run);
+}
+
+#[test]
+fn a_real_card_without_its_set_up_is_not_armed_but_may_be_watched() {
+    let mut rig = Rig::with(windowed(), false);
+    rig.take(Request::Home { axis: 0, position_counts: 0 });
+    rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
+    rig.take(Request::Enable);
+    assert_eq!((rig.refusals(), rig.status().mode), (vec![Refusal::NotArmable], Mode::Disabled));
+    rig.take(Request::Shadow);
+    assert_eq!(rig.status().mode, Mode::Shadow);
+}
+
+#[test]
+fn shadow_mode_counts_everything_and_writes_nothing() {
+    let mut rig = Rig::with(windowed(), true);
+    rig.take(Request::Home { axis: 0, position_counts: 0 });
+    rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
+    rig.take(Request::Shadow);
+    rig.looks(1);
+    let writes = rig.card.writes;
+    rig.take(Request::Correct { axis: 0, total_counts: 6, large: true });
+    rig.step(20);
+    let axis = rig.status().axes[0];
+    assert_eq!((axis.completed, axis.in_effect, axis.mtc_minus_scale), (6, 0, 0));
+    assert_eq!(rig.card.writes, writes);
+    // Arming goes on from what is really there: the jump is requested minus in effect.
+    rig.take(Request::Enable);
+    let axis = rig.status().axes[0];
+    assert_eq!((axis.requested, axis.completed, axis.in_effect), (6, 0, 0));
+    rig.step(20);
+    assert_eq!(rig.status().axes[0].completed, 6);
+    assert!(rig.status().balanced());
+}
+
+#[test]
+fn a_silent_control_side_freezes_corrections_and_is_said() {
+    let mut rig = Rig::running(windowed());
+    rig.step(4);
+    rig.correct(2);
+    let mut events = Vec::new();
+    rig.engine.set_control_stale(true, &mut |e: Event| {
+        events.push(e.kind);
+        true
+    });
+    rig.step(10);
+    assert_eq!((rig.status().axes[0].completed, rig.status().axes[0].gate), (0, GateState::ControlStale));
+    assert_eq!(events, [EventKind::ControlStale(true)]);
+    rig.engine.set_control_stale(false, &mut |_| true);
+    rig.step(10);
+    assert_eq!(rig.status().axes[0].completed, 2);
+}
+
+#[test]
+fn an_illegal_transition_holds_the_machine_and_needs_homing() {
+    let mut rig = Rig::running(windowed());
+    rig.step(4);
+    rig.card.inputs ^= 3;
+    rig.looks(2);
+    assert_eq!((rig.faults(), rig.card.outputs & HOLD), (vec![Fault::IllegalTransition], HOLD));
+    rig.take(Request::Clear);
+    rig.correct(2);
+    assert_eq!((rig.refusals(), rig.status().axes[0].homed), (vec![Refusal::NotHomed], false));
+    assert_eq!(rig.status().axes[0].gate, GateState::NotHomed);
+}
+
+#[test]
+fn a_card_that_fails_latches_and_says_so() {
+    let mut rig = Rig::running(windowed());
+    rig.card.broken = true;
+    let error = rig.engine.poll(&mut rig.card, u64::MAX, &mut |_| true).unwrap_err();
+    rig.engine.card_failed(error, &mut |_| true);
+    assert_eq!(rig.status().mode, Mode::Fault);
+    assert_eq!(rig.status().faults.iter().collect::<Vec<_>>(), [Fault::Card]);
+}
+
+#[test]
+fn read_back_that_does_not_follow_is_latched() {
+    let mut card = Bench::default();
+    let config = AxisConfig {
+        lines: AxisLines::standard(0, true),
+        rest: RestPolicy::Insert { after_ns: 0 },
+        ..AxisConfig::default()
+    };
+    let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+    let mut engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
+    let mut faults = Vec::new();
+    let mut tell = |e: Event| {
+        if let EventKind::Fault(f) = e.kind {
+            faults.push(f);
+        }
+        true
+    };
+    engine.start_homed(&mut card, &mut tell).unwrap();
+    engine.take(Request::Correct { axis: 0, total_counts: 2, large: true }, &mut card, &mut tell).unwrap();
+    for _ in 0..40 {
+        engine.poll(&mut card, u64::MAX, &mut tell).unwrap();
+    }
+    assert_eq!(faults, [Fault::ReadBackMismatch]);
+    assert!(engine.at_rest(), "the pair is finished all the same: the MTC must not count mirrored");
+}
+
+#[test]
+fn an_axis_found_in_the_middle_of_an_insertion_is_not_started() {
+    let mut card = Bench { outputs: 1, ..Bench::default() };
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let started = Engine::new(&mut card, &[AxisConfig::default()], machine, &[]);
+    assert_eq!(started.err(), Some(StartError::HalfInverted(0)));
+}
+
+#[test]
+fn inverters_left_on_are_taken_over_and_the_next_insertion_turns_them_off() {
+    let mut card = Bench { outputs: 3, ..Bench::default() };
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let mut engine = Engine::new(&mut card, &[AxisConfig::default()], machine, &[14]).unwrap();
+    let axis = engine.status().axes[0];
+    assert_eq!((axis.completed, axis.inverted, axis.homed), (14, true, false));
+    assert!(engine.status().balanced());
+    engine.start_homed(&mut card, &mut |_| true).unwrap();
+    let mut rig = Rig { engine, card, events: Vec::new() };
+    rig.correct(-2);
+    rig.step(10);
+    assert_eq!((rig.status().axes[0].completed, rig.card.outputs & 3), (-2, 0));
+}
+
+#[test]
+fn the_probe_captures_between_two_edges_and_corrections_stand_still() {
+    let mut rig = Rig::running(windowed());
+    rig.step(10);
+    rig.take(Request::Probe(true));
+    rig.correct(2);
+    assert_eq!((rig.refusals(), rig.status().mode), (vec![Refusal::Probing], Mode::Probe));
+    // Looks are 100 ns, counts 10 µs: trip after a quarter of a count.
+    rig.card.count += 1;
+    rig.card.inputs = rig.card.inputs & !3 | [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
+    rig.looks(25);
+    rig.card.inputs |= PROBE;
+    rig.looks(5);
+    rig.card.inputs &= !PROBE;
+    rig.looks(5);
+    rig.card.inputs |= PROBE;
+    rig.looks(65);
+    rig.step(1);
+    let capture =
+        rig.events.iter().find_map(|e| if let EventKind::Trip(c) = e.kind { Some(c) } else { None }).unwrap();
+    let (position, half_width) = capture.position_counts();
+    assert!((position - 11.25).abs() < 0.02, "{position} ± {half_width}: {capture:?}");
+    assert!(half_width < 0.02);
+    assert!(rig.events.iter().any(|e| e.kind == EventKind::Bounce));
+    assert_eq!(rig.status().axes[0].completed, 0);
+}
+
+#[test]
+fn a_trip_before_the_axis_stops_is_reported_as_that() {
+    let mut rig = Rig::running(windowed());
+    rig.step(-3);
+    rig.take(Request::Probe(true));
+    rig.card.inputs |= PROBE;
+    rig.looks(2);
+    rig.card.t_ns += 200_000_000;
+    rig.looks(2);
+    let capture =
+        rig.events.iter().find_map(|e| if let EventKind::Trip(c) = e.kind { Some(c) } else { None }).unwrap();
+    assert_eq!((capture.after, capture.position_counts()), (None, (-2.0, 1.0)));
+}
+
+#[test]
+fn operator_hold_asserts_the_line_and_freezes() {
+    let mut rig = Rig::running(windowed());
+    rig.step(4);
+    rig.take(Request::Hold(true));
+    rig.correct(2);
+    rig.step(10);
+    assert_eq!((rig.card.outputs & HOLD, rig.status().axes[0].completed), (HOLD, 0));
+    rig.take(Request::Hold(false));
+    rig.step(10);
+    assert_eq!((rig.card.outputs & HOLD, rig.status().axes[0].completed), (0, 2));
+}
+
+#[test]
+fn an_axis_that_is_not_there_is_refused() {
+    let mut rig = Rig::running(windowed());
+    rig.take(Request::Correct { axis: 1, total_counts: 2, large: false });
+    rig.take(Request::Home { axis: 9, position_counts: 0 });
+    assert_eq!(rig.refusals(), [Refusal::NoSuchAxis; 2]);
+}

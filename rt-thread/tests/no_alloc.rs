@@ -1,0 +1,103 @@
+//! The loop allocates nothing: an allocator that aborts while the loop runs.
+
+#![allow(clippy::unwrap_used)]
+
+use rtec_driver::card::{AxisLines, MachineLines};
+use rtec_driver::clock::Virtual;
+use rtec_driver::mock::MockCard;
+use rtec_driver::moving::{Motion, MovingAxes};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::Request;
+use rtec_rt::journal::Journal;
+use rtec_rt::link::link;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+struct Guard;
+
+thread_local! {
+    static FORBIDDEN: Cell<bool> = const { Cell::new(false) };
+}
+
+// SAFETY: every call is passed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Guard {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        if FORBIDDEN.get() {
+            eprintln!("an allocation of {} bytes in the loop", layout.size());
+            std::process::abort();
+        }
+        // SAFETY: the caller's promise about the layout is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        if FORBIDDEN.get() {
+            eprintln!("memory released in the loop");
+            std::process::abort();
+        }
+        // SAFETY: the caller's promise about pointer and layout is passed on.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static GUARD: Guard = Guard;
+
+/// A clock that goes on by a fixed step at every look.
+struct Ticking(Virtual);
+
+impl rtec_driver::clock::Clock for Ticking {
+    fn now_ns(&mut self) -> u64 {
+        self.0.now_ns += 1000;
+        self.0.now_ns
+    }
+}
+
+/// Moving axes, requests, refusals, faults, probing, journal and link: everything the thread's loop does.
+#[test]
+fn the_loop_neither_allocates_nor_releases() {
+    let motion = Motion { stroke_counts: 500.0, feed_counts_s: 20_000.0, dwell_s: 0.001 };
+    let lines = [0, 1, 2].map(|n| AxisLines::standard(n, true));
+    let (axes, operator) = MovingAxes::new(&lines.map(|l| (l, motion)));
+    let mut card = MockCard::new(axes, Ticking(Virtual::default()));
+    let configs =
+        lines.map(|lines| AxisConfig { lines, window_counts: 10, detect_ns: 5000, ..AxisConfig::default() });
+    let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+    let mut engine = Engine::new(&mut card, &configs, machine, &[]).unwrap();
+    let file = tempfile::NamedTempFile::new().unwrap();
+    engine.keep_journal(Journal::open(file.path()).unwrap().0);
+    engine.start_homed(&mut card, &mut |_| true).unwrap();
+    operator.cycle_start();
+    let (mut control, mut rt) = link(engine.status());
+
+    FORBIDDEN.set(true);
+    for n in 0..200_000_i64 {
+        if n % 2000 == 0 {
+            let axis = (n / 2000 % 4) as u8;
+            // Some in the window, some not, some for an axis that is not there.
+            let total_counts = if n % 14_000 == 0 { 90 } else { n / 2000 % 9 };
+            let _ = control.send(Request::Correct { axis, total_counts, large: false });
+        }
+        match n {
+            150_000 => control.send(Request::Probe(true)).unwrap(),
+            170_000 => control.send(Request::Probe(false)).unwrap(),
+            180_000 => control.send(Request::Hold(true)).unwrap(),
+            190_000 => control.send(Request::Clear).unwrap(),
+            _ => {}
+        }
+        while let Some(request) = rt.request() {
+            engine.take(request, &mut card, &mut |e| rt.tell(e)).unwrap();
+        }
+        engine.poll(&mut card, u64::MAX, &mut |e| rt.tell(e)).unwrap();
+        if n % 1000 == 0 {
+            rt.publish(engine.status());
+        }
+    }
+    FORBIDDEN.set(false);
+
+    let status = engine.status();
+    assert!(status.axes().iter().map(|a| a.insertions).sum::<u64>() > 20, "{status:?}");
+    assert!(status.balanced());
+    assert!(control.event().is_some());
+}

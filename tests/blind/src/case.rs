@@ -1,0 +1,315 @@
+//! One blind case: what is hidden, the files the reconciler sees, and the truth beside them.
+
+use crate::world::{DESIGNS, Dice, Manner, Plan, Run, Source};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// What a case hides.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
+pub enum Hides {
+    /// Nothing.
+    Nothing,
+    /// One effect of the dictionary.
+    One,
+    /// Two effects of the dictionary.
+    Two,
+    /// A shape that is in no dictionary.
+    Stranger,
+}
+
+/// Every kind that can be hidden.
+pub const LAWS: [&str; 29] = [
+    "offset",
+    "scale",
+    "position_map",
+    "screw_periodic",
+    "subdivision",
+    "reversal",
+    "reversal_spike",
+    "straightness",
+    "squareness",
+    "rotation",
+    "angular",
+    "thermal_expansion",
+    "thermal_growth",
+    "thermal_lag",
+    "warm_up",
+    "coolant",
+    "spindle_speed",
+    "following_error",
+    "acceleration_error",
+    "stiffness",
+    "lost_counts",
+    "probe_latency",
+    "probe_lobing",
+    "form_bump",
+    "channel",
+    "inertia",
+    "friction_viscous",
+    "friction_coulomb",
+    "friction_asymmetric",
+];
+
+/// A case, written out.
+pub struct Case {
+    /// Seed that makes it again.
+    pub seed: u64,
+    /// What it hides.
+    pub hides: Hides,
+    /// Names the answer must give.
+    pub truth: Vec<String>,
+    /// Ratio of each hidden effect's RMS to the noise.
+    pub snr: Vec<f64>,
+    /// Which experiment.
+    pub design: &'static str,
+    /// One line on noise, model and size.
+    pub story: String,
+    /// Sidecars of the training records.
+    pub train: Vec<PathBuf>,
+    /// Sidecars of the hold-outs.
+    pub holdout: Vec<PathBuf>,
+    /// The model that lacks what is hidden.
+    pub model: PathBuf,
+}
+
+struct Noise {
+    sd: f64,
+    phi: f64,
+    phi2: f64,
+    quantum: Option<f64>,
+}
+
+impl Noise {
+    fn series(&self, n: usize, dice: &mut Dice) -> Vec<f64> {
+        let (mut a, mut b) = (0.0, 0.0);
+        let mut raw: Vec<f64> = (0..n + 200)
+            .map(|_| {
+                let x = self.phi * a + self.phi2 * b + dice.normal();
+                b = a;
+                a = x;
+                x
+            })
+            .collect();
+        raw.drain(..200);
+        // Unit variance in theory, not by force: a short run may be quieter or louder.
+        let var = (1.0 - self.phi2) / ((1.0 + self.phi2) * ((1.0 - self.phi2).powi(2) - self.phi * self.phi));
+        raw.into_iter().map(|x| x * self.sd / var.sqrt()).collect()
+    }
+}
+
+fn rms(v: &[f64]) -> f64 {
+    (v.iter().map(|x| x * x).sum::<f64>() / v.len().max(1) as f64).sqrt()
+}
+
+/// Root mean square of a source over the responses it touches.
+fn size(s: &Source, runs: &[Run]) -> f64 {
+    let mut all = vec![];
+    for r in runs {
+        for resp in &r.responses {
+            let v = s.on(r, resp);
+            if v.iter().any(|x| *x != 0.0) {
+                all.extend(v);
+            }
+        }
+    }
+    rms(&all)
+}
+
+fn write_run(
+    dir: &Path,
+    stem: &str,
+    run: &Run,
+    responses: &[Vec<f64>],
+    quantum: Option<f64>,
+    manner: Manner,
+) -> anyhow::Result<PathBuf> {
+    let names: Vec<String> = run
+        .responses
+        .iter()
+        .enumerate()
+        .map(|(i, r)| {
+            if manner == Manner::Second {
+                format!("meas-{i}")
+            } else {
+                r.replace("error.", "e_").replace("force.", "f_")
+            }
+        })
+        .collect();
+    let logged: Vec<_> = run.cols.iter().filter(|c| c.logged).collect();
+    let mut side = format!("file = \"{stem}.csv\"\nkind = \"{}\"\n", run.kind);
+    if let Some(q) = quantum {
+        writeln!(side, "count_um = {q:?}")?;
+    }
+    side += "[columns]\n";
+    for c in &logged {
+        writeln!(side, "\"{}\" = {{ role = \"{}\", unit = \"{}\" }}", c.name, c.role, c.unit)?;
+    }
+    for (n, r) in names.iter().zip(&run.responses) {
+        let unit = if r.starts_with("force") { "N" } else { "um" };
+        writeln!(side, "\"{n}\" = {{ role = \"{r}\", unit = \"{unit}\" }}")?;
+    }
+    let mut csv = logged.iter().map(|c| c.name.clone()).chain(names).collect::<Vec<_>>().join(",") + "\n";
+    for i in 0..run.n {
+        let row = logged
+            .iter()
+            .map(|c| format!("{}", c.v[i]))
+            .chain(responses.iter().map(|r| format!("{:.5}", r[i])));
+        csv += &(row.collect::<Vec<_>>().join(",") + "\n");
+    }
+    std::fs::write(dir.join(format!("{stem}.csv")), csv)?;
+    let path = dir.join(format!("{stem}.run.toml"));
+    std::fs::write(&path, side)?;
+    Ok(path)
+}
+
+/// Makes a case and writes it into `dir`. `law` asks for a kind of effect where the case hides one.
+///
+/// # Errors
+/// The directory cannot be written.
+pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Path) -> anyhow::Result<Case> {
+    let mut dice = Dice::new(seed);
+    loop {
+        let design = *dice.pick(&DESIGNS);
+        let plan = Plan::new(&mut dice, design, manner);
+        let records = if dice.chance(0.15) { 2 } else { 1 };
+        let runs: Vec<Run> = (0..records).map(|k| plan.run(k)).collect();
+        let held: Vec<Run> = if dice.chance(0.6) { vec![plan.run(77)] } else { vec![] };
+        let mut hidden: Vec<Source> = vec![];
+        match hides {
+            Hides::Nothing => {}
+            Hides::One => hidden.extend(plan.source(
+                &mut dice,
+                &runs[0],
+                law.unwrap_or_else(|| LAWS[seed as usize % LAWS.len()]),
+            )),
+            Hides::Two => {
+                let first = law.unwrap_or_else(|| LAWS[seed as usize % LAWS.len()]);
+                let second = *dice.pick(&LAWS);
+                hidden.extend(plan.source(&mut dice, &runs[0], first));
+                hidden.extend(plan.source(&mut dice, &runs[0], second));
+                if hidden.len() < 2 || hidden[0].name == hidden[1].name || too_alike(&hidden, &runs) {
+                    continue;
+                }
+            }
+            Hides::Stranger => hidden.extend(plan.stranger(&mut dice, &runs[0])),
+        }
+        if hidden.is_empty() && hides != Hides::Nothing {
+            continue;
+        }
+        let noise = Noise {
+            sd: dice.log(0.15, 4.0),
+            phi: if dice.chance(0.45) { dice.within(0.2, 0.85) } else { 0.0 },
+            phi2: if manner == Manner::Second && dice.chance(0.3) { -0.15 } else { 0.0 },
+            quantum: None,
+        };
+        let noise = Noise { quantum: dice.chance(0.35).then(|| noise.sd * dice.log(0.1, 1.2)), ..noise };
+        let floor = if hides == Hides::Two { 3.0 } else { 0.7 };
+        let mut snr = vec![];
+        let mut good = true;
+        for s in &mut hidden {
+            let ratio = dice.log(floor, 10.0);
+            let now = size(s, &runs);
+            good &= now > 0.0;
+            s.scale(ratio * noise.sd / now.max(1e-12));
+            if s.name.starts_with("lost_counts") && noise.quantum.is_some() {
+                let q = noise.quantum.unwrap_or(1.0);
+                let v = s.val("um");
+                let whole = (v / q).round().abs().max(1.0) * q * v.signum();
+                s.scale(whole / v);
+            }
+            snr.push(size(s, &runs) / noise.sd);
+        }
+        // A rival of the same name with different sensors is legal but nothing to be asked twice.
+        if !good || snr.iter().any(|s| *s > 12.0 || *s < 0.9 * floor) {
+            continue;
+        }
+        let mut known: Vec<Source> = vec![];
+        for _ in 0..dice.int(0, 4) {
+            let law = *dice.pick(&LAWS);
+            if ["lost_counts", "channel", "form_bump"].contains(&law) {
+                continue;
+            }
+            let Some(mut s) = plan.source(&mut dice, &runs[0], law) else { continue };
+            let clash = hidden.iter().chain(&known).any(|h| h.name == s.name);
+            let now = size(&s, &runs);
+            if clash || now == 0.0 {
+                continue;
+            }
+            s.scale(dice.log(1.0, 15.0) * noise.sd / now);
+            let mut with = hidden.clone();
+            with.push(s.clone());
+            // Where the model's own effect already looks like the hidden one nothing would be missing.
+            if with.len() > 1 && too_alike(&with, &runs) {
+                continue;
+            }
+            known.push(s);
+        }
+        let mut model = String::from("name = \"blind\"\n\n");
+        let share = *dice.pick(&[0.0, 0.02, 0.08]);
+        for k in &known {
+            let mut seen = k.clone();
+            if dice.chance(0.7) {
+                seen.off(&mut dice, share);
+            }
+            model += &seen.toml();
+        }
+        let model_path = dir.join("machine.toml");
+        std::fs::write(&model_path, &model)?;
+        let mut put = |stem: &str, run: &Run| -> anyhow::Result<PathBuf> {
+            let out: Vec<Vec<f64>> = run
+                .responses
+                .iter()
+                .map(|resp| {
+                    let mut e = noise.series(run.n, &mut dice);
+                    for s in known.iter().chain(&hidden) {
+                        e.iter_mut().zip(s.on(run, resp)).for_each(|(e, c)| *e += c);
+                    }
+                    if let Some(q) = noise.quantum {
+                        e.iter_mut().for_each(|e| *e = (*e / q).round() * q);
+                    }
+                    e
+                })
+                .collect();
+            write_run(dir, stem, run, &out, noise.quantum, manner)
+        };
+        let train = runs
+            .iter()
+            .enumerate()
+            .map(|(k, r)| put(&format!("train{k}"), r))
+            .collect::<Result<Vec<_>, _>>()?;
+        let holdout = held.iter().map(|r| put("later", r)).collect::<Result<Vec<_>, _>>()?;
+        let story = format!(
+            "n {}x{} phi {:.2} q {:.2} known {:?} off {share} hidden {}",
+            runs[0].n,
+            records,
+            noise.phi,
+            noise.quantum.map_or(0.0, |q| q / noise.sd),
+            known.iter().map(|k| k.name.as_str()).collect::<Vec<_>>(),
+            hidden
+                .iter()
+                .map(|h| h.toml().replace("[[effect]]\nname = ", "").replace('\n', " "))
+                .collect::<String>(),
+        );
+        std::fs::write(dir.join("truth.json"), serde_json::json!({ "hidden": hidden.iter().map(|h| &h.name).collect::<Vec<_>>(), "snr": snr, "story": story }).to_string())?;
+        let truth = hidden.iter().map(|h| h.name.clone()).collect();
+        return Ok(Case { seed, hides, truth, snr, design, story, train, holdout, model: model_path });
+    }
+}
+
+/// Two sources whose shapes nearly coincide over these runs.
+fn too_alike(sources: &[Source], runs: &[Run]) -> bool {
+    let flat = |s: &Source| -> Vec<f64> {
+        runs.iter()
+            .flat_map(|r| r.responses.iter().flat_map(|resp| s.on(r, resp)).collect::<Vec<_>>())
+            .collect()
+    };
+    let shapes: Vec<Vec<f64>> = sources.iter().map(flat).collect();
+    (0..shapes.len()).any(|i| {
+        (0..i).any(|j| {
+            let (a, b) = (&shapes[i], &shapes[j]);
+            let dot: f64 = a.iter().zip(b).map(|(x, y)| x * y).sum();
+            let len = rms(a) * rms(b) * a.len() as f64;
+            len == 0.0 || (dot / len).abs() > 0.9
+        })
+    })
+}

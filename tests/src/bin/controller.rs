@@ -1,0 +1,111 @@
+//! `controller`: LinuxCNC runs a part (a taper, arcs, a full circle) on a simulated lathe with a known error, without
+//! and with the corrector, and the tool's path is compared with the part's.
+//!
+//! `cargo run --release -p rtec-tests --bin controller`; exit 1 when the corrector does not bring the path error down
+//! to the machine's own plus its resolution.
+
+use anyhow::ensure;
+use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Run, run};
+use std::fmt::Write;
+
+type Point = [f64; AXES];
+
+/// A piece of the part's outline, (X radius, Z) in mm.
+enum Piece {
+    Line(Point, Point),
+    Circle { centre: Point, radius: f64 },
+}
+
+impl Piece {
+    fn distance(&self, p: Point) -> f64 {
+        match *self {
+            Self::Line(a, b) => {
+                let (along, to) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+                let square = along[0] * along[0] + along[1] * along[1];
+                let part = ((along[0] * to[0] + along[1] * to[1]) / square).clamp(0.0, 1.0);
+                (to[0] - part * along[0]).hypot(to[1] - part * along[1])
+            }
+            Self::Circle { centre, radius } => ((p[0] - centre[0]).hypot(p[1] - centre[1]) - radius).abs(),
+        }
+    }
+}
+
+/// A taper, a quarter arc out and one back, a straight, and a full circle about its end.
+fn part() -> (String, Vec<Piece>) {
+    let program = "\
+        G21 G18 G8 G90 G61 F1200\n\
+        G1 X10 Z-30\n\
+        G2 X20 Z-40 I10 K0\n\
+        G3 X30 Z-50 I0 K-10\n\
+        G1 X30 Z-60\n\
+        G3 X30 Z-60 I-12 K0\n\
+        M2\n";
+    let outline = vec![
+        Piece::Line([0.0, 0.0], [10.0, -30.0]),
+        Piece::Circle { centre: [20.0, -30.0], radius: 10.0 },
+        Piece::Circle { centre: [20.0, -50.0], radius: 10.0 },
+        Piece::Line([30.0, -50.0], [30.0, -60.0]),
+        Piece::Circle { centre: [18.0, -60.0], radius: 12.0 },
+    ];
+    (program.to_owned(), outline)
+}
+
+/// Largest and root mean square distance of a path from the outline, µm.
+fn deviation_um(path: &[Point], outline: &[Piece]) -> (f64, f64) {
+    let distance =
+        |p: &Point| outline.iter().map(|piece| piece.distance(*p)).fold(f64::INFINITY, f64::min) * 1e3;
+    let (max, squares) =
+        path.iter().map(distance).fold((0.0, 0.0), |(m, s): (f64, f64), d| (m.max(d), s + d * d));
+    (max, (squares / path.len() as f64).sqrt())
+}
+
+fn check(name: &str, run: &Run) -> anyhow::Result<()> {
+    ensure!(run.complaints.is_empty(), "{name}: {:?}", &run.complaints[..run.complaints.len().min(5)]);
+    ensure!(run.illegal == 0, "{name}: {} illegal transitions at the counter card", run.illegal);
+    for n in 0..AXES {
+        let (mtc, scale, completed) = (run.mtc_counts[n], run.scale_counts[n], run.completed[n]);
+        ensure!(mtc - scale == completed, "{name}, axis {n}: {mtc} - {scale} is not {completed}");
+    }
+    Ok(())
+}
+
+fn main() -> anyhow::Result<()> {
+    let (program, outline) = part();
+    let error = [
+        AxisError { ppm: -600.0, periodic_um: 5.0, period_mm: 5.0 },
+        AxisError { ppm: 500.0, periodic_um: 8.0, period_mm: 10.0 },
+    ];
+    let mut table = String::new();
+    let mut max_um = Vec::new();
+    for (name, error, correct) in [
+        ("ideal machine", Default::default(), false),
+        ("with error", error, false),
+        ("with error, corrected", error, true),
+    ] {
+        let run = run(&program, error, correct)?;
+        check(name, &run)?;
+        let (commanded, _) = deviation_um(&run.command_mm, &outline);
+        let (max, rms) = deviation_um(&run.tool_mm, &outline);
+        writeln!(
+            table,
+            "{name:<24} {max:>8.2} {rms:>8.2} {commanded:>10.2} {:>10} {:>14} {:>8}",
+            run.insertions,
+            format!("{:+} {:+}", run.completed[0], run.completed[1]),
+            run.periods
+        )?;
+        max_um.push(max);
+    }
+    println!("path of the tool against the part, LinuxCNC as the controller, counts of {COUNT_UM} µm");
+    println!(
+        "{:<24} {:>8} {:>8} {:>10} {:>10} {:>14} {:>8}",
+        "", "max µm", "RMS µm", "command µm", "insertions", "completed x z", "periods"
+    );
+    print!("{table}");
+    let [ideal, wrong, corrected] = max_um[..] else { unreachable!("three runs") };
+    // One insertion is two counts, rounded to the nearest: a count either way on each of two axes.
+    let allowed = ideal + 2.0 * COUNT_UM * f64::sqrt(2.0);
+    println!("allowed: {allowed:.2} µm (the ideal machine's {ideal:.2} and the resolution)");
+    ensure!(wrong > 3.0 * allowed, "the error of {wrong:.2} µm is too small to show anything");
+    ensure!(corrected <= allowed, "corrected {corrected:.2} µm, allowed {allowed:.2} µm");
+    Ok(())
+}

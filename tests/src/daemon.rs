@@ -1,0 +1,292 @@
+//! A real `rtecd` and a user with `rtecctl`; and a machine at the other end of a card of shared memory.
+
+use rtec_driver::card::AxisLines;
+use rtec_driver::mapped::Registers;
+use rtec_driver::profile::Width;
+use rtec_driver::quadrature::{Decoder, State};
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Longest time that anything here may take; nothing is judged by how long it took.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A program of this workspace, built in the profile of the running test.
+///
+/// # Panics
+/// When it cannot be built.
+#[must_use]
+pub fn program(name: &str) -> PathBuf {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    let directory = BUILT.get_or_init(|| {
+        // …/target[/TRIPLE]/PROFILE/deps/TEST
+        let test = std::env::current_exe().unwrap_or_default();
+        let profile = test.ancestors().nth(2).unwrap_or(Path::new("")).to_owned();
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo.args(["build", "--quiet", "-p", "rtecd", "-p", "rtecctl"]).current_dir(crate::root());
+        if profile.ends_with("release") {
+            cargo.arg("--release");
+        }
+        if let Some(triple) = profile.parent().and_then(Path::file_name).and_then(|n| n.to_str())
+            && triple.contains("-linux-")
+        {
+            cargo.args(["--target", triple]);
+        }
+        assert!(cargo.status().is_ok_and(|s| s.success()), "rtecd and rtecctl could not be built");
+        profile
+    });
+    directory.join(name)
+}
+
+/// Waits until `is` says so.
+///
+/// # Panics
+/// When it never does.
+pub fn until(what: &str, mut is: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is() {
+        assert!(begun.elapsed() < PATIENCE, "waited in vain: {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// A running daemon with a directory of its own.
+#[derive(Debug)]
+pub struct Daemon {
+    child: Child,
+    socket: PathBuf,
+    log: Arc<Mutex<String>>,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl Daemon {
+    /// Starts one and waits until it answers.
+    ///
+    /// # Panics
+    /// When it does not start.
+    #[must_use]
+    pub fn start(socket: &Path, config: Option<&Path>) -> Self {
+        let mut command = Command::new(program("rtecd"));
+        command.arg("--socket").arg(socket);
+        if let Some(config) = config {
+            command.arg("--config").arg(config);
+        }
+        Self::spawn(&mut command, socket)
+    }
+
+    /// Starts `command` as the daemon of `socket`.
+    ///
+    /// # Panics
+    /// When it does not start.
+    #[must_use]
+    pub fn spawn(command: &mut Command, socket: &Path) -> Self {
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap_or_else(|e| panic!("{command:?}: {e}"));
+        let log = Arc::new(Mutex::new(String::new()));
+        let stderr = child.stderr.take().map(BufReader::new);
+        let to = Arc::clone(&log);
+        let reader = std::thread::spawn(move || {
+            for line in stderr.into_iter().flat_map(BufRead::lines).map_while(Result::ok) {
+                if let Ok(mut log) = to.lock() {
+                    log.push_str(&line);
+                    log.push('\n');
+                }
+            }
+        });
+        let mut daemon = Self { child, socket: socket.to_owned(), log, reader: Some(reader) };
+        until("the daemon answers", || {
+            if let Ok(Some(status)) = daemon.child.try_wait() {
+                panic!("rtecd ended with {status}: {}", daemon.log());
+            }
+            daemon.user(&["status", "--json"]).status.code() != Some(3)
+        });
+        daemon
+    }
+
+    /// What it has logged so far.
+    #[must_use]
+    pub fn log(&self) -> String {
+        self.log.lock().map(|log| log.clone()).unwrap_or_default()
+    }
+
+    /// Its process number.
+    #[must_use]
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Runs `rtecctl` on it.
+    ///
+    /// # Panics
+    /// When it cannot be run.
+    #[must_use]
+    pub fn user(&self, args: &[&str]) -> Output {
+        user(&self.socket, args)
+    }
+
+    /// Runs `rtecctl` and expects an exit code; returns what was said on both outputs.
+    ///
+    /// # Panics
+    /// When the code is another.
+    #[track_caller]
+    #[allow(clippy::must_use_candidate)]
+    pub fn expect(&self, code: i32, args: &[&str]) -> String {
+        let run = self.user(args);
+        let text =
+            format!("{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr));
+        assert_eq!(run.status.code(), Some(code), "rtecctl {args:?}: {text}\nlog: {}", self.log());
+        text
+    }
+
+    /// The status as the JSON document has it.
+    ///
+    /// # Panics
+    /// When there is none.
+    #[track_caller]
+    #[must_use]
+    pub fn status(&self) -> Value {
+        let run = self.user(&["status", "--json"]);
+        serde_json::from_slice(&run.stdout)
+            .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)))
+    }
+
+    /// Sends a signal.
+    pub fn signal(&self, name: &str) {
+        let _ = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status();
+    }
+
+    /// Sends a signal, waits for the end, and gives exit code and log.
+    #[allow(clippy::must_use_candidate)]
+    pub fn end(mut self, signal: &str) -> (Option<i32>, String) {
+        self.signal(signal);
+        let code = self.child.wait().ok().and_then(|s| s.code());
+        if let Some(reader) = self.reader.take() {
+            let _ = reader.join();
+        }
+        (code, self.log())
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Runs `rtecctl` on the daemon of a socket.
+///
+/// # Panics
+/// When it cannot be run.
+#[must_use]
+pub fn user(socket: &Path, args: &[&str]) -> Output {
+    let mut command = Command::new(program("rtecctl"));
+    command.args(args).arg("--socket").arg(socket);
+    command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"))
+}
+
+/// What the machine and its controller at the end of a shared-memory card show.
+#[derive(Debug, Default)]
+pub struct Seen {
+    /// Counts of the scale.
+    pub scale: AtomicI64,
+    /// Counts of the controller.
+    pub mtc: AtomicI64,
+    /// Illegal transitions that the controller has seen.
+    pub illegal: AtomicU64,
+    /// Outputs of the card.
+    pub outputs: AtomicU64,
+}
+
+/// One axis at the end of a shared-memory card: it goes to and fro while it is let.
+#[derive(Debug)]
+pub struct Machine {
+    /// What it shows.
+    pub seen: Arc<Seen>,
+    moving: Arc<AtomicBool>,
+    glitch: Arc<AtomicBool>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Time between two edges. Slow, and the separation in [`CONFIG`] long: daemon and controller are ordinary processes
+/// here, and each must see every single change of the other.
+const EDGE: Duration = Duration::from_millis(400);
+
+/// A configuration for a [`Machine`]; `CARD` stands for the file of registers.
+pub const CONFIG: &str = "[machine]\nname = 'bench'\n[card]\nbackend = 'mapped'\nfile = 'CARD'\nhold = 'out28'\n\
+    probe = 'in28'\ndisable = 'in29'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\n\
+    window_counts = 50\nmin_separation_ns = 40000000\nmax_accel_counts_s2 = 9\nhysteresis_counts = 0.2\n\
+    lines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }\n";
+
+impl Machine {
+    /// Makes the file of registers and starts the machine on it, at rest.
+    ///
+    /// # Panics
+    /// When the file cannot be made.
+    #[must_use]
+    pub fn start(card: &Path) -> Self {
+        let made = std::fs::File::create(card).and_then(|f| f.set_len(4096));
+        assert!(made.is_ok(), "{made:?}");
+        let registers = Registers::open(card, 8, "machine").unwrap_or_else(|e| panic!("{e}"));
+        let seen = Arc::new(Seen::default());
+        let [moving, glitch, stop] = [(); 3].map(|()| Arc::new(AtomicBool::new(false)));
+        let (show, go, both, end) =
+            (Arc::clone(&seen), Arc::clone(&moving), Arc::clone(&glitch), Arc::clone(&stop));
+        let thread = std::thread::spawn(move || {
+            let lines = AxisLines::standard(0, false);
+            let (mut state, mut scale, mut up) = (State::default(), 0_i64, true);
+            let mut mtc = Decoder::new(State::default());
+            let mut edge = Instant::now();
+            while !end.load(Ordering::Relaxed) {
+                let outputs = u64::from(registers.read(4, Width::Bits32));
+                mtc.update(state.inverted(lines.inverters(outputs)));
+                if both.swap(false, Ordering::Relaxed) {
+                    state = state.inverted(3);
+                } else if go.load(Ordering::Relaxed) && edge.elapsed() >= EDGE {
+                    edge = Instant::now();
+                    up = if scale >= 20 { false } else { up || scale <= -20 };
+                    state = state.next(up);
+                    scale += if up { 1 } else { -1 };
+                }
+                registers.write(0, Width::Bits32, u32::from(state.bits()));
+                mtc.update(state.inverted(lines.inverters(outputs)));
+                show.scale.store(scale, Ordering::Relaxed);
+                show.mtc.store(mtc.count(), Ordering::Relaxed);
+                show.illegal.store(mtc.illegal(), Ordering::Relaxed);
+                show.outputs.store(outputs, Ordering::Relaxed);
+                std::thread::sleep(Duration::from_micros(100));
+            }
+        });
+        Self { seen, moving, glitch, stop, thread: Some(thread) }
+    }
+
+    /// Lets the axis move, or stops it.
+    pub fn move_axis(&self, on: bool) {
+        self.moving.store(on, Ordering::Relaxed);
+    }
+
+    /// Flips A and B at once: what a loose plug does.
+    pub fn glitch(&self) {
+        self.glitch.store(true, Ordering::Relaxed);
+    }
+
+    /// The controller's count minus the scale's. Stop the axis first, or the two are of different moments.
+    #[must_use]
+    pub fn offset(&self) -> i64 {
+        self.seen.mtc.load(Ordering::Relaxed) - self.seen.scale.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}

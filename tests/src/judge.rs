@@ -1,0 +1,219 @@
+//! Counters that we did not write: they are given the states that the MTC saw and say what they counted.
+
+use crate::root;
+use anyhow::{Context, bail, ensure};
+use rtec_driver::quadrature::State;
+use rtec_driver::trace::{TraceFile, TracePoint};
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Write};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// What a judge found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Verdict {
+    /// States at which its count was compared.
+    pub judged: u64,
+    /// States at which it counted otherwise than due.
+    pub wrong: u64,
+    /// The first of these.
+    pub first_wrong: Option<Wrong>,
+}
+
+/// A state at which the judge's count is not the one that is due.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wrong {
+    /// Number of the state, from 0.
+    pub state: u64,
+    /// Counts due since the first state.
+    pub due: i64,
+    /// Counts that the judge found.
+    pub counted: i64,
+}
+
+impl Verdict {
+    fn take(&mut self, due: i64, counted: i64) {
+        if due != counted {
+            self.wrong += 1;
+            self.first_wrong.get_or_insert(Wrong { state: self.judged, due, counted });
+        }
+        self.judged += 1;
+    }
+}
+
+/// Whether the programs of a judge are here; where not, a test says so and ends.
+#[must_use]
+pub fn available(programs: &[&str]) -> bool {
+    let missing: Vec<_> = programs.iter().filter(|p| !Path::new("/usr/bin").join(p).exists()).collect();
+    if !missing.is_empty() {
+        crate::skipped(&format!(
+            "{missing:?} not there (Debian: linuxcnc-uspace linuxcnc-uspace-dev sigrok-cli)"
+        ));
+        return false;
+    }
+    let root = std::fs::metadata("/proc/self").is_ok_and(|own| own.uid() == 0);
+    if programs == LINUXCNC && !root && !Path::new("/usr/lib/linuxcnc/modules/rtec_judge.so").exists() {
+        crate::skipped("LinuxCNC lacks our component: sudo halcompile --install tests/judges/rtec_judge.c");
+        return false;
+    }
+    true
+}
+
+/// Programs that [`LinuxCnc`] runs.
+pub const LINUXCNC: &[&str] = &["halrun", "halcompile", "gcc"];
+/// Programs that [`sigrok`] runs.
+pub const SIGROK: &[&str] = &["sigrok-cli"];
+
+/// LinuxCNC's `encoder` component, x4, in its own HAL: about a million states a second.
+#[derive(Debug)]
+pub struct LinuxCnc {
+    directory: tempfile::TempDir,
+    states: BufWriter<File>,
+    due: BufWriter<File>,
+}
+
+/// TSC cycles of `encoder.update-counters` for three channels, as HAL measured them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cycles {
+    /// Calls measured.
+    pub calls: usize,
+    /// Median of the three-channel update.
+    pub p50: i32,
+    /// 99th percentile of it.
+    pub p99: i32,
+    /// Median of an empty function: what HAL's measuring itself costs, contained in the two above.
+    pub empty_p50: i32,
+}
+
+impl LinuxCnc {
+    /// A judge that has been shown nothing yet.
+    ///
+    /// # Errors
+    /// No temporary files.
+    pub fn new() -> anyhow::Result<Self> {
+        let directory = tempfile::tempdir()?;
+        let create = |name| File::create(directory.path().join(name)).map(BufWriter::new);
+        let (states, due) = (create("states")?, create("due")?);
+        Ok(Self { directory, states, due })
+    }
+
+    /// Shows the next state and the count that is due after it.
+    ///
+    /// # Errors
+    /// Disk full.
+    pub fn show(&mut self, state: State, due: i64) -> anyhow::Result<()> {
+        self.states.write_all(&[state.bits()])?;
+        Ok(self.due.write_all(&due.to_le_bytes())?)
+    }
+
+    fn run(self, period_ns: u64) -> anyhow::Result<(tempfile::TempDir, PathBuf)> {
+        let Self { directory, states, due } = self;
+        for mut file in [states, due] {
+            file.flush()?;
+        }
+        let counts = directory.path().join("counts");
+        let done = Command::new(root().join("tests/judges/linuxcnc-count"))
+            .args([&directory.path().join("states"), &counts])
+            .arg(period_ns.to_string())
+            .stdin(Stdio::null())
+            .output()
+            .context("tests/judges/linuxcnc-count")?;
+        ensure!(done.status.success(), "linuxcnc-count: {}", String::from_utf8_lossy(&done.stderr));
+        Ok((directory, counts))
+    }
+
+    /// Lets LinuxCNC count all that was shown, and compares at every state.
+    ///
+    /// # Errors
+    /// LinuxCNC did not run.
+    pub fn verdict(self) -> anyhow::Result<Verdict> {
+        let (directory, counts) = self.run(1000)?;
+        let mut due = BufReader::new(File::open(directory.path().join("due"))?);
+        let mut counts = BufReader::new(File::open(counts)?);
+        let (mut verdict, mut start) = (Verdict::default(), None);
+        let (mut expected, mut record) = ([0; 8], [0; 12]);
+        while due.read_exact(&mut expected).is_ok() {
+            counts.read_exact(&mut record).context("LinuxCNC's counts end early")?;
+            let counted = i64::from(word(&record, 0));
+            // Its counter starts in state 00 at zero; what the first state itself did to it is no motion.
+            let counted = counted - *start.get_or_insert(counted);
+            verdict.take(i64::from_le_bytes(expected), counted);
+        }
+        Ok(verdict)
+    }
+
+    /// Measures the counter itself while it counts what was shown, one call every `period_ns` (1000: flat out).
+    ///
+    /// # Errors
+    /// LinuxCNC did not run.
+    pub fn cycles(self, period_ns: u64) -> anyhow::Result<Cycles> {
+        let (_directory, counts) = self.run(period_ns)?;
+        let counts = std::fs::read(counts)?;
+        let column = |n| {
+            // The first two rows hold times of calls before the thread ran smoothly, or none.
+            let mut column: Vec<i32> =
+                counts.chunks_exact(12).skip(2).map(|record| word(record, n)).collect();
+            column.sort_unstable();
+            column
+        };
+        let (update, empty) = (column(1), column(2));
+        ensure!(!update.is_empty(), "too few states to measure");
+        let at = |sorted: &[i32], percent: usize| sorted[(sorted.len() - 1) * percent / 100];
+        Ok(Cycles {
+            calls: update.len(),
+            p50: at(&update, 50),
+            p99: at(&update, 99),
+            empty_p50: at(&empty, 50),
+        })
+    }
+}
+
+fn word(record: &[u8], n: usize) -> i32 {
+    let mut bytes = [0; 4];
+    bytes.copy_from_slice(&record[4 * n..4 * n + 4]);
+    i32::from_le_bytes(bytes)
+}
+
+/// Lets sigrok's graycode decoder count a trace (through VCD), and compares at every state. For some ten thousand
+/// states: it is slow.
+///
+/// # Errors
+/// sigrok did not run, or did not get through the trace.
+pub fn sigrok(trace: &[(TracePoint, i64)]) -> anyhow::Result<Verdict> {
+    let directory = tempfile::tempdir()?;
+    let vcd = directory.path().join("mtc.vcd");
+    let mut file = TraceFile::create(&vcd)?;
+    let Some(&(mut last, _)) = trace.last() else { bail!("an empty trace") };
+    for (point, _) in trace {
+        file.write(*point)?;
+    }
+    // It reports a state when the next one comes, and does not see the last: two more edges bring all of ours out.
+    for _ in 0..2 {
+        last = TracePoint { t_ns: last.t_ns + 1000, state: last.state.next(true) };
+        file.write(last)?;
+    }
+    file.finish()?;
+    // It works through every nanosecond; idle ones beyond the 2000th in a row are left out, they do not count.
+    let done = Command::new("sigrok-cli")
+        .args(["-I", "vcd:compress=2000", "-P", "graycode:d0=a:d1=b", "-A", "graycode=count", "-i"])
+        .arg(&vcd)
+        .stdin(Stdio::null())
+        .output()
+        .context("sigrok-cli")?;
+    // Its exit status is no measure: this version may crash when it ends, after it has printed everything.
+    let printed = String::from_utf8_lossy(&done.stdout);
+    let counts: Vec<i64> = printed.lines().filter_map(|l| l.rsplit(' ').next()?.parse().ok()).collect();
+    ensure!(
+        counts.len() >= trace.len(),
+        "sigrok counted {} of {} states: {}",
+        counts.len(),
+        trace.len(),
+        String::from_utf8_lossy(&done.stderr)
+    );
+    let mut verdict = Verdict::default();
+    for ((_, due), counted) in trace.iter().zip(counts) {
+        verdict.take(*due, counted);
+    }
+    Ok(verdict)
+}

@@ -1,0 +1,76 @@
+//! What a corrected trace must count, at every state, without counting the corrected trace itself.
+
+use anyhow::{Context, bail};
+use rtec_driver::input::InputError;
+use rtec_driver::trace::TracePoint;
+
+/// Sums over a corrected trace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Totals {
+    /// States of the corrected trace.
+    pub states: u64,
+    /// Counts of the scale.
+    pub scale_counts: i64,
+    /// Counts that the inversions added.
+    pub inserted: i64,
+    /// Single inversions.
+    pub inversions: u64,
+}
+
+/// Walks a scale's trace and the trace that the MTC saw, and gives each state of the latter with the count that is
+/// due there: scale counts plus what the inversions added so far (NISTIR 4832, Design C: inverting A adds where
+/// A = B and subtracts where not, inverting B the other way round).
+///
+/// Which signals are inverted is the XOR of the two traces, the gates' own law. Any change that the gates cannot
+/// have made, or whose order within one nanosecond is unknown, is an error.
+///
+/// # Errors
+/// Unreadable traces; states that no legal inversion explains, with their time; what `each` returns.
+pub fn walk(
+    scale: impl Iterator<Item = Result<TracePoint, InputError>>,
+    mtc: impl Iterator<Item = Result<TracePoint, InputError>>,
+    mut each: impl FnMut(TracePoint, i64) -> anyhow::Result<()>,
+) -> anyhow::Result<Totals> {
+    let mut scale = scale.peekable();
+    let mut totals = Totals::default();
+    let mut at = scale.next().context("the scale's trace is empty")??;
+    let mut inverted = 0;
+    for (n, row) in mtc.enumerate() {
+        let row = row?;
+        let mut scale_moved = false;
+        while let Some(next) = scale.next_if(|next| next.as_ref().map_or(true, |p| p.t_ns <= row.t_ns)) {
+            let next = next?;
+            if n > 0 && next.t_ns < row.t_ns {
+                bail!("the scale's edge at {} ns is not in the MTC's trace", next.t_ns);
+            }
+            let Some(step) = at.state.step_to(next.state) else {
+                bail!("the scale's trace has an illegal transition at {} ns", next.t_ns);
+            };
+            totals.scale_counts += i64::from(step);
+            scale_moved = next.t_ns == row.t_ns;
+            at = next;
+        }
+        let now = at.state.bits() ^ row.state.bits();
+        let flipped = std::mem::replace(&mut inverted, now) ^ now;
+        if n == 0 {
+            // The first row shows how the inverters were left, not that they turned.
+        } else if flipped == 3 {
+            bail!("at {} ns both inverters turn at once", row.t_ns);
+        } else if flipped != 0 {
+            if scale_moved {
+                bail!("at {} ns an inverter and the scale change in one nanosecond", row.t_ns);
+            }
+            let a_equals_b = matches!(at.state.bits() ^ now ^ flipped, 0 | 3);
+            totals.inserted += if a_equals_b == (flipped == 1) { 1 } else { -1 };
+            totals.inversions += 1;
+        } else if !scale_moved {
+            bail!("at {} ns a row of the MTC's trace changes nothing", row.t_ns);
+        }
+        totals.states += 1;
+        each(row, totals.scale_counts + totals.inserted)?;
+    }
+    if let Some(rest) = scale.next() {
+        bail!("the scale's edge at {} ns is not in the MTC's trace", rest?.t_ns);
+    }
+    Ok(totals)
+}

@@ -1,0 +1,330 @@
+//! A two-axis machine whose controller is LinuxCNC: drives, axes with a known error, scales, the corrector's engine on
+//! a card with virtual time, and the counter card. One servo period at a time, in step with the controller.
+
+use anyhow::{Context, ensure};
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::mapped::Registers;
+use rtec_driver::profile::Width;
+use rtec_driver::quadrature::{Decoder, State};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::{Event, Request};
+use std::collections::VecDeque;
+use std::f64::consts::TAU;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{Ordering, fence};
+use std::time::Duration;
+
+/// Axes: 0 is X, 1 is Z.
+pub const AXES: usize = 2;
+/// One count of either scale, µm.
+pub const COUNT_UM: f64 = 1.0;
+
+const SERVO_PERIOD_NS: u64 = 1_000_000;
+/// The drive's speed follows its command with this first-order lag.
+const DRIVE_LAG_S: f64 = 0.002;
+/// Motion is worked out in steps of this length, straight inside a step.
+const STEP_NS: u64 = 50_000;
+/// What a scale's interpolator has.
+const HYSTERESIS_COUNTS: f64 = 0.25;
+
+/// The error of an axis: where the tool is minus what the scale says, over the scale's position p (formats.md:
+/// `scale` and `screw_periodic` with phase 0).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AxisError {
+    /// µm per m.
+    pub ppm: f64,
+    /// Amplitude, µm.
+    pub periodic_um: f64,
+    /// Period, mm.
+    pub period_mm: f64,
+}
+
+impl AxisError {
+    /// The error at a position, µm.
+    #[must_use]
+    pub fn at(&self, p_mm: f64) -> f64 {
+        let periodic = if self.periodic_um == 0.0 {
+            0.0
+        } else {
+            self.periodic_um * (TAU * p_mm / self.period_mm).sin()
+        };
+        self.ppm * p_mm / 1000.0 + periodic
+    }
+}
+
+/// What a run on the machine left behind.
+#[derive(Debug, Default)]
+pub struct Run {
+    /// Where the tool was at the end of each servo period, mm, from the first motion on.
+    pub tool_mm: Vec<[f64; AXES]>,
+    /// The controller's commanded position at the same times, mm.
+    pub command_mm: Vec<[f64; AXES]>,
+    /// Insertions made, both axes.
+    pub insertions: u64,
+    /// Counts of the scales at the end.
+    pub scale_counts: [i64; AXES],
+    /// Counts of the counter card at the end.
+    pub mtc_counts: [i64; AXES],
+    /// What the corrector says it completed.
+    pub completed: [i64; AXES],
+    /// Illegal transitions at the counter card.
+    pub illegal: u64,
+    /// Events that the engine refused or latched, as text.
+    pub complaints: Vec<String>,
+    /// Servo periods.
+    pub periods: u64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Edge {
+    t_ns: u64,
+    axis: usize,
+    state: State,
+}
+
+/// An axis behind its drive.
+#[derive(Debug, Default)]
+struct Axis {
+    speed_mm_s: f64,
+    scale_mm: f64,
+    count: i64,
+    state: State,
+}
+
+impl Axis {
+    /// Moves for one servo period and puts the scale's edges down in order of time.
+    fn period(&mut self, start_ns: u64, command_mm_s: f64, mut edge: impl FnMut(u64, State)) {
+        let step_s = STEP_NS as f64 / 1e9;
+        let mut last_ns = start_ns;
+        for step in 0..SERVO_PERIOD_NS / STEP_NS {
+            self.speed_mm_s += (command_mm_s - self.speed_mm_s) * step_s / DRIVE_LAG_S;
+            let from = self.scale_mm * 1000.0 / COUNT_UM;
+            self.scale_mm += self.speed_mm_s * step_s;
+            let to = self.scale_mm * 1000.0 / COUNT_UM;
+            let up = to > from;
+            loop {
+                let half = HYSTERESIS_COUNTS / 2.0;
+                let boundary = if up { (self.count + 1) as f64 + half } else { self.count as f64 - half };
+                if (up && to < boundary) || (!up && to >= boundary) {
+                    break;
+                }
+                let part = (boundary - from) / (to - from);
+                let step_ns = start_ns + step * STEP_NS;
+                last_ns = (step_ns + (part * STEP_NS as f64) as u64).max(last_ns + 1);
+                self.count += if up { 1 } else { -1 };
+                self.state = self.state.next(up);
+                edge(last_ns, self.state);
+            }
+        }
+    }
+}
+
+/// Scales, gates and counters, on a virtual clock.
+#[derive(Debug)]
+struct MachineCard {
+    now_ns: u64,
+    edges: VecDeque<Edge>,
+    scale: [State; AXES],
+    outputs: u64,
+    counters: [Decoder; AXES],
+}
+
+impl MachineCard {
+    fn count(&mut self) {
+        for (n, counter) in self.counters.iter_mut().enumerate() {
+            let seen = self.scale[n].inverted(AxisLines::standard(n as u8, false).inverters(self.outputs));
+            if seen != counter.state() {
+                counter.update(seen);
+            }
+        }
+    }
+}
+
+impl Card for MachineCard {
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        let mut edge_ns = None;
+        if let Some(edge) = self.edges.front().copied().filter(|edge| edge.t_ns <= wake_ns) {
+            self.edges.pop_front();
+            self.now_ns = self.now_ns.max(edge.t_ns);
+            edge_ns = Some(edge.t_ns);
+            self.scale[edge.axis] = edge.state;
+            self.count();
+        } else {
+            self.now_ns = self.now_ns.max(wake_ns);
+        }
+        let inputs = self.scale.iter().enumerate().map(|(n, s)| u64::from(s.bits()) << (4 * n)).sum();
+        Ok(Sample { t_ns: self.now_ns, inputs, edge_ns })
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        self.count();
+        Ok(Some(self.now_ns))
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// Places in the card's file, as `linuxcnc/rtec_machine.c` has them.
+mod place {
+    pub(super) const ASKED: usize = 0x00;
+    pub(super) const ANSWERED: usize = 0x04;
+    pub(super) const SPEED: usize = 0x08;
+    pub(super) const COMMAND: usize = 0x10;
+    pub(super) const COUNTS: usize = 0x18;
+    pub(super) const LINES: usize = 0x20;
+    pub(super) const BYTES: usize = 0x40;
+}
+
+/// Lets LinuxCNC run a program on a machine with `error`, with the corrector knowing that error or idle.
+///
+/// # Errors
+/// LinuxCNC did not run, or did not get to the program's end.
+pub fn run(program: &str, error: [AxisError; AXES], correct: bool) -> anyhow::Result<Run> {
+    let directory = tempfile::tempdir()?;
+    let card_file = directory.path().join("card");
+    std::fs::write(directory.path().join("part.ngc"), program)?;
+    std::fs::write(&card_file, [0; place::BYTES])?;
+    let words = Registers::open(&card_file, place::BYTES, "LinuxCNC's machine")?;
+    let mut linuxcnc = Command::new(crate::root().join("tests/linuxcnc/run-linuxcnc"))
+        .arg(directory.path())
+        .stdin(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .context("tests/linuxcnc/run-linuxcnc")?;
+    let mut machine = Machine::new(error, correct)?;
+    while let Some(asked) = asked(&words, &mut linuxcnc)? {
+        machine.period(&words)?;
+        fence(Ordering::SeqCst);
+        words.write(place::ANSWERED, Width::Bits32, asked);
+    }
+    let ended = linuxcnc.wait_with_output()?;
+    ensure!(ended.status.success(), "LinuxCNC: {}", String::from_utf8_lossy(&ended.stderr));
+    Ok(machine.finish())
+}
+
+/// Waits for the controller's next period; `None` when it has ended.
+fn asked(words: &Registers, linuxcnc: &mut std::process::Child) -> anyhow::Result<Option<u32>> {
+    let answered = words.read(place::ANSWERED, Width::Bits32);
+    for n in 0_u32.. {
+        let asked = words.read(place::ASKED, Width::Bits32);
+        if asked != answered {
+            fence(Ordering::SeqCst);
+            return Ok(Some(asked));
+        }
+        if n % 64 != 63 {
+            std::hint::spin_loop();
+            continue;
+        }
+        if n % 65536 == 65535 && linuxcnc.try_wait()?.is_some() {
+            break;
+        }
+        std::thread::sleep(Duration::from_micros(20));
+    }
+    Ok(None)
+}
+
+struct Machine {
+    axes: [Axis; AXES],
+    error: [AxisError; AXES],
+    correct: bool,
+    card: MachineCard,
+    engine: Engine,
+    run: Run,
+}
+
+impl Machine {
+    fn new(error: [AxisError; AXES], correct: bool) -> anyhow::Result<Self> {
+        let mut card = MachineCard {
+            now_ns: 0,
+            edges: VecDeque::new(),
+            scale: [State::default(); AXES],
+            outputs: 0,
+            counters: [Decoder::default(); AXES],
+        };
+        let axis = |n| AxisConfig {
+            lines: AxisLines::standard(n, false),
+            max_correction_counts: 500,
+            window_counts: 20,
+            hysteresis_counts: HYSTERESIS_COUNTS,
+            ..AxisConfig::default()
+        };
+        let lines = MachineConfig {
+            lines: MachineLines { probe: None, disable: None, hold: Some(28) },
+            may_arm: true,
+        };
+        let mut engine = Engine::new(&mut card, &[axis(0), axis(1)], lines, &[])?;
+        engine.start_homed(&mut card, &mut |_| true)?;
+        Ok(Self { axes: Default::default(), error, correct, card, engine, run: Run::default() })
+    }
+
+    fn period(&mut self, words: &Registers) -> anyhow::Result<()> {
+        let word = |place, n| words.read(place + 4 * n, Width::Bits32) as i32;
+        let start_ns = self.run.periods * SERVO_PERIOD_NS;
+        let end_ns = start_ns + SERVO_PERIOD_NS;
+        for (n, axis) in self.axes.iter_mut().enumerate() {
+            let edges = &mut self.card.edges;
+            axis.period(start_ns, f64::from(word(place::SPEED, n)) / 1e6, |t_ns, state| {
+                edges.push_back(Edge { t_ns, axis: n, state });
+            });
+        }
+        self.card.edges.make_contiguous().sort_by_key(|edge| (edge.t_ns, edge.axis));
+
+        let complaints = &mut self.run.complaints;
+        let mut tell = |event: Event| {
+            use rtec_rt::event::EventKind::{Fault, Refused};
+            if matches!(event.kind, Fault(_) | Refused { .. }) {
+                complaints.push(format!("{event:?}"));
+            }
+            true
+        };
+        if self.correct {
+            for (n, error) in self.error.iter().enumerate() {
+                // The control side knows the machine's error and where the scale is: nearest whole insertion.
+                let p_mm = self.engine.status().axes[n].position_counts as f64 * COUNT_UM / 1000.0;
+                let total_counts = 2 * (error.at(p_mm) / COUNT_UM / 2.0).round() as i64;
+                let request = Request::Correct { axis: n as u8, total_counts, large: false };
+                self.engine.take(request, &mut self.card, &mut tell)?;
+            }
+        }
+        while self.card.now_ns < end_ns || !self.card.edges.is_empty() {
+            self.engine.poll(&mut self.card, end_ns, &mut tell)?;
+        }
+
+        let mut illegal = 0;
+        for (n, counter) in self.card.counters.iter().enumerate() {
+            words.write(place::COUNTS + 4 * n, Width::Bits32, counter.count() as u32);
+            illegal += counter.illegal();
+        }
+        let hold = (self.card.outputs >> 28 & 1) as u32;
+        words.write(place::LINES, Width::Bits32, hold | u32::from(illegal > 0) << 1);
+        self.run.illegal = illegal;
+        self.run.periods += 1;
+
+        let moved = self.axes.iter().any(|axis| axis.count != 0) || !self.run.tool_mm.is_empty();
+        if moved {
+            let each = |f: &dyn Fn(usize) -> f64| std::array::from_fn(f);
+            let tool = |n: usize| {
+                let p_mm = self.axes[n].scale_mm;
+                p_mm + self.error[n].at(p_mm) / 1000.0
+            };
+            self.run.tool_mm.push(each(&tool));
+            self.run.command_mm.push(each(&|n| f64::from(word(place::COMMAND, n)) / 1e6));
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> Run {
+        let status = self.engine.status();
+        for n in 0..AXES {
+            self.run.scale_counts[n] = self.axes[n].count;
+            self.run.mtc_counts[n] = self.card.counters[n].count();
+            self.run.completed[n] = status.axes[n].completed;
+            self.run.insertions += status.axes[n].insertions;
+        }
+        self.run
+    }
+}

@@ -1,0 +1,100 @@
+//! Corrected traces made without the engine, right ones and, on demand, wrong ones: what shows that a judge judges.
+
+use rtec_driver::quadrature::State;
+use rtec_driver::trace::TracePoint;
+
+/// What is wrong with a planted trace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// Nothing.
+    None,
+    /// One insertion is left out: two counts too few or too many.
+    Missing,
+    /// One insertion is made in the wrong order: four counts off.
+    WrongOrder,
+    /// One insertion turns both inverters at once: an illegal transition.
+    BothAtOnce,
+}
+
+/// Motion with strokes, reversals and a dither at each end, starting at rest in state 00.
+#[must_use]
+pub fn motion(edges: usize) -> Vec<TracePoint> {
+    let mut at = TracePoint::default();
+    let mut points = vec![at];
+    for n in 0..edges {
+        // 3000 counts up and 2500 down again; every 16th stretch of 16 edges turns back at each edge.
+        let dither = n % 256 < 16;
+        let up = if dither { n % 2 == 0 } else { n % 5500 < 3000 };
+        at.t_ns += 1100 + pseudo_random(n) % 3000;
+        at.state = at.state.next(up);
+        points.push(at);
+    }
+    points
+}
+
+/// Inserts ±2 counts after every `every`-th edge that is followed by a long enough pause, in an order of signs that
+/// looks random, and returns what the MTC sees with the count due at each state.
+///
+/// Written from the three count tables of NISTIR 4832, Design C, and not from the engine: A and B equal: A first adds,
+/// B first subtracts; different: the other way round. The second inversion follows `separation_ns` after the first.
+#[must_use]
+pub fn corrected(
+    scale: &[TracePoint],
+    every: usize,
+    separation_ns: u64,
+    fault: Fault,
+) -> Vec<(TracePoint, i64)> {
+    let first = scale[0];
+    let mut out = vec![(first, 0_i64)];
+    let (mut mask, mut scale_counts, mut inserted, mut insertions) = (0_u8, 0_i64, 0_i64, 0_usize);
+    let wrong_one = scale.len() / every / 2;
+    for (n, pair) in scale.windows(2).enumerate() {
+        let edge = pair[1];
+        scale_counts += up_table(pair[0].state, edge.state);
+        let see = |mask| State::from_bits(edge.state.bits() ^ mask);
+        out.push((TracePoint { t_ns: edge.t_ns, state: see(mask) }, scale_counts + inserted));
+        let pause = scale.get(n + 2).map_or(u64::MAX, |next| next.t_ns - edge.t_ns);
+        if n % every != 0 || pause < 2 * separation_ns + 100 {
+            continue;
+        }
+        insertions += 1;
+        let add = pseudo_random(n) & 1 == 0;
+        let equal = edge.state.a() == edge.state.b();
+        let fault = if insertions == wrong_one { fault } else { Fault::None };
+        let a_first = (equal == add) != (fault == Fault::WrongOrder);
+        let (one, two) = if a_first { (1, 2) } else { (2, 1) };
+        let step = if add { 1 } else { -1 };
+        let due = scale_counts + inserted;
+        let (early, late) = (edge.t_ns + 50, edge.t_ns + 50 + separation_ns);
+        match fault {
+            Fault::Missing => {}
+            Fault::BothAtOnce => {
+                out.push((TracePoint { t_ns: late, state: see(mask ^ 3) }, due + 2 * step));
+                mask ^= 3;
+            }
+            _ => {
+                out.push((TracePoint { t_ns: early, state: see(mask ^ one) }, due + step));
+                out.push((TracePoint { t_ns: late, state: see(mask ^ one ^ two) }, due + 2 * step));
+                mask ^= 3;
+            }
+        }
+        inserted += 2 * step;
+    }
+    out
+}
+
+/// +1 along the report's cycle 00 → 10 → 11 → 01 → 00, else −1.
+fn up_table(from: State, to: State) -> i64 {
+    let place = |s: State| {
+        [(false, false), (true, false), (true, true), (false, true)].iter().position(|&c| c == (s.a(), s.b()))
+    };
+    if place(to).map(|p| (p + 3) % 4) == place(from) { 1 } else { -1 }
+}
+
+/// A number that looks random and is the same everywhere (`SplitMix64`'s mixing).
+fn pseudo_random(n: usize) -> u64 {
+    let mut z = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}

@@ -1,0 +1,151 @@
+//! Three axes on a card in memory: the work that benchmarks time and whose instructions are counted.
+
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{Request, Status};
+
+/// Axes of the workload, as many as LinuxCNC's counter is measured with.
+pub const AXES: u8 = 3;
+
+/// What the machine does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Motion {
+    /// No line changes.
+    Still,
+    /// Every look finds an edge on each of the three axes; no correction is pending.
+    Moving,
+    /// An edge on each axis every 32 looks, 3.2 µs, and each opens an insertion.
+    Correcting,
+}
+
+impl Motion {
+    /// All of them, with the names that benchmarks print.
+    pub const ALL: [(&'static str, Self); 3] =
+        [("still", Self::Still), ("moving", Self::Moving), ("correcting", Self::Correcting)];
+
+    /// Time from one look to the next and looks from one edge to the next.
+    const fn pace(self) -> (u64, u64) {
+        match self {
+            Self::Still => (100, u64::MAX),
+            // Never longer unseen than an insertion needs, or it would be a poll gap.
+            Self::Moving => (1000, 1),
+            Self::Correcting => (100, 32),
+        }
+    }
+}
+
+/// The three axes with an engine on them, homed and enabled.
+#[derive(Debug)]
+pub struct Workload {
+    engine: Engine,
+    wires: Wires,
+}
+
+#[derive(Debug)]
+struct Wires {
+    inputs: u64,
+    outputs: u64,
+    t_ns: u64,
+    step_ns: u64,
+    looks: u64,
+    looks_per_edge: u64,
+}
+
+impl Card for Wires {
+    #[inline]
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        self.t_ns += self.step_ns;
+        self.looks += 1;
+        if self.looks == self.looks_per_edge {
+            self.looks = 0;
+            // Gray code, all axes at once: no table, no loop, so that the count is the engine's.
+            self.inputs ^= if (self.inputs ^ self.inputs >> 1) & 1 == 0 { 0x111 } else { 0x222 };
+        }
+        Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: None })
+    }
+
+    #[inline]
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+impl Workload {
+    /// Three homed axes; with [`Motion::Correcting`] a correction without end is asked of each.
+    ///
+    /// # Errors
+    /// The engine does not start.
+    pub fn new(motion: Motion) -> Result<Self, StartError> {
+        let axis = |n| AxisConfig {
+            lines: AxisLines::standard(n, false),
+            max_correction_counts: i64::MAX,
+            ..AxisConfig::default()
+        };
+        let axes: Vec<AxisConfig> = (0..AXES).map(axis).collect();
+        let (step_ns, looks_per_edge) = motion.pace();
+        let mut wires = Wires { inputs: 0, outputs: 0, t_ns: 1, step_ns, looks: 0, looks_per_edge };
+        let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+        let mut engine = Engine::new(&mut wires, &axes, machine, &[])?;
+        let tell = &mut |_| true;
+        engine.start_homed(&mut wires, tell)?;
+        if motion == Motion::Correcting {
+            for axis in 0..AXES {
+                let request = Request::Correct { axis, total_counts: i64::MAX / 2, large: true };
+                engine.take(request, &mut wires, tell)?;
+            }
+        }
+        Ok(Self { engine, wires })
+    }
+
+    /// So many looks of the engine.
+    ///
+    /// # Errors
+    /// None from this card.
+    #[inline]
+    pub fn looks(&mut self, n: u64) -> Result<(), CardError> {
+        for _ in 0..n {
+            self.engine.poll(&mut self.wires, u64::MAX, &mut |_| true)?;
+        }
+        Ok(())
+    }
+
+    /// Where the engine has got to.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        self.engine.status()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_motion_is_what_it_says() {
+        for (name, motion) in Motion::ALL {
+            let mut work = Workload::new(motion).unwrap();
+            work.looks(32_000).unwrap();
+            let status = work.status();
+            assert!(status.balanced() && !status.faults.any(), "{name}");
+            assert_eq!(status.axes().len(), usize::from(AXES));
+            for axis in status.axes() {
+                assert!(!axis.faults.any() && axis.illegal == 0, "{name}: {axis:?}");
+                let (counts, insertions) = (axis.position_counts.unsigned_abs(), axis.insertions);
+                match motion {
+                    Motion::Still => assert_eq!((counts, insertions), (0, 0)),
+                    Motion::Moving => assert_eq!((counts, insertions), (32_000, 0)),
+                    // The first edges open nothing: there is no period yet.
+                    Motion::Correcting => {
+                        assert!(counts >= 999 && insertions >= 990, "{counts}, {insertions}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,665 @@
+//! `rtec.toml`: one machine, its card, its axes, the real-time thread and the control socket.
+//!
+//! | table | key | unit | default | meaning |
+//! |---|---|---|---|---|
+//! | `[machine]` | `name` | – | must be there | the machine, as `status` shows it |
+//! | `[card]` | `backend` | – | must be there | `mock`, `mapped` or `replay` |
+//! | | `file`, `profile` | – | –, `shared-memory` | `mapped`: the file of registers, and what they mean |
+//! | | `probe`, `disable`, `hold` | line | not wired | `mapped`: the machine's own lines |
+//! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
+//! | | `design` | – | `c` | insertion design (NISTIR 4832): `c`, `original`, `a` |
+//! | | `max_correction_counts`, `window_counts` | counts | must be there | largest total; largest believed change |
+//! | | `min_separation_ns` | ns | must be there | what the MTC's decoder needs between two edges |
+//! | | `max_accel_mm_s2` or `max_accel_counts_s2` | | 1e6 counts/s² (mock, replay) | acceleration limit of the axis |
+//! | | `hysteresis_counts` | counts | 0.05 | the scale's, on reversal |
+//! | | `warn_counts`, `error_counts` | counts | none | a request of this size warns; faults and holds |
+//! | | `max_rate_counts_s` | counts/s | none | fastest change of the correction |
+//! | | `rest_policy`, `rest_quiet_ms` | –, ms | `wait` | at rest: `wait` for an edge, or `insert` after a quiet time |
+//! | | `reference_budget_counts` | counts | none | what the MTC tolerates between reference marks, or between two encoders |
+//! | | `home_mm` | mm | 0 | position of the known place where the axis is homed |
+//! | | `lines` | line | – | `mapped`: `a`, `b`, `invert_a`, `invert_b`, `read_back_a`, `read_back_b` |
+//! | | `trace` | – | – | `replay`: the recorded trace |
+//! | `[rt]` | `cpu`, `priority` | – | isolated or last, 80 | of the real-time thread |
+//! | | `detect_ns`, `write_ns`, `guard_ns` | ns | 0 (mock, replay) | measured worst latencies and a reserve |
+//! | `[control]` | `socket`, `group` | – | see [`default_directory`] | the control socket and who may use it |
+//! | | `state_file` | – | beside the socket | what a restart takes over |
+//! | | `stale_ms` | ms | 500 | silence of the control side after which no insertion begins |
+//!
+//! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
+//! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.
+
+use crate::section::{LineName, Section, Source, nearest};
+use rtec_driver::card::{AxisLines, MachineLines};
+use rtec_driver::input::InputError;
+use rtec_driver::profile::{Place, Profile};
+use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::event::MAX_AXES;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use toml::de::DeTable;
+
+/// A machine's configuration, checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    /// The machine's name.
+    pub machine: String,
+    /// Which card, and what it needs.
+    pub card: CardConfig,
+    /// Where the machine's own lines are.
+    pub lines: MachineLines,
+    /// The axes, in order.
+    pub axes: Vec<Axis>,
+    /// The real-time thread.
+    pub rt: RtConfig,
+    /// The control socket.
+    pub control: ControlConfig,
+    /// What is allowed but worth knowing.
+    pub notes: Vec<String>,
+}
+
+/// A card and what it needs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum CardConfig {
+    /// Simulated axes in the daemon's own process.
+    Mock,
+    /// A file of registers: shared memory, a PCI BAR, UIO.
+    Mapped {
+        /// The file.
+        file: PathBuf,
+        /// What its registers are.
+        profile: Profile,
+    },
+    /// Recorded traces in real time, one per axis.
+    Replay {
+        /// The trace of each axis.
+        traces: Vec<PathBuf>,
+    },
+}
+
+impl CardConfig {
+    /// The name in `[card] backend`.
+    #[must_use]
+    pub const fn backend(&self) -> &'static str {
+        match self {
+            Self::Mock => "mock",
+            Self::Mapped { .. } => "mapped",
+            Self::Replay { .. } => "replay",
+        }
+    }
+
+    /// Something outside this process hangs on the lines.
+    #[must_use]
+    pub const fn is_real(&self) -> bool {
+        matches!(self, Self::Mapped { .. })
+    }
+}
+
+/// One axis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Axis {
+    /// Its name.
+    pub name: String,
+    /// What one count is worth, µm.
+    pub count_um: f64,
+    /// Length of its travel, mm.
+    pub travel_mm: f64,
+    /// Position of the place where it is homed, counts.
+    pub home_counts: i64,
+    /// What the MTC tolerates between reference marks or encoders, counts.
+    pub reference_budget_counts: Option<i64>,
+    /// What the engine needs to know.
+    pub engine: AxisConfig,
+}
+
+/// The real-time thread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RtConfig {
+    /// Its CPU; `None` leaves the choice to the machine.
+    pub cpu: Option<usize>,
+    /// Its `SCHED_FIFO` priority.
+    pub priority: u8,
+    /// The machine's latency has been measured (`detect_ns` and `write_ns` stand in the file).
+    pub latency_measured: bool,
+}
+
+/// The control socket and what belongs to it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ControlConfig {
+    /// The Unix socket.
+    pub socket: PathBuf,
+    /// The group that may use it.
+    pub group: Option<String>,
+    /// What a restart takes over; `None` is beside the socket.
+    pub state_file: Option<PathBuf>,
+    /// Silence of the control side after which no insertion begins, ms.
+    pub stale_ms: u64,
+}
+
+impl ControlConfig {
+    /// Where the state file is.
+    #[must_use]
+    pub fn state_path(&self) -> PathBuf {
+        self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))
+    }
+}
+
+/// Everything that is wrong with a configuration.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Findings(pub Vec<InputError>);
+
+impl fmt::Display for Findings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (n, finding) in self.0.iter().enumerate() {
+            if n > 0 {
+                writeln!(f)?;
+            }
+            write!(f, "{finding}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Findings {}
+
+/// Directory of socket and state file unless the configuration names others: `/run/rtec` where it exists (made by
+/// tmpfiles when installed), else the user's run-time directory, else one of the user's own in `/tmp`.
+#[must_use]
+pub fn default_directory() -> PathBuf {
+    let installed = Path::new("/run/rtec");
+    if installed.is_dir() {
+        return installed.to_owned();
+    }
+    if let Some(directory) = std::env::var_os("XDG_RUNTIME_DIR").filter(|d| !d.is_empty()) {
+        return Path::new(&directory).join("rtec");
+    }
+    Path::new("/tmp").join(format!("rtec-{}", std::env::var("USER").unwrap_or_else(|_| "user".to_owned())))
+}
+
+/// The configuration without a file: the mock card with three simulated axes.
+pub const EMBEDDED: &str = include_str!("default.toml");
+
+impl Config {
+    /// The embedded default, [`EMBEDDED`].
+    #[must_use]
+    pub fn embedded() -> Self {
+        match Self::parse(Path::new("embedded default"), EMBEDDED) {
+            Ok(config) => config,
+            // A constant of this program, covered by a test: it parses.
+            Err(findings) => unreachable!("{findings}"),
+        }
+    }
+
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn load(file: &Path) -> Result<Self, Findings> {
+        let text = std::fs::read_to_string(file).map_err(|e| {
+            Findings(vec![InputError::whole(file, e.to_string(), "a configuration that can be read")])
+        })?;
+        Self::parse(file, &text)
+    }
+
+    /// Checks the text of a file; paths in it are relative to the file's directory.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn parse(file: &Path, text: &str) -> Result<Self, Findings> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let mut source = Source { file, text, findings: Vec::new() };
+        let (table, errors) = DeTable::parse_recoverable(text);
+        for error in errors {
+            let offset = error.span().map_or(0, |s| s.start);
+            let message = error.message().lines().collect::<Vec<_>>().join(", ");
+            let (found, expected) = message.split_once(", expected ").unwrap_or((&message, "TOML"));
+            source.finding(offset, found, expected);
+        }
+        let config = if source.findings.is_empty() { read(&mut source, table.get_ref()) } else { None };
+        source.findings.sort_by_key(|f| (f.line, f.column));
+        match config {
+            Some(config) if source.findings.is_empty() => Ok(config),
+            _ => Err(Findings(source.findings)),
+        }
+    }
+
+    /// What the engine needs to know of each axis.
+    #[must_use]
+    pub fn engine_axes(&self) -> Vec<AxisConfig> {
+        self.axes.iter().map(|axis| axis.engine).collect()
+    }
+
+    /// Number of the axis of that name.
+    #[must_use]
+    pub fn axis(&self, name: &str) -> Option<usize> {
+        self.axes.iter().position(|axis| axis.name == name)
+    }
+
+    /// The axis that was probably meant.
+    #[must_use]
+    pub fn nearest_axis(&self, name: &str) -> Option<&str> {
+        nearest(name, &self.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>())
+    }
+}
+
+/// What `[card]` says; `None` fields were reported.
+struct Card {
+    kind: Option<Kind>,
+    file: Option<PathBuf>,
+    profile: Option<Profile>,
+    lines: MachineLines,
+    /// Who has taken which line: direction, bit.
+    taken: BTreeMap<(bool, u8), String>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Mock,
+    Mapped,
+    Replay,
+    /// Named in the contract, made in another version.
+    Later(&'static str),
+}
+
+/// The file's whole content; findings are in the source, `None` where there is no way on.
+fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
+    let mut root = Section::root(table);
+    let mut notes = Vec::new();
+
+    let mut machine = root.table(source, "machine", "[machine]");
+    let name = machine.string(source, "name", "the machine's name, in quotes");
+    let name = machine.required(source, "name", "the machine's name, in quotes", name);
+    machine.finish(source);
+
+    let mut rt_table = root.table(source, "rt", "[rt]");
+    let cpu = rt_table.integer(source, "cpu", 0..=4095);
+    let priority = rt_table.integer(source, "priority", 1..=99);
+    let detect_ns = rt_table.integer(source, "detect_ns", 0..=1_000_000_000);
+    let write_ns = rt_table.integer(source, "write_ns", 0..=1_000_000_000);
+    let guard_ns = rt_table.integer(source, "guard_ns", 0..=1_000_000_000);
+    rt_table.finish(source);
+    let ns = |at: Option<crate::section::At<i64>>| at.map_or(0, |at| at.value as u64);
+    let rt = RtConfig {
+        cpu: cpu.map(|c| c.value as usize),
+        priority: priority.map_or(80, |p| p.value as u8),
+        latency_measured: detect_ns.is_some() && write_ns.is_some(),
+    };
+    let latency = AxisConfig {
+        detect_ns: ns(detect_ns),
+        write_ns: ns(write_ns),
+        guard_ns: ns(guard_ns),
+        ..AxisConfig::default()
+    };
+
+    let mut card = read_card(source, &mut root);
+    if card.kind == Some(Kind::Mapped) && !rt.latency_measured {
+        notes.push(
+            "[rt] has no detect_ns and write_ns: corrections cannot be enabled on this card before \
+             `rtecctl selftest latency` has measured them and they stand here"
+                .to_owned(),
+        );
+    }
+
+    let tables = root.tables(source, "axis", "[[axis]]");
+    if tables.is_empty() || tables.len() > MAX_AXES {
+        let found = format!("{} [[axis]] tables", tables.len());
+        source.finding(tables.last().map_or(0, |t| t.offset), found, format!("1 to {MAX_AXES} axes"));
+    }
+    let (mut axes, mut traces): (Vec<Axis>, Vec<PathBuf>) = (Vec::new(), Vec::new());
+    for (n, table) in tables.into_iter().enumerate() {
+        let offset = table.offset;
+        if let Some((axis, trace)) = read_axis(source, table, n as u8, &mut card, &latency, &mut notes) {
+            if let Some(first) = axes.iter().find(|a| a.name == axis.name) {
+                let found = format!("a second axis named {}", first.name);
+                source.finding(offset, found, "a name of its own for every axis");
+            }
+            axes.push(axis);
+            traces.extend(trace);
+        }
+    }
+
+    let mut control_table = root.table(source, "control", "[control]");
+    let socket = control_table.string(source, "socket", "the path of the control socket");
+    let group = control_table.string(source, "group", "the group that may use the socket");
+    let state_file = control_table.string(source, "state_file", "the path of the state file");
+    let stale_ms = control_table.integer(source, "stale_ms", 10..=60_000);
+    control_table.finish(source);
+    root.finish(source);
+
+    let relative = |path: &str| source.file.parent().unwrap_or(Path::new("")).join(path);
+    let control = ControlConfig {
+        state_file: state_file.map(|s| relative(s.value)),
+        socket: socket.map_or_else(|| default_directory().join("control.sock"), |s| relative(s.value)),
+        group: group.map(|g| g.value.to_owned()),
+        stale_ms: stale_ms.map_or(500, |s| s.value as u64),
+    };
+    let kind = match card.kind? {
+        Kind::Mock => CardConfig::Mock,
+        Kind::Mapped => CardConfig::Mapped { file: card.file?, profile: card.profile? },
+        Kind::Replay => CardConfig::Replay { traces },
+        Kind::Later(_) => return None,
+    };
+    Some(Config { machine: name?.value.to_owned(), card: kind, lines: card.lines, axes, rt, control, notes })
+}
+
+fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
+    let mut section = root.table(source, "card", "[card]");
+    let meaning = "\"mock\" or \"mapped\" or \"replay\"";
+    let kind = section.choice(
+        source,
+        "backend",
+        3,
+        &[
+            ("mock", Kind::Mock),
+            ("mapped", Kind::Mapped),
+            ("replay", Kind::Replay),
+            ("gpio", Kind::Later("gpio")),
+            ("port", Kind::Later("port")),
+        ],
+    );
+    let kind = section.required(source, "backend", meaning, kind);
+    let mut card = Card {
+        kind: kind.map(|k| k.value),
+        file: None,
+        profile: None,
+        lines: MachineLines::standard(),
+        taken: BTreeMap::new(),
+    };
+    match kind.map(|k| (k.value, k.offset)) {
+        Some((Kind::Mapped, _)) => {
+            let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
+            let meaning = "the path of the file of registers";
+            let file = section.string(source, "file", meaning);
+            card.file = section.required(source, "file", meaning, file).map(|f| directory.join(f.value));
+            card.profile = match section.string(source, "profile", "\"shared-memory\" or a profile's path") {
+                None => Some(Profile::shared_memory()),
+                Some(at) if at.value == "shared-memory" => Some(Profile::shared_memory()),
+                Some(at) => load_profile(source, &directory.join(at.value), at.offset),
+            };
+            let mut wire = |key, output| wire(source, &mut section, &mut card, key, output, "the machine");
+            card.lines = MachineLines {
+                probe: wire("probe", false),
+                disable: wire("disable", false),
+                hold: wire("hold", true),
+            };
+            section.finish(source);
+        }
+        Some((Kind::Later(name), offset)) => {
+            let found = format!("backend = \"{name}\"");
+            source.finding(offset, found, format!("{meaning}: this version has no {name} card"));
+        }
+        // Without a backend nobody knows which keys belong to it.
+        None => {}
+        Some((Kind::Mock | Kind::Replay, _)) => section.finish(source),
+    }
+    card
+}
+
+fn load_profile(source: &mut Source<'_>, path: &Path, offset: usize) -> Option<Profile> {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) => {
+            let found = format!("profile {}: {error}", path.display());
+            source.finding(offset, found, "\"shared-memory\" or the path of a card profile");
+            return None;
+        }
+    };
+    Profile::parse(path, &text).map_err(|finding| source.findings.push(finding)).ok()
+}
+
+/// The bit of one line, checked against the profile and against who has it already.
+fn wire(
+    source: &mut Source<'_>,
+    section: &mut Section<'_>,
+    card: &mut Card,
+    key: &'static str,
+    output: bool,
+    owner: &str,
+) -> Option<u8> {
+    let at = section.line(source, key)?;
+    let profile = card.profile.as_ref()?;
+    let direction = if output { "an output" } else { "an input" };
+    let bit = match at.value {
+        LineName::Name(name) => match (profile.lines.get(name), output) {
+            (Some(Place::Input(bit)), false) | (Some(Place::Output(bit)), true) => *bit,
+            (found, _) => {
+                let what = if found.is_some() { ", which goes the other way" } else { "" };
+                let names: Vec<&str> = profile.lines.keys().map(String::as_str).collect();
+                let hint = match nearest(name, &names) {
+                    Some(near) if near != name => format!("; did you mean \"{near}\"?"),
+                    _ => String::new(),
+                };
+                let expected = format!("{direction} line of profile \"{}\"{hint}", profile.name);
+                source.finding(at.offset, format!("{key} = \"{name}\"{what}"), expected);
+                return None;
+            }
+        },
+        LineName::Bit(bit) => {
+            let registers = if output { &profile.outputs } else { &profile.inputs };
+            let bits: u32 = registers.iter().map(|r| r.width.bits()).sum();
+            if u32::from(bit) >= bits {
+                let expected = format!("{direction} bit of profile \"{}\", 0 to {}", profile.name, bits - 1);
+                source.finding(at.offset, format!("{key} = {bit}"), expected);
+                return None;
+            }
+            bit
+        }
+    };
+    let owner = format!("{key} of {owner}");
+    if let Some(first) = card.taken.get(&(output, bit)) {
+        source.finding(at.offset, format!("{owner} on bit {bit}, which is {first}"), "a line of its own");
+        return None;
+    }
+    card.taken.insert((output, bit), owner);
+    Some(bit)
+}
+
+/// The lines of an axis: where `lines` says, or those of the standard layout.
+fn read_lines(
+    source: &mut Source<'_>,
+    section: &mut Section<'_>,
+    n: u8,
+    card: &mut Card,
+    owner: &str,
+) -> Option<AxisLines> {
+    if card.kind != Some(Kind::Mapped) {
+        if card.kind.is_some_and(|k| !matches!(k, Kind::Later(_))) && section.has("lines") {
+            let expected = "no lines: the mock and the replay have theirs in fixed places";
+            source.finding(section.offset, format!("lines of {owner}"), expected);
+        }
+        return Some(AxisLines::standard(n, card.kind == Some(Kind::Mock)));
+    }
+    let meaning = "{ a = \"in0\", b = \"in1\", invert_a = \"out0\", invert_b = \"out1\" }";
+    if !section.has("lines") {
+        section.missing(source, "lines", meaning);
+        return None;
+    }
+    let mut lines = section.table(source, "lines", "lines");
+    let mut place = |source: &mut Source<'_>, key, output, needed| {
+        let bit = wire(source, &mut lines, card, key, output, owner);
+        if needed { lines.required(source, key, "the line it is wired to", bit) } else { bit }
+    };
+    let a = place(source, "a", false, true);
+    let b = place(source, "b", false, true);
+    let invert_a = place(source, "invert_a", true, true);
+    let invert_b = place(source, "invert_b", true, true);
+    let back = (place(source, "read_back_a", false, false), place(source, "read_back_b", false, false));
+    let read_back = match back {
+        (Some(a), Some(b)) => Some((a, b)),
+        (None, None) => None,
+        _ => {
+            source.finding(lines.offset, "one of read_back_a and read_back_b", "both, or neither");
+            None
+        }
+    };
+    lines.finish(source);
+    Some(AxisLines { a: a?, b: b?, invert_a: invert_a?, invert_b: invert_b?, read_back })
+}
+
+#[allow(clippy::too_many_lines)] // One key after the other.
+fn read_axis(
+    source: &mut Source<'_>,
+    mut s: Section<'_>,
+    n: u8,
+    card: &mut Card,
+    latency: &AxisConfig,
+    notes: &mut Vec<String>,
+) -> Option<(Axis, Option<PathBuf>)> {
+    let before = source.findings.len();
+    let meaning = "the axis's name, in quotes";
+    let name = s.string(source, "name", meaning);
+    let name = s.required(source, "name", meaning, name);
+    let owner = name.map_or_else(|| format!("axis {n}"), |name| format!("axis {}", name.value));
+    let count_um = s.positive(source, "count_um", 1000.0);
+    let count_um = s.required(source, "count_um", "what one count is worth, µm", count_um);
+    let travel_mm = s.positive(source, "travel_mm", 1e6);
+    let travel_mm = s.required(source, "travel_mm", "the length of its travel, mm", travel_mm);
+    let design = s.choice(
+        source,
+        "design",
+        3,
+        &[
+            ("c", Some(Design::C)),
+            ("original", Some(Design::Original)),
+            ("a", Some(Design::A)),
+            ("b", None),
+            ("ecc", None),
+        ],
+    );
+    if let Some(at) = design.filter(|d| d.value.is_none()) {
+        let expected = "\"c\", \"original\" or \"a\": b and ecc pass the signals through the computer, and exist \
+                        in simulation only (rtecctl designs)";
+        source.finding(at.offset, "a design that cannot drive XOR gates", expected);
+    }
+    let design = design.map_or(Some(Design::C), |d| d.value);
+    let max = s.integer(source, "max_correction_counts", 1..=1_000_000_000);
+    let max = s.required(source, "max_correction_counts", "the largest total correction, counts", max);
+    let window = s.integer(source, "window_counts", 1..=1_000_000_000);
+    let window = s.required(source, "window_counts", "the largest change believed at once, counts", window);
+    let separation = s.integer(source, "min_separation_ns", 1..=1_000_000_000);
+    let meaning = "what the MTC's decoder needs between two edges, ns";
+    let separation = s.required(source, "min_separation_ns", meaning, separation);
+    let accel_mm = s.positive(source, "max_accel_mm_s2", 1e9);
+    let accel_counts = s.positive(source, "max_accel_counts_s2", 1e15);
+    if let (Some(_), Some(at)) = (accel_mm, accel_counts) {
+        source.finding(at.offset, "max_accel_mm_s2 and max_accel_counts_s2", "one of the two");
+    }
+    if card.kind == Some(Kind::Mapped) && !s.has("max_accel_mm_s2") && !s.has("max_accel_counts_s2") {
+        s.missing(
+            source,
+            "max_accel_mm_s2",
+            "the axis's acceleration limit, mm/s²: the speed gate stands on it",
+        );
+    }
+    let hysteresis = s.positive(source, "hysteresis_counts", 1000.0);
+    let warn = s.integer(source, "warn_counts", 1..=1_000_000_000);
+    let error = s.integer(source, "error_counts", 1..=1_000_000_000);
+    if let (Some(warn), Some(error)) = (warn, error)
+        && warn.value > error.value
+    {
+        let found = format!("warn_counts = {} above error_counts = {}", warn.value, error.value);
+        source.finding(warn.offset, found, "the warning before the error");
+    }
+    if let (Some(error), Some(max)) = (error, max)
+        && error.value > max.value
+    {
+        let found = format!("error_counts = {} above max_correction_counts = {}", error.value, max.value);
+        source.finding(
+            error.offset,
+            found,
+            "a limit that a request can reach: beyond the maximum it is refused",
+        );
+    }
+    let rate = s.positive(source, "max_rate_counts_s", 1e9);
+    let rest = s.choice(source, "rest_policy", 2, &[("wait", false), ("insert", true)]);
+    let quiet_ms = s.positive(source, "rest_quiet_ms", 1e6);
+    let insert = rest.is_some_and(|r| r.value);
+    match (insert, quiet_ms, rest) {
+        (true, None, Some(at)) if !s.has("rest_quiet_ms") => {
+            source.finding(
+                at.offset,
+                "rest_policy = \"insert\" alone",
+                "rest_quiet_ms too: after how many ms",
+            );
+        }
+        (false, Some(at), _) => {
+            let expected = "rest_policy = \"insert\" beside it, or no rest_quiet_ms";
+            source.finding(at.offset, "rest_quiet_ms with rest_policy = \"wait\"", expected);
+        }
+        _ => {}
+    }
+    let budget = s.integer(source, "reference_budget_counts", 1..=1_000_000_000);
+    let home_mm = s.signed(source, "home_mm", 1e6);
+    let lines = read_lines(source, &mut s, n, card, &owner);
+    let mut trace = None;
+    if card.kind == Some(Kind::Replay) {
+        let meaning = "the recorded trace of this axis, .csv or .vcd";
+        let path = s.string(source, "trace", meaning);
+        trace = s
+            .required(source, "trace", meaning, path)
+            .map(|p| source.file.parent().unwrap_or(Path::new("")).join(p.value));
+    }
+    if let (Some(max), Some(um), Some(mm)) = (max, count_um, travel_mm)
+        && max.value as f64 * um.value > mm.value * 1000.0
+    {
+        let found = format!("max_correction_counts = {} on a travel of {} mm", max.value, mm.value);
+        source.finding(max.offset, found, "a correction smaller than the travel");
+    }
+    let offset = s.offset;
+    if card.kind.is_none_or(|k| matches!(k, Kind::Later(_))) {
+        // Without a card nobody knows whether these belong here.
+        let _ = (s.has("lines"), s.has("trace"));
+    }
+    s.finish(source);
+    if source.findings.len() > before {
+        return None;
+    }
+
+    let (count_um, max, name) = (count_um?.value, max?, name?.value);
+    if let Some(budget) = budget
+        && budget.value < max.value
+    {
+        notes.push(format!(
+            "{owner}: max_correction_counts = {} is capped at {}, the budget that the MTC leaves between reference \
+             marks or encoders",
+            max.value, budget.value
+        ));
+    }
+    let max_accel_counts_s2 = match (accel_mm, accel_counts) {
+        (Some(mm), _) => mm.value * 1000.0 / count_um,
+        (None, Some(counts)) => counts.value,
+        (None, None) => latency.max_accel_counts_s2,
+    };
+    let engine = AxisConfig {
+        lines: lines?,
+        design: design?,
+        max_correction_counts: budget.map_or(max.value, |b| b.value.min(max.value)),
+        window_counts: window?.value,
+        warn_counts: warn.map_or(i64::MAX, |w| w.value),
+        error_counts: error.map_or(i64::MAX, |e| e.value),
+        max_rate_counts_s: rate.map_or(f64::INFINITY, |r| r.value),
+        min_separation_ns: separation?.value as u64,
+        max_accel_counts_s2,
+        hysteresis_counts: hysteresis.map_or(latency.hysteresis_counts, |h| h.value),
+        rest: match quiet_ms {
+            Some(ms) if insert => RestPolicy::Insert { after_ns: (ms.value * 1e6) as u64 },
+            _ => RestPolicy::Wait,
+        },
+        ..*latency
+    };
+    if engine.gate().is_none() {
+        let found = format!("{owner}: no speed leaves time for an insertion");
+        let expected =
+            "a lower max_accel, detect_ns, write_ns, guard_ns or min_separation_ns, or more hysteresis";
+        source.finding(offset, found, expected);
+    }
+    let axis = Axis {
+        name: name.to_owned(),
+        count_um,
+        travel_mm: travel_mm?.value,
+        home_counts: (home_mm.map_or(0.0, |h| h.value) * 1000.0 / count_um).round() as i64,
+        reference_budget_counts: budget.map(|b| b.value),
+        engine,
+    };
+    Some((axis, trace))
+}

@@ -1,0 +1,12 @@
+//! What the daemon and its command line share: the configuration and the control protocol.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`config`] | `rtec.toml`, read strictly: every finding with its line |
+//! | [`protocol`] | requests and answers of the control socket |
+//! | [`client`] | the client's end of it |
+
+pub mod client;
+pub mod config;
+pub mod protocol;
+mod section;

@@ -1,0 +1,421 @@
+//! The control protocol: JSON lines over a Unix stream socket, one answer per request.
+//!
+//! ```text
+//! → {"do":"correct","axis":"x","total_counts":12}
+//! ← {"done":{}}
+//! → {"do":"enable"}
+//! ← {"refused":{"why":"not_homed","text":"…"}}
+//! ```
+//!
+//! | request | fields |
+//! |---|---|
+//! | `status`, `disable`, `shadow`, `clear`, `watch` | – |
+//! | `home` | `axis`; all without it |
+//! | `enable` | `accept_jump` |
+//! | `correct` | `axis`, `total_counts`, `large` |
+//! | `probe`, `hold` | `on` |
+//!
+//! `watch` turns the connection into a stream of `event` answers until it is closed.
+
+use rtec_rt::event::{Event, EventKind, Fault, Refusal};
+use serde::{Deserialize, Serialize};
+
+/// Longest request line, bytes.
+pub const MAX_LINE: usize = 4096;
+
+/// What a client asks for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Request {
+    /// Everything at this moment.
+    Status {},
+    /// The axis is at its known place.
+    Home {
+        /// Its name; all axes without it.
+        #[serde(default)]
+        axis: Option<String>,
+    },
+    /// Corrections on.
+    Enable {
+        /// A jump beyond the belief window is meant.
+        #[serde(default)]
+        accept_jump: bool,
+    },
+    /// Corrections off, frozen where they are.
+    Disable {},
+    /// Compute everything, write nothing.
+    Shadow {},
+    /// The total correction of an axis.
+    Correct {
+        /// Its name.
+        axis: String,
+        /// Total since homing, counts.
+        total_counts: i64,
+        /// A change beyond the belief window is meant.
+        #[serde(default)]
+        large: bool,
+    },
+    /// Probing mode.
+    Probe {
+        /// On or off.
+        on: bool,
+    },
+    /// Feed hold.
+    Hold {
+        /// On or off.
+        on: bool,
+    },
+    /// Release latched faults.
+    Clear {},
+    /// Send every event from now on.
+    Watch {},
+}
+
+impl Request {
+    /// Reads a request line.
+    ///
+    /// # Errors
+    /// What is wrong with it, and what is expected.
+    pub fn parse(line: &str) -> Result<Self, String> {
+        serde_json::from_str(line).map_err(|e| {
+            format!("found {e}; expected one JSON object such as {{\"do\":\"status\"}} or {{\"do\":\"correct\",\"axis\":\"x\",\"total_counts\":12}}")
+        })
+    }
+}
+
+/// What the daemon answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Response {
+    /// The status asked for.
+    Status(Box<Status>),
+    /// Done as asked.
+    Done {
+        /// What `enable` moves, axis by axis.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        jumps: Vec<Jump>,
+    },
+    /// Not done, nothing is changed.
+    Refused {
+        /// Why, as one word.
+        why: String,
+        /// Why, and what to do.
+        text: String,
+        /// The jumps that `enable` would make.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        jumps: Vec<Jump>,
+    },
+    /// A fault is latched: because of this request, or before it.
+    Fault {
+        /// Which, and what to do.
+        text: String,
+    },
+    /// The request itself is wrong.
+    Bad {
+        /// What was found, what was expected.
+        text: String,
+    },
+    /// Something happened (after `watch`).
+    Event(Happened),
+}
+
+/// How far an axis moves when corrections are enabled now.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Jump {
+    /// The axis.
+    pub axis: String,
+    /// Counts to be inserted.
+    pub counts: i64,
+    /// The same, µm.
+    pub um: f64,
+    /// The axis's belief window, counts.
+    pub window_counts: i64,
+}
+
+/// One event, in words.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Happened {
+    /// When, on the card's clock, ns.
+    pub t_ns: u64,
+    /// The axis; none for the machine as a whole.
+    pub axis: Option<String>,
+    /// What, as one word.
+    pub kind: String,
+    /// What, as a sentence.
+    pub text: String,
+    /// Where the axis was when the probe tripped.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trip: Option<Trip>,
+}
+
+/// A captured position.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Trip {
+    /// Position, interpolated between the neighbouring edges, counts.
+    pub position_counts: f64,
+    /// The same, mm.
+    pub position_mm: f64,
+    /// Half the width of what it may be, counts.
+    pub uncertainty_counts: f64,
+}
+
+/// The state of the corrector.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// The machine's name.
+    pub machine: String,
+    /// `run`, `shadow`, `probe`, `hold`, `fault` or `disabled`.
+    pub mode: String,
+    /// Every axis is homed.
+    pub homed: bool,
+    /// Since the daemon's start, s.
+    pub uptime_s: f64,
+    /// The ledger of every axis balances.
+    pub balanced: bool,
+    /// Latched faults of the machine as a whole.
+    pub faults: Vec<Fault>,
+    /// Why nothing is corrected now, and what to do about it; empty while correcting.
+    pub why_not: Vec<String>,
+    /// The real-time thread.
+    pub rt: Rt,
+    /// The axes.
+    pub axes: Vec<Axis>,
+}
+
+/// The real-time thread.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(clippy::struct_excessive_bools)] // Each is a lamp of its own.
+pub struct Rt {
+    /// It runs.
+    pub alive: bool,
+    /// The card's backend.
+    pub card: String,
+    /// Corrections may be enabled on this card with this set-up.
+    pub may_arm: bool,
+    /// The CPU it is pinned to; none for an ordinary thread.
+    pub cpu: Option<usize>,
+    /// Its `SCHED_FIFO` priority; none for an ordinary thread.
+    pub priority: Option<u8>,
+    /// Real-time settings that are not as they should be: name, what was found, what to do.
+    pub missing: Vec<String>,
+    /// Looks at the card so far.
+    pub polls: u64,
+    /// Events that found the ring full.
+    pub events_lost: u64,
+    /// The control side is silent.
+    pub control_stale: bool,
+    /// The disable switch is on.
+    pub disable_switch: bool,
+    /// Time between two looks, ns.
+    pub poll_gap_ns: Distribution,
+    /// Time from an edge to the end of the insertion it opened, ns.
+    pub edge_to_done_ns: Distribution,
+}
+
+/// A distribution of times, ns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Distribution {
+    /// Smallest.
+    pub min: u64,
+    /// Median.
+    pub p50: u64,
+    /// 99 %.
+    pub p99: u64,
+    /// 99.99 %.
+    pub p9999: u64,
+    /// Largest.
+    pub max: u64,
+    /// How many.
+    pub samples: u64,
+}
+
+/// One axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Axis {
+    /// Its name.
+    pub name: String,
+    /// Scale position, counts.
+    pub position_counts: i64,
+    /// The same, mm.
+    pub position_mm: f64,
+    /// Accepted total, counts.
+    pub requested: i64,
+    /// Inserted, counts; in shadow mode what would have been.
+    pub completed: i64,
+    /// What is really in the MTC's count, counts.
+    pub in_effect: i64,
+    /// The MTC's count minus the scale's, counts: the other side of the ledger.
+    pub mtc_minus_scale: i64,
+    /// Both inverters are on.
+    pub inverted: bool,
+    /// Homed.
+    pub homed: bool,
+    /// Why it is or is not correcting: `done`, `inserting`, `waiting_for_edge`, `too_fast`, …
+    pub gate: String,
+    /// Scale edges per second.
+    pub edge_rate_hz: f64,
+    /// Latched faults.
+    pub faults: Vec<Fault>,
+    /// Largest total, counts.
+    pub max_correction_counts: i64,
+    /// Belief window, counts.
+    pub window_counts: i64,
+    /// Insertions made.
+    pub insertions: u64,
+    /// Edges at which the gate was shut.
+    pub waited_for_gate: u64,
+    /// Edges inside an insertion, with a certain outcome.
+    pub overlaps: u64,
+    /// Insertions given up because the process looked too late.
+    pub late: u64,
+    /// Illegal transitions of the scale.
+    pub illegal: u64,
+}
+
+/// A name as the protocol writes it.
+#[must_use]
+pub fn word(name: impl Serialize) -> String {
+    match serde_json::to_value(name) {
+        Ok(serde_json::Value::String(word)) => word,
+        _ => String::new(),
+    }
+}
+
+/// What a refusal means, and what to do.
+#[must_use]
+pub const fn explain_refusal(why: Refusal) -> &'static str {
+    match why {
+        Refusal::NoSuchAxis => "there is no such axis",
+        Refusal::FaultLatched => {
+            "a fault is latched: see `rtecctl status`, mend its cause, then `rtecctl clear`"
+        }
+        Refusal::NotHomed => "not homed: move to the home position, then `rtecctl home`",
+        Refusal::Disabled => {
+            "corrections are disabled: `rtecctl enable` first; only a total of 0 is taken now"
+        }
+        Refusal::DisableSwitch => "the hardware disable switch is on",
+        Refusal::Probing => "probing mode is on: `rtecctl probe off` first",
+        Refusal::AboveMaximum => "beyond max_correction_counts of this axis; nothing is changed",
+        Refusal::NotBelieved => {
+            "I don't believe you: the change is larger than window_counts of this axis. Nothing is changed; --large if it \
+             is meant"
+        }
+        Refusal::NotArmable => {
+            "the real-time set-up or the measured latency is missing and the card drives a real machine: see \
+             `rtecctl status` and `rtecctl platform`"
+        }
+        Refusal::Busy => "an insertion is under way: ask again",
+    }
+}
+
+/// What a fault means, and what to do.
+#[must_use]
+pub const fn explain_fault(fault: Fault) -> &'static str {
+    match fault {
+        Fault::IllegalTransition => {
+            "A and B of the scale changed at once, or an edge was missed: check the scale and its cable, clear, home again"
+        }
+        Fault::LedgerImbalance => {
+            "counts to the MTC minus counts of the scale is not what was completed: clear, home again"
+        }
+        Fault::OrderUnknown => {
+            "a real edge and an inversion fell together: the MTC's count is uncertain by a cycle; wire the read-back or \
+             raise guard_ns, clear, home again"
+        }
+        Fault::PollGap => {
+            "the lines were not looked at for too long: see `rtecctl platform`, clear, home again"
+        }
+        Fault::StillNotBelieved => {
+            "I still don't believe you: three requests in a row outside the belief window; clear"
+        }
+        Fault::ErrorLimit => "a request reached error_counts of this axis; clear",
+        Fault::ReadBackMismatch => {
+            "A' and B' are not what the inverters should make of A and B: check the gates, home again"
+        }
+        Fault::Card => "the card could not be read or written: see the log, then restart the daemon",
+        Fault::InvertersMoved => {
+            "the inverters are not where the state file left them: the MTC's count is uncertain; clear, home again"
+        }
+    }
+}
+
+impl Happened {
+    /// An event in words. `axis` gives the name and µm per count of an axis.
+    #[must_use]
+    pub fn of(event: &Event, axis: Option<(&str, f64)>) -> Self {
+        let mut trip = None;
+        let (kind, text) = match event.kind {
+            EventKind::Refused { total_counts: 0, why } => {
+                ("refused", format!("refused: {}", explain_refusal(why)))
+            }
+            EventKind::Refused { total_counts, why } => {
+                ("refused", format!("{total_counts:+} counts refused: {}", explain_refusal(why)))
+            }
+            EventKind::Fault(fault) => ("fault", format!("{}: {}", word(fault), explain_fault(fault))),
+            EventKind::Warning { total_counts } => {
+                ("warning", format!("a request of {total_counts:+} counts passed the warning limit"))
+            }
+            EventKind::HomeSet { position_counts } => {
+                ("home_set", format!("counter set to {position_counts}"))
+            }
+            EventKind::Homed => ("homed", "homed".to_owned()),
+            EventKind::Overlap => {
+                ("overlap", "an edge fell into an insertion and is in the ledger".to_owned())
+            }
+            EventKind::Late => ("late", "an insertion was given up: looked too late".to_owned()),
+            EventKind::Mode(mode) => ("mode", format!("mode {}", word(mode))),
+            EventKind::ControlStale(true) => {
+                ("control_stale", "the control side is silent: corrections freeze".to_owned())
+            }
+            EventKind::ControlStale(false) => ("control_stale", "the control side is heard again".to_owned()),
+            EventKind::Trip(capture) => {
+                let (position_counts, uncertainty_counts) = capture.position_counts();
+                let position_mm = position_counts * axis.map_or(0.0, |(_, um)| um) / 1000.0;
+                trip = Some(Trip { position_counts, position_mm, uncertainty_counts });
+                ("trip", format!("probe tripped at {position_counts:.3} ± {uncertainty_counts:.3} counts"))
+            }
+            EventKind::Bounce => {
+                ("bounce", "the probe tripped again before the capture was complete".to_owned())
+            }
+        };
+        Self {
+            t_ns: event.t_ns,
+            axis: axis.map(|(name, _)| name.to_owned()),
+            kind: kind.to_owned(),
+            text,
+            trip,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_are_strict() {
+        let ok = Request::parse(r#"{"do":"correct","axis":"x","total_counts":-4}"#).unwrap();
+        assert_eq!(ok, Request::Correct { axis: "x".into(), total_counts: -4, large: false });
+        assert_eq!(Request::parse(r#"{"do":"status"}"#).unwrap(), Request::Status {});
+        for (line, wants) in [
+            ("", "EOF"),
+            ("status", "expected value"),
+            (r#"{"do":"stat"}"#, "unknown variant `stat`"),
+            (r#"{"do":"status","x":1}"#, "unknown field `x`"),
+            (r#"{"do":"correct","axis":"x"}"#, "missing field `total_counts`"),
+            (r#"{"do":"correct","axis":"x","total_counts":1.5}"#, "floating point"),
+            (r#"{"do":"probe","on":"yes"}"#, "invalid type"),
+        ] {
+            let found = Request::parse(line).unwrap_err();
+            assert!(found.contains(wants), "{found}");
+        }
+    }
+
+    #[test]
+    fn answers_have_the_shape_that_is_documented() {
+        let done = Response::Done { jumps: Vec::new() };
+        assert_eq!(serde_json::to_string(&done).unwrap(), r#"{"done":{}}"#);
+        let refused = Response::Refused { why: word(Refusal::NotHomed), text: "t".into(), jumps: Vec::new() };
+        assert_eq!(serde_json::to_string(&refused).unwrap(), r#"{"refused":{"why":"not_homed","text":"t"}}"#);
+    }
+}

@@ -1,0 +1,102 @@
+//! What a person sees who made a mistake in rtec.toml. `RTEC_BLESS=1 cargo test` writes the golden files anew.
+
+use rtec_control::config::{CardConfig, Config, EMBEDDED};
+use rtec_rt::axis::{Design, RestPolicy};
+use std::path::Path;
+
+#[test]
+fn every_finding_has_its_line_and_its_remedy() {
+    let directory = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/config");
+    let mut files: Vec<_> = std::fs::read_dir(&directory).unwrap().map(|e| e.unwrap().path()).collect();
+    files.retain(|f| f.extension().is_some_and(|e| e == "toml"));
+    files.sort();
+    assert!(files.len() > 8);
+    for file in files {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let name = Path::new(file.file_name().unwrap());
+        let found = format!("{}\n", Config::parse(name, &text).expect_err("a file with mistakes"));
+        let golden = file.with_extension("txt");
+        if std::env::var_os("RTEC_BLESS").is_some() {
+            std::fs::write(&golden, &found).unwrap();
+        }
+        let expected = std::fs::read_to_string(&golden).unwrap_or_default();
+        assert_eq!(found, expected, "{}", name.display());
+        if name == Path::new("syntax.toml") {
+            continue;
+        }
+        // CRLF and a BOM change nothing.
+        let windows = format!("\u{feff}{}", text.replace('\n', "\r\n"));
+        let again = format!("{}\n", Config::parse(name, &windows).expect_err("the same mistakes"));
+        assert_eq!(again.lines().count(), expected.lines().count(), "{again}");
+    }
+}
+
+#[test]
+fn the_embedded_default_is_three_simulated_axes() {
+    let config = Config::embedded();
+    assert_eq!(config.card, CardConfig::Mock);
+    assert_eq!(config.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>(), ["x", "y", "z"]);
+    assert!(!config.card.is_real() && config.notes.is_empty());
+    assert_eq!(config.axis("z"), Some(2));
+    assert!(EMBEDDED.is_ascii());
+}
+
+const CONTRACT: &str = r#"
+[machine]
+name = "lathe"
+[card]
+backend = "mapped"
+file = "regs"
+probe = 28
+[[axis]]
+name = "x"
+count_um = 0.5
+travel_mm = 400
+design = "original"
+max_correction_counts = 1000
+window_counts = 50
+min_separation_ns = 1000
+max_accel_mm_s2 = 1000
+reference_budget_counts = 400
+rest_policy = "insert"
+rest_quiet_ms = 2.5
+home_mm = -10
+lines = { a = "in4", b = 5, invert_a = "out2", invert_b = "out3", read_back_a = 6, read_back_b = 7 }
+[rt]
+cpu = 3
+priority = 90
+detect_ns = 2000
+write_ns = 300
+guard_ns = 200
+[control]
+socket = "run/s"
+group = "rtec"
+"#;
+
+#[test]
+fn values_arrive_where_they_belong() {
+    let config = Config::parse(Path::new("/etc/rtec/rtec.toml"), CONTRACT).unwrap();
+    let axis = &config.axes[0];
+    let engine = &axis.engine;
+    assert_eq!(engine.design, Design::Original);
+    assert!((engine.max_accel_counts_s2 - 2e6).abs() < 1e-6);
+    // The budget caps the maximum, and says so.
+    assert_eq!((engine.max_correction_counts, config.notes.len()), (400, 1));
+    assert_eq!(engine.rest, RestPolicy::Insert { after_ns: 2_500_000 });
+    assert_eq!((engine.detect_ns, engine.write_ns, engine.guard_ns), (2000, 300, 200));
+    assert_eq!(axis.home_counts, -20_000);
+    assert_eq!((engine.lines.a, engine.lines.invert_b, engine.lines.read_back), (4, 3, Some((6, 7))));
+    assert_eq!((config.lines.probe, config.lines.hold), (Some(28), None));
+    assert_eq!(config.control.socket, Path::new("/etc/rtec/run/s"));
+    assert_eq!(config.control.state_path(), Path::new("/etc/rtec/run/state"));
+    assert_eq!((config.rt.cpu, config.rt.priority, config.rt.latency_measured), (Some(3), 90, true));
+    assert!(matches!(&config.card, CardConfig::Mapped { file, .. } if file == Path::new("/etc/rtec/regs")));
+}
+
+#[test]
+fn a_card_without_measured_latency_is_noted() {
+    let text = CONTRACT.replace("detect_ns = 2000\n", "");
+    let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
+    assert!(!config.rt.latency_measured);
+    assert!(config.notes.iter().any(|n| n.contains("selftest latency")), "{:?}", config.notes);
+}

@@ -1,0 +1,292 @@
+//! The chain model: error components of each joint, combined by homogeneous transforms (NISTIR 4854; Donmez et al.,
+//! "A general methodology for machine tool accuracy enhancement", 1986).
+//!
+//! Two branches start at the machine's bed: one ends at the work, one at the tool. A joint moves by its axis'
+//! position and errs by six components, each a polynomial of position and of a temperature difference. The error is
+//! where the tool point is in the frame of the work, minus where it should be.
+
+use crate::document::{self, Entry, Table};
+use crate::effect::{Against, Difference, Missing, STANDARD_DEGC};
+use crate::record::{Axis, Record, Role};
+use nalgebra::{Matrix4, Vector4};
+use rtec_driver::input::InputError;
+use std::path::Path;
+
+/// The six components of a joint's error: displacements (µm) along x, y, z, rotations (µrad) about x, y, z.
+pub const COMPONENTS: [&str; 6] = ["dx", "dy", "dz", "ex", "ey", "ez"];
+
+/// Which end of the machine a joint carries.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Branch {
+    /// From the bed to the work.
+    Work,
+    /// From the bed to the tool.
+    Tool,
+}
+
+/// One term of a component: coefficient · (p/100 mm)^i · ΔT^j.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Term {
+    /// Power of the position in units of 100 mm, so that coefficients keep the component's order of magnitude.
+    pub position: u8,
+    /// Power of the temperature difference, K.
+    pub temperature: u8,
+    /// µm or µrad.
+    pub coefficient: f64,
+}
+
+/// One component of a joint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Component {
+    /// Place among [`COMPONENTS`].
+    pub kind: usize,
+    /// The temperature difference of its terms; none where no term has a power of it.
+    pub delta: Option<Difference>,
+    /// Its polynomial.
+    pub terms: Vec<Term>,
+}
+
+/// A joint: a frame fixed at an offset from the one before, moved along an axis, with its errors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Joint {
+    /// Its name.
+    pub name: String,
+    /// Which end it carries.
+    pub branch: Branch,
+    /// The axis whose position moves it, with the direction in the machine's frame; none for a joint at rest
+    /// (spindle, tool post).
+    pub axis: Option<(Axis, [f64; 3])>,
+    /// Offset from the frame before, mm.
+    pub offset_mm: [f64; 3],
+    /// Its components.
+    pub components: Vec<Component>,
+}
+
+/// A kinematic chain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chain {
+    /// The joints of each branch in order from the bed.
+    pub joints: Vec<Joint>,
+    /// The tool point in the last frame of the tool branch, mm.
+    pub tool_mm: [f64; 3],
+}
+
+/// The transform of a displacement (mm) and small rotations (rad): exact to the first order, as the method has it.
+#[must_use]
+pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Matrix4<f64> {
+    let ([x, y, z], [a, b, c]) = (displacement_mm, rotation_rad);
+    Matrix4::new(1.0, -c, b, x, c, 1.0, -a, y, -b, a, 1.0, z, 0.0, 0.0, 0.0, 1.0)
+}
+
+impl Chain {
+    /// Error of the tool point in the frame of the work, µm (x, y, z of the machine), at axis positions (mm) and
+    /// temperature differences (K) that the two functions look up. Allocates nothing.
+    pub fn error_um(
+        &self,
+        position_mm: impl Fn(&Axis) -> f64,
+        delta_k: impl Fn(&Difference) -> f64,
+    ) -> [f64; 3] {
+        let ends = [
+            self.end(Branch::Work, true, &position_mm, &delta_k),
+            self.end(Branch::Tool, true, &position_mm, &delta_k),
+        ];
+        let ideal = [
+            self.end(Branch::Work, false, &position_mm, &delta_k),
+            self.end(Branch::Tool, false, &position_mm, &delta_k),
+        ];
+        let tip = Vector4::new(self.tool_mm[0], self.tool_mm[1], self.tool_mm[2], 1.0);
+        // A transform near the identity has an inverse.
+        let seen = |work: &Matrix4<f64>, tool: &Matrix4<f64>| {
+            work.try_inverse().unwrap_or_else(Matrix4::identity) * tool * tip
+        };
+        let e = seen(&ends[0], &ends[1]) - seen(&ideal[0], &ideal[1]);
+        [1000.0 * e[0], 1000.0 * e[1], 1000.0 * e[2]]
+    }
+
+    fn end(
+        &self,
+        branch: Branch,
+        with_errors: bool,
+        position_mm: &impl Fn(&Axis) -> f64,
+        delta_k: &impl Fn(&Difference) -> f64,
+    ) -> Matrix4<f64> {
+        let mut end = Matrix4::identity();
+        for joint in self.joints.iter().filter(|j| j.branch == branch) {
+            let mut at = joint.offset_mm;
+            let mut p = 0.0;
+            if let Some((axis, direction)) = &joint.axis {
+                p = position_mm(axis);
+                for (a, d) in at.iter_mut().zip(direction) {
+                    *a += d * p;
+                }
+            }
+            end *= transform(at, [0.0; 3]);
+            if with_errors {
+                let mut six = [0.0; 6];
+                for c in &joint.components {
+                    let delta = c.delta.as_ref().map_or(0.0, delta_k);
+                    six[c.kind] += c.value(p, delta);
+                }
+                let [dx, dy, dz, ex, ey, ez] = six;
+                end *= transform([dx * 1e-3, dy * 1e-3, dz * 1e-3], [ex * 1e-6, ey * 1e-6, ez * 1e-6]);
+            }
+        }
+        end
+    }
+
+    /// Reads a chain.
+    ///
+    /// # Errors
+    /// The first finding, with file, line and column.
+    pub fn read(path: &Path) -> Result<Self, InputError> {
+        let text = document::read(path)?;
+        let doc = document::parse(path, &text)?;
+        let root = Table::root(path, &text, &doc);
+        root.only(&["note", "tool_mm", "joint"])?;
+        let tool_mm = triple(root.get("tool_mm"), "tool_mm = [x, y, z], mm")?.unwrap_or_default();
+        let mut joints: Vec<Joint> = Vec::new();
+        for t in root.required("joint", "[[joint]] tables")?.tables("[[joint]] tables")? {
+            let joint = read_joint(t)?;
+            if joints.iter().any(|j| j.name == joint.name) {
+                return Err(t
+                    .required("name", "")?
+                    .error(format!("joint `{}` twice", joint.name), "each name once"));
+            }
+            joints.push(joint);
+        }
+        Ok(Self { joints, tool_mm })
+    }
+
+    /// Adds the chain's errors to the error responses x, y and z of a record, row by row.
+    ///
+    /// # Errors
+    /// A sensor or the position of an axis that the record does not have.
+    pub fn add(&self, record: &Record, response: &Role, out: &mut [f64]) -> Result<(), Missing> {
+        let Role::Error(axis) = response else { return Ok(()) };
+        let Some(place) = ["x", "y", "z"].iter().position(|n| *n == axis.as_str()) else { return Ok(()) };
+        let missing = |what: String| Missing { effect: "chain".to_owned(), what, has: String::new() };
+        for joint in &self.joints {
+            if let Some((axis, _)) = &joint.axis {
+                let role = Role::Position(axis.clone());
+                record.data(&role).ok_or_else(|| missing(role.to_string()))?;
+            }
+            for d in joint.components.iter().filter_map(|c| c.delta.as_ref()) {
+                let minus = match &d.against {
+                    Against::Sensor(m) => Some(m),
+                    _ => None,
+                };
+                for s in std::iter::once(&d.sensor).chain(minus) {
+                    record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
+                }
+            }
+        }
+        for (row, o) in out.iter_mut().enumerate() {
+            let at = |data: Option<&[f64]>| data.map_or(0.0, |d| d[row]);
+            let position = |a: &Axis| at(record.data(&Role::Position(a.clone())));
+            let delta = |d: &Difference| {
+                at(record.temperature(&d.sensor))
+                    - match &d.against {
+                        Against::Sensor(m) => at(record.temperature(m)),
+                        Against::Reference(degc) => *degc,
+                        Against::Standard => STANDARD_DEGC,
+                    }
+            };
+            *o += self.error_um(position, delta)[place];
+        }
+        Ok(())
+    }
+}
+
+impl Component {
+    /// Its value, µm or µrad, at a position (mm) and temperature difference (K).
+    #[must_use]
+    pub fn value(&self, p_mm: f64, delta_k: f64) -> f64 {
+        let of = |t: &Term| {
+            t.coefficient
+                * (p_mm / 100.0).powi(i32::from(t.position))
+                * delta_k.powi(i32::from(t.temperature))
+        };
+        self.terms.iter().map(of).sum()
+    }
+}
+
+fn triple(entry: Option<Entry<'_>>, form: &str) -> Result<Option<[f64; 3]>, InputError> {
+    let Some(entry) = entry else { return Ok(None) };
+    match entry.numbers(form)?[..] {
+        [x, y, z] => Ok(Some([x, y, z])),
+        _ => Err(entry.error(entry.text(), form)),
+    }
+}
+
+fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
+    t.only(&["name", "branch", "axis", "direction", "offset_mm", "component"])?;
+    let name = t.required("name", "the joint's name")?.str("the joint's name")?.to_owned();
+    let entry = t.required("branch", "branch = \"work\" or \"tool\"")?;
+    let branch = match entry.str("\"work\" or \"tool\"")? {
+        "work" => Branch::Work,
+        "tool" => Branch::Tool,
+        other => return Err(entry.error(format!("branch `{other}`"), "\"work\" or \"tool\"")),
+    };
+    let axis = match t.get("axis") {
+        None => None,
+        Some(entry) => {
+            let text = entry.str("an axis")?;
+            let axis = Axis::new(text).ok_or_else(|| entry.error(text, "an axis' name"))?;
+            let form =
+                "direction = [x, y, z]: where a positive position moves the joint, in the machine's frame";
+            let own = |n: &str| f64::from(n == axis.as_str());
+            let direction = triple(t.get("direction"), form)?.unwrap_or([own("x"), own("y"), own("z")]);
+            if direction.iter().all(|d| *d == 0.0) {
+                return Err(entry.error(format!("axis `{text}` without direction"), form));
+            }
+            Some((axis, direction))
+        }
+    };
+    let offset_mm = triple(t.get("offset_mm"), "offset_mm = [x, y, z], mm")?.unwrap_or_default();
+    let mut components = Vec::new();
+    for c in t.get("component").map(|e| e.tables("component tables")).transpose()?.unwrap_or_default() {
+        c.only(&["of", "sensor", "minus", "reference_degC", "terms"])?;
+        let of = c.required("of", "the component, as of = \"ey\"")?;
+        let kind = COMPONENTS
+            .iter()
+            .position(|n| Some(*n) == of.str("a component").ok())
+            .ok_or_else(|| of.error(of.text(), format!("one of {}", COMPONENTS.join(", "))))?;
+        let text = |key: &str| c.get(key).map(|e| e.str("a sensor's name").map(str::to_owned)).transpose();
+        let delta = match (text("sensor")?, text("minus")?, c.get("reference_degC")) {
+            (Some(_), Some(_), Some(r)) => {
+                return Err(r.key_error("`minus` and `reference_degC` both", "one of the two, or neither"));
+            }
+            (Some(sensor), Some(minus), None) => Some(Difference::pair(&sensor, &minus)),
+            (Some(sensor), None, Some(r)) => {
+                Some(Difference { sensor, against: Against::Reference(r.number("a temperature in degC")?) })
+            }
+            (Some(sensor), None, None) => Some(Difference::single(&sensor)),
+            (None, None, None) => None,
+            (None, _, _) => return Err(of.error("no `sensor`", "the sensor that `minus` is taken from")),
+        };
+        let form =
+            "terms = [{ p = 1, dT = 0, value = 2.5 }]: coefficient (µm or µrad) of (p/100 mm)^p · ΔT^dT";
+        let mut terms = Vec::new();
+        for term in c.required("terms", form)?.tables(form)? {
+            term.only(&["p", "dT", "value"])?;
+            let power = |key: &str| match term.get(key) {
+                None => Ok(0),
+                Some(e) => match e.number("a whole power from 0 to 8")? {
+                    v if v.fract() == 0.0 && (0.0..=8.0).contains(&v) => Ok(v as u8),
+                    v => Err(e.error(v.to_string(), "a whole power from 0 to 8")),
+                },
+            };
+            let temperature = power("dT")?;
+            if temperature > 0 && delta.is_none() {
+                return Err(term.error("a power of ΔT without `sensor`", "the sensor of the component"));
+            }
+            terms.push(Term {
+                position: power("p")?,
+                temperature,
+                coefficient: term.required("value", form)?.number("µm or µrad")?,
+            });
+        }
+        components.push(Component { kind, delta, terms });
+    }
+    Ok(Joint { name, branch, axis, offset_mm, components })
+}

@@ -1,0 +1,196 @@
+//! A project's own effects: laws given by a file instead of code.
+//!
+//! Each parameter is linear and multiplies a sum of products of what an effect may read, each to a whole power, maybe
+//! with the sine or cosine of a multiple of the angle. That covers what a machine's own cross terms look like, can be
+//! fitted like any built-in law, and cannot fail at run time.
+//!
+//! ```toml
+//! [[law]]
+//! name = "quill_droop"
+//! naming = "A.B"                # A, A.B, A.B.C or A.NAME
+//! acts_on = "error"             # or "force"
+//! law = "e_A = um·(p_B/100)²"   # for people
+//! cause = "the quill bends under its own weight"
+//! experiment = "a straightedge read at several depths"
+//! parameters = [{ name = "um", unit = "um", plausible = 50.0, terms = [{ factor = 1e-4, p_B = 2 }] }]
+//! ```
+
+use super::{Card, Dictionary, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, State};
+use crate::document::{self, Entry, Table};
+use rtec_driver::input::InputError;
+use std::path::Path;
+use std::sync::Arc;
+
+type Read = fn(&Input) -> f64;
+
+/// What a term may read, by its key.
+const QUANTITIES: [(&str, Need, Read); 13] = [
+    ("p", Need::Position(0), |i| i.p_mm[0]),
+    ("p_B", Need::Position(1), |i| i.p_mm[1]),
+    ("p_C", Need::Position(2), |i| i.p_mm[2]),
+    ("t", Need::Time, |i| i.t_s),
+    ("dir", Need::Direction, |i| i.dir),
+    ("v", Need::Velocity, |i| i.v_mm_s),
+    ("a", Need::Acceleration, |i| i.a_mm_s2),
+    ("load", Need::Load, |i| i.load_n),
+    ("dT", Need::Delta, |i| i.delta_k),
+    ("rpm", Need::SpindleSpeed, |i| i.rpm),
+    ("wet", Need::Coolant, |i| f64::from(i.coolant > 0.5)),
+    ("angle", Need::Angle, |i| i.angle_rad),
+    ("channel", Need::Channel, |i| i.channel),
+];
+
+#[derive(Debug)]
+struct Factor {
+    read: Read,
+    power: i32,
+}
+
+#[derive(Debug)]
+struct Term {
+    factor: f64,
+    powers: Vec<Factor>,
+    /// cos(n·angle) or sin(n·angle).
+    harmonic: Option<(f64, bool)>,
+}
+
+#[derive(Debug)]
+struct Own {
+    card: Card,
+    /// Terms of each parameter.
+    terms: Vec<Vec<Term>>,
+}
+
+impl Law for Own {
+    fn card(&self) -> &Card {
+        &self.card
+    }
+
+    fn basis(&self, _: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        for (o, terms) in out.iter_mut().zip(&self.terms) {
+            *o = terms.iter().map(|t| t.value(now)).sum();
+        }
+    }
+}
+
+impl Term {
+    fn value(&self, now: &Input) -> f64 {
+        let product: f64 = self.powers.iter().map(|f| (f.read)(now).powi(f.power)).product();
+        let wave = self.harmonic.map_or(1.0, |(n, cosine)| {
+            let angle = n * now.angle_rad;
+            if cosine { angle.cos() } else { angle.sin() }
+        });
+        self.factor * product * wave
+    }
+}
+
+impl Dictionary {
+    /// Adds the laws of a project's own file.
+    ///
+    /// # Errors
+    /// The first finding, with file, line and column: a name that is taken, a quantity that does not suit the naming,
+    /// an unknown key.
+    pub fn read_own(&mut self, path: &Path) -> Result<(), InputError> {
+        let text = document::read(path)?;
+        let doc = document::parse(path, &text)?;
+        let root = Table::root(path, &text, &doc);
+        root.only(&["law"])?;
+        for t in root.required("law", "[[law]] tables")?.tables("[[law]] tables")? {
+            let name = t.required("name", "the law's name")?;
+            let law = read_law(t, &name)?;
+            self.insert(Arc::new(law)).map_err(|e| name.error(e.found, e.expected))?;
+        }
+        Ok(())
+    }
+}
+
+fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<Own, InputError> {
+    t.only(&["name", "naming", "acts_on", "law", "cause", "experiment", "parameters"])?;
+    let id = name.str("the law's name")?;
+    if id.is_empty() || id.contains(['.', ' ']) {
+        return Err(name.error(format!("`{id}`"), "a name without points and spaces"));
+    }
+    let text =
+        |key: &str, expected: &str| Ok::<_, InputError>(t.required(key, expected)?.str(expected)?.to_owned());
+    let naming_entry = t.required("naming", "naming = \"A\", \"A.B\", \"A.B.C\" or \"A.NAME\"")?;
+    let (naming, axes) = match naming_entry.str("a naming")? {
+        "A" => (Naming::One, 1),
+        "A.B" => (Naming::Two, 2),
+        "A.B.C" => (Naming::Three, 3),
+        "A.NAME" => (Naming::Channel, 1),
+        other => return Err(naming_entry.error(format!("`{other}`"), "A, A.B, A.B.C or A.NAME")),
+    };
+    let quantity = match t.get("acts_on").map(|e| (e, e.str("error or force"))) {
+        None | Some((_, Ok("error"))) => Quantity::Error,
+        Some((_, Ok("force"))) => Quantity::Force,
+        Some((e, _)) => return Err(e.error(e.text(), "\"error\" or \"force\"")),
+    };
+    let mut needs: Vec<Need> = Vec::new();
+    let mut parameters = Vec::new();
+    let mut terms = Vec::new();
+    let form = "parameters = [{ name, unit, plausible, terms = [{ factor, p = 1, … }] }]";
+    for p in t.required("parameters", form)?.tables(form)? {
+        p.only(&["name", "unit", "plausible", "terms"])?;
+        let word = |key: &str| Ok::<_, InputError>(p.required(key, form)?.str(form)?.to_owned());
+        let plausible =
+            p.get("plausible").map_or(Ok(f64::INFINITY), |e| e.positive("the largest plausible value"))?;
+        parameters.push(Parameter::linear(&word("name")?, &word("unit")?, plausible));
+        let mut own = Vec::new();
+        for term in p.required("terms", form)?.tables(form)? {
+            own.push(read_term(term, naming, axes, &mut needs)?);
+        }
+        terms.push(own);
+    }
+    if parameters.is_empty() {
+        return Err(name.error(format!("law `{id}` without parameters"), form));
+    }
+    let card = Card {
+        name: id.to_owned(),
+        law: text("law", "the formula, for people")?,
+        cause: text("cause", "what stands behind it in the machine")?,
+        naming,
+        quantity,
+        parameters,
+        needs,
+        experiment: text("experiment", "the run that shows it")?,
+    };
+    Ok(Own { card, terms })
+}
+
+fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -> Result<Term, InputError> {
+    let mut term = Term { factor: 1.0, powers: Vec::new(), harmonic: None };
+    for e in t.entries() {
+        match e.key() {
+            "factor" => term.factor = e.number("a number")?,
+            key @ ("cos" | "sin") => {
+                term.harmonic = Some((e.number("a multiple of the angle")?, key == "cos"));
+                if !needs.contains(&Need::Angle) {
+                    needs.push(Need::Angle);
+                }
+            }
+            key => {
+                let Some((_, need, read)) = QUANTITIES.iter().find(|q| q.0 == key) else {
+                    let known = QUANTITIES.map(|q| q.0).join(", ");
+                    return Err(e.unknown_key(&format!("factor, cos, sin or one of {known}")));
+                };
+                let suits = match need {
+                    Need::Position(n) => *n < axes,
+                    Need::Channel => naming == Naming::Channel,
+                    _ => true,
+                };
+                if !suits {
+                    return Err(e.key_error(format!("`{key}`"), "what the law's naming provides"));
+                }
+                let power = e.number("a whole power from 1 to 8")?;
+                if power.fract() != 0.0 || !(1.0..=8.0).contains(&power) {
+                    return Err(e.error(power.to_string(), "a whole power from 1 to 8"));
+                }
+                if !needs.contains(need) {
+                    needs.push(*need);
+                }
+                term.powers.push(Factor { read: *read, power: power as i32 });
+            }
+        }
+    }
+    Ok(term)
+}

@@ -1,0 +1,85 @@
+//! The chain model against exact rational arithmetic (`data/chain_reference.py`), and against the well-known
+//! first-order sum for a turning centre.
+
+use rtec_model::chain::{Chain, transform};
+use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
+use std::path::Path;
+
+fn data(name: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+}
+
+#[test]
+fn equal_to_the_symbolic_reference() {
+    let names = ["T1", "T2", "T3", "T6", "T8", "T18"];
+    let text = std::fs::read_to_string(data("chain_reference.csv")).unwrap();
+    assert_eq!(text.lines().count(), 6);
+    for line in text.lines() {
+        let words: Vec<&str> = line.split(',').collect();
+        let numbers: Vec<f64> = words[1..].iter().map(|w| w.parse().unwrap()).collect();
+        let chain = Chain::read(&data(words[0])).unwrap();
+        let degc = |s: &str| numbers[3 + names.iter().position(|n| *n == s).unwrap()];
+        let delta = |d: &Difference| {
+            degc(&d.sensor)
+                - match &d.against {
+                    Against::Sensor(m) => degc(m),
+                    Against::Reference(t) => *t,
+                    Against::Standard => STANDARD_DEGC,
+                }
+        };
+        let axis = |a: &rtec_model::record::Axis| {
+            numbers[["x", "y", "z"].iter().position(|n| *n == a.as_str()).unwrap()]
+        };
+        let got = chain.error_um(axis, delta);
+        for (g, want) in got.iter().zip(&numbers[9..]) {
+            // µm out of metres: seven digits are lost to the difference, nine remain.
+            assert!((g - want).abs() < 1e-9, "{line}: {g} and {want}");
+        }
+    }
+}
+
+/// Squareness and a carriage's yaw at the lever of the cross-slide: the first-order sum by hand.
+#[test]
+fn turning_centre_by_hand() {
+    let chain = Chain::read(&data("turning_centre.toml")).unwrap();
+    let at = |x: f64, z: f64| {
+        let axis = move |a: &rtec_model::record::Axis| if a.as_str() == "x" { x } else { z };
+        // All temperatures equal and at 20 °C: geometry only.
+        chain.error_um(axis, |_| 0.0)
+    };
+    let e = at(50.0, 200.0);
+    // carriage at p = 2 (100 mm): dx 1.92, dz 2.6 µm, ey 2 µrad; cross-slide at p = 0.5: dx −1.1, dz 0.1 µm,
+    // ey −1.5 + 21 µrad; spindle ey 12 µrad. Tool point from the carriage (120, −, 5), from the cross-slide
+    // (−80, −, −35), from the spindle (120, −, 385) mm. A rotation ey moves x by +ey·z and z by −ey·x.
+    let x = 1.92 + 2e-3 * 5.0 - 1.1 + 19.5e-3 * -35.0 - 12e-3 * 385.0;
+    let z = 2.6 - 2e-3 * 120.0 + 0.1 + 19.5e-3 * 80.0 + 12e-3 * 120.0;
+    assert!((e[0] - x).abs() < 2e-3 && (e[2] - z).abs() < 2e-3, "{e:?}: {x} {z}");
+}
+
+#[test]
+fn nothing_wrong_gives_nothing() {
+    let chain = Chain { joints: Vec::new(), tool_mm: [1.0, 2.0, 3.0] };
+    assert!(chain.error_um(|_| 7.0, |_| 3.0).iter().all(|e| *e == 0.0));
+    assert_eq!(transform([0.0; 3], [0.0; 3]), nalgebra::Matrix4::identity());
+}
+
+#[test]
+fn findings_carry_their_place() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("c.toml");
+    for (text, line, found) in [
+        ("[[joint]]\nname = \"a\"\nbranch = \"wrok\"\n", 3, "wrok"),
+        ("[[joint]]\nname = \"a\"\nbranch = \"work\"\naxis = \"w\"\n", 4, "without direction"),
+        ("[[joint]]\nname = \"a\"\nbranch = \"work\"\ncomponent = [{ of = \"dq\", terms = [] }]\n", 4, "dq"),
+        (
+            "[[joint]]\nname = \"a\"\nbranch = \"work\"\ncomponent = [{ of = \"dx\", terms = [{ dT = 1, value = 1 }] }]\n",
+            4,
+            "without `sensor`",
+        ),
+        ("joints = 1\n", 1, "unknown key"),
+    ] {
+        std::fs::write(&path, text).unwrap();
+        let e = Chain::read(&path).unwrap_err();
+        assert!(e.line == line && e.found.contains(found), "{e}");
+    }
+}

@@ -1,0 +1,208 @@
+//! Thermal models against the patent's printed equations and against simulated machines whose truth is known.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_model::fit::{self, Options};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::path::Path;
+
+fn record(columns: Vec<(String, Role, Vec<f64>)>) -> Record {
+    let column = |(name, role, data): (String, Role, Vec<f64>)| {
+        let unit = role.unit().unwrap().to_owned();
+        Column { name, role, unit, data }
+    };
+    Record::new(Path::new("r.run.toml"), Kind::Drift, columns.into_iter().map(column).collect()).unwrap()
+}
+
+fn error(axis: &str) -> Role {
+    Role::Error(Axis::new(axis).unwrap())
+}
+
+/// WO 97/43703, equations 2 to 4, at temperatures whose sums can be done by hand.
+#[test]
+fn patents_equations_to_the_last_digit() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/patent.toml");
+    let machine = Machine::read(&path).unwrap();
+    let temperatures = [
+        ("T6", 28.0),
+        ("T7", 27.0),
+        ("T8", 30.0),
+        ("T9", 26.0),
+        ("T11", 24.0),
+        ("T15", 25.0),
+        ("T18", 20.0),
+        ("T20", 22.0),
+    ];
+    let mut columns: Vec<_> =
+        temperatures.iter().map(|(n, v)| ((*n).to_owned(), Role::Temperature, vec![*v])).collect();
+    columns.extend(["x", "y", "z"].map(|a| (format!("e{a}"), error(a), vec![0.0])));
+    let p = machine.predict(&record(columns)).unwrap();
+    // E_x = 0.4179 + 0.114·10 − 0.0008·100 − 0.0128·5 + 0.0005·25 = 1.4264 mm
+    // E_y = 0.4017 + 0.0045·8 − 0.00004·64 − 0.05712·(−2) − 0.00074·4 = 0.54642 mm
+    // E_z = 0.5248 + 0.015·10 − 0.00041·100 − 0.020·6 + 0.0015·36 + 0.00062·2 − 0.00056·4 − 0.0068·3 − 0.000084·9
+    //     = 0.545644 mm
+    for ((name, got), want) in p.columns.iter().zip([1426.4, 546.42, 545.644]) {
+        assert!((got[0] - want).abs() < 1e-9, "{name}: {} and {want}", got[0]);
+    }
+    // The text's own selection for Z has T7 − T18 = 7 K in the first pair: 0.521554 mm.
+    let text = std::fs::read_to_string(&path).unwrap();
+    let z = text.rfind("name = \"offset.z\"").unwrap();
+    let other = format!("{}{}", &text[..z], text[z..].replacen("\"T8\"", "\"T7\"", 1));
+    let mut columns: Vec<_> =
+        temperatures.iter().map(|(n, v)| ((*n).to_owned(), Role::Temperature, vec![*v])).collect();
+    columns.push(("ez".to_owned(), error("z"), vec![0.0]));
+    let p = Machine::parse(&path, &other).unwrap().predict(&record(columns)).unwrap();
+    assert!((p.columns[0].1[0] - 521.554).abs() < 1e-9);
+}
+
+/// A small portable generator (xorshift64*), so that the data are the same everywhere.
+struct Noise(u64);
+
+impl Noise {
+    fn uniform(&mut self) -> f64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
+}
+
+/// A machine with twenty sensors warmed by its spindle from cold: bearings, housing, column, table and ambient as
+/// first-order bodies; growth from bearing and housing, both late, more when wet. The speeds are the cycle.
+fn warm_up(cycle: &[(f64, f64, bool)], seed: u64) -> Record {
+    let mut noise = Noise(seed);
+    let minutes: usize = cycle.iter().map(|c| c.0 as usize).sum();
+    // Bodies: front bearing, rear bearing, housing, column, coolant tank (target K per krpm, time constant min).
+    let bodies = [(3.2, 35.0), (4.5, 60.0), (2.4, 110.0), (0.9, 300.0), (1.5, 90.0)];
+    let mut t = [0.0; 5];
+    let mut deep = 0.0;
+    let (mut ambient, mut table) = (20.0, 20.0);
+    let mut rows: Vec<[f64; 9]> = Vec::new();
+    let (mut part, mut left) = (0, cycle[0].0);
+    for m in 0..minutes {
+        while left <= 0.0 {
+            part += 1;
+            left = cycle[part].0;
+        }
+        left -= 1.0;
+        let (_, krpm, wet) = cycle[part];
+        ambient += 0.002 * noise.normal() + 0.0015 * (m as f64 / 200.0).cos();
+        table += (ambient - table) / 240.0;
+        for ((gain, tau), t) in bodies.iter().zip(t.iter_mut()) {
+            let chill = if wet { 0.75 } else { 1.0 };
+            *t += (gain * krpm * chill - *t) / tau;
+        }
+        // What grows follows bearing and housing late; wet, the cooled outside makes it grow more per kelvin.
+        let source = 0.7 * t[0] + 0.3 * t[2];
+        deep += (source - deep) / 45.0;
+        let e = 2.1 * deep * if wet { 1.06 } else { 1.0 } + if wet { 1.5 } else { 0.0 };
+        rows.push([m as f64 * 60.0, e, t[0], t[1], t[2], t[3], t[4], ambient, f64::from(wet)]);
+    }
+    let mut columns = vec![("t".to_owned(), Role::Time, rows.iter().map(|r| r[0]).collect())];
+    for s in 0..20 {
+        // Four sensors on each of four bodies, three in the tank's circuit, one in the air.
+        let (body, share) = (s / 4, 1.0 - 0.12 * f64::from(s % 4));
+        let data = rows.iter().map(|r| {
+            let own = if s == 19 { 0.0 } else { share * r[2 + body as usize] };
+            r[7] + own + 0.03 * noise.normal()
+        });
+        columns.push((format!("T{}", s + 1), Role::Temperature, data.collect()));
+    }
+    columns.push(("wet".to_owned(), Role::Coolant, rows.iter().map(|r| r[8]).collect()));
+    columns.push(("e".to_owned(), error("z"), rows.iter().map(|r| r[1] + 0.15 * noise.normal()).collect()));
+    record(columns)
+}
+
+/// Cold start to hot, dry and wet; then a spindle cycle that the fit has not seen.
+#[test]
+fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
+    let train = warm_up(
+        &[
+            (120.0, 5.5, false),
+            (20.0, 0.0, false),
+            (90.0, 3.0, false),
+            (60.0, 0.0, false),
+            (120.0, 5.5, true),
+            (60.0, 1.5, true),
+            (120.0, 4.0, true),
+            (90.0, 0.0, false),
+            (60.0, 5.5, true),
+            (60.0, 2.0, false),
+        ],
+        7,
+    );
+    let unseen = warm_up(
+        &[(30.0, 2.0, true), (100.0, 5.0, true), (45.0, 0.0, true), (60.0, 3.5, false), (120.0, 5.5, true)],
+        99,
+    );
+    let (machine, reports) = fit::fit(&[&train], &[&unseen], &Options::default()).unwrap();
+    let r = &reports[0];
+    let mut sensors: Vec<&str> =
+        r.effects.iter().flat_map(|e| [e.sensor.as_deref(), e.minus.as_deref()]).flatten().collect();
+    sensors.sort_unstable();
+    sensors.dedup();
+    let y = &unseen.columns.last().unwrap().data;
+    let drift = y.iter().copied().fold(f64::MIN, f64::max) - y.iter().copied().fold(f64::MAX, f64::min);
+    println!(
+        "{} sensors {sensors:?}; drift {drift:.1} µm, left {:.2} µm RMS ({:.1} %); rounds {:?}",
+        sensors.len(),
+        r.rms_um.holdout[0],
+        100.0 * r.rms_um.holdout[0] / drift,
+        r.rounds.iter().map(|r| (&r.added, r.r)).collect::<Vec<_>>()
+    );
+    assert_eq!(r.environment.as_deref(), Some("T20"));
+    assert!(sensors.len() <= 5 && r.dropped.len() >= 10, "{sensors:?}");
+    assert!(r.rms_um.holdout[0] <= 0.1 * drift);
+    let wet = r.dry_wet.as_ref().unwrap();
+    assert!(wet.wet_model_on_wet_rms_um < wet.dry_model_on_wet_rms_um);
+    // The model that is written is the model that was judged.
+    let again = Machine::parse(Path::new("m.toml"), &machine.to_text()).unwrap();
+    let left: Vec<f64> =
+        again.predict(&unseen).unwrap().columns[0].1.iter().zip(y).map(|(p, y)| (y - p).powi(2)).collect();
+    let rms = (left.iter().sum::<f64>() / left.len() as f64).sqrt();
+    assert!((rms - r.rms_um.holdout[0]).abs() < 1e-9);
+}
+
+/// A lag that is there is found, with an interval that holds it; a record without any gets none.
+#[test]
+fn a_lag_earns_its_place_or_is_not_there() {
+    let mut noise = Noise(3);
+    let n = 900;
+    let heat = |i: usize| 8.0 * (1.0 - (-(i as f64) / 90.0).exp()) * (1.0 + 0.5 * (i as f64 / 120.0).sin());
+    for tau_min in [0.0, 40.0] {
+        let (mut deep, mut e) = (0.0, Vec::new());
+        for i in 0..n {
+            deep = if tau_min > 0.0 {
+                deep + (heat(i) - deep) * (1.0 - (-1.0_f64 / tau_min).exp())
+            } else {
+                heat(i)
+            };
+            e.push(1.7 * deep + 0.05 * noise.normal());
+        }
+        let columns = vec![
+            ("t".to_owned(), Role::Time, (0..n).map(|i| 60.0 * i as f64).collect()),
+            (
+                "T1".to_owned(),
+                Role::Temperature,
+                (0..n).map(|i| 20.0 + heat(i) + 0.005 * noise.normal()).collect(),
+            ),
+            ("air".to_owned(), Role::Temperature, (0..n).map(|_| 20.0 + 0.02 * noise.normal()).collect()),
+            ("e".to_owned(), error("z"), e),
+        ];
+        let (machine, reports) = fit::fit(&[&record(columns)], &[], &Options::default()).unwrap();
+        let growth = &reports[0].effects[1];
+        let gain = growth.parameters["um_per_K"];
+        assert!(gain.low <= 1.7 + 0.02 && gain.high >= 1.7 - 0.02, "{gain:?}");
+        if tau_min > 0.0 {
+            let tau = growth.parameters["tau_s"];
+            assert!(tau.low <= 2400.0 && tau.high >= 2400.0, "{tau:?}");
+        } else {
+            assert_eq!(growth.name, "thermal_growth.z", "{}", machine.to_text());
+        }
+    }
+}

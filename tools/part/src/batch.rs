@@ -1,0 +1,243 @@
+//! The post-process loop: a batch measured on a coordinate measuring machine against nominal. What is systematic is
+//! offered as a change, with its statistics; nothing is applied (NISTIR 4854, section 1).
+
+use crate::errors::PointError;
+use crate::sheet::Sheet;
+use rtec_driver::input::InputError;
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Errors of one place of one feature over the batch, in the order of the parts.
+#[derive(Debug, Clone)]
+struct Series {
+    feature: String,
+    angle_rad: Option<f64>,
+    errors_um: Vec<f64>,
+}
+
+/// What the batch's errors at a place are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Finding {
+    /// No error beyond chance and beyond the smallest that matters.
+    Nothing,
+    /// The same on every part, and probing on the machine saw it too (or was not given).
+    Systematic,
+    /// The same on every part, but not seen on the machine: tool and probe trace it alike.
+    NotObservable,
+    /// It changes along the batch: wear, or the machine's temperature.
+    Trend,
+}
+
+/// The statistics of one place.
+#[derive(Debug, Clone, Serialize)]
+pub struct Place {
+    /// Feature.
+    pub feature: String,
+    /// Angle on it from the part's +Z, where the file gives one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angle_rad: Option<f64>,
+    /// Parts measured.
+    pub parts: usize,
+    /// Mean error, in µm.
+    pub mean_um: f64,
+    /// Sample standard deviation, in µm.
+    pub sd_um: f64,
+    /// 95 % interval of the mean, in µm.
+    pub interval_um: [f64; 2],
+    /// Probability of a mean this far from 0 by chance (two-sided t-test, Holm's correction over all places).
+    pub p_value: f64,
+    /// Change from part to part, in µm.
+    pub trend_um_per_part: f64,
+    /// Probability of that change by chance, corrected likewise.
+    pub trend_p_value: f64,
+    /// What probing on the machine saw there, in µm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seen_on_machine_um: Option<f64>,
+    /// What it is.
+    pub finding: Finding,
+}
+
+/// How strict the judgement is.
+#[derive(Debug, Clone, Copy)]
+pub struct Judgement {
+    /// False-alarm rate over all places together.
+    pub alpha: f64,
+    /// Smaller mean errors do not matter, in µm.
+    pub least_um: f64,
+}
+
+/// The batch, judged.
+#[derive(Debug, Clone, Serialize)]
+pub struct Batch {
+    /// Every place, features and angles ascending.
+    pub places: Vec<Place>,
+    /// Systematic errors by angle: to be added to the table's errors, if the user decides so.
+    pub offer_table: Vec<PointError>,
+    /// In words: what is offered, to whom.
+    pub offers: Vec<String>,
+}
+
+/// Evaluate `part,feature,error_um[,angle_rad]` or `part,feature,nominal_mm,measured_mm[,angle_rad]`. `seen` are the
+/// errors that probing on the machine found on the same feature.
+///
+/// # Errors
+/// A bad file; a place measured twice on one part; fewer than three parts at a place.
+pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
+    evaluate_text(file, &crate::sheet::read_text(file)?, seen, judgement)
+}
+
+/// As [`evaluate`], from text already in memory; `file` only names it.
+///
+/// # Errors
+/// As [`evaluate`].
+pub fn evaluate_text(
+    file: &Path,
+    text: &str,
+    seen: Option<&[PointError]>,
+    judgement: Judgement,
+) -> Result<Batch, InputError> {
+    let series = read(file, text)?;
+    let mut places: Vec<Place> = series.iter().map(|s| statistics(s, seen)).collect();
+    let means: Vec<f64> = places.iter().map(|p| p.p_value).collect();
+    let trends: Vec<f64> = places.iter().map(|p| p.trend_p_value).collect();
+    let (means, trends) = (holm(&means), holm(&trends));
+    for (i, p) in places.iter_mut().enumerate() {
+        (p.p_value, p.trend_p_value) = (means[i], trends[i]);
+        let drift_um = (p.trend_um_per_part * (p.parts - 1) as f64).abs();
+        p.finding = if p.trend_p_value < judgement.alpha && drift_um > judgement.least_um {
+            Finding::Trend
+        } else if p.p_value < judgement.alpha && p.mean_um.abs() > judgement.least_um {
+            // Seen: most of it, and with its sign.
+            match p.seen_on_machine_um {
+                Some(on_machine) if on_machine / p.mean_um < 0.5 => Finding::NotObservable,
+                _ => Finding::Systematic,
+            }
+        } else {
+            Finding::Nothing
+        };
+    }
+    let offer_table: Vec<PointError> = places
+        .iter()
+        .filter(|p| p.finding == Finding::Systematic)
+        .filter_map(|p| Some(PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None }))
+        .collect();
+    let offers = places.iter().filter_map(offer).collect();
+    Ok(Batch { places, offer_table, offers })
+}
+
+fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
+    let known = ["part", "feature", "angle_rad", "error_um", "nominal_mm", "measured_mm"];
+    let sheet = Sheet::parse(file, text, &known, |_| false)?;
+    let (parts, features) = (sheet.words("part")?, sheet.words("feature")?);
+    let angles = sheet.optional("angle_rad")?;
+    let errors = if let Some(errors) = sheet.optional("error_um")? {
+        errors
+    } else {
+        let nominal = sheet.numbers("nominal_mm")?;
+        sheet.numbers("measured_mm")?.iter().zip(nominal).map(|(m, n)| (m - n) * 1e3).collect()
+    };
+    // Angles are keys by their micro-radians: what a file repeats is the same place.
+    let mut groups: BTreeMap<(String, i64), (Series, Vec<String>)> = BTreeMap::new();
+    for row in 0..sheet.len() {
+        let angle_rad = angles.as_ref().map(|a| a[row]);
+        let key = (features[row].clone(), angle_rad.map_or(0, |a| (a * 1e6).round() as i64));
+        let (series, seen) = groups.entry(key).or_insert_with(|| {
+            (Series { feature: features[row].clone(), angle_rad, errors_um: Vec::new() }, Vec::new())
+        });
+        if seen.contains(&parts[row]) {
+            let found = format!("part {} measured twice at {}", parts[row], features[row]);
+            return Err(sheet.finding(row, found, "every place once on each part"));
+        }
+        seen.push(parts[row].clone());
+        series.errors_um.push(errors[row]);
+    }
+    if let Some((few, _)) = groups.values().find(|(s, _)| s.errors_um.len() < 3) {
+        let found = format!("{} parts for {}", few.errors_um.len(), few.feature);
+        return Err(InputError::whole(file, found, "at least 3 parts to tell system from chance"));
+    }
+    if groups.is_empty() {
+        return Err(InputError::whole(file, "no measurement", "a batch of at least 3 parts"));
+    }
+    Ok(groups.into_values().map(|(s, _)| s).collect())
+}
+
+/// Two-sided probability of a t this large by chance.
+fn two_sided(t: f64, freedom: usize) -> f64 {
+    match StudentsT::new(0.0, 1.0, freedom as f64) {
+        Ok(d) if t.is_finite() => (2.0 * d.sf(t.abs())).min(1.0),
+        // No scatter at all: certain, unless there is nothing to be certain of.
+        _ => f64::from(u8::from(t.is_nan())),
+    }
+}
+
+fn statistics(series: &Series, seen: Option<&[PointError]>) -> Place {
+    let (e, n) = (&series.errors_um, series.errors_um.len());
+    let mean = e.iter().sum::<f64>() / n as f64;
+    let sd = crate::fit::sd(e, |_| true);
+    let of_mean = sd / (n as f64).sqrt();
+    let half = StudentsT::new(0.0, 1.0, (n - 1) as f64).map_or(0.0, |d| d.inverse_cdf(0.975)) * of_mean;
+    let middle = (n - 1) as f64 / 2.0;
+    let square: f64 = (0..n).map(|k| (k as f64 - middle).powi(2)).sum();
+    let slope = e.iter().enumerate().map(|(k, v)| (k as f64 - middle) * (v - mean)).sum::<f64>() / square;
+    let rest: f64 = e.iter().enumerate().map(|(k, v)| (v - mean - slope * (k as f64 - middle)).powi(2)).sum();
+    let slope_error = (rest / (n.saturating_sub(2).max(1)) as f64 / square).sqrt();
+    let seen_on_machine_um = series.angle_rad.zip(seen).and_then(|(angle, seen)| {
+        let at = |e: &&PointError| (e.angle_rad - angle).abs();
+        seen.iter().min_by(|a, b| at(a).total_cmp(&at(b))).filter(|e| at(e) < 0.05).map(|e| e.error_um)
+    });
+    Place {
+        feature: series.feature.clone(),
+        angle_rad: series.angle_rad,
+        parts: n,
+        mean_um: mean,
+        sd_um: sd,
+        interval_um: [mean - half, mean + half],
+        p_value: two_sided(mean / of_mean, n - 1),
+        trend_um_per_part: slope,
+        trend_p_value: two_sided(slope / slope_error, n - 2),
+        seen_on_machine_um,
+        finding: Finding::Nothing,
+    }
+}
+
+/// Holm's step-down correction: the false-alarm rate holds over all places together.
+fn holm(p: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..p.len()).collect();
+    order.sort_by(|&a, &b| p[a].total_cmp(&p[b]));
+    let mut corrected = vec![0.0; p.len()];
+    let mut least: f64 = 0.0;
+    for (rank, &i) in order.iter().enumerate() {
+        least = least.max(p[i] * (p.len() - rank) as f64).min(1.0);
+        corrected[i] = least;
+    }
+    corrected
+}
+
+fn offer(p: &Place) -> Option<String> {
+    let at = p.angle_rad.map_or(String::new(), |a| format!(" at {a:.4} rad"));
+    let (name, mean, [low, high]) = (&p.feature, p.mean_um, p.interval_um);
+    Some(match p.finding {
+        Finding::Nothing => return None,
+        Finding::Systematic if p.angle_rad.is_some() => {
+            format!("{name}{at}: add {mean:+.1} µm ({low:+.1} to {high:+.1}) to the correction table")
+        }
+        Finding::Systematic => {
+            format!(
+                "{name}: {mean:+.1} µm ({low:+.1} to {high:+.1}) on every part: a tool or work offset of the table"
+            )
+        }
+        Finding::NotObservable => format!(
+            "{name}{at}: {mean:+.1} µm ({low:+.1} to {high:+.1}) not observable by probing on the machine, which saw \
+             {:+.1} µm: tool and probe trace the same machine error; it belongs in the machine's model",
+            p.seen_on_machine_um.unwrap_or(0.0)
+        ),
+        Finding::Trend => format!(
+            "{name}{at}: {:+.2} µm from part to part: wear or temperature; look at the tool, the spindle's growth and \
+             the model's temperatures before changing a table",
+            p.trend_um_per_part
+        ),
+    })
+}

@@ -1,0 +1,450 @@
+//! The contour of a turned part: segments, features in probing order, and the geometry that probing needs of them.
+
+use crate::fit::Zx;
+use crate::svg::Svg;
+use serde::Serialize;
+use std::f64::consts::TAU;
+
+/// Chords stay this close to the curves they stand for, in mm.
+const CHORD_MM: f64 = 0.002;
+/// Most chords of one curve.
+const MAX_CHORDS: usize = 4096;
+
+/// One piece of the contour, from its start (t = 0) to its end (t = 1).
+#[derive(Debug, Clone, PartialEq)]
+pub enum Segment {
+    /// A straight line.
+    Line {
+        /// Start.
+        a: Zx,
+        /// End.
+        b: Zx,
+    },
+    /// An arc; a negative sweep runs clockwise.
+    Arc {
+        /// Centre.
+        centre: Zx,
+        /// Radius.
+        radius_mm: f64,
+        /// Angle of the start from +Z.
+        start_rad: f64,
+        /// Signed angle to the end.
+        sweep_rad: f64,
+    },
+    /// A piece of an ellipse.
+    Ellipse {
+        /// Centre.
+        centre: Zx,
+        /// Semi-major axis, from the centre.
+        major: Zx,
+        /// Minor to major axis.
+        ratio: f64,
+        /// Parameter of the start.
+        start_rad: f64,
+        /// Signed parameter range.
+        sweep_rad: f64,
+    },
+    /// A rational B-spline: parabola, hyperbola or any other conic exactly, and free curves.
+    Spline(Spline),
+}
+
+/// A rational B-spline.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Spline {
+    /// Degree, 1 or more.
+    pub degree: usize,
+    /// `points + degree + 1` ascending knots.
+    pub knots: Vec<f64>,
+    /// Control points.
+    pub points: Vec<Zx>,
+    /// One positive weight per control point.
+    pub weights: Vec<f64>,
+}
+
+impl Spline {
+    /// De Boor's algorithm in homogeneous coordinates.
+    fn at(&self, t: f64) -> Zx {
+        let (p, n) = (self.degree, self.points.len());
+        let (low, high) = (self.knots[p], self.knots[n]);
+        let u = low + (high - low) * t.clamp(0.0, 1.0);
+        let k = (p..n).rev().find(|&k| self.knots[k] <= u && self.knots[k] < self.knots[k + 1]).unwrap_or(p);
+        let mut d: Vec<(f64, f64, f64)> = (0..=p)
+            .map(|j| {
+                let (q, w) = (self.points[j + k - p], self.weights[j + k - p]);
+                (q.z * w, q.x * w, w)
+            })
+            .collect();
+        for r in 1..=p {
+            for j in (r..=p).rev() {
+                let (a, b) = (self.knots[j + k - p], self.knots[j + 1 + k - r]);
+                let f = if b > a { (u - a) / (b - a) } else { 0.0 };
+                let mix = |lo: f64, hi: f64| lo * (1.0 - f) + hi * f;
+                d[j] = (mix(d[j - 1].0, d[j].0), mix(d[j - 1].1, d[j].1), mix(d[j - 1].2, d[j].2));
+            }
+        }
+        Zx::new(d[p].0 / d[p].2, d[p].1 / d[p].2)
+    }
+
+    fn reversed(&self) -> Self {
+        let end = self.knots[self.knots.len() - 1] + self.knots[0];
+        Self {
+            degree: self.degree,
+            knots: self.knots.iter().rev().map(|k| end - k).collect(),
+            points: self.points.iter().rev().copied().collect(),
+            weights: self.weights.iter().rev().copied().collect(),
+        }
+    }
+}
+
+impl Segment {
+    /// The point at a parameter, 0 to 1.
+    #[must_use]
+    pub fn at(&self, t: f64) -> Zx {
+        match self {
+            Self::Line { a, b } => *a + (*b - *a) * t,
+            Self::Arc { centre, radius_mm, start_rad, sweep_rad } => {
+                *centre + Zx::at_angle(start_rad + sweep_rad * t) * *radius_mm
+            }
+            Self::Ellipse { centre, major, ratio, start_rad, sweep_rad } => {
+                let (sin, cos) = (start_rad + sweep_rad * t).sin_cos();
+                *centre + *major * cos + Zx::new(-major.x, major.z) * (ratio * sin)
+            }
+            Self::Spline(spline) => spline.at(t),
+        }
+    }
+
+    /// Unit direction of travel at a parameter.
+    fn direction(&self, t: f64) -> Zx {
+        let step = 1e-5;
+        let (low, high) = ((t - step).max(0.0), (t + step).min(1.0));
+        let exact = match self {
+            Self::Line { a, b } => *b - *a,
+            Self::Arc { start_rad, sweep_rad, .. } => {
+                let n = Zx::at_angle(start_rad + sweep_rad * t);
+                Zx::new(-n.x, n.z) * sweep_rad.signum()
+            }
+            _ => self.at(high) - self.at(low),
+        };
+        exact.unit().unwrap_or(Zx::new(1.0, 0.0))
+    }
+
+    /// The same piece run the other way.
+    #[must_use]
+    pub fn reversed(&self) -> Self {
+        let mut turned = self.clone();
+        match &mut turned {
+            Self::Line { a, b } => std::mem::swap(a, b),
+            Self::Arc { start_rad, sweep_rad, .. } | Self::Ellipse { start_rad, sweep_rad, .. } => {
+                *start_rad += *sweep_rad;
+                *sweep_rad = -*sweep_rad;
+            }
+            Self::Spline(spline) => *spline = spline.reversed(),
+        }
+        turned
+    }
+
+    /// Chords within 2 µm of the curve.
+    #[must_use]
+    pub fn polyline(&self) -> Vec<Zx> {
+        let chords = match self {
+            Self::Line { .. } => 1,
+            Self::Arc { radius_mm: r, sweep_rad, .. } => chords_of_arc(*r, *sweep_rad, CHORD_MM),
+            Self::Ellipse { major, sweep_rad, .. } => chords_of_arc(major.norm() * 2.0, *sweep_rad, CHORD_MM),
+            Self::Spline(spline) => (spline.points.len() * 64).min(MAX_CHORDS),
+        };
+        (0..=chords).map(|k| self.at(k as f64 / chords as f64)).collect()
+    }
+
+    /// Length along the contour, in mm.
+    #[must_use]
+    pub fn length_mm(&self) -> f64 {
+        match self {
+            Self::Line { a, b } => (*b - *a).norm(),
+            Self::Arc { radius_mm, sweep_rad, .. } => radius_mm * sweep_rad.abs(),
+            _ => self.polyline().windows(2).map(|w| (w[1] - w[0]).norm()).sum(),
+        }
+    }
+
+    /// The parameter at a length from the start.
+    fn parameter(&self, along_mm: f64) -> f64 {
+        let length_mm = self.length_mm();
+        if matches!(self, Self::Line { .. } | Self::Arc { .. }) {
+            return (along_mm / length_mm).clamp(0.0, 1.0);
+        }
+        let chords = self.polyline();
+        let mut passed = 0.0;
+        for (k, w) in chords.windows(2).enumerate() {
+            let step = (w[1] - w[0]).norm();
+            if passed + step >= along_mm {
+                let part = if step > 0.0 { (along_mm - passed) / step } else { 0.0 };
+                return ((k as f64 + part) / (chords.len() - 1) as f64).clamp(0.0, 1.0);
+            }
+            passed += step;
+        }
+        1.0
+    }
+}
+
+/// Chords of an arc that stay within `off_mm` of it: the sagitta is r (1 − cos(δ/2)).
+#[must_use]
+pub fn chords_of_arc(radius_mm: f64, sweep_rad: f64, off_mm: f64) -> usize {
+    let cos = 1.0 - off_mm / radius_mm;
+    let step = if cos > -1.0 { 2.0 * cos.acos() } else { TAU };
+    ((sweep_rad.abs() / step).ceil() as usize).clamp(1, MAX_CHORDS)
+}
+
+/// What a feature is to a machinist.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Kind {
+    /// Parallel to the part's axis.
+    Cylinder {
+        /// Distance from the axis.
+        radius_mm: f64,
+    },
+    /// A face, square to the axis.
+    Step {
+        /// Where on the axis.
+        z_mm: f64,
+    },
+    /// A cone.
+    Taper {
+        /// Inclination to the axis.
+        angle_deg: f64,
+    },
+    /// A sphere where its centre is on the axis, else a torus or a fillet.
+    Arc {
+        /// Centre, z.
+        centre_z_mm: f64,
+        /// Centre, x.
+        centre_x_mm: f64,
+        /// Radius.
+        radius_mm: f64,
+    },
+    /// An ellipse, a parabola or a free curve.
+    Conic,
+}
+
+/// One feature of the contour.
+#[derive(Debug, Clone)]
+pub struct Feature {
+    /// `F1`, `F2`, … in probing order.
+    pub name: String,
+    /// What it is.
+    pub kind: Kind,
+    /// Its geometry, run in probing order.
+    pub segment: Segment,
+    /// The drawing's entity it came from.
+    pub entity: String,
+}
+
+/// A place on the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Feature, from 0.
+    pub feature: usize,
+    /// From the feature's start.
+    pub along_mm: f64,
+    /// The point.
+    pub at: Zx,
+    /// Unit normal, out of the material.
+    pub normal: Zx,
+}
+
+/// The whole contour.
+#[derive(Debug, Clone)]
+pub struct Contour {
+    /// Features in probing order: from the free end (largest Z) towards the chuck.
+    pub features: Vec<Feature>,
+    /// It ends where it starts (a ring); else it runs from the axis or a free end to the chuck.
+    pub closed: bool,
+    /// The material is on the left of the direction of travel.
+    material_left: bool,
+    chords: Vec<(usize, Vec<Zx>)>,
+}
+
+impl Kind {
+    fn of(segment: &Segment) -> Self {
+        match segment {
+            Segment::Line { a, b } => {
+                let d = *b - *a;
+                let deg = d.x.atan2(d.z).to_degrees();
+                let deg = if deg > 90.0 {
+                    deg - 180.0
+                } else if deg <= -90.0 {
+                    deg + 180.0
+                } else {
+                    deg
+                };
+                if deg.abs() < 1e-4 {
+                    Self::Cylinder { radius_mm: a.x }
+                } else if (deg.abs() - 90.0).abs() < 1e-4 {
+                    Self::Step { z_mm: a.z }
+                } else {
+                    Self::Taper { angle_deg: deg }
+                }
+            }
+            Segment::Arc { centre, radius_mm, .. } => {
+                Self::Arc { centre_z_mm: centre.z, centre_x_mm: centre.x, radius_mm: *radius_mm }
+            }
+            Segment::Ellipse { .. } | Segment::Spline(_) => Self::Conic,
+        }
+    }
+}
+
+impl Contour {
+    /// A contour from segments that follow each other, each with the name of its entity.
+    #[must_use]
+    pub fn new(mut chain: Vec<(Segment, String)>, closed: bool) -> Self {
+        let end = |c: &[(Segment, String)]| (c[0].0.at(0.0), c[c.len() - 1].0.at(1.0));
+        if !chain.is_empty() {
+            let turn = |chain: &mut Vec<(Segment, String)>| {
+                chain.reverse();
+                for (segment, _) in chain.iter_mut() {
+                    *segment = segment.reversed();
+                }
+            };
+            if closed {
+                if signed_area(&chain, true) < 0.0 {
+                    turn(&mut chain);
+                }
+                // A ring starts at its outer corner nearest the free end.
+                let key = |s: &Segment| s.at(0.0).z + 1e-6 * s.at(0.0).x;
+                let first = (0..chain.len()).max_by(|&a, &b| key(&chain[a].0).total_cmp(&key(&chain[b].0)));
+                chain.rotate_left(first.unwrap_or(0));
+            } else {
+                let (a, b) = end(&chain);
+                if (b.z, -b.x) > (a.z, -a.x) {
+                    turn(&mut chain);
+                }
+            }
+        }
+        let material_left = signed_area(&chain, closed) > 0.0;
+        let features: Vec<Feature> = chain
+            .into_iter()
+            .enumerate()
+            .map(|(i, (segment, entity))| Feature {
+                name: format!("F{}", i + 1),
+                kind: Kind::of(&segment),
+                segment,
+                entity,
+            })
+            .collect();
+        let chords = features.iter().enumerate().map(|(i, f)| (i, f.segment.polyline())).collect();
+        Self { features, closed, material_left, chords }
+    }
+
+    /// The place at a length along a feature.
+    #[must_use]
+    pub fn place(&self, feature: usize, along_mm: f64) -> Place {
+        let segment = &self.features[feature].segment;
+        let t = segment.parameter(along_mm);
+        let d = segment.direction(t);
+        let right = Zx::new(d.x, -d.z);
+        let normal = if self.material_left { right } else { right * -1.0 };
+        Place { feature, along_mm, at: segment.at(t), normal }
+    }
+
+    /// The place of the contour nearest to a point.
+    ///
+    /// `None` for a contour without features.
+    #[must_use]
+    pub fn nearest(&self, p: Zx) -> Option<Place> {
+        let mut best: Option<(f64, usize, f64)> = None;
+        for (feature, chords) in &self.chords {
+            let mut passed = 0.0;
+            for w in chords.windows(2) {
+                let (foot, step) = foot(p, w[0], w[1]);
+                let off = (p - foot).norm();
+                if best.is_none_or(|(least, ..)| off < least) {
+                    best = Some((off, *feature, passed + (foot - w[0]).norm()));
+                }
+                passed += step;
+            }
+        }
+        best.map(|(_, feature, along_mm)| self.place(feature, along_mm))
+    }
+
+    /// Distance from a point to the surface and the feature there.
+    #[must_use]
+    pub fn clearance(&self, p: Zx) -> (f64, usize) {
+        let p = Zx::new(p.z, p.x.abs()); // the part is round
+        let mut best = (f64::INFINITY, 0);
+        for (feature, chords) in &self.chords {
+            for w in chords.windows(2) {
+                let off = (p - foot(p, w[0], w[1]).0).norm();
+                if off < best.0 {
+                    best = (off, *feature);
+                }
+            }
+        }
+        best
+    }
+
+    /// Is a point in the material? An open contour is closed by way of the axis.
+    #[must_use]
+    pub fn inside(&self, p: Zx) -> bool {
+        let mut corners: Vec<Zx> = self.chords.iter().flat_map(|(_, c)| c.iter().copied()).collect();
+        if let (false, Some(&first), Some(&last)) = (self.closed, corners.first(), corners.last()) {
+            corners.extend([Zx::new(last.z, 0.0), Zx::new(first.z, 0.0)]);
+        }
+        let p = Zx::new(p.z, p.x.abs()); // the part is round
+        let crosses =
+            |a: Zx, b: Zx| (a.x > p.x) != (b.x > p.x) && p.z < a.z + (p.x - a.x) / (b.x - a.x) * (b.z - a.z);
+        (0..corners.len()).filter(|&i| crosses(corners[i], corners[(i + 1) % corners.len()])).count() % 2 == 1
+    }
+
+    /// Largest Z and X of the contour, in mm.
+    #[must_use]
+    pub fn reach(&self) -> Zx {
+        let all = self.chords.iter().flat_map(|(_, c)| c);
+        all.fold(Zx::new(f64::MIN, f64::MIN), |m, p| Zx::new(m.z.max(p.z), m.x.max(p.x)))
+    }
+
+    /// Chords of each feature.
+    #[must_use]
+    pub fn chords(&self) -> &[(usize, Vec<Zx>)] {
+        &self.chords
+    }
+
+    /// Draw the outline, the axis and the features' names.
+    pub fn draw(&self, svg: &mut Svg, names: bool) {
+        let (mut low, mut high) = (f64::MAX, f64::MIN);
+        for (_, chords) in &self.chords {
+            svg.polyline(chords, "outline");
+            low = chords.iter().fold(low, |m, p| m.min(p.z));
+            high = chords.iter().fold(high, |m, p| m.max(p.z));
+        }
+        svg.polyline(&[Zx::new(low - 3.0, 0.0), Zx::new(high + 3.0, 0.0)], "axis");
+        if names {
+            let size = 0.03 * (high - low).max(self.reach().x);
+            for (i, f) in self.features.iter().enumerate() {
+                let middle = self.place(i, f.segment.length_mm() / 2.0);
+                svg.text(middle.at + middle.normal * (0.7 * size), size, &f.name);
+            }
+        }
+    }
+}
+
+/// Foot of a point on a chord and the chord's length.
+fn foot(p: Zx, a: Zx, b: Zx) -> (Zx, f64) {
+    let d = b - a;
+    let square = d.dot(d);
+    let t = if square > 0.0 { ((p - a).dot(d) / square).clamp(0.0, 1.0) } else { 0.0 };
+    (a + d * t, square.sqrt())
+}
+
+/// Twice the area that the chain encloses, by way of the axis where it is open; positive counter-clockwise.
+fn signed_area(chain: &[(Segment, String)], closed: bool) -> f64 {
+    let mut corners: Vec<Zx> = chain.iter().flat_map(|(s, _)| s.polyline()).collect();
+    if let (false, Some(&first), Some(&last)) = (closed, corners.first(), corners.last()) {
+        corners.push(Zx::new(last.z, 0.0));
+        corners.push(Zx::new(first.z, 0.0));
+    }
+    (0..corners.len())
+        .map(|i| {
+            let (p, q) = (corners[i], corners[(i + 1) % corners.len()]);
+            p.z * q.x - q.z * p.x
+        })
+        .sum()
+}

@@ -1,0 +1,390 @@
+//! The part's contour from a DXF drawing: entities ordered along it, bad drawings named.
+//!
+//! The drawing shows the upper half of the part: its X is the part's axis (Z of the machine), its Y the distance from
+//! the axis (X of the machine), as in NISTIR 4854, figures 4 and 7.
+
+use crate::contour::{Contour, Segment, Spline};
+use crate::fit::Zx;
+use dxf::entities::{Entity, EntityType};
+use dxf::enums::Units;
+use dxf::{Drawing, Vector};
+use rtec_driver::input::InputError;
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+
+/// What one unit of the drawing is, in mm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Unit(pub f64);
+
+impl Unit {
+    /// Millimetres.
+    pub const MM: Self = Self(1.0);
+    /// Inches.
+    pub const INCH: Self = Self(25.4);
+
+    fn of_header(units: Units) -> Option<Self> {
+        Some(Self(match units {
+            Units::Millimeters => 1.0,
+            Units::Inches => 25.4,
+            Units::Centimeters => 10.0,
+            Units::Decimeters => 100.0,
+            Units::Meters => 1000.0,
+            Units::Microns => 1e-3,
+            Units::Mils => 0.0254,
+            Units::Feet => 304.8,
+            _ => return None,
+        }))
+    }
+}
+
+/// How to read a drawing.
+#[derive(Debug, Clone, Copy)]
+pub struct Options<'a> {
+    /// The drawing's unit, where its header does not say or is not to be believed.
+    pub unit: Option<Unit>,
+    /// Take only this layer.
+    pub layer: Option<&'a str>,
+    /// Ends that are closer than this are one point, in mm.
+    pub tolerance_mm: f64,
+}
+
+impl Default for Options<'_> {
+    fn default() -> Self {
+        Self { unit: None, layer: None, tolerance_mm: 1e-3 }
+    }
+}
+
+/// An empty drawing in mm whose file depends on nothing but its content.
+#[must_use]
+pub fn new_dxf() -> Drawing {
+    let mut drawing = Drawing::new();
+    drawing.header.version = dxf::enums::AcadVersion::R2000;
+    drawing.header.default_drawing_units = Units::Millimeters;
+    let header = &mut drawing.header;
+    (header.creation_date, header.update_date) = Default::default();
+    (header.creation_date_universal, header.update_date_universal) = Default::default();
+    (header.fingerprint_guid, header.version_guid) = Default::default();
+    drawing
+}
+
+/// Read a drawing's contour and the unit its coordinates are in.
+///
+/// # Errors
+/// No DXF, unknown units, an entity that is no part of a contour (or without length, or below the axis, or out of the
+/// plane), an entity that is there twice, a contour with a gap, a branch or in several pieces.
+pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
+    let bytes = std::fs::read(file)
+        .map_err(|e| InputError::whole(file, format!("an unreadable file ({e})"), "a readable DXF file"))?;
+    let drawing = Drawing::load(&mut bytes.as_slice()).map_err(|e| {
+        let found = e.to_string();
+        let line = found.rsplit("line/offset ").next().and_then(|n| n.trim().parse().ok()).unwrap_or(0);
+        InputError::at(file, line, 0, found, "a DXF drawing")
+    })?;
+    let unit =
+        options.unit.or_else(|| Unit::of_header(drawing.header.default_drawing_units)).ok_or_else(|| {
+            let found = format!("unknown units ($INSUNITS: {:?})", drawing.header.default_drawing_units);
+            InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
+        })?;
+    let reader = Reader { file, text: String::from_utf8_lossy(&bytes).into_owned(), unit, options };
+    let mut pieces = Vec::new();
+    for entity in drawing.entities().filter(|e| !e.common.is_in_paper_space) {
+        if options.layer.is_none_or(|layer| layer == entity.common.layer) {
+            reader.pieces(entity, &mut pieces)?;
+        }
+    }
+    if pieces.is_empty() {
+        let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
+        return Err(InputError::whole(
+            file,
+            format!("no contour{layer}"),
+            "lines, arcs, ellipses or splines",
+        ));
+    }
+    reader.twice(&pieces)?;
+    Ok((reader.chain(pieces)?, unit))
+}
+
+#[derive(Debug, Clone)]
+struct Piece {
+    segment: Segment,
+    entity: String,
+    line: usize,
+}
+
+impl Piece {
+    fn ends(&self) -> [Zx; 2] {
+        [self.segment.at(0.0), self.segment.at(1.0)]
+    }
+}
+
+struct Reader<'a> {
+    file: &'a Path,
+    text: String,
+    unit: Unit,
+    options: &'a Options<'a>,
+}
+
+impl Reader<'_> {
+    /// Line of the file where a handle (group code 5) stands; 0 where the drawing has none.
+    fn line_of(&self, handle: &str) -> usize {
+        let mut lines = self.text.lines().enumerate();
+        while let (Some((_, code)), Some((i, value))) = (lines.next(), lines.next()) {
+            if code.trim() == "5" && value.trim().eq_ignore_ascii_case(handle) {
+                return i + 1;
+            }
+        }
+        0
+    }
+
+    fn point(&self, p: &dxf::Point) -> Zx {
+        Zx::new(p.x, p.y) * self.unit.0
+    }
+
+    fn pieces(&self, entity: &Entity, out: &mut Vec<Piece>) -> Result<(), InputError> {
+        let handle = entity.common.handle.as_string();
+        let line = self.line_of(&handle);
+        let named = |kind: &str| format!("{kind} {handle} on layer {}", entity.common.layer);
+        let refuse = |kind: &str, what: &str, expected: &str| {
+            Err(InputError::at(self.file, line, 0, format!("{} {what}", named(kind)), expected))
+        };
+        // Seen from below, x runs the other way: the object coordinates of DXF for a downward normal.
+        let mirror = |n: &Vector| if n.z < 0.0 { -1.0 } else { 1.0 };
+        let flat = |n: &Vector, heights: &[f64]| {
+            n.x.abs() < 1e-9 && n.y.abs() < 1e-9 && heights.iter().all(|z| z.abs() < 1e-6)
+        };
+        let (kind, in_plane, segments) = match &entity.specific {
+            EntityType::Line(l) => {
+                let s = Segment::Line { a: self.point(&l.p1), b: self.point(&l.p2) };
+                ("LINE", flat(&Vector::z_axis(), &[l.p1.z, l.p2.z]), vec![s])
+            }
+            EntityType::Arc(a) => {
+                let sweep = (a.end_angle - a.start_angle).rem_euclid(360.0).to_radians();
+                let (start, m) = (a.start_angle.to_radians(), mirror(&a.normal));
+                let mut centre = self.point(&a.center);
+                centre.z *= m;
+                let s = Segment::Arc {
+                    centre,
+                    radius_mm: a.radius * self.unit.0,
+                    start_rad: if m < 0.0 { PI - start } else { start },
+                    sweep_rad: m * if sweep == 0.0 { TAU } else { sweep },
+                };
+                ("ARC", flat(&a.normal, &[a.center.z]), vec![s])
+            }
+            EntityType::Ellipse(e) => {
+                let sweep = (e.end_parameter - e.start_parameter).rem_euclid(TAU);
+                let m = mirror(&e.normal);
+                let s = Segment::Ellipse {
+                    centre: self.point(&e.center),
+                    major: Zx::new(e.major_axis.x, e.major_axis.y) * self.unit.0,
+                    ratio: m * e.minor_axis_ratio,
+                    start_rad: e.start_parameter,
+                    sweep_rad: if sweep == 0.0 { TAU } else { sweep },
+                };
+                ("ELLIPSE", flat(&e.normal, &[e.center.z, e.major_axis.z]), vec![s])
+            }
+            EntityType::LwPolyline(p) => {
+                let m = mirror(&p.extrusion_direction);
+                let corners: Vec<(Zx, f64)> =
+                    p.vertices.iter().map(|v| (Zx::new(m * v.x, v.y) * self.unit.0, m * v.bulge)).collect();
+                ("LWPOLYLINE", flat(&p.extrusion_direction, &[]), bulged(&corners, p.flags & 1 != 0))
+            }
+            EntityType::Polyline(p) => {
+                let m = mirror(&p.normal);
+                let corners: Vec<(Zx, f64)> = p
+                    .vertices()
+                    .map(|v| (Zx::new(m * v.location.x, v.location.y) * self.unit.0, m * v.bulge))
+                    .collect();
+                let heights: Vec<f64> = p.vertices().map(|v| v.location.z).collect();
+                ("POLYLINE", flat(&p.normal, &heights), bulged(&corners, p.flags & 1 != 0))
+            }
+            EntityType::Spline(s) => {
+                let Some(spline) = self.spline(s) else {
+                    let expected =
+                        "control points with knots and positive weights, as CAD systems write them";
+                    return refuse("SPLINE", "without a complete set of control points and knots", expected);
+                };
+                let heights: Vec<f64> = s.control_points.iter().map(|p| p.z).collect();
+                ("SPLINE", flat(&s.normal, &heights), vec![Segment::Spline(spline)])
+            }
+            EntityType::Text(_)
+            | EntityType::MText(_)
+            | EntityType::ModelPoint(_)
+            | EntityType::Leader(_)
+            | EntityType::Tolerance(_)
+            | EntityType::RotatedDimension(_)
+            | EntityType::RadialDimension(_)
+            | EntityType::DiameterDimension(_)
+            | EntityType::AngularThreePointDimension(_)
+            | EntityType::OrdinateDimension(_) => return Ok(()), // words and measures are no contour
+            EntityType::Circle(_) => {
+                return refuse("CIRCLE", "in the contour", "the half profile above the axis: an arc of it");
+            }
+            other => {
+                let name = format!("{other:?}");
+                let name = name.split(['(', ' ']).next().unwrap_or_default().to_uppercase();
+                return refuse(&name, "in the contour", "lines, arcs, ellipses, splines and polylines");
+            }
+        };
+        if !in_plane {
+            return refuse(kind, "out of the drawing's plane", "a flat drawing at elevation 0");
+        }
+        for segment in segments {
+            let chords = segment.polyline();
+            if !chords.iter().all(|p| p.z.is_finite() && p.x.is_finite()) {
+                return refuse(kind, "with a coordinate that is no number", "finite coordinates");
+            }
+            if segment.length_mm() <= self.options.tolerance_mm {
+                return refuse(kind, "without length", "entities longer than the tolerance");
+            }
+            if chords.iter().any(|p| p.x < -self.options.tolerance_mm) {
+                return refuse(kind, "below the axis", "the half profile at Y ≥ 0");
+            }
+            out.push(Piece { segment, entity: named(kind), line });
+        }
+        Ok(())
+    }
+
+    fn spline(&self, s: &dxf::entities::Spline) -> Option<Spline> {
+        let n = s.control_points.len();
+        let degree = usize::try_from(s.degree_of_curve).ok()?;
+        let weights = if s.weight_values.is_empty() { vec![1.0; n] } else { s.weight_values.clone() };
+        let whole = degree >= 1
+            && n > degree
+            && s.knot_values.len() == n + degree + 1
+            && s.knot_values.windows(2).all(|k| k[0] <= k[1])
+            && s.knot_values[degree] < s.knot_values[n]
+            && weights.len() == n
+            && weights.iter().all(|w| w.is_finite() && *w > 0.0);
+        let points = s.control_points.iter().map(|p| self.point(p)).collect();
+        whole.then(|| Spline { degree, knots: s.knot_values.clone(), points, weights })
+    }
+
+    fn twice(&self, pieces: &[Piece]) -> Result<(), InputError> {
+        let near = |p: Zx, q: Zx| (p - q).norm() <= self.options.tolerance_mm;
+        for (i, a) in pieces.iter().enumerate() {
+            for b in &pieces[..i] {
+                let ([a0, a1], [b0, b1]) = (a.ends(), b.ends());
+                let ends = near(a0, b0) && near(a1, b1) || near(a0, b1) && near(a1, b0);
+                if ends && near(a.segment.at(0.5), b.segment.at(0.5)) {
+                    let found = format!("{}, a duplicate of {}", a.entity, b.entity);
+                    return Err(InputError::at(self.file, a.line, 0, found, "every entity once"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Order the pieces along the contour.
+    fn chain(&self, pieces: Vec<Piece>) -> Result<Contour, InputError> {
+        let tol = self.options.tolerance_mm;
+        let near = |p: Zx, q: Zx| (p - q).norm() <= tol;
+        // What lies on the axis closes a drawing but is no surface.
+        let on_axis =
+            |p: &Piece| matches!(p.segment, Segment::Line { a, b } if a.x.abs() <= tol && b.x.abs() <= tol);
+        let (axis, mut rest): (Vec<Piece>, Vec<Piece>) = pieces.into_iter().partition(on_axis);
+        if rest.is_empty() {
+            return Err(InputError::whole(self.file, "nothing but the axis", "the part's contour"));
+        }
+        let ends: Vec<(usize, Zx)> =
+            rest.iter().enumerate().flat_map(|(i, p)| p.ends().map(|e| (i, e))).collect();
+        let met = |k: usize| (0..ends.len()).filter(|&j| j != k && near(ends[j].1, ends[k].1)).count();
+        if let Some(k) = (0..ends.len()).find(|&k| met(k) > 1) {
+            let (i, at) = ends[k];
+            let found = format!(
+                "a branch at {}: more than two entities meet ({} is one)",
+                self.words(at),
+                rest[i].entity
+            );
+            return Err(InputError::at(self.file, rest[i].line, 0, found, "one contour without branches"));
+        }
+        let free: Vec<usize> = (0..ends.len()).filter(|&k| met(k) == 0).collect();
+        if free.len() > 2 {
+            return Err(self.gap(&rest, &ends, &free));
+        }
+        let closed = free.is_empty();
+        if let [a, b] = free[..] {
+            let meets_axis = |k: usize| axis.iter().any(|p| p.ends().iter().any(|e| near(*e, ends[k].1)));
+            if meets_axis(a) != meets_axis(b) {
+                let k = if meets_axis(a) { b } else { a };
+                let piece = &rest[ends[k].0];
+                let found = format!("an open contour: {} ends at {}", piece.entity, self.words(ends[k].1));
+                return Err(InputError::at(
+                    self.file,
+                    piece.line,
+                    0,
+                    found,
+                    "a contour that returns to the axis",
+                ));
+            }
+        }
+        let mut tail = free.first().map_or(ends[0].1, |&k| ends[k].1);
+        let mut chain = Vec::with_capacity(rest.len());
+        while let Some(i) = rest.iter().position(|p| p.ends().iter().any(|e| near(*e, tail))) {
+            let piece = rest.remove(i);
+            let [start, end] = piece.ends();
+            let forward = near(start, tail);
+            tail = if forward { end } else { start };
+            chain.push((if forward { piece.segment } else { piece.segment.reversed() }, piece.entity));
+        }
+        if let Some(left) = rest.first() {
+            let found = format!("a second contour ({} is part of it)", left.entity);
+            return Err(InputError::at(
+                self.file,
+                left.line,
+                0,
+                found,
+                "one contour, or --layer to choose it",
+            ));
+        }
+        Ok(Contour::new(chain, closed))
+    }
+
+    fn gap(&self, rest: &[Piece], ends: &[(usize, Zx)], free: &[usize]) -> InputError {
+        let mut least = (f64::INFINITY, free[0], free[0]);
+        for (n, &a) in free.iter().enumerate() {
+            for &b in &free[..n] {
+                let off = (ends[a].1 - ends[b].1).norm();
+                if ends[a].0 != ends[b].0 && off < least.0 {
+                    least = (off, b, a);
+                }
+            }
+        }
+        let (off, a, b) = least;
+        let (first, second) = (&rest[ends[a].0], &rest[ends[b].0]);
+        let found = format!(
+            "an open contour: a gap of {:.4} units between {} at {} and {} at {}",
+            off / self.unit.0,
+            first.entity,
+            self.words(ends[a].1),
+            second.entity,
+            self.words(ends[b].1)
+        );
+        InputError::at(self.file, second.line.max(first.line), 0, found, "entities that meet end to end")
+    }
+
+    fn words(&self, p: Zx) -> String {
+        format!("({:.4}, {:.4})", p.z / self.unit.0, p.x / self.unit.0)
+    }
+}
+
+/// Lines and arcs of a polyline; a bulge is the tangent of a quarter of its arc's angle.
+fn bulged(corners: &[(Zx, f64)], closed: bool) -> Vec<Segment> {
+    let n = corners.len();
+    let count = if closed { n } else { n.saturating_sub(1) };
+    (0..count)
+        .map(|i| {
+            let ((a, bulge), (b, _)) = (corners[i], corners[(i + 1) % n]);
+            if bulge == 0.0 {
+                return Segment::Line { a, b };
+            }
+            let (half, sweep_rad) = ((b - a) * 0.5, 4.0 * bulge.atan());
+            let centre = a + half + Zx::new(-half.x, half.z) * ((1.0 - bulge * bulge) / (2.0 * bulge));
+            Segment::Arc {
+                centre,
+                radius_mm: (a - centre).norm(),
+                start_rad: (a - centre).angle_rad(),
+                sweep_rad,
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,442 @@
+//! Part errors from probed points: probe tip, geometric-thermal correction, fit, `error.cor` and whiskers
+//! (NISTIR 4854, section 3).
+
+use crate::fit::{self, FitError, Fitted, Shape, Zx, sequence};
+use crate::sheet::Sheet;
+use crate::svg::Svg;
+use dxf::entities::{Entity, EntityType};
+use rtec_driver::input::InputError;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Error bars are drawn this much longer: 4 µm become 1 mm (NISTIR 4854, "CAD error display").
+pub const MAGNIFICATION: f64 = 250.0;
+
+/// What probing recorded: where the centre of the probe's tip was at each trip.
+#[derive(Debug, Clone)]
+pub struct Probed {
+    sheet: Sheet,
+    /// Centre of the tip, in mm.
+    pub tip_centre: Vec<Zx>,
+    /// Unit direction of motion at the trip, where recorded.
+    pub approach: Option<Vec<Zx>>,
+}
+
+/// The nominal feature that was probed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Nominal {
+    /// A circle (hemisphere, fillet) of this radius.
+    Circle {
+        /// Nominal radius, in mm.
+        radius_mm: f64,
+    },
+    /// A straight feature; its nominal inclination to the part's axis where one is asked for (a taper).
+    Line {
+        /// Nominal angle to the Z axis, in degrees.
+        taper_deg: Option<f64>,
+    },
+}
+
+/// The error of one point.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PointError {
+    /// Direction of the surface normal from the part's +Z axis, in rad.
+    pub angle_rad: f64,
+    /// Deviation along that normal, in µm; positive: too much material outside.
+    pub error_um: f64,
+    /// Place along a straight feature, in mm from the points' centroid.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub along_mm: Option<f64>,
+}
+
+/// The robust fit that stands beside the report's.
+#[derive(Debug, Clone, Serialize)]
+pub struct RobustSummary {
+    /// Centre of the circle `[z, x]` or centroid of the line, in mm.
+    pub centre_mm: [f64; 2],
+    /// Radius of the surface, in mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius_mm: Option<f64>,
+    /// Robust scale of the deviations of the points that belong to the shape, in µm.
+    pub scale_um: f64,
+    /// Points (rows from 0) with weight below one half.
+    pub down_weighted: Vec<usize>,
+    /// Deviations from the robust fit, in µm, in the order of the rows.
+    pub errors_um: Vec<f64>,
+}
+
+/// What the fit found. SDs are sample standard deviations (divisor n − 1).
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// `circle` or `line`.
+    pub feature: &'static str,
+    /// Points given.
+    pub points: usize,
+    /// Centre of the circle `[z, x]`, or centroid of the line, in mm.
+    pub centre_mm: [f64; 2],
+    /// Radius of the surface, in mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius_mm: Option<f64>,
+    /// Fitted minus nominal radius, in µm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub size_error_um: Option<f64>,
+    /// Inclination of a straight feature to the Z axis, in degrees, −90 < angle ≤ 90.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inclination_deg: Option<f64>,
+    /// Fitted minus nominal inclination, in degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inclination_error_deg: Option<f64>,
+    /// Centre of the plain fit through all points, in mm.
+    pub plain_centre_mm: [f64; 2],
+    /// SD of all points about the plain fit, in µm.
+    pub sd_before_um: f64,
+    /// SD of the kept points about the second fit, in µm.
+    pub sd_after_um: f64,
+    /// Rows (from 0) that the second fit left out.
+    pub rejected: Vec<usize>,
+    /// Largest minus smallest error, in µm.
+    pub form_um: f64,
+    /// The robust fit.
+    pub robust: RobustSummary,
+    /// Errors of all points about the second fit, in the order of the rows.
+    pub errors: Vec<PointError>,
+    #[serde(skip)]
+    outline: Fitted,
+}
+
+impl Probed {
+    /// Read `z_mm,x_mm[,approach_z,approach_x]`; `point`, `t_s`, `uncertainty_um` and columns whose name is T and a
+    /// number (temperatures kept for the off-line correction) may stand beside them.
+    ///
+    /// # Errors
+    /// As [`Sheet::read`]; a direction without length; one approach column without the other.
+    pub fn read(file: &Path) -> Result<Self, InputError> {
+        Self::parse(file, &crate::sheet::read_text(file)?)
+    }
+
+    /// As [`Probed::read`], from text already in memory; `file` only names it.
+    ///
+    /// # Errors
+    /// As [`Probed::read`].
+    pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
+        let known = ["z_mm", "x_mm", "approach_z", "approach_x", "point", "t_s", "uncertainty_um", "feature"];
+        let is_sensor = |name: &str| {
+            name.strip_prefix('T').is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
+        };
+        let sheet = Sheet::parse(file, text, &known, is_sensor)?;
+        let pair = |z: &str, x: &str| -> Result<Vec<Zx>, InputError> {
+            Ok(sheet.numbers(z)?.into_iter().zip(sheet.numbers(x)?).map(|(z, x)| Zx::new(z, x)).collect())
+        };
+        let tip_centre = pair("z_mm", "x_mm")?;
+        let has = |name: &str| sheet.names().iter().any(|n| n == name);
+        let approach = if has("approach_z") || has("approach_x") {
+            let mut unit = Vec::with_capacity(sheet.len());
+            for (row, d) in pair("approach_z", "approach_x")?.into_iter().enumerate() {
+                unit.push(d.unit().ok_or_else(|| {
+                    sheet.finding(row, "an approach of length 0", "the direction of motion at the trip")
+                })?);
+            }
+            Some(unit)
+        } else {
+            None
+        };
+        Ok(Self { sheet, tip_centre, approach })
+    }
+
+    /// Add what the geometric-thermal model predicts to the recorded positions: the scale read nominal, the
+    /// machine was off by the error. Probing itself runs uncorrected (NISTIR 4832, probing mode).
+    ///
+    /// # Errors
+    /// Not one error per probed row.
+    pub fn correct_geometric_thermal(&mut self, file: &Path, error_um: &[Zx]) -> Result<(), InputError> {
+        if error_um.len() != self.tip_centre.len() {
+            let found = format!("{} rows", error_um.len());
+            let expected = format!("{} rows, one per probed point", self.tip_centre.len());
+            return Err(InputError::whole(file, found, expected));
+        }
+        for (p, &e) in self.tip_centre.iter_mut().zip(error_um) {
+            *p = *p + e * 1e-3;
+        }
+        Ok(())
+    }
+
+    /// Is each trip where it was expected? `expected` are the tip's centres at the nominal part.
+    ///
+    /// # Errors
+    /// A missing or surplus point, or the first trip further than `window_mm` from its place; both name the point.
+    pub fn check_expected(&self, expected: &[Zx], window_mm: f64) -> Result<(), InputError> {
+        if self.tip_centre.len() != expected.len() {
+            let found = format!("{} trips", self.tip_centre.len());
+            let expected = format!("{} trips: one was missed or doubled", expected.len());
+            return Err(InputError::whole(self.sheet.file(), found, expected));
+        }
+        for (row, (&p, &e)) in self.tip_centre.iter().zip(expected).enumerate() {
+            let off_mm = (p - e).norm();
+            if off_mm > window_mm {
+                let found = format!("point {} tripped {off_mm:.3} mm from its expected place", row + 1);
+                return Err(self.sheet.finding(row, found, format!("a trip within {window_mm} mm")));
+            }
+        }
+        Ok(())
+    }
+
+    /// Part errors of a feature probed with a tip of radius `tip_mm`.
+    ///
+    /// The tip touches where its surface is normal to the part's, whatever the direction it came from; the
+    /// approach tells from which side. So the shape is fitted to the tip's centres and moved by the tip's radius.
+    ///
+    /// # Errors
+    /// Too few or degenerate points; approaches from both sides of the surface or along it.
+    pub fn errors(&self, nominal: Nominal, tip_mm: f64) -> Result<Report, InputError> {
+        let shape = match nominal {
+            Nominal::Circle { .. } => Shape::Circle,
+            Nominal::Line { .. } => Shape::Line,
+        };
+        let as_input = |e: FitError| {
+            InputError::whole(self.sheet.file(), e.to_string(), "points that determine the feature")
+        };
+        let points = &self.tip_centre;
+        let mut two = fit::two_step(shape, points).map_err(as_input)?;
+        let robust = fit::robust(shape, points).map_err(as_input)?;
+        let side = self.side(&two.fitted)?;
+        if shape == Shape::Line && side < 0.0 {
+            // A straight feature faces the probe.
+            two.fitted = two.fitted.turned();
+            two.errors_um.iter_mut().for_each(|e| *e = -*e);
+        }
+        let tip = if shape == Shape::Line { tip_mm } else { side * tip_mm };
+        let surface = moved(&two.fitted, -tip);
+        let (centre_mm, radius_mm) = place(&surface);
+        let robust_surface = moved(
+            &if shape == Shape::Line && side < 0.0 { robust.fitted.turned() } else { robust.fitted },
+            -tip,
+        );
+        let sign = if shape == Shape::Line { side } else { 1.0 };
+        let errors: Vec<PointError> = points
+            .iter()
+            .zip(&two.errors_um)
+            .map(|(&p, &error_um)| {
+                let along = |through: Zx, n: Zx| (p - through).dot(Zx::new(n.x, -n.z));
+                PointError {
+                    angle_rad: two.fitted.normal_at(p).angle_rad(),
+                    error_um,
+                    along_mm: match two.fitted {
+                        Fitted::Line { through, normal } => Some(along(through, normal)),
+                        Fitted::Circle { .. } => None,
+                    },
+                }
+            })
+            .collect();
+        let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
+        let inclination_deg = match surface {
+            Fitted::Line { normal, .. } => {
+                let deg = (-normal.z).atan2(normal.x).to_degrees();
+                Some(if deg > 90.0 {
+                    deg - 180.0
+                } else if deg <= -90.0 {
+                    deg + 180.0
+                } else {
+                    deg
+                })
+            }
+            Fitted::Circle { .. } => None,
+        };
+        let (size_error_um, inclination_error_deg) = match nominal {
+            Nominal::Circle { radius_mm: r } => (radius_mm.map(|f| (f - r) * 1e3), None),
+            Nominal::Line { taper_deg } => {
+                (None, inclination_deg.zip(taper_deg).map(|(f, t)| (f - t + 90.0).rem_euclid(180.0) - 90.0))
+            }
+        };
+        let (robust_centre, robust_radius) = place(&robust_surface);
+        Ok(Report {
+            feature: if shape == Shape::Circle { "circle" } else { "line" },
+            points: points.len(),
+            centre_mm,
+            radius_mm,
+            size_error_um,
+            inclination_deg,
+            inclination_error_deg,
+            plain_centre_mm: place(&moved(&two.plain, 0.0)).0,
+            sd_before_um: two.sd_before_um,
+            sd_after_um: two.sd_after_um,
+            rejected: two.rejected,
+            form_um: extreme(f64::max) - extreme(f64::min),
+            robust: RobustSummary {
+                centre_mm: robust_centre,
+                radius_mm: robust_radius,
+                scale_um: robust.scale_um,
+                down_weighted: (0..points.len()).filter(|&i| robust.weights[i] < 0.5).collect(),
+                errors_um: robust.errors_um.iter().map(|e| e * sign).collect(),
+            },
+            errors,
+            outline: surface,
+        })
+    }
+
+    /// +1: probed from outside (against the normal), −1: from inside.
+    fn side(&self, fitted: &Fitted) -> Result<f64, InputError> {
+        let Some(approach) = &self.approach else { return Ok(1.0) };
+        let mut side = 0.0;
+        for (row, (&d, &p)) in approach.iter().zip(&self.tip_centre).enumerate() {
+            let against = -d.dot(fitted.normal_at(p));
+            if against.abs() < 0.1 {
+                return Err(self.sheet.finding(row, "an approach along the surface", "one that meets it"));
+            }
+            if side * against < 0.0 {
+                let found = "an approach from the other side than the rows before";
+                return Err(self.sheet.finding(row, found, "one feature, probed from one side"));
+            }
+            side = against.signum();
+        }
+        Ok(side)
+    }
+}
+
+/// The shape moved outward.
+fn moved(fitted: &Fitted, by_mm: f64) -> Fitted {
+    match *fitted {
+        Fitted::Circle { centre, radius_mm } => Fitted::Circle { centre, radius_mm: radius_mm + by_mm },
+        Fitted::Line { through, normal } => Fitted::Line { through: through + normal * by_mm, normal },
+    }
+}
+
+fn place(fitted: &Fitted) -> ([f64; 2], Option<f64>) {
+    match *fitted {
+        Fitted::Circle { centre, radius_mm } => ([centre.z, centre.x], Some(radius_mm)),
+        Fitted::Line { through, .. } => ([through.z, through.x], None),
+    }
+}
+
+/// The table of NISTIR 4854, section 5: one line per point, angle from the part's +Z axis in rad and error in µm,
+/// angles ascending.
+#[must_use]
+pub fn error_cor(errors: &[PointError]) -> String {
+    let mut sorted = errors.to_vec();
+    sorted.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
+    sorted.iter().fold(String::new(), |mut text, e| {
+        let _ = writeln!(text, "{:.6} {:.3}", e.angle_rad, e.error_um);
+        text
+    })
+}
+
+/// Read an `error.cor`: two numbers a line, separated by blanks or a comma, `#` starts a comment.
+///
+/// # Errors
+/// Not two finite numbers in a line, angles that do not ascend, or no line at all.
+pub fn read_error_cor(file: &Path) -> Result<Vec<PointError>, InputError> {
+    let mut errors: Vec<PointError> = Vec::new();
+    for (i, line) in crate::sheet::read_text(file)?.lines().enumerate() {
+        let content = line.split('#').next().unwrap_or_default();
+        let words: Vec<&str> = content.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
+        if words.is_empty() {
+            continue;
+        }
+        let numbers: Option<Vec<f64>> =
+            words.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
+        let Some([angle_rad, error_um]) = numbers.as_deref() else {
+            let found = format!("'{}'", content.trim());
+            return Err(InputError::at(file, i + 1, 1, found, "angle in rad and error in µm"));
+        };
+        if errors.last().is_some_and(|e| e.angle_rad >= *angle_rad) {
+            let found = format!("angle {angle_rad} after a larger or equal one");
+            return Err(InputError::at(file, i + 1, 1, found, "ascending angles"));
+        }
+        errors.push(PointError { angle_rad: *angle_rad, error_um: *error_um, along_mm: None });
+    }
+    if errors.is_empty() {
+        return Err(InputError::whole(file, "no line at all", "angle in rad and error in µm"));
+    }
+    Ok(errors)
+}
+
+/// The error bars: foot on the nominal outline, head beyond it by the magnified error.
+struct Whiskers {
+    outline: Vec<Zx>,
+    bars: Vec<(Zx, Zx)>,
+    rejected: Vec<bool>,
+    size_mm: f64,
+}
+
+impl Report {
+    fn whiskers(&self) -> Whiskers {
+        let feet: Vec<(Zx, Zx)> = self
+            .errors
+            .iter()
+            .map(|e| match self.outline {
+                Fitted::Circle { centre, radius_mm } => {
+                    let n = Zx::at_angle(e.angle_rad);
+                    (centre + n * radius_mm, n)
+                }
+                Fitted::Line { through, normal } => {
+                    let along = Zx::new(normal.x, -normal.z) * e.along_mm.unwrap_or(0.0);
+                    (through + along, normal)
+                }
+            })
+            .collect();
+        let places: Vec<Zx> = feet.iter().map(|f| f.0).collect();
+        let order = sequence(&self.outline, &places);
+        let outline: Vec<Zx> = match self.outline {
+            Fitted::Circle { centre, radius_mm } => {
+                let angle = |k: usize| self.errors[order[k]].angle_rad;
+                let sweep = (angle(order.len() - 1) - angle(0)).rem_euclid(std::f64::consts::TAU);
+                (0..=180)
+                    .map(|k| centre + Zx::at_angle(angle(0) + sweep * f64::from(k) / 180.0) * radius_mm)
+                    .collect()
+            }
+            Fitted::Line { .. } => order.iter().map(|&i| places[i]).collect(),
+        };
+        let bars = order
+            .iter()
+            .map(|&i| (feet[i].0, feet[i].0 + feet[i].1 * (self.errors[i].error_um * 1e-3 * MAGNIFICATION)))
+            .collect();
+        let rejected = order.iter().map(|i| self.rejected.contains(i)).collect();
+        let size_mm = (outline[outline.len() - 1] - outline[0]).norm();
+        Whiskers { outline, bars, rejected, size_mm }
+    }
+
+    /// The feature with its error bars, magnified as figures 5 and 6 of NISTIR 4854.
+    #[must_use]
+    pub fn whisker_svg(&self) -> String {
+        let w = self.whiskers();
+        let mut svg = Svg::default();
+        svg.polyline(&w.outline, "outline");
+        for (i, &(foot, head)) in w.bars.iter().enumerate() {
+            svg.polyline(&[foot, head], "whisker");
+            svg.dot(head, 0.006 * w.size_mm, if w.rejected[i] { "dropped" } else { "kept" });
+        }
+        let (low, high) = svg.frame();
+        let (line, size) = (0.045 * (high - low).norm(), 0.03 * (high - low).norm());
+        let at = |row: f64| Zx::new(low.z, low.x - line * row);
+        svg.polyline(&[at(1.0), at(1.0) + Zx::new(MAGNIFICATION * 0.02, 0.0)], "whisker");
+        svg.text(at(1.0) + Zx::new(MAGNIFICATION * 0.02 + size, -0.3 * size), size, "20 µm, errors ×250");
+        let sds = format!("SD {:.1} µm, after the second fit {:.1} µm", self.sd_before_um, self.sd_after_um);
+        svg.text(at(2.2), size, &sds);
+        svg.finish("Part errors")
+    }
+
+    /// The same as DXF (R2000, mm): layers `OUTLINE` and `WHISKER`.
+    ///
+    /// # Errors
+    /// The DXF library could not write (memory only: it does not happen).
+    pub fn whisker_dxf(&self) -> Result<Vec<u8>, dxf::DxfError> {
+        let w = self.whiskers();
+        let mut drawing = crate::drawing::new_dxf();
+        let mut line = |a: Zx, b: Zx, layer: &str| {
+            let ends =
+                dxf::entities::Line::new(dxf::Point::new(a.z, a.x, 0.0), dxf::Point::new(b.z, b.x, 0.0));
+            let mut entity = Entity::new(EntityType::Line(ends));
+            layer.clone_into(&mut entity.common.layer);
+            drawing.add_entity(entity);
+        };
+        for pair in w.outline.windows(2) {
+            line(pair[0], pair[1], "OUTLINE");
+        }
+        for (foot, head) in w.bars {
+            line(foot, head, "WHISKER");
+        }
+        let mut bytes = Vec::new();
+        drawing.save(&mut bytes)?;
+        Ok(bytes)
+    }
+}

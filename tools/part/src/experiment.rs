@@ -1,0 +1,603 @@
+//! The report's experiment step by step on the simulated machine: semi-finish cut, probing, errors, table, finish cut,
+//! inspection (NISTIR 4854, section 2).
+
+use crate::batch::{self, Batch, Judgement};
+use crate::contour::{Contour, Segment};
+use crate::errors::{Nominal, Probed, Report, error_cor};
+use crate::fit::{Zx, sd};
+use crate::lathe::{self, Bench, Job, Move, Ran, RunError, Workpiece};
+use crate::path::{Motion, Plan, Probe, Record, Role};
+use crate::probe::{Trip, TripFault, assign, captured, probed_csv};
+use crate::svg::escaped;
+use crate::table::{Cut, Table, csv};
+use rtec_driver::input::InputError;
+use rtec_rt::axis::Design;
+use serde::Serialize;
+use std::f64::consts::FRAC_PI_2;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Everything that is chosen beforehand.
+#[derive(Debug, Clone)]
+pub struct Setup {
+    /// Machine, tool and probe.
+    pub bench: Bench,
+    /// Name of the corrector's design, as the command line gives it.
+    pub design: String,
+    /// Centre of the nose in part coordinates: 5 in along the axis in figure 7 of the report.
+    pub centre: Zx,
+    /// Radius of the finished nose: 38.1 mm in the report.
+    pub radius_mm: f64,
+    /// Semi-finish allowance on the radius: 0.254 mm in the report.
+    pub allowance_mm: f64,
+    /// Points on the quadrant: 20 in the report.
+    pub points: usize,
+    /// Radius of the probe's tip.
+    pub tip_mm: f64,
+    /// How the machine probes.
+    pub motion: Motion,
+    /// Feed of the cuts.
+    pub cut_feed_mm_min: f64,
+    /// Corrections are asked this long ahead: one control period and the lag of the position loop.
+    pub lead_s: f64,
+    /// How near a trip must be to its expected place.
+    pub window_mm: f64,
+    /// Seed of everything that is random.
+    pub seed: u64,
+}
+
+impl Default for Setup {
+    /// NISTIR 4854 with the Original RTEC: 4 µm a correction on 1 µm counts.
+    fn default() -> Self {
+        let bench = Bench::default();
+        Self {
+            lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
+            bench,
+            design: "original".into(),
+            centre: Zx::new(127.0, 0.0),
+            radius_mm: 38.1,
+            allowance_mm: 0.254,
+            points: 20,
+            tip_mm: 2.5,
+            motion: Motion::REPORT,
+            cut_feed_mm_min: 120.0,
+            window_mm: 1.0,
+            seed: 1,
+        }
+    }
+}
+
+/// What stops an experiment.
+#[derive(Debug, thiserror::Error)]
+pub enum ExperimentError {
+    /// A trip that is not as planned.
+    #[error(transparent)]
+    Trip(#[from] TripFault),
+    /// The machine did not run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The probed points give no errors.
+    #[error(transparent)]
+    Points(#[from] InputError),
+    /// The corrector latched a fault.
+    #[error("the corrector latched a fault: {0}")]
+    Fault(String),
+    /// No such design.
+    #[error("design '{0}': the experiment knows original, a and c")]
+    Design(String),
+}
+
+/// A probing session.
+#[derive(Debug, Clone)]
+pub struct Session {
+    /// The trips as captured.
+    pub trips: Vec<Trip>,
+    /// The record `part errors` reads.
+    pub csv: String,
+    /// Largest distance of a capture from the truth, in µm.
+    pub worst_um: f64,
+    /// Root mean square of it.
+    pub rms_um: f64,
+    /// Time on the machine.
+    pub seconds: f64,
+}
+
+/// How probing at one feed did.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Probing {
+    /// Feed.
+    pub feed_mm_min: f64,
+    /// Time on the machine for all points.
+    pub seconds: f64,
+    /// Captured minus true position of the tip: root mean square.
+    pub capture_rms_um: f64,
+    /// The largest.
+    pub capture_worst_um: f64,
+    /// The largest half width the corrector states for an axis in motion.
+    pub stated_um: f64,
+    /// What a capture that is 25 µs late would cost at this feed.
+    pub late_25us_um: f64,
+    /// What a controller that notices the trip once a millisecond would cost.
+    pub late_1ms_um: f64,
+}
+
+/// A cut and what probing made of it.
+#[derive(Debug, Clone, Serialize)]
+pub struct CutResult {
+    /// Largest error by its size.
+    pub largest_um: f64,
+    /// Largest error minus the error at the part's axis (the report's height of the bump).
+    pub bump_um: f64,
+    /// SD of all points about the plain circle.
+    pub sd_before_um: f64,
+    /// SD about the second fit.
+    pub sd_after_um: f64,
+    /// Form of the true surface, largest minus smallest deviation from its own circle at the probed angles.
+    pub true_form_um: f64,
+    /// SD of the true surface about its circle.
+    pub true_sd_um: f64,
+}
+
+/// The whole experiment.
+#[derive(Debug, Serialize)]
+pub struct Outcome {
+    /// Design of the corrector.
+    pub design: String,
+    /// One correction, in µm.
+    pub increment_um: f64,
+    /// Seed.
+    pub seed: u64,
+    /// After the semi-finish cut with the worn tool.
+    pub semi_finish: CutResult,
+    /// Most corrections on one axis.
+    pub corrections: i64,
+    /// After the finish cut with the table.
+    pub finish: CutResult,
+    /// Insertions the engine made in the finish cut, Z and X.
+    pub insertions: [u64; 2],
+    /// What the controller counted in the finish cut minus what the scales did, Z and X, counts.
+    pub mtc_minus_scale: [i64; 2],
+    /// Completed totals at its end.
+    pub completed: [i64; 2],
+    /// The same compensation by rewriting the program: lines, and the part it cuts.
+    pub program_lines: usize,
+    /// The part cut by that program.
+    pub program: CutResult,
+    /// Fast probing and slow.
+    pub probing: [Probing; 2],
+    /// What a measuring machine off the machine sees and probing cannot; only with a machine error.
+    pub off_machine: Option<Batch>,
+    /// What was decided and why, in order.
+    pub decisions: Vec<String>,
+    /// Files of every step.
+    #[serde(skip)]
+    pub files: Vec<(String, Vec<u8>)>,
+}
+
+impl Outcome {
+    /// What the controller counted beyond the scales is what the engine says it completed.
+    #[must_use]
+    pub fn balanced(&self) -> bool {
+        self.mtc_minus_scale == self.completed
+    }
+}
+
+/// Machine position at the part's origin.
+pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
+/// Rapid traverse of the report's machine: 7 m/min.
+pub const RAPID_MM_S: f64 = 116.7;
+
+/// The nose as a contour.
+#[must_use]
+pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
+    let arc = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
+    Contour::new(vec![(arc, "nose".to_owned())], false)
+}
+
+/// The probe's path as moves of the machine.
+#[must_use]
+pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {
+    records
+        .windows(2)
+        .filter(|w| (w[1].at - w[0].at).norm() > 1e-9)
+        .map(|w| Move {
+            segment: Segment::Line { a: w[0].at, b: w[1].at },
+            feed_mm_s: if matches!(w[1].role, Role::Touch(_) | Role::Finish) {
+                feed_mm_s
+            } else {
+                RAPID_MM_S
+            },
+            cutting: false,
+            touching: matches!(w[1].role, Role::Touch(_)),
+        })
+        .collect()
+}
+
+impl Setup {
+    fn engine_design(&self) -> Result<Design, ExperimentError> {
+        lathe::design(&self.design).ok_or_else(|| ExperimentError::Design(self.design.clone()))
+    }
+
+    /// The cut to a radius.
+    #[must_use]
+    pub fn cut(&self, radius_mm: f64) -> Cut {
+        Cut { centre: self.centre, radius_mm, nose_mm: self.bench.nose_mm, origin: ORIGIN }
+    }
+
+    /// A part ready for the semi-finish cut.
+    #[must_use]
+    pub fn raw(&self) -> Workpiece {
+        Workpiece::raw(self.centre, self.radius_mm + self.allowance_mm + 1.0)
+    }
+
+    /// One pass round the nose with a single arc, as `G02` makes it.
+    fn arc(&self, radius_mm: f64) -> Vec<Move> {
+        let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
+        let segment = Segment::Arc {
+            centre: self.centre,
+            radius_mm: radius_mm + self.bench.nose_mm,
+            start_rad: -beyond_rad,
+            sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad,
+        };
+        vec![Move { segment, feed_mm_s: self.cut_feed_mm_min / 60.0, cutting: true, touching: false }]
+    }
+
+    /// Cut a part to a radius, with a table's corrections where one is given.
+    ///
+    /// # Errors
+    /// The machine does not run, or the corrector latched a fault.
+    pub fn turn(
+        &self,
+        part: &mut Workpiece,
+        radius_mm: f64,
+        table: Option<&Table>,
+        seed: u64,
+    ) -> Result<Ran, ExperimentError> {
+        let job = table.map_or(Job::Cut, |t| Job::Corrected(t, self.lead_s));
+        self.go(part, radius_mm, &self.arc(radius_mm), job, seed)
+    }
+
+    fn go(
+        &self,
+        part: &mut Workpiece,
+        radius_mm: f64,
+        moves: &[Move],
+        job: Job,
+        seed: u64,
+    ) -> Result<Ran, ExperimentError> {
+        let ran =
+            lathe::run(&self.bench, self.engine_design()?, &self.cut(radius_mm), moves, job, part, seed)?;
+        let faults = ran.status.axes[..2].iter().any(|a| a.faults.any()) || ran.status.faults.any();
+        if faults {
+            return Err(ExperimentError::Fault(format!("{:?}", ran.status.axes[0].faults)));
+        }
+        Ok(ran)
+    }
+
+    /// The plan of a probing session on the nose.
+    #[must_use]
+    pub fn plan(&self, radius_mm: f64) -> Plan {
+        let contour = nose(self.centre, radius_mm);
+        let mut plan = Plan::new(Probe {
+            tip_mm: self.tip_mm,
+            stand_off_mm: self.motion.stand_off_mm(),
+            over_travel_mm: self.motion.over_travel_mm(),
+            stem: None,
+        });
+        plan.add_number(&contour, 0, self.points, 0.0);
+        plan
+    }
+
+    /// Probe the nose.
+    ///
+    /// # Errors
+    /// A trip that is not as planned names its point; a fault of the corrector.
+    pub fn probe(
+        &self,
+        part: &Workpiece,
+        plan: &Plan,
+        feed_mm_min: f64,
+        seed: u64,
+    ) -> Result<Session, ExperimentError> {
+        let approach: Vec<Zx> = plan.points.iter().map(|p| p.place.normal * -1.0).collect();
+        self.probe_path(part, &plan.records(), &plan.expected(), &approach, feed_mm_min, seed)
+    }
+
+    /// Probe along any path. `expected` are the tip's centres at the trips, `approach` the directions of the touches.
+    ///
+    /// # Errors
+    /// As [`Setup::probe`].
+    pub fn probe_path(
+        &self,
+        part: &Workpiece,
+        records: &[Record],
+        expected: &[Zx],
+        approach: &[Zx],
+        feed_mm_min: f64,
+        seed: u64,
+    ) -> Result<Session, ExperimentError> {
+        let moves = probing_moves(records, feed_mm_min / 60.0);
+        let mut part = part.clone();
+        let ran = self.go(&mut part, self.radius_mm, &moves, Job::Probe(self.tip_mm), seed)?;
+        let trips = assign(&captured(&ran.events), expected, self.bench.count_um, ORIGIN, self.window_mm)?;
+        let off: Vec<f64> =
+            trips.iter().zip(&ran.trips).map(|(t, truth)| (t.tip_centre - *truth).norm() * 1e3).collect();
+        Ok(Session {
+            csv: probed_csv(&trips, approach),
+            worst_um: off.iter().copied().fold(0.0, f64::max),
+            rms_um: (off.iter().map(|o| o * o).sum::<f64>() / off.len().max(1) as f64).sqrt(),
+            seconds: ran.seconds,
+            trips,
+        })
+    }
+
+    /// Errors of a probing session.
+    ///
+    /// # Errors
+    /// The points give no circle.
+    pub fn errors(&self, session: &Session, radius_mm: f64) -> Result<Report, ExperimentError> {
+        Ok(Probed::parse(Path::new("probed.csv"), &session.csv)?
+            .errors(Nominal::Circle { radius_mm }, self.tip_mm)?)
+    }
+
+    /// What a measuring machine finds on the part: its true surface at the probed angles about its own circle.
+    fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<Report, ExperimentError> {
+        let text = part.truth(radius_mm, self.points).iter().fold("z_mm,x_mm\n".to_owned(), |mut t, e| {
+            let p = self.centre + Zx::at_angle(e.angle_rad) * (radius_mm + e.error_um * 1e-3);
+            let _ = writeln!(t, "{:.9},{:.9}", p.z, p.x);
+            t
+        });
+        Ok(Probed::parse(Path::new("truth"), &text)?.errors(Nominal::Circle { radius_mm }, 0.0)?)
+    }
+
+    fn result(
+        &self,
+        report: &Report,
+        part: &Workpiece,
+        radius_mm: f64,
+    ) -> Result<CutResult, ExperimentError> {
+        let errors: Vec<f64> = report.errors.iter().map(|e| e.error_um).collect();
+        let truth: Vec<f64> = self.measured(part, radius_mm)?.errors.iter().map(|e| e.error_um).collect();
+        let range = |v: &[f64]| {
+            v.iter().copied().fold(f64::MIN, f64::max) - v.iter().copied().fold(f64::MAX, f64::min)
+        };
+        Ok(CutResult {
+            largest_um: errors.iter().map(|e| e.abs()).fold(0.0, f64::max),
+            bump_um: errors.iter().copied().fold(f64::MIN, f64::max) - errors.first().copied().unwrap_or(0.0),
+            sd_before_um: report.sd_before_um,
+            sd_after_um: report.sd_after_um,
+            true_form_um: range(&truth),
+            true_sd_um: sd(&truth, |_| true),
+        })
+    }
+
+    /// All steps, one after the other.
+    ///
+    /// # Errors
+    /// The first step that cannot be done.
+    pub fn run(&self, progress: &mut dyn FnMut(&str)) -> Result<Outcome, ExperimentError> {
+        let design = self.engine_design()?;
+        let mut files: Vec<(String, Vec<u8>)> = Vec::new();
+        let mut decisions = Vec::new();
+        let semi_mm = self.radius_mm + self.allowance_mm;
+        let axes = lathe::axes(&self.bench, design);
+
+        progress("semi-finish cut");
+        let mut part = self.raw();
+        self.turn(&mut part, semi_mm, None, self.seed)?;
+        progress("probing");
+        let plan = self.plan(semi_mm);
+        let session = self.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 1)?;
+        let slow_feed = self.motion.feed_mm_min / 20.0;
+        progress("probing at a twentieth of the feed, to compare");
+        let slow = self.probe(&part, &plan, slow_feed, self.seed + 1)?;
+        let report = self.errors(&session, semi_mm)?;
+        let semi_finish = self.result(&report, &part, semi_mm)?;
+        add(&mut files, "semi_finish", &plan, &session, &report);
+        decisions.push(format!(
+            "{} of {} points left out of the second fit: SD {:.2} -> {:.2} µm",
+            report.rejected.len(),
+            report.points,
+            report.sd_before_um,
+            report.sd_after_um
+        ));
+        let table = Table::new(self.cut(self.radius_mm), axes, report.errors.clone());
+        let rows = table.rows(9);
+        let corrections = rows.iter().flat_map(|r| r.requested).map(i64::abs).max().unwrap_or(0)
+            / design.increment_counts();
+        let lead_mm = self.cut_feed_mm_min / 60.0 * self.lead_s;
+        files.push(("finish/table.csv".into(), csv(&table, &rows, lead_mm, false).into_bytes()));
+        decisions.push(format!(
+            "table of {} entries, at most {corrections} corrections of {:.1} µm, sent {lead_mm:.3} mm ahead",
+            rows.len(),
+            axes[0].increment_um()
+        ));
+
+        progress("finish cut with the table");
+        let before_finish = part.clone();
+        let ran = self.turn(&mut part, self.radius_mm, Some(&table), self.seed + 2)?;
+        progress("inspection");
+        let plan = self.plan(self.radius_mm);
+        let inspection = self.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 3)?;
+        let inspected = self.errors(&inspection, self.radius_mm)?;
+        let finish = self.result(&inspected, &part, self.radius_mm)?;
+        add(&mut files, "inspection", &plan, &inspection, &inspected);
+
+        progress("the same by G01 lines");
+        let corners = table.straight_moves(0.0015, 4);
+        let mut other = before_finish;
+        let moves: Vec<Move> = corners
+            .windows(2)
+            .map(|w| Move {
+                segment: Segment::Line { a: w[0], b: w[1] },
+                feed_mm_s: self.cut_feed_mm_min / 60.0,
+                cutting: true,
+                touching: false,
+            })
+            .collect();
+        self.go(&mut other, self.radius_mm, &moves, Job::Cut, self.seed + 4)?;
+        let by_program =
+            self.errors(&self.probe(&other, &plan, self.motion.feed_mm_min, self.seed + 5)?, self.radius_mm)?;
+        let program = self.result(&by_program, &other, self.radius_mm)?;
+        decisions.push(format!(
+            "corrector: {:.2} µm left at most; program of {} lines: {:.2} µm",
+            finish.largest_um,
+            moves.len(),
+            program.largest_um
+        ));
+        let off_machine = if self.bench.lobe_um == 0.0 {
+            None
+        } else {
+            Some(self.off_machine(&table, &inspected, progress)?)
+        };
+        if let Some(batch) = &off_machine {
+            decisions.extend(batch.offers.iter().map(|o| format!("offered, not applied: {o}")));
+        }
+        let mut outcome = Outcome {
+            design: self.design.clone(),
+            increment_um: axes[0].increment_um(),
+            seed: self.seed,
+            semi_finish,
+            corrections,
+            finish,
+            insertions: [0, 1].map(|n| ran.status.axes[n].insertions),
+            mtc_minus_scale: ran.mtc_minus_scale,
+            completed: [0, 1].map(|n| ran.status.axes[n].completed),
+            program_lines: moves.len(),
+            program,
+            probing: [compare(self.motion.feed_mm_min, &session), compare(slow_feed, &slow)],
+            off_machine,
+            decisions,
+            files,
+        };
+        let html = page(&outcome, &report, &inspected);
+        outcome.files.push(("report.html".into(), html.into_bytes()));
+        Ok(outcome)
+    }
+
+    /// A batch measured off the machine against what probing saw on it.
+    fn off_machine(
+        &self,
+        table: &Table,
+        inspected: &Report,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Batch, ExperimentError> {
+        let mut text = "part,feature,angle_rad,error_um\n".to_owned();
+        for k in 0..4 {
+            progress("a further part for the measuring machine");
+            let seed = self.seed + 100 * (k + 1);
+            let mut part = self.raw();
+            self.turn(&mut part, self.radius_mm + self.allowance_mm, None, seed)?;
+            self.turn(&mut part, self.radius_mm, Some(table), seed + 1)?;
+            for (e, nominal) in self.measured(&part, self.radius_mm)?.errors.iter().zip(&inspected.errors) {
+                let _ = writeln!(text, "{k},nose,{:.6},{:.4}", nominal.angle_rad, e.error_um);
+            }
+        }
+        let judgement = Judgement { alpha: 0.01, least_um: 1.0 };
+        Ok(batch::evaluate_text(Path::new("batch.csv"), &text, Some(&inspected.errors), judgement)?)
+    }
+}
+
+fn compare(feed_mm_min: f64, session: &Session) -> Probing {
+    let um_per_us = feed_mm_min / 60.0 * 1e-3;
+    Probing {
+        feed_mm_min,
+        seconds: session.seconds,
+        capture_rms_um: session.rms_um,
+        capture_worst_um: session.worst_um,
+        // At the two ends one axis stands still and is known to a count.
+        stated_um: session.trips.iter().map(|t| t.uncertainty_um).filter(|u| *u < 0.9).fold(0.0, f64::max),
+        late_25us_um: 25.0 * um_per_us,
+        late_1ms_um: 1000.0 * um_per_us,
+    }
+}
+
+fn add(files: &mut Vec<(String, Vec<u8>)>, step: &str, plan: &Plan, session: &Session, report: &Report) {
+    let unit = crate::drawing::Unit::MM;
+    files.push((format!("{step}/pathfin.cdl"), crate::path::pathfin(&plan.records(), unit).into_bytes()));
+    files.push((format!("{step}/probed.csv"), session.csv.clone().into_bytes()));
+    files.push((format!("{step}/error.cor"), error_cor(&report.errors).into_bytes()));
+    files.push((format!("{step}/whisker.svg"), report.whisker_svg().into_bytes()));
+    if let Ok(dxf) = report.whisker_dxf() {
+        files.push((format!("{step}/whisker.dxf"), dxf));
+    }
+}
+
+/// Two sessions side by side: the head of a page and its first part.
+fn side_by_side(before: &Report, after: &Report) -> String {
+    let row = |name: &str, r: &Report| {
+        let largest = r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
+        let (form, first, second) = (r.form_um, r.sd_before_um, r.sd_after_um);
+        format!(
+            "<tr><td>{name}<td>{largest:.2}<td>{form:.2}<td>{first:.2}<td>{second:.2}<td>{}",
+            r.rejected.len()
+        )
+    };
+    format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Part errors, before and after</title>\
+         <style>body{{font:15px sans-serif;max-width:70rem;margin:2rem auto}}table{{border-collapse:collapse}}\
+         td,th{{border:1px solid #ccc;padding:.2rem .6rem;text-align:right}}td:first-child{{text-align:left}}\
+         figure{{display:inline-block;width:48%;margin:0}}svg{{width:100%;height:auto}}</style>\
+         <h1>Part errors, before and after</h1>\
+         <table><tr><th>µm<th>largest<th>form<th>SD<th>SD of the second fit<th>points left out{}{}</table>\
+         <figure><figcaption>Before</figcaption>{}</figure><figure><figcaption>After</figcaption>{}</figure>\n",
+        row("before", before),
+        row("after", after),
+        before.whisker_svg(),
+        after.whisker_svg()
+    )
+}
+
+fn logged(decisions: &[String]) -> String {
+    let items = decisions.iter().fold(String::new(), |mut t, d| {
+        let _ = write!(t, "<li>{}", escaped(d));
+        t
+    });
+    format!("<h2>Decisions</h2><ol>{items}</ol></html>\n")
+}
+
+/// Before and after in one self-contained page.
+#[must_use]
+pub fn inspection_page(before: &Report, after: &Report, decisions: &[String]) -> String {
+    side_by_side(before, after) + &logged(decisions)
+}
+
+/// The page of a whole experiment.
+fn page(o: &Outcome, before: &Report, after: &Report) -> String {
+    let mut text = side_by_side(before, after);
+    let _ = write!(
+        text,
+        "<p>Simulated machine, design {}, {:.0} µm a correction, seed {}: at most {} corrections, {} insertions in Z and \
+         {} in X.</p><h2>The true surface</h2><table><tr><th>µm<th>form<th>SD",
+        escaped(&o.design),
+        o.increment_um,
+        o.seed,
+        o.corrections,
+        o.insertions[0],
+        o.insertions[1]
+    );
+    let program = format!("finish cut by {} G01 lines instead", o.program_lines);
+    for (name, r) in [
+        ("semi-finish cut", &o.semi_finish),
+        ("finish cut, corrected", &o.finish),
+        (program.as_str(), &o.program),
+    ] {
+        let _ = write!(text, "<tr><td>{name}<td>{:.2}<td>{:.2}", r.true_form_um, r.true_sd_um);
+    }
+    text.push_str(
+        "</table><h2>Probing</h2><table><tr><th>m/min<th>s<th>capture RMS µm<th>worst µm<th>25 µs late µm<th>1 ms late µm",
+    );
+    for p in &o.probing {
+        let _ = write!(
+            text,
+            "<tr><td>{:.3}<td>{:.1}<td>{:.2}<td>{:.2}<td>{:.2}<td>{:.1}",
+            p.feed_mm_min / 1e3,
+            p.seconds,
+            p.capture_rms_um,
+            p.capture_worst_um,
+            p.late_25us_um,
+            p.late_1ms_um
+        );
+    }
+    text + "</table>" + &logged(&o.decisions)
+}

@@ -1,0 +1,447 @@
+//! Circles and lines through probed points: geometric least squares, the two-step fit of NISTIR 4854 and a robust
+//! one beside it.
+
+use serde::Serialize;
+
+/// A point or a direction in the turning plane, in mm: `z` along the part's axis, `x` the distance from it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Zx {
+    /// Along the axis of the part.
+    pub z: f64,
+    /// Across it: a radius, not a diameter.
+    pub x: f64,
+}
+
+impl Zx {
+    /// A point from its two coordinates.
+    #[must_use]
+    pub const fn new(z: f64, x: f64) -> Self {
+        Self { z, x }
+    }
+
+    /// The unit direction at an angle from the +Z axis.
+    #[must_use]
+    pub fn at_angle(angle_rad: f64) -> Self {
+        Self::new(angle_rad.cos(), angle_rad.sin())
+    }
+
+    /// Distance from the origin.
+    #[must_use]
+    pub fn norm(self) -> f64 {
+        self.z.hypot(self.x)
+    }
+
+    /// Scalar product.
+    #[must_use]
+    pub fn dot(self, other: Self) -> f64 {
+        self.z * other.z + self.x * other.x
+    }
+
+    /// Angle from the +Z axis, in rad.
+    #[must_use]
+    pub fn angle_rad(self) -> f64 {
+        self.x.atan2(self.z)
+    }
+
+    /// The same direction with length 1; `None` for a vector that has no direction.
+    #[must_use]
+    pub fn unit(self) -> Option<Self> {
+        let length = self.norm();
+        (length.is_finite() && length > 1e-12).then(|| self * (1.0 / length))
+    }
+}
+
+impl std::ops::Add for Zx {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self::new(self.z + other.z, self.x + other.x)
+    }
+}
+
+impl std::ops::Sub for Zx {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        Self::new(self.z - other.z, self.x - other.x)
+    }
+}
+
+impl std::ops::Mul<f64> for Zx {
+    type Output = Self;
+    fn mul(self, factor: f64) -> Self {
+        Self::new(self.z * factor, self.x * factor)
+    }
+}
+
+/// What is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// A circle with free centre and radius.
+    Circle,
+    /// A straight line in any direction: cylinder, taper or face.
+    Line,
+}
+
+impl Shape {
+    /// Free parameters.
+    #[must_use]
+    pub const fn parameters(self) -> usize {
+        match self {
+            Self::Circle => 3,
+            Self::Line => 2,
+        }
+    }
+}
+
+/// A fitted shape.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Fitted {
+    /// Centre and radius, in mm.
+    Circle {
+        /// Centre.
+        centre: Zx,
+        /// Radius.
+        radius_mm: f64,
+    },
+    /// A point of the line (the points' centroid) and its unit normal.
+    Line {
+        /// Centroid.
+        through: Zx,
+        /// Unit normal; deviations are positive on its side.
+        normal: Zx,
+    },
+}
+
+impl Fitted {
+    /// Deviation of a point, in mm, positive outside the circle or on the normal's side of the line.
+    #[must_use]
+    pub fn deviation_mm(&self, p: Zx) -> f64 {
+        match *self {
+            Self::Circle { centre, radius_mm } => (p - centre).norm() - radius_mm,
+            Self::Line { through, normal } => (p - through).dot(normal),
+        }
+    }
+
+    /// Outward unit normal of the shape at the foot of a point.
+    #[must_use]
+    pub fn normal_at(&self, p: Zx) -> Zx {
+        match *self {
+            Self::Circle { centre, .. } => (p - centre).unit().unwrap_or(Zx::new(1.0, 0.0)),
+            Self::Line { normal, .. } => normal,
+        }
+    }
+
+    /// The same line with its normal turned round; a circle stays.
+    #[must_use]
+    pub fn turned(self) -> Self {
+        match self {
+            Self::Line { through, normal } => Self::Line { through, normal: normal * -1.0 },
+            circle @ Self::Circle { .. } => circle,
+        }
+    }
+}
+
+/// Why points do not give a shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum FitError {
+    /// Fewer points than free parameters and one for the error.
+    #[error("{found} points, {needed} are needed")]
+    TooFew {
+        /// Points given.
+        found: usize,
+        /// Points needed.
+        needed: usize,
+    },
+    /// The points do not determine the shape: on one line, or all in one place.
+    #[error("the points do not determine the shape (on one line, or all in one place)")]
+    Degenerate,
+    /// The iteration did not settle.
+    #[error("the fit did not settle in {iterations} iterations")]
+    NoConvergence {
+        /// Iterations done.
+        iterations: usize,
+    },
+}
+
+const MAX_ITERATIONS: usize = 200;
+
+/// Geometric (orthogonal-distance) least squares, optionally weighted.
+///
+/// # Errors
+/// [`FitError`]: too few points, points that do not determine the shape, no convergence.
+pub fn least_squares(shape: Shape, points: &[Zx], weights: Option<&[f64]>) -> Result<Fitted, FitError> {
+    let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
+    let counted = (0..points.len()).filter(|&i| weight(i) > 0.0).count();
+    if counted < shape.parameters() {
+        return Err(FitError::TooFew { found: counted, needed: shape.parameters() });
+    }
+    let total: f64 = (0..points.len()).map(weight).sum();
+    let centroid =
+        points.iter().enumerate().fold(Zx::new(0.0, 0.0), |s, (i, &p)| s + p * weight(i)) * (1.0 / total);
+    let moment = |f: fn(Zx) -> f64| -> f64 {
+        points.iter().enumerate().map(|(i, &p)| weight(i) * f(p - centroid)).sum::<f64>()
+    };
+    let (zz, zx, xx) = (moment(|p| p.z * p.z), moment(|p| p.z * p.x), moment(|p| p.x * p.x));
+    let spread = zz + xx;
+    if !spread.is_finite() || spread <= 0.0 {
+        return Err(FitError::Degenerate);
+    }
+    match shape {
+        Shape::Line => {
+            if (zz - xx).hypot(2.0 * zx) < 1e-9 * spread {
+                return Err(FitError::Degenerate); // a round cloud has no direction
+            }
+            let along = 0.5 * (2.0 * zx).atan2(zz - xx);
+            let normal = Zx::new(-along.sin(), along.cos());
+            // Away from the part's axis; a face looks towards +Z.
+            let outward = if normal.x.abs() > 1e-9 { normal.x > 0.0 } else { normal.z > 0.0 };
+            Ok(Fitted::Line { through: centroid, normal: if outward { normal } else { normal * -1.0 } })
+        }
+        Shape::Circle => {
+            let det = zz * xx - zx * zx;
+            if det <= 1e-14 * spread * spread {
+                return Err(FitError::Degenerate);
+            }
+            // Algebraic start (the chord equations about the centroid), then geometric distances.
+            let cubic_z = moment(|p| p.z * (p.z * p.z + p.x * p.x));
+            let cubic_x = moment(|p| p.x * (p.z * p.z + p.x * p.x));
+            let start = Zx::new(cubic_z * xx - cubic_x * zx, cubic_x * zz - cubic_z * zx) * (0.5 / det);
+            circle_from(points, &weight, total, centroid, start)
+        }
+    }
+}
+
+/// Levenberg-Marquardt on the centre; the best radius for a centre is the mean distance and is eliminated.
+fn circle_from(
+    points: &[Zx],
+    weight: &impl Fn(usize) -> f64,
+    total: f64,
+    centroid: Zx,
+    start: Zx,
+) -> Result<Fitted, FitError> {
+    let radius_at = |c: Zx| -> f64 {
+        points.iter().enumerate().map(|(i, &p)| weight(i) * (p - centroid - c).norm()).sum::<f64>() / total
+    };
+    let cost_at = |c: Zx, r: f64| -> f64 {
+        points.iter().enumerate().map(|(i, &p)| weight(i) * ((p - centroid - c).norm() - r).powi(2)).sum()
+    };
+    let (mut c, mut r) = (start, radius_at(start));
+    let mut cost = cost_at(c, r);
+    let mut damping = 1e-6;
+    for _ in 0..MAX_ITERATIONS {
+        let unit = |p: Zx| (p - centroid - c).unit().unwrap_or(Zx::new(0.0, 0.0));
+        let mean = points.iter().enumerate().fold(Zx::new(0.0, 0.0), |s, (i, &p)| s + unit(p) * weight(i))
+            * (1.0 / total);
+        let (mut a, mut b, mut d, mut gz, mut gx) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for (i, &p) in points.iter().enumerate() {
+            // d(distance - mean distance)/d(centre) = -(u - mean u)
+            let (j, w) = (unit(p) - mean, weight(i));
+            let residual = (p - centroid - c).norm() - r;
+            a += w * j.z * j.z;
+            b += w * j.z * j.x;
+            d += w * j.x * j.x;
+            gz += w * j.z * residual;
+            gx += w * j.x * residual;
+        }
+        let (da, dd) = (a * (1.0 + damping), d * (1.0 + damping));
+        let det = da * dd - b * b;
+        if !det.is_finite() || det <= 0.0 {
+            return Err(FitError::Degenerate);
+        }
+        let step = Zx::new(gz * dd - gx * b, gx * da - gz * b) * (1.0 / det);
+        let next = c + step;
+        let next_r = radius_at(next);
+        let next_cost = cost_at(next, next_r);
+        let settled = step.norm() <= 1e-13 * next_r;
+        if next_cost <= cost || settled {
+            (c, r, cost) = (next, next_r, next_cost.min(cost));
+            damping = (damping * 0.1).max(1e-15);
+        } else {
+            damping *= 10.0;
+        }
+        if settled {
+            return Ok(Fitted::Circle { centre: c + centroid, radius_mm: r });
+        }
+    }
+    Err(FitError::NoConvergence { iterations: MAX_ITERATIONS })
+}
+
+/// Deviations of all points from a shape, in µm.
+#[must_use]
+pub fn deviations_um(fitted: &Fitted, points: &[Zx]) -> Vec<f64> {
+    points.iter().map(|&p| fitted.deviation_mm(p) * 1e3).collect()
+}
+
+/// Sample standard deviation (divisor n − 1) of the values whose index passes; 0 for fewer than two.
+#[must_use]
+pub fn sd(values: &[f64], keep: impl Fn(usize) -> bool) -> f64 {
+    let kept: Vec<f64> = values.iter().enumerate().filter(|(i, _)| keep(*i)).map(|(_, v)| *v).collect();
+    if kept.len() < 2 {
+        return 0.0;
+    }
+    let mean = kept.iter().sum::<f64>() / kept.len() as f64;
+    (kept.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (kept.len() - 1) as f64).sqrt()
+}
+
+/// The two-step fit of NISTIR 4854, section 3.
+#[derive(Debug, Clone)]
+pub struct TwoStep {
+    /// Least squares through all points.
+    pub plain: Fitted,
+    /// Least squares through the points that were kept.
+    pub fitted: Fitted,
+    /// Indices of the points that were dropped, ascending.
+    pub rejected: Vec<usize>,
+    /// SD of all points about `plain`, in µm.
+    pub sd_before_um: f64,
+    /// SD of the kept points about `fitted`, in µm.
+    pub sd_after_um: f64,
+    /// Deviations of all points, dropped ones too, from `fitted`, in µm.
+    pub errors_um: Vec<f64>,
+}
+
+/// Fit all points, drop the largest deviations, keep both ends, fit again; deviations for all points.
+///
+/// The largest deviations are those on the side of the worst point (a worn tool leaves material, a chipped one
+/// takes it: a form error has one sign) that exceed 0.5 SD. Dropping the other side too would drop the good points
+/// that the first circle was pulled away from.
+///
+/// # Errors
+/// As [`least_squares`].
+pub fn two_step(shape: Shape, points: &[Zx]) -> Result<TwoStep, FitError> {
+    let needed = shape.parameters() + 1;
+    if points.len() < needed {
+        return Err(FitError::TooFew { found: points.len(), needed });
+    }
+    let plain = least_squares(shape, points, None)?;
+    let first = deviations_um(&plain, points);
+    let sd_before_um = sd(&first, |_| true);
+    let ends = ends(&plain, points);
+    let worst = (0..points.len())
+        .filter(|i| !ends.contains(i))
+        .max_by(|&a, &b| first[a].abs().total_cmp(&first[b].abs()))
+        .unwrap_or(0);
+    // Below a picometre there is no deviation, only arithmetic.
+    let threshold_um = (0.5 * sd_before_um).max(1e-6);
+    let mut rejected: Vec<usize> = (0..points.len())
+        .filter(|i| !ends.contains(i) && first[*i] * first[worst].signum() > threshold_um)
+        .collect();
+    if points.len() - rejected.len() < needed {
+        // Too few would be left to judge by: drop only the worst of them.
+        rejected.sort_by(|&a, &b| first[b].abs().total_cmp(&first[a].abs()));
+        rejected.truncate(points.len() - needed);
+        rejected.sort_unstable();
+    }
+    let kept = |i: usize| rejected.binary_search(&i).is_err();
+    let weights: Vec<f64> = (0..points.len()).map(|i| f64::from(u8::from(kept(i)))).collect();
+    let fitted = least_squares(shape, points, Some(&weights))?;
+    let errors_um = deviations_um(&fitted, points);
+    let sd_after_um = sd(&errors_um, kept);
+    Ok(TwoStep { plain, fitted, rejected, sd_before_um, sd_after_um, errors_um })
+}
+
+/// Indices of the points in sequence along a shape: round the circle starting after the widest gap, or along the line.
+#[must_use]
+pub fn sequence(fitted: &Fitted, points: &[Zx]) -> Vec<usize> {
+    let key: Vec<f64> = match *fitted {
+        Fitted::Circle { centre, .. } => points.iter().map(|&p| (p - centre).angle_rad()).collect(),
+        Fitted::Line { through, normal } => {
+            points.iter().map(|&p| (p - through).dot(Zx::new(normal.x, -normal.z))).collect()
+        }
+    };
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|&a, &b| key[a].total_cmp(&key[b]));
+    if let (Fitted::Circle { .. }, Some(&last)) = (fitted, order.last()) {
+        let gap = |k: usize| match k {
+            0 => key[order[0]] + std::f64::consts::TAU - key[last],
+            k => key[order[k]] - key[order[k - 1]],
+        };
+        let widest = (0..order.len()).max_by(|&a, &b| gap(a).total_cmp(&gap(b))).unwrap_or(0);
+        order.rotate_left(widest);
+    }
+    order
+}
+
+fn ends(fitted: &Fitted, points: &[Zx]) -> [usize; 2] {
+    let order = sequence(fitted, points);
+    // `two_step` has refused an empty set of points already; 0 stands for both ends of nothing.
+    [order.first().copied().unwrap_or(0), order.last().copied().unwrap_or(0)]
+}
+
+/// A robust fit.
+#[derive(Debug, Clone)]
+pub struct Robust {
+    /// The shape.
+    pub fitted: Fitted,
+    /// Robust scale of the deviations that belong to the shape, in µm.
+    pub scale_um: f64,
+    /// Weight of each point, 0 (does not belong) to 1.
+    pub weights: Vec<f64>,
+    /// Deviations of all points, in µm.
+    pub errors_um: Vec<f64>,
+}
+
+/// Tukey's biweight: 95 % efficient for normal deviations (Huber & Ronchetti, Robust Statistics, 2nd ed.).
+const BIWEIGHT: f64 = 4.685;
+/// Most points that candidates are drawn from: all triples of 24 are 2024 circles.
+const CANDIDATE_POINTS: usize = 24;
+
+/// An MM-estimate: of all shapes through as few points as determine one, that with the smallest median absolute
+/// deviation gives start and scale; then iterated reweighting with Tukey's biweight at that scale. Nothing is
+/// drawn at random: same points, same answer.
+///
+/// # Errors
+/// As [`least_squares`].
+pub fn robust(shape: Shape, points: &[Zx]) -> Result<Robust, FitError> {
+    let (n, p) = (points.len(), shape.parameters());
+    if n < p + 1 {
+        return Err(FitError::TooFew { found: n, needed: p + 1 });
+    }
+    let m = n.min(CANDIDATE_POINTS);
+    let picked: Vec<usize> = (0..m).map(|k| k * (n - 1) / (m - 1)).collect();
+    let mut best: Option<(f64, Fitted)> = None;
+    let mut consider = |chosen: &[Zx]| {
+        // A candidate that its points do not determine is no candidate.
+        let Ok(candidate) = least_squares(shape, chosen, None) else { return };
+        let mut size: Vec<f64> = deviations_um(&candidate, points).iter().map(|e| e.abs()).collect();
+        // Rousseeuw & Leroy: the h-th smallest with h = (n + p + 1) / 2.
+        let h = n.midpoint(p + 1).clamp(1, n) - 1;
+        let median = *size.select_nth_unstable_by(h, f64::total_cmp).1;
+        if best.as_ref().is_none_or(|(least, _)| median < *least) {
+            best = Some((median, candidate));
+        }
+    };
+    for (a, &i) in picked.iter().enumerate() {
+        for (b, &j) in picked.iter().enumerate().skip(a + 1) {
+            match shape {
+                Shape::Line => consider(&[points[i], points[j]]),
+                Shape::Circle => {
+                    for &k in &picked[b + 1..] {
+                        consider(&[points[i], points[j], points[k]]);
+                    }
+                }
+            }
+        }
+    }
+    let Some((median, mut fitted)) = best else { return Err(FitError::Degenerate) };
+    // 1.4826 makes the median the SD of normal deviations, the second factor mends its bias in small samples.
+    let scale_um = (1.4826 * (1.0 + 5.0 / (n - p) as f64) * median).max(1e-6);
+    let mut weights = vec![1.0; n];
+    for _ in 0..MAX_ITERATIONS {
+        let errors = deviations_um(&fitted, points);
+        let next: Vec<f64> = errors
+            .iter()
+            .map(|e| {
+                let u = e / (BIWEIGHT * scale_um);
+                if u.abs() < 1.0 { (1.0 - u * u).powi(2) } else { 0.0 }
+            })
+            .collect();
+        let change = next.iter().zip(&weights).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        weights = next;
+        fitted = least_squares(shape, points, Some(&weights))?;
+        if change < 1e-9 {
+            break;
+        }
+    }
+    let errors_um = deviations_um(&fitted, points);
+    Ok(Robust { fitted, scale_um, weights, errors_um })
+}

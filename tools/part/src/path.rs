@@ -1,0 +1,423 @@
+//! Probing points and the probe's path between them: `pathfin.cdl` and the expected trip points (NISTIR 4854,
+//! sections 3 and 4).
+
+use crate::contour::{Contour, Place};
+use crate::drawing::Unit;
+use crate::fit::Zx;
+use crate::sheet::{Sheet, read_text};
+use crate::svg::Svg;
+use rtec_driver::input::InputError;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// How the machine moves while probing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motion {
+    /// Probing feed along the path.
+    pub feed_mm_min: f64,
+    /// Acceleration to that feed.
+    pub accel_mm_s2: f64,
+    /// Deceleration from it.
+    pub decel_mm_s2: f64,
+    /// Travel at constant velocity wanted on each side of the expected trip.
+    pub window_mm: f64,
+}
+
+impl Motion {
+    /// The turning centre of NISTIR 4854: at 2.5 m/min 5 mm of stand-off and 2.5 mm of over-travel leave about 2 mm
+    /// of constant velocity. Of the 5.5 mm that remain, 4 mm are acceleration and 1.5 mm deceleration.
+    pub const REPORT: Self =
+        Self { feed_mm_min: 2500.0, accel_mm_s2: 217.0, decel_mm_s2: 578.7, window_mm: 1.0 };
+
+    /// Feed in mm/s.
+    #[must_use]
+    pub fn velocity_mm_s(&self) -> f64 {
+        self.feed_mm_min / 60.0
+    }
+
+    /// From rest to the expected trip: acceleration, then the window.
+    #[must_use]
+    pub fn stand_off_mm(&self) -> f64 {
+        self.velocity_mm_s().powi(2) / (2.0 * self.accel_mm_s2) + self.window_mm
+    }
+
+    /// From the expected trip to rest: the window, then deceleration.
+    #[must_use]
+    pub fn over_travel_mm(&self) -> f64 {
+        self.velocity_mm_s().powi(2) / (2.0 * self.decel_mm_s2) + self.window_mm
+    }
+
+    /// Time of one touch, there and back: both ways at this feed with these ramps.
+    #[must_use]
+    pub fn touch_s(&self, stand_off_mm: f64, over_travel_mm: f64) -> f64 {
+        let v = self.velocity_mm_s();
+        let ramps_mm = v * v / 2.0 * (1.0 / self.accel_mm_s2 + 1.0 / self.decel_mm_s2);
+        let way_mm = stand_off_mm + over_travel_mm;
+        let ramps_s = v / self.accel_mm_s2 + v / self.decel_mm_s2;
+        2.0 * (ramps_s + (way_mm - ramps_mm).max(0.0) / v)
+    }
+}
+
+/// The stylus behind the tip, a straight rod.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stem {
+    /// Length from the tip's centre.
+    pub length_mm: f64,
+    /// Radius of the rod.
+    pub radius_mm: f64,
+    /// From the tip towards its holder, from +Z.
+    pub angle_rad: f64,
+}
+
+/// The probe and how far it moves off and beyond the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Probe {
+    /// Radius of the tip.
+    pub tip_mm: f64,
+    /// From the start of the touch to the trip.
+    pub stand_off_mm: f64,
+    /// From the trip to the end of the touch.
+    pub over_travel_mm: f64,
+    /// Its stylus, where collisions of it count.
+    pub stem: Option<Stem>,
+}
+
+/// A gauging point and how the probe gets there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GaugingPoint {
+    /// Where the surface is touched.
+    pub place: Place,
+    /// Points in space to go through from the point before.
+    pub bypass: Vec<Zx>,
+}
+
+/// What a record of the path file is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Start of a touch.
+    Start,
+    /// End of the touch of this gauging point (from 1).
+    Touch(usize),
+    /// Back off the surface.
+    Finish,
+    /// A point in space to go round the part.
+    Bypass,
+}
+
+/// One record of the path file: where the tip's centre goes, in mm.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Record {
+    /// What it is.
+    pub role: Role,
+    /// Where to.
+    pub at: Zx,
+}
+
+/// The probe meets the part where it should not.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Hit {
+    /// On the way to this gauging point, from 1.
+    pub point: usize,
+    /// During the touch itself, not on the way to it.
+    pub touching: bool,
+    /// Where the tip's centre is then.
+    pub at: Zx,
+    /// The feature that is hit.
+    pub feature: String,
+    /// What hits it.
+    pub by: &'static str,
+}
+
+/// The plan of a probing session.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The probe.
+    pub probe: Probe,
+    /// Gauging points in probing order.
+    pub points: Vec<GaugingPoint>,
+}
+
+/// Steps in which a move is looked at, in mm.
+const STEP_MM: f64 = 0.2;
+/// What chords and rounding may cost, in mm.
+const SLACK_MM: f64 = 0.005;
+
+impl Plan {
+    /// A plan without points.
+    #[must_use]
+    pub const fn new(probe: Probe) -> Self {
+        Self { probe, points: Vec::new() }
+    }
+
+    /// Add points in even spacing to a feature, both ends included but for a margin; one point goes to the middle.
+    pub fn add_number(&mut self, contour: &Contour, feature: usize, number: usize, margin_mm: f64) {
+        let length_mm = (contour.features[feature].segment.length_mm() - 2.0 * margin_mm).max(0.0);
+        for k in 0..number {
+            let part = if number == 1 { 0.5 } else { k as f64 / (number - 1) as f64 };
+            self.add(contour.place(feature, margin_mm + part * length_mm));
+        }
+    }
+
+    /// Add points at a spacing, or somewhat closer so that both ends get one.
+    pub fn add_spacing(&mut self, contour: &Contour, feature: usize, spacing_mm: f64, margin_mm: f64) {
+        let length_mm = (contour.features[feature].segment.length_mm() - 2.0 * margin_mm).max(0.0);
+        let number = (length_mm / spacing_mm - 1e-9).ceil().max(1.0) as usize + 1;
+        self.add_number(contour, feature, number, margin_mm);
+    }
+
+    /// Add the places nearest to the points of a file `z_mm,x_mm`.
+    ///
+    /// # Errors
+    /// A bad file, or a point further than `off_mm` from the contour.
+    pub fn add_file(&mut self, contour: &Contour, file: &Path, off_mm: f64) -> Result<(), InputError> {
+        let sheet = Sheet::read(file, &["z_mm", "x_mm"], |_| false)?;
+        for (row, (z, x)) in sheet.numbers("z_mm")?.into_iter().zip(sheet.numbers("x_mm")?).enumerate() {
+            let p = Zx::new(z, x);
+            match contour.nearest(p) {
+                Some(place) if (place.at - p).norm() <= off_mm => self.add(place),
+                _ => {
+                    let found = format!("({z}, {x}), which is not on the contour");
+                    return Err(sheet.finding(row, found, format!("a point within {off_mm} mm of it")));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Add one place; the points stay in probing order.
+    pub fn add(&mut self, place: Place) {
+        let key = |p: &Place| (p.feature, p.along_mm);
+        let at = self.points.partition_point(|q| key(&q.place) <= key(&place));
+        if let Some(next) = self.points.get_mut(at) {
+            next.bypass.clear(); // it led from another point
+        }
+        self.points.insert(at, GaugingPoint { place, bypass: Vec::new() });
+    }
+
+    /// Take the point at an index out.
+    pub fn remove(&mut self, index: usize) {
+        self.points.remove(index);
+        if let Some(next) = self.points.get_mut(index) {
+            next.bypass.clear();
+        }
+    }
+
+    fn start(&self, point: &GaugingPoint) -> Zx {
+        point.place.at + point.place.normal * (self.probe.tip_mm + self.probe.stand_off_mm)
+    }
+
+    /// Where the tip's centre is expected at each trip.
+    #[must_use]
+    pub fn expected(&self) -> Vec<Zx> {
+        self.points.iter().map(|p| p.place.at + p.place.normal * self.probe.tip_mm).collect()
+    }
+
+    /// The whole path: for each point by-passes, start, touch (through the surface by the over-travel), finish.
+    #[must_use]
+    pub fn records(&self) -> Vec<Record> {
+        let mut records = Vec::new();
+        for (i, p) in self.points.iter().enumerate() {
+            records.extend(p.bypass.iter().map(|&at| Record { role: Role::Bypass, at }));
+            let start = self.start(p);
+            let end = p.place.at + p.place.normal * (self.probe.tip_mm - self.probe.over_travel_mm);
+            records.push(Record { role: Role::Start, at: start });
+            records.push(Record { role: Role::Touch(i + 1), at: end });
+            records.push(Record { role: Role::Finish, at: start });
+        }
+        records
+    }
+
+    /// Does the probe at a place meet the part? The slack is for the tip only: at a trip it touches.
+    fn meets(&self, contour: &Contour, tip: Zx) -> Option<(usize, &'static str)> {
+        let (off, feature) = contour.clearance(tip);
+        if off < self.probe.tip_mm - SLACK_MM || contour.inside(tip) {
+            return Some((feature, "tip"));
+        }
+        let stem = self.probe.stem?;
+        let steps = (stem.length_mm / stem.radius_mm.max(STEP_MM)).ceil().max(1.0) as usize;
+        (1..=steps).find_map(|k| {
+            let p = tip + Zx::at_angle(stem.angle_rad) * (stem.length_mm * k as f64 / steps as f64);
+            let (off, feature) = contour.clearance(p);
+            (off < stem.radius_mm - SLACK_MM || contour.inside(p)).then_some((feature, "stylus"))
+        })
+    }
+
+    fn first_hit(&self, contour: &Contour, from: Zx, to: Zx) -> Option<(Zx, usize, &'static str)> {
+        let steps = ((to - from).norm() / STEP_MM).ceil().max(1.0) as usize;
+        (0..=steps).find_map(|k| {
+            let at = from + (to - from) * (k as f64 / steps as f64);
+            self.meets(contour, at).map(|(feature, by)| (at, feature, by))
+        })
+    }
+
+    fn way(&self, index: usize) -> Vec<Zx> {
+        let mut way: Vec<Zx> =
+            index.checked_sub(1).map(|i| self.start(&self.points[i])).into_iter().collect();
+        way.extend(&self.points[index].bypass);
+        way.push(self.start(&self.points[index]));
+        way
+    }
+
+    /// Every place where the probe meets the part on its way, or in a touch before the trip.
+    #[must_use]
+    pub fn hits(&self, contour: &Contour) -> Vec<Hit> {
+        let mut hits = Vec::new();
+        for (i, p) in self.points.iter().enumerate() {
+            let mut note = |found: Option<(Zx, usize, &'static str)>, touching| {
+                if let Some((at, feature, by)) = found {
+                    let feature = contour.features[feature].name.clone();
+                    hits.push(Hit { point: i + 1, touching, at, feature, by });
+                }
+            };
+            for leg in self.way(i).windows(2) {
+                note(self.first_hit(contour, leg[0], leg[1]), false);
+            }
+            let trip = p.place.at + p.place.normal * self.probe.tip_mm;
+            note(self.first_hit(contour, self.start(p), trip), true);
+        }
+        hits
+    }
+
+    /// Put by-pass points where the way to a point meets the part: over the top or round the front, with the
+    /// fewest points that are clear. Ways that no such detour clears are left as they are: [`Plan::hits`] names them.
+    pub fn add_bypasses(&mut self, contour: &Contour, clear_mm: f64) {
+        let away = self.probe.tip_mm + clear_mm;
+        let top = contour.reach() + Zx::new(away, away);
+        for i in 1..self.points.len() {
+            let way = self.way(i);
+            let clear = |plan: &Self, way: &[Zx]| {
+                way.windows(2).all(|leg| plan.first_hit(contour, leg[0], leg[1]).is_none())
+            };
+            if clear(self, &way) {
+                continue;
+            }
+            let (a, b) = (way[0], way[way.len() - 1]);
+            let detours = [
+                vec![Zx::new(b.z, a.x)],
+                vec![Zx::new(a.z, b.x)],
+                vec![Zx::new(a.z, top.x), Zx::new(b.z, top.x)],
+                vec![Zx::new(top.z, a.x), Zx::new(top.z, b.x)],
+                vec![Zx::new(a.z, top.x), top, Zx::new(top.z, b.x)],
+                vec![Zx::new(top.z, a.x), top, Zx::new(b.z, top.x)],
+            ];
+            let found = detours.into_iter().find(|detour| {
+                let whole: Vec<Zx> = std::iter::once(a).chain(detour.iter().copied()).chain([b]).collect();
+                clear(self, &whole)
+            });
+            if let Some(detour) = found {
+                self.points[i].bypass = detour;
+            }
+        }
+    }
+
+    /// The contour with points, touches, ways and hits.
+    #[must_use]
+    pub fn svg(&self, contour: &Contour) -> String {
+        let mut svg = Svg::default();
+        contour.draw(&mut svg, true);
+        let size = 0.012 * contour.reach().norm();
+        for (i, p) in self.points.iter().enumerate() {
+            svg.polyline(&self.way(i), "bypass");
+            svg.polyline(&[self.start(p), p.place.at], "move");
+            svg.dot(p.place.at, 0.4 * size, "kept");
+            svg.text(self.start(p), size, &(i + 1).to_string());
+        }
+        for hit in self.hits(contour) {
+            svg.dot(hit.at, self.probe.tip_mm, "dropped");
+        }
+        svg.finish("Probing points")
+    }
+}
+
+/// The path file: one `POINT` record per place, coordinates in the drawing's unit, the third always 0
+/// (NISTIR 4854, figure 7).
+#[must_use]
+pub fn pathfin(records: &[Record], unit: Unit) -> String {
+    records.iter().fold(String::new(), |mut text, r| {
+        let role = match r.role {
+            Role::Start => "start".to_owned(),
+            Role::Touch(n) => format!("touch {n},"),
+            Role::Finish => "finish".to_owned(),
+            Role::Bypass => "bypass".to_owned(),
+        };
+        // A tiny negative number would be printed as -0.000000.
+        let value = |mm: f64| (mm / unit.0 * 1e6).round() / 1e6 + 0.0;
+        let _ = writeln!(text, "POINT {role} {:.6}, {:.6}, 0.000000", value(r.at.z), value(r.at.x));
+        text
+    })
+}
+
+/// Read a file of expected trips (`probpath.cdl`): where the tip's centre is at the trip of each gauging point.
+///
+/// # Errors
+/// A line that is no touch record, gauging points out of sequence, or none at all.
+pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
+    let records = read_records(file, unit)?;
+    if let Some(i) = records.iter().position(|r| !matches!(r.role, Role::Touch(_))) {
+        return Err(InputError::at(
+            file,
+            i + 1,
+            1,
+            "a record that is no touch",
+            "the expected trips, as touches",
+        ));
+    }
+    Ok(records.into_iter().map(|r| r.at).collect())
+}
+
+/// Read a path file.
+///
+/// # Errors
+/// A line that is no record, gauging points out of sequence, or no record at all.
+pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
+    let records = read_records(file, unit)?;
+    let order = |i: usize| records.get(i).map(|r: &Record| r.role);
+    for (i, r) in records.iter().enumerate() {
+        let touch_is_embraced = !matches!(r.role, Role::Touch(_))
+            || i > 0 && order(i - 1) == Some(Role::Start) && order(i + 1) == Some(Role::Finish);
+        if !touch_is_embraced {
+            return Err(InputError::at(file, i + 1, 0, "a touch", "start, touch and finish in this order"));
+        }
+    }
+    Ok(records)
+}
+
+fn read_records(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
+    let mut records = Vec::new();
+    let mut touches = 0;
+    for (i, line) in read_text(file)?.lines().enumerate() {
+        let words: Vec<&str> = line.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
+        if words.is_empty() {
+            continue;
+        }
+        let bad =
+            |found: &str, expected: &str| Err(InputError::at(file, i + 1, 1, format!("'{found}'"), expected));
+        let form = "POINT start|touch N,|finish|bypass Z, X, 0";
+        if !words[0].eq_ignore_ascii_case("POINT") || words.len() < 2 {
+            return bad(line.trim(), form);
+        }
+        let (role, rest) = match words[1].to_ascii_lowercase().as_str() {
+            "start" => (Role::Start, &words[2..]),
+            "finish" => (Role::Finish, &words[2..]),
+            "bypass" => (Role::Bypass, &words[2..]),
+            "touch" => {
+                touches += 1;
+                if words.get(2).and_then(|n| n.parse().ok()) != Some(touches) {
+                    return bad(line.trim(), &format!("gauging point {touches}"));
+                }
+                (Role::Touch(touches), &words[3..])
+            }
+            other => return bad(other, "start, touch, finish or bypass"),
+        };
+        let numbers: Option<Vec<f64>> =
+            rest.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
+        let Some([z, x, _]) = numbers.as_deref() else { return bad(line.trim(), form) };
+        records.push(Record { role, at: Zx::new(*z, *x) * unit.0 });
+    }
+    if touches == 0 {
+        return Err(InputError::whole(file, "no gauging point", "start, touch, finish for each point"));
+    }
+    Ok(records)
+}

@@ -1,0 +1,154 @@
+//! The probe's trips, held against the plan: one for each point, where it is expected, once.
+
+use crate::fit::Zx;
+use rtec_rt::event::{Event, EventKind};
+use serde::Serialize;
+use std::fmt::Write as _;
+
+/// The captured position of one gauging point.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Trip {
+    /// Gauging point, from 1.
+    pub point: usize,
+    /// The tip's centre at the trip, in part coordinates.
+    pub tip_centre: Zx,
+    /// Half the width of what the position may be, in µm: time between two looks times speed, or a count where an
+    /// axis stood still.
+    pub uncertainty_um: f64,
+    /// When, on the corrector's clock.
+    pub t_s: f64,
+}
+
+/// What a probing session can go wrong in; each names its gauging point, from 1.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum TripFault {
+    /// No trip where one was due.
+    #[error("point {point}: missed, no trip within {window_mm} mm of its place")]
+    Missed {
+        /// Gauging point.
+        point: usize,
+        /// How near a trip must be.
+        window_mm: f64,
+    },
+    /// A second trip at the same point.
+    #[error("point {point}: tripped twice")]
+    Double {
+        /// Gauging point.
+        point: usize,
+    },
+    /// The probe's contact bounced.
+    #[error("point {point}: the probe bounced")]
+    Bounce {
+        /// Gauging point.
+        point: usize,
+    },
+    /// A trip somewhere else.
+    #[error("point {point}: tripped {off_mm:.3} mm from its place, outside {window_mm} mm")]
+    Outside {
+        /// The gauging point that was due.
+        point: usize,
+        /// How far off.
+        off_mm: f64,
+        /// How near a trip must be.
+        window_mm: f64,
+    },
+}
+
+/// What the engine captured, in order: both axes' positions of each trip, their half widths and the time; and the
+/// numbers of trips (from 1) during which the contact bounced.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Captured {
+    /// Position on the scales in counts `[z, x]`, half width in counts, time in s.
+    pub trips: Vec<([f64; 2], f64, f64)>,
+    /// Trips with a bounce.
+    pub bounces: Vec<usize>,
+}
+
+/// Pair the events of axis 0 (Z) and 1 (X) by their trip's time.
+#[must_use]
+pub fn captured(events: &[Event]) -> Captured {
+    struct Open {
+        trip_ns: (u64, u64),
+        /// Position and half width of Z and X, counts.
+        both: [Option<(f64, f64)>; 2],
+    }
+    let mut open: Vec<Open> = Vec::new();
+    let mut bounces = Vec::new();
+    for event in events {
+        let Some(axis @ 0..=1) = event.axis else { continue };
+        match event.kind {
+            EventKind::Trip(c) => {
+                let seen = Some(c.position_counts());
+                let at = open.iter().position(|o| o.trip_ns == c.trip_ns).unwrap_or_else(|| {
+                    open.push(Open { trip_ns: c.trip_ns, both: [None; 2] });
+                    open.len() - 1
+                });
+                open[at].both[usize::from(axis)] = seen;
+            }
+            EventKind::Bounce => bounces.push(open.len().max(1)),
+            _ => {}
+        }
+    }
+    bounces.dedup();
+    let trips = open
+        .into_iter()
+        .filter_map(|Open { trip_ns: (low, high), both }| {
+            let [Some((z, dz)), Some((x, dx))] = both else { return None };
+            Some(([z, x], dz.hypot(dx), (low + high) as f64 / 2e9))
+        })
+        .collect();
+    Captured { trips, bounces }
+}
+
+/// Give each trip its gauging point. `expected` are the tip's centres at the nominal part; positions are turned into
+/// part coordinates by `count_um` and the machine's `origin`.
+///
+/// # Errors
+/// The first point that was missed, tripped twice, bounced or tripped elsewhere.
+pub fn assign(
+    captured: &Captured,
+    expected: &[Zx],
+    count_um: f64,
+    origin: Zx,
+    window_mm: f64,
+) -> Result<Vec<Trip>, TripFault> {
+    let near = |p: Zx, k: usize| expected.get(k).is_some_and(|e| (p - *e).norm() <= window_mm);
+    let mut trips: Vec<Trip> = Vec::new();
+    for (n, (counts, half, t_s)) in captured.trips.iter().enumerate() {
+        let p = Zx::new(counts[0], counts[1]) * (count_um * 1e-3) - origin;
+        let due = trips.len();
+        if !near(p, due) {
+            if due > 0 && near(p, due - 1) {
+                return Err(TripFault::Double { point: due });
+            }
+            if due < expected.len() && (due + 1..expected.len()).any(|k| near(p, k)) {
+                return Err(TripFault::Missed { point: due + 1, window_mm });
+            }
+            let off_mm = expected.get(due).map_or(f64::INFINITY, |e| (p - *e).norm());
+            return Err(TripFault::Outside { point: due + 1, off_mm, window_mm });
+        }
+        if captured.bounces.contains(&(n + 1)) {
+            return Err(TripFault::Bounce { point: due + 1 });
+        }
+        trips.push(Trip { point: due + 1, tip_centre: p, uncertainty_um: half * count_um, t_s: *t_s });
+    }
+    if trips.len() < expected.len() {
+        return Err(TripFault::Missed { point: trips.len() + 1, window_mm });
+    }
+    Ok(trips)
+}
+
+/// The record `part errors` reads: `approach` are the directions of motion of each touch.
+#[must_use]
+pub fn probed_csv(trips: &[Trip], approach: &[Zx]) -> String {
+    let mut text = "z_mm,x_mm,approach_z,approach_x,point,t_s,uncertainty_um\n".to_owned();
+    for (t, d) in trips.iter().zip(approach) {
+        let p = t.tip_centre;
+        let _ = writeln!(
+            text,
+            "{:.6},{:.6},{:.6},{:.6},{},{:.6},{:.3}",
+            p.z, p.x, d.z, d.x, t.point, t.t_s, t.uncertainty_um
+        );
+    }
+    text
+}

@@ -1,0 +1,438 @@
+//! The NC probing program: a template, named parameters and the probe's moves (NISTIR 4854, section 4 and figure 8).
+
+use crate::drawing::Unit;
+use crate::fit::Zx;
+use crate::path::{Record, Role};
+use rtec_driver::input::InputError;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// How one controller writes its programs: data, not code.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dialect {
+    /// Its name.
+    pub name: String,
+    /// What opens and closes a comment.
+    pub comment: [String; 2],
+    /// Rapid positioning.
+    pub rapid: String,
+    /// The move that touches.
+    pub touch: String,
+    /// The move back off the surface.
+    pub retract: String,
+    /// Inch mode.
+    pub inch: String,
+    /// Millimetre mode.
+    pub mm: String,
+    /// Decimals of a coordinate in inches.
+    pub decimals_inch: usize,
+    /// Decimals of a coordinate in mm.
+    pub decimals_mm: usize,
+    /// X words are diameters.
+    pub x_is_diameter: bool,
+    /// Digits of a block number.
+    pub block_digits: usize,
+    /// From one block number to the next.
+    pub block_step: u32,
+    /// The first block number that is not available to moves.
+    pub program_end: u32,
+}
+
+/// A dialect with its template.
+#[derive(Debug, Clone)]
+pub struct Controller {
+    /// How it writes.
+    pub dialect: Dialect,
+    /// `template.prb`, copied character by character but for `$n` and `@n`.
+    pub template: String,
+}
+
+/// The dialects that come with the program: name, dialect, template.
+pub const BUILT_IN: [(&str, &str, &str); 3] = [
+    (
+        "report",
+        include_str!("../dialects/report/dialect.toml"),
+        include_str!("../dialects/report/template.prb"),
+    ),
+    (
+        "linuxcnc",
+        include_str!("../dialects/linuxcnc/dialect.toml"),
+        include_str!("../dialects/linuxcnc/template.prb"),
+    ),
+    ("fanuc", include_str!("../dialects/fanuc/dialect.toml"), include_str!("../dialects/fanuc/template.prb")),
+];
+
+/// One program parameter: the `n` of its `$n`, its name, its default, its meaning.
+#[derive(Debug, Clone, Copy)]
+pub struct Parameter {
+    /// `$n`.
+    pub number: u32,
+    /// Key in a parameter file.
+    pub name: &'static str,
+    /// Value where none is given.
+    pub default: &'static str,
+    /// What it is.
+    pub meaning: &'static str,
+}
+
+const fn parameter(
+    number: u32,
+    name: &'static str,
+    default: &'static str,
+    meaning: &'static str,
+) -> Parameter {
+    Parameter { number, name, default, meaning }
+}
+
+/// All parameters, numbered as the report's template numbers them. `$21` is the moves. Lengths are in the program's
+/// unit.
+pub const PARAMETERS: [Parameter; 22] = [
+    parameter(1, "part", "0101", "two digits of the part and two of its version"),
+    parameter(2, "segment", "2", "one even digit: probing segments lie between machining segments"),
+    parameter(3, "title", "PART", "name of the part"),
+    parameter(4, "tool", "1", "turret place of the probe"),
+    parameter(5, "extension", "", "a remark on the probe, as ' WITH EXTENSION'"),
+    parameter(6, "holder", "BORING BAR", "what holds the probe"),
+    parameter(7, "length_z", "0", "length of the probe along Z"),
+    parameter(8, "length_x", "0", "length of the probe along X"),
+    parameter(9, "offset_z", "0", "tool offset in Z"),
+    parameter(10, "offset_x", "0", "tool offset in X"),
+    parameter(11, "touch_off", "20", "from the part's face to probing start"),
+    parameter(12, "feed", "2500", "probing feed per minute"),
+    parameter(13, "probing_start_z", "0", "machine Z of probing start"),
+    parameter(14, "tip_diameter", "5", "diameter of the probe's tip"),
+    parameter(15, "register", "1", "number of the variable that holds probing start"),
+    parameter(16, "note_1", "", "first line of notes, at most 66 characters"),
+    parameter(17, "note_2", "", "second line of notes"),
+    parameter(18, "note_3", "", "third line of notes"),
+    parameter(19, "reference_z", "0", "Z of the reference, in part coordinates"),
+    parameter(20, "offset_number", "0", "tool offset number, 0 for none"),
+    parameter(22, "reference_x", "0", "X of the reference, in part coordinates"),
+    parameter(23, "clear_z", "0", "machine Z to leave the probe at"),
+];
+
+const MOVES: u32 = 21;
+const MAX_TEXT: usize = 66;
+
+/// Values of the parameters, by number.
+#[derive(Debug, Clone)]
+pub struct Parameters(BTreeMap<u32, String>);
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self(PARAMETERS.iter().map(|p| (p.number, p.default.to_owned())).collect())
+    }
+}
+
+impl Parameters {
+    /// Take values from a TOML file of `name = value`.
+    ///
+    /// # Errors
+    /// No TOML, an unknown name, a value that is no string or number, or one the parameter does not take.
+    pub fn read(&mut self, file: &Path) -> Result<(), InputError> {
+        let text = crate::sheet::read_text(file)?;
+        let table: toml::Table = text.parse().map_err(|e: toml::de::Error| {
+            InputError::at_offset(file, &text, e.span().map_or(0, |s| s.start), e.message(), "name = value")
+        })?;
+        for (name, value) in table {
+            let value = match value {
+                toml::Value::String(s) => s,
+                toml::Value::Integer(i) => i.to_string(),
+                toml::Value::Float(f) if f.is_finite() => f.to_string(),
+                other => {
+                    let at = text.find(&name).unwrap_or(0);
+                    return Err(InputError::at_offset(
+                        file,
+                        &text,
+                        at,
+                        other.to_string(),
+                        "a text or a number",
+                    ));
+                }
+            };
+            self.set(&name, &value).map_err(|(found, expected)| {
+                let at = text.find(&name).unwrap_or(0);
+                InputError::at_offset(file, &text, at, found, expected)
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Set one parameter.
+    ///
+    /// # Errors
+    /// What was found and what was expected: an unknown name, or a value the parameter does not take.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<(), (String, String)> {
+        let Some(p) = PARAMETERS.iter().find(|p| p.name == name) else {
+            let names: Vec<&str> = PARAMETERS.iter().map(|p| p.name).collect();
+            return Err((format!("'{name}'"), format!("one of {}", names.join(", "))));
+        };
+        let digits = |n: usize| value.len() == n && value.bytes().all(|b| b.is_ascii_digit());
+        let fits = match p.number {
+            1 => digits(4),
+            2 => matches!(value, "2" | "4" | "6" | "8"),
+            4 | 15 | 20 => (1..=2).any(digits),
+            3 | 5 | 6 | 16..=18 => {
+                value.chars().count() <= MAX_TEXT && !value.contains(['(', ')', '\n', '\r', '$', '@', '%'])
+            }
+            _ => value.parse().is_ok_and(|v: f64| v.is_finite()),
+        };
+        if !fits {
+            let expected = match p.number {
+                1 => "four digits: part and version",
+                2 => "an even digit, 2 to 8",
+                4 | 15 | 20 => "one or two digits",
+                3 | 5 | 6 | 16..=18 => "at most 66 characters without ( ) $ @ %",
+                _ => "a finite number",
+            };
+            return Err((format!("{name} = '{value}'"), expected.to_owned()));
+        }
+        self.0.insert(p.number, value.to_owned());
+        Ok(())
+    }
+
+    /// Machine positions that nobody has set: a program that moves to them is not ready for a machine.
+    pub fn untold(&self) -> impl Iterator<Item = &'static str> {
+        let positions = PARAMETERS.iter().filter(|p| matches!(p.number, 13 | 19 | 22 | 23));
+        positions.filter(|p| self.get(p.number) == p.default).map(|p| p.name)
+    }
+
+    fn get(&self, number: u32) -> &str {
+        self.0.get(&number).map_or("", String::as_str)
+    }
+
+    /// `pt`, part, version, `s`, segment, `.dnc`.
+    #[must_use]
+    pub fn file_name(&self) -> String {
+        format!("pt{}s{}.dnc", self.get(1), self.get(2))
+    }
+}
+
+impl Controller {
+    /// A dialect that comes with the program.
+    ///
+    /// `None` where there is none of this name.
+    ///
+    /// # Errors
+    /// Never for a name of [`BUILT_IN`]: a test reads them all.
+    #[must_use]
+    pub fn built_in(name: &str) -> Option<Result<Self, InputError>> {
+        let (name, dialect, template) = BUILT_IN.iter().find(|(n, ..)| *n == name)?;
+        Some(Self::parse(Path::new(name), dialect, template))
+    }
+
+    /// A dialect and a template from files.
+    ///
+    /// # Errors
+    /// Unreadable, or no dialect: the key is named.
+    pub fn read(dialect: &Path, template: &Path) -> Result<Self, InputError> {
+        let text = crate::sheet::read_text(dialect)?;
+        Self::parse(dialect, &text, &crate::sheet::read_text(template)?)
+    }
+
+    fn parse(file: &Path, dialect: &str, template: &str) -> Result<Self, InputError> {
+        let parsed = toml::from_str(dialect).map_err(|e: toml::de::Error| {
+            InputError::at_offset(
+                file,
+                dialect,
+                e.span().map_or(0, |s| s.start),
+                e.message(),
+                "a dialect's keys",
+            )
+        })?;
+        Ok(Self { dialect: parsed, template: template.to_owned() })
+    }
+}
+
+/// Everything a program is made of.
+#[derive(Debug, Clone)]
+pub struct Job<'a> {
+    /// The controller it is for.
+    pub controller: &'a Controller,
+    /// Values of `$n`.
+    pub parameters: &'a Parameters,
+    /// The probe's path.
+    pub records: &'a [Record],
+    /// The program's unit: inches or mm.
+    pub unit: Unit,
+    /// Explain every move; else the moves and the template's code go without comments.
+    pub comments: bool,
+    /// Date and time of making, as it is to be written.
+    pub made: &'a str,
+}
+
+impl Job<'_> {
+    /// The program.
+    ///
+    /// # Errors
+    /// A `$n` or `@n` of the template that nothing is known for (`template` names the file), no `$21`, or more moves
+    /// than block numbers.
+    pub fn text(&self, template: &Path) -> Result<String, InputError> {
+        let d = &self.controller.dialect;
+        let (mut text, mut seen_moves) = (String::new(), false);
+        let mut block = d.block_step;
+        let mut after: BTreeMap<u32, u32> = BTreeMap::new();
+        for (i, line) in self.controller.template.lines().enumerate() {
+            let mut out = String::new();
+            let mut rest = line;
+            while let Some(at) = rest.find(['$', '@']) {
+                out.push_str(&rest[..at]);
+                let symbol = &rest[at..=at];
+                let digits: String = rest[at + 1..].chars().take_while(char::is_ascii_digit).collect();
+                let column = line.len() - rest.len() + at + 1;
+                let unknown = |name: String| {
+                    InputError::at(
+                        template,
+                        i + 1,
+                        column,
+                        name,
+                        "a parameter $n or a value @n that is known",
+                    )
+                };
+                let number: u32 = digits.parse().map_err(|_| unknown(format!("'{symbol}{digits}'")))?;
+                match (symbol, number) {
+                    ("$", MOVES) => {
+                        seen_moves = true;
+                        out.push_str(&self.moves(&mut block));
+                    }
+                    ("$", n) if self.parameters.0.contains_key(&n) => out.push_str(self.parameters.get(n)),
+                    ("@", 5..=8) if seen_moves => {
+                        let n = *after.entry(number).or_insert_with(|| {
+                            block += d.block_step;
+                            block
+                        });
+                        let _ = write!(out, "{n:0width$}", width = d.block_digits);
+                    }
+                    ("@", n) => out.push_str(&self.value(n).ok_or_else(|| unknown(format!("'@{n}'")))?),
+                    _ => return Err(unknown(format!("'{symbol}{number}'"))),
+                }
+                rest = &rest[at + 1 + digits.len()..];
+            }
+            out.push_str(rest);
+            if !seen_moves {
+                block = block_number(&out).unwrap_or(block);
+            }
+            if !self.comments {
+                out = self.bare(&out);
+            }
+            text.push_str(out.trim_end());
+            text.push('\n');
+        }
+        if !seen_moves {
+            return Err(InputError::whole(template, "no $21", "$21 where the probe's moves go"));
+        }
+        if block >= d.program_end {
+            let found = format!("block number {block}");
+            return Err(InputError::whole(template, found, format!("fewer moves: below N{}", d.program_end)));
+        }
+        Ok(text)
+    }
+
+    fn value(&self, number: u32) -> Option<String> {
+        let d = &self.controller.dialect;
+        let inch = self.unit == Unit::INCH;
+        Some(match number {
+            1 => "s".to_owned(),
+            2 => (self.parameters.get(2).parse::<u32>().unwrap_or(2) / 2).to_string(),
+            3 => self.made.to_owned(),
+            4 => format!("{:0>2}", self.parameters.get(20)),
+            9 => if inch { &d.inch } else { &d.mm }.clone(),
+            10 => if inch { "INCH" } else { "MM" }.to_owned(),
+            _ => return None,
+        })
+    }
+
+    /// The code of a line without the comment behind it; a line that is nothing but a comment stays.
+    fn bare(&self, line: &str) -> String {
+        let [open, close] = &self.controller.dialect.comment;
+        line.lines()
+            .map(|line| {
+                let code = line.find(open.as_str()).map_or(line, |at| &line[..at]);
+                let only_number = code.trim_start_matches('N').trim().bytes().all(|b| b.is_ascii_digit());
+                let ends = close.is_empty() || line.trim_end().ends_with(close.as_str());
+                let keep = only_number || !ends || code.starts_with(['O', '%']);
+                if keep { line } else { code.trim_end() }
+            })
+            .collect::<Vec<_>>()
+            .join("\n")
+    }
+
+    /// One block per move. The first goes along Z alone, then along X alone: most clear of the part.
+    fn moves(&self, block: &mut u32) -> String {
+        let d = &self.controller.dialect;
+        let mut text = String::new();
+        let mut put = |code: String, comment: &str| {
+            *block += d.block_step;
+            let _ = write!(text, "N{block:0width$} {code}", width = d.block_digits);
+            if self.comments {
+                let _ = write!(text, " {}{comment}{}", d.comment[0], d.comment[1]);
+            }
+            text.push('\n');
+        };
+        let decimals = if self.unit == Unit::INCH { d.decimals_inch } else { d.decimals_mm };
+        let word = |letter: char, mm: f64| {
+            let scale = 10_f64.powi(decimals as i32);
+            format!("{letter}{:.decimals$}", (mm / self.unit.0 * scale).round() / scale + 0.0)
+        };
+        let z = |at: Zx| word('Z', at.z);
+        let x = |at: Zx| word('X', if d.x_is_diameter { 2.0 * at.x } else { at.x });
+        let mut point = 0;
+        for (i, r) in self.records.iter().enumerate() {
+            let both = format!("{} {}", z(r.at), x(r.at));
+            if i == 0 {
+                put(format!("{} {}", d.rapid, z(r.at)), "FIRST ALONG Z ONLY");
+                put(format!("{} {}", d.rapid, x(r.at)), "THEN ALONG X ONLY");
+                continue;
+            }
+            match r.role {
+                Role::Start => put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1)),
+                Role::Touch(n) => {
+                    point = n;
+                    put(
+                        format!("{} {both} F{}", d.touch, self.parameters.get(12)),
+                        &format!("TOUCH POINT {n}"),
+                    );
+                }
+                Role::Finish => put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}")),
+                Role::Bypass => put(format!("{} {both}", d.rapid), "BY-PASS"),
+            }
+        }
+        text.truncate(text.trim_end().len());
+        text
+    }
+}
+
+fn block_number(line: &str) -> Option<u32> {
+    let digits: String = line.strip_prefix('N')?.chars().take_while(char::is_ascii_digit).collect();
+    digits.parse().ok()
+}
+
+/// Date and time of a Unix time, UTC, as programs carry it.
+#[must_use]
+pub fn date_time(unix_s: u64) -> String {
+    // Civil date from days since the epoch: years of 400 × 365.2425 days, the year starting in March.
+    let (days, second) = ((unix_s / 86_400) as i64 + 719_468, unix_s % 86_400);
+    let (era, day) = (days.div_euclid(146_097), days.rem_euclid(146_097));
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day_of_year = day - (365 * year + year / 4 - year / 100);
+    let march_month = (5 * day_of_year + 2) / 153;
+    let day_of_month = day_of_year - (153 * march_month + 2) / 5 + 1;
+    let month = if march_month < 10 { march_month + 3 } else { march_month - 9 };
+    let year = year + era * 400 + i64::from(month <= 2);
+    format!("{year}-{month:02}-{day_of_month:02} {:02}:{:02} UTC", second / 3600, second / 60 % 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_the_calendars() {
+        assert_eq!(date_time(0), "1970-01-01 00:00 UTC");
+        assert_eq!(date_time(951_782_400), "2000-02-29 00:00 UTC");
+        assert_eq!(date_time(709_171_199), "1992-06-21 23:59 UTC");
+    }
+}

@@ -1,0 +1,237 @@
+//! The finish cut's corrections: errors by angle become requested counts by machine position (NISTIR 4854, section 5).
+
+use crate::errors::PointError;
+use crate::fit::Zx;
+use serde::Serialize;
+use std::fmt::Write as _;
+
+/// How the corrector's counts move one axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisCounts {
+    /// What one count is worth.
+    pub count_um: f64,
+    /// Counts of one insertion: 2 for Design C, 4 for the Original RTEC and Design A, 1 for Design B.
+    pub increment: i64,
+    /// +1 where the axis counts up towards the part's positive direction, −1 where it counts down.
+    pub sign: f64,
+}
+
+impl AxisCounts {
+    /// Worth of one insertion.
+    #[must_use]
+    pub fn increment_um(&self) -> f64 {
+        self.count_um * self.increment as f64
+    }
+
+    /// The requested total that takes an error out: counts that the MTC sees too many make the axis stop short, so
+    /// too much material is answered by counts of its own sign.
+    #[must_use]
+    pub fn requested(&self, error_um: f64) -> i64 {
+        (self.sign * error_um / self.increment_um()).round() as i64 * self.increment
+    }
+
+    /// Where the axis goes with a requested total, in µm: the error that is taken out.
+    #[must_use]
+    pub fn taken_um(&self, requested: i64) -> f64 {
+        self.sign * requested as f64 * self.count_um
+    }
+}
+
+/// The arc that the finish cut runs along and where the machine is while it does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cut {
+    /// Centre of the arc in part coordinates.
+    pub centre: Zx,
+    /// Radius of the finished surface.
+    pub radius_mm: f64,
+    /// Radius of the tool's nose: its centre runs on the larger arc.
+    pub nose_mm: f64,
+    /// Machine position at which the nose's centre is at the part's origin: work offset and tool dimensions.
+    pub origin: Zx,
+}
+
+impl Cut {
+    /// Machine position while the surface at this angle is cut.
+    #[must_use]
+    pub fn machine_at(&self, angle_rad: f64) -> Zx {
+        self.part_at(angle_rad) + self.origin
+    }
+
+    /// Centre of the tool's nose then, in part coordinates.
+    #[must_use]
+    pub fn part_at(&self, angle_rad: f64) -> Zx {
+        self.centre + Zx::at_angle(angle_rad) * (self.radius_mm + self.nose_mm)
+    }
+
+    /// The surface angle that is cut at a machine position.
+    #[must_use]
+    pub fn angle_at(&self, machine: Zx) -> f64 {
+        (machine - self.origin - self.centre).angle_rad()
+    }
+}
+
+/// One line of the table.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Row {
+    /// Angle of the surface that is cut.
+    pub angle_rad: f64,
+    /// Error to take out, interpolated between the probed points.
+    pub error_um: f64,
+    /// The tool's nose in part coordinates.
+    pub part_mm: Zx,
+    /// The machine then.
+    pub machine_mm: Zx,
+    /// Requested totals `[z, x]`, in counts.
+    pub requested: [i64; 2],
+    /// What the counts cannot take out along the surface's normal, in µm.
+    pub left_um: f64,
+}
+
+/// Errors by angle, ready for the finish cut.
+#[derive(Debug, Clone)]
+pub struct Table {
+    /// The cut.
+    pub cut: Cut,
+    /// Z and X.
+    pub axes: [AxisCounts; 2],
+    errors: Vec<PointError>,
+}
+
+impl Table {
+    /// A table from the errors of the semi-finish cut, angles ascending as [`crate::errors::read_error_cor`] reads
+    /// them.
+    #[must_use]
+    pub fn new(cut: Cut, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
+        errors.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
+        Self { cut, axes, errors }
+    }
+
+    /// Error at an angle: linear between the probed points, the end values beyond them, so that there is no step
+    /// where the tool enters.
+    #[must_use]
+    pub fn error_um(&self, angle_rad: f64) -> f64 {
+        let next = self.errors.partition_point(|e| e.angle_rad <= angle_rad);
+        match (next.checked_sub(1).and_then(|i| self.errors.get(i)), self.errors.get(next)) {
+            (Some(a), Some(b)) => {
+                let part = (angle_rad - a.angle_rad) / (b.angle_rad - a.angle_rad);
+                a.error_um + part * (b.error_um - a.error_um)
+            }
+            (Some(e), None) | (None, Some(e)) => e.error_um,
+            (None, None) => 0.0,
+        }
+    }
+
+    /// Components of the error, in µm, at the machine position that is reached in `lead_s` at a velocity in mm/s:
+    /// asked ahead, so that the counts are in when the tool cuts there. What a geometric-thermal model wants is added
+    /// to this before counts are made of the sum.
+    #[must_use]
+    pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
+        let angle_rad = self.cut.angle_at(machine + velocity_mm_s * lead_s);
+        Zx::at_angle(angle_rad) * self.error_um(angle_rad)
+    }
+
+    /// Requested totals `[z, x]` for components in µm.
+    #[must_use]
+    pub fn requested(&self, components_um: Zx) -> [i64; 2] {
+        [self.axes[0].requested(components_um.z), self.axes[1].requested(components_um.x)]
+    }
+
+    /// The table: at each probed point and `between` steps between each two.
+    #[must_use]
+    pub fn rows(&self, between: usize) -> Vec<Row> {
+        let steps = between + 1;
+        let mut angles: Vec<f64> = Vec::new();
+        for pair in self.errors.windows(2) {
+            let (a, b) = (pair[0].angle_rad, pair[1].angle_rad);
+            angles.extend((0..steps).map(|k| a + (b - a) * k as f64 / steps as f64));
+        }
+        angles.extend(self.errors.last().map(|e| e.angle_rad));
+        angles
+            .into_iter()
+            .map(|angle_rad| {
+                let (n, error_um) = (Zx::at_angle(angle_rad), self.error_um(angle_rad));
+                let requested = self.requested(n * error_um);
+                let taken = Zx::new(self.axes[0].taken_um(requested[0]), self.axes[1].taken_um(requested[1]));
+                Row {
+                    angle_rad,
+                    error_um,
+                    part_mm: self.cut.part_at(angle_rad),
+                    machine_mm: self.cut.machine_at(angle_rad),
+                    requested,
+                    left_um: error_um - taken.dot(n),
+                }
+            })
+            .collect()
+    }
+
+    /// The same compensation written into the NC program instead: end points of the straight moves whose chords stay
+    /// within `off_mm` of the corrected path once their coordinates are rounded to `decimals`, in part coordinates.
+    /// The first point is where the cut starts.
+    #[must_use]
+    pub fn straight_moves(&self, off_mm: f64, decimals: i32) -> Vec<Zx> {
+        let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return Vec::new() };
+        let sweep = last.angle_rad - first.angle_rad;
+        let scale = 10_f64.powi(decimals);
+        // Rounding moves a corner by at most half a last digit in each coordinate.
+        let rounding_mm = std::f64::consts::FRAC_1_SQRT_2 / scale;
+        let chord_mm = (off_mm - rounding_mm).max(0.1 * off_mm);
+        let count = crate::contour::chords_of_arc(self.cut.radius_mm + self.cut.nose_mm, sweep, chord_mm);
+        (0..=count)
+            .map(|k| {
+                let angle = first.angle_rad + sweep * k as f64 / count as f64;
+                let p = self.cut.part_at(angle) - Zx::at_angle(angle) * (self.error_um(angle) * 1e-3);
+                Zx::new((p.z * scale).round() / scale, (p.x * scale).round() / scale)
+            })
+            .collect()
+    }
+}
+
+/// The table as CSV. `lead_mm` is how far before each position its totals are to be sent along the cut, which runs
+/// towards larger angles, or with `backwards` towards smaller ones.
+#[must_use]
+pub fn csv(table: &Table, rows: &[Row], lead_mm: f64, backwards: bool) -> String {
+    let mut text = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machine_x_mm,send_z_mm,send_x_mm,\
+                    requested_z,requested_x,left_um\n"
+        .to_owned();
+    let lead_rad = lead_mm / (table.cut.radius_mm + table.cut.nose_mm) * if backwards { 1.0 } else { -1.0 };
+    for r in rows {
+        let send = table.cut.machine_at(r.angle_rad + lead_rad);
+        let _ = writeln!(
+            text,
+            "{:.6},{:.3},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{},{},{:.3}",
+            r.angle_rad,
+            r.error_um,
+            r.part_mm.z,
+            r.part_mm.x,
+            r.machine_mm.z,
+            r.machine_mm.x,
+            send.z,
+            send.x,
+            r.requested[0],
+            r.requested[1],
+            r.left_um
+        );
+    }
+    text
+}
+
+/// Hold a request until the wanted value is clearly nearer to another: a position that trembles on a boundary
+/// must not send counts back and forth.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Holding {
+    held: i64,
+}
+
+/// Share of an increment that the wanted value must pass the boundary by.
+const HYSTERESIS: f64 = 0.02;
+
+impl Holding {
+    /// The total to request for an error.
+    pub fn request(&mut self, axis: &AxisCounts, error_um: f64) -> i64 {
+        let off = (error_um - axis.taken_um(self.held)).abs() / axis.increment_um();
+        if off > 0.5 + HYSTERESIS {
+            self.held = axis.requested(error_um);
+        }
+        self.held
+    }
+}

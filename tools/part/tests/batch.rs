@@ -1,0 +1,130 @@
+//! Batches from a measuring machine: what is systematic, what is chance, what a probe on the machine cannot see.
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{RngCore, SeedableRng};
+use rtec_driver::input::InputError;
+use rtec_part::batch::{Batch, Finding, Judgement, evaluate};
+use rtec_part::errors::PointError;
+use std::fmt::Write as _;
+
+const JUDGEMENT: Judgement = Judgement { alpha: 0.01, least_um: 1.0 };
+
+fn judged(text: &str, seen: Option<&[PointError]>) -> Result<Batch, InputError> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cmm.csv");
+    std::fs::write(&file, text).unwrap();
+    evaluate(&file, seen, JUDGEMENT)
+}
+
+fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
+    let mut uniform = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+    let (u, v) = (uniform(), uniform());
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+fn finding(batch: &Batch, feature: &str) -> Finding {
+    batch.places.iter().find(|p| p.feature == feature).unwrap().finding
+}
+
+#[test]
+fn the_t_test_is_the_textbooks() {
+    // scipy.stats.ttest_1samp([3.1, 2.4, 2.9, 3.6, 2.0], 0): t = 10.090, p = 0.0005427; trend of the same by
+    // scipy.stats.linregress: slope -0.10, p = 0.679.
+    let text = "part,feature,error_um\n1,d,3.1\n2,d,2.4\n3,d,2.9\n4,d,3.6\n5,d,2.0\n";
+    let place = &judged(text, None).unwrap().places[0];
+    assert!((place.mean_um - 2.8).abs() < 1e-12);
+    assert!((place.p_value - 0.000_542_733).abs() < 1e-7, "{}", place.p_value);
+    assert!((place.trend_p_value - 0.679_094_922).abs() < 1e-7, "{}", place.trend_p_value);
+    assert!((place.interval_um[0] - 2.029_567_750).abs() < 1e-6, "{:?}", place.interval_um);
+}
+
+#[test]
+fn system_trend_and_chance_are_told_apart() {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(6);
+    let mut text = "part,feature,nominal_mm,measured_mm\n".to_owned();
+    for part in 0..12 {
+        for (feature, error_um) in [("bore", 6.0), ("face", 0.0), ("length", 1.5 * f64::from(part))] {
+            let _ = writeln!(
+                text,
+                "{part},{feature},40,{:.6}",
+                40.0 + (error_um + 1.2 * normal(&mut rng)) * 1e-3
+            );
+        }
+    }
+    let batch = judged(&text, None).unwrap();
+    assert_eq!(finding(&batch, "bore"), Finding::Systematic);
+    assert_eq!(finding(&batch, "face"), Finding::Nothing);
+    assert_eq!(finding(&batch, "length"), Finding::Trend);
+    assert_eq!(batch.offers.len(), 2);
+    let bore = batch.places.iter().find(|p| p.feature == "bore").unwrap();
+    assert!(bore.interval_um[0] < 6.0 && bore.interval_um[1] > 6.0, "{bore:?}");
+}
+
+#[test]
+fn chance_alone_raises_few_alarms() {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(61);
+    let mut alarms = 0;
+    for _ in 0..400 {
+        let mut text = "part,feature,error_um,angle_rad\n".to_owned();
+        for part in 0..8 {
+            for k in 0..10 {
+                let _ = writeln!(text, "{part},nose,{:.6},{}", 5.0 * normal(&mut rng), f64::from(k) * 0.1);
+            }
+        }
+        alarms +=
+            usize::from(judged(&text, None).unwrap().places.iter().any(|p| p.finding != Finding::Nothing));
+    }
+    // Two families of tests at 1 % each: 8 of 400 on average.
+    assert!(alarms <= 20, "{alarms}");
+}
+
+#[test]
+fn a_lobe_that_tool_and_probe_trace_alike_is_not_observable() {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(62);
+    // The measuring machine sees three lobes and a bump; the probe on the machine sees the bump alone.
+    let lobe = |a: f64| 8.0 * (3.0 * a).cos();
+    let bump = |a: f64| if (a - 0.3).abs() < 0.15 { 20.0 } else { 0.0 };
+    let angles: Vec<f64> = (0..20).map(|k| f64::from(k) * 0.08).collect();
+    let mut text = "part,feature,angle_rad,error_um\n".to_owned();
+    for part in 0..6 {
+        for a in &angles {
+            let _ = writeln!(text, "{part},nose,{a:.4},{:.4}", lobe(*a) + bump(*a) + normal(&mut rng));
+        }
+    }
+    let seen: Vec<PointError> = angles
+        .iter()
+        .map(|&angle_rad| PointError { angle_rad, error_um: bump(angle_rad), along_mm: None })
+        .collect();
+    let batch = judged(&text, Some(&seen)).unwrap();
+    for p in &batch.places {
+        let a = p.angle_rad.unwrap();
+        let expected = if bump(a) > 0.0 {
+            Finding::Systematic
+        } else if lobe(a).abs() > 4.0 {
+            Finding::NotObservable
+        } else {
+            continue; // too little to say
+        };
+        assert_eq!(p.finding, expected, "{p:?}");
+    }
+    assert!(batch.offers.iter().any(|o| o.contains("not observable")));
+    assert!(
+        batch.offer_table.iter().all(|e| bump(e.angle_rad) > 0.0),
+        "only what is observable is offered to the table"
+    );
+}
+
+#[test]
+fn bad_batches_are_named() {
+    let line = |text: &str| judged(text, None).unwrap_err().line;
+    assert_eq!(line("part,feature,error_um\n1,d,1\n1,d,2\n2,d,1\n"), 3);
+    assert_eq!(line("part,feature,error_um\n1,d,1\n2,d,2\n"), 0);
+    assert_eq!(line("part,feature\n1,d\n"), 1);
+    assert_eq!(line("part,feature,error_um\n1,,1\n"), 2);
+    assert_eq!(line("part,feature,error_um\n"), 0);
+    // No scatter at all.
+    let same = judged("part,feature,error_um\n1,d,4\n2,d,4\n3,d,4\n1,e,0\n2,e,0\n3,e,0\n", None).unwrap();
+    assert_eq!(finding(&same, "d"), Finding::Systematic);
+    assert_eq!(finding(&same, "e"), Finding::Nothing);
+}

@@ -1,0 +1,157 @@
+//! Probed points to part errors: tip, side of approach, files read and written, findings.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use rtec_part::errors::{Nominal, Probed, error_cor, read_error_cor};
+use rtec_part::fit::Zx;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+const CIRCLE: Nominal = Nominal::Circle { radius_mm: 38.1 };
+
+struct Files(tempfile::TempDir);
+
+impl Files {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+    fn with(&self, name: &str, text: &str) -> PathBuf {
+        let file = self.0.path().join(name);
+        std::fs::write(&file, text).unwrap();
+        file
+    }
+}
+
+fn bump_um(k: i32) -> f64 {
+    [6.0, 14.0, 20.0, 14.0, 6.0].get((k - 4) as usize).copied().unwrap_or(0.0)
+}
+
+/// The tip's centres on a quadrant with a bump; the tip outside (+1) or inside (−1).
+fn quadrant(tip_mm: f64, side: f64) -> String {
+    (0..20).fold("z_mm,x_mm,approach_z,approach_x\n".to_owned(), |mut text, k| {
+        let n = Zx::at_angle(std::f64::consts::FRAC_PI_2 * f64::from(k) / 19.0);
+        let p = Zx::new(100.0, 0.5) + n * (38.1 + bump_um(k) * 1e-3 + side * tip_mm);
+        let _ = writeln!(text, "{:.7},{:.7},{:.3},{:.3}", p.z, p.x, -3.0 * side * n.z, -3.0 * side * n.x);
+        text
+    })
+}
+
+#[test]
+fn the_tip_is_taken_off_on_the_side_it_came_from() {
+    let files = Files::new();
+    for (tip_mm, side) in [(0.0, 1.0), (2.5, 1.0), (2.5, -1.0)] {
+        let probed = Probed::read(&files.with("p.csv", &quadrant(tip_mm, side))).unwrap();
+        let report = probed.errors(CIRCLE, tip_mm).unwrap();
+        let radius_mm = report.radius_mm.unwrap();
+        let off_mm = (report.centre_mm[0] - 100.0).hypot(report.centre_mm[1] - 0.5);
+        assert!((radius_mm - 38.1).abs() < 0.005 && off_mm < 0.008, "{tip_mm} {side}: {radius_mm} {off_mm}");
+        assert!(
+            report.rejected.contains(&6) && !report.rejected.contains(&0) && !report.rejected.contains(&19)
+        );
+        assert!(report.sd_after_um < 0.5 * report.sd_before_um);
+        assert!((report.errors[6].error_um - 20.0).abs() < 3.0);
+        assert!((report.robust.errors_um[6] - 20.0).abs() < 1e-2, "exact where the rest is a perfect circle");
+        assert!((report.robust.radius_mm.unwrap() - 38.1).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn error_cor_is_read_as_it_is_written() {
+    let files = Files::new();
+    let report =
+        Probed::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
+    let text = error_cor(&report.errors);
+    let back = read_error_cor(&files.with("error.cor", &text)).unwrap();
+    assert_eq!(back.len(), 20);
+    for (a, b) in back.iter().zip(&report.errors) {
+        assert!((a.angle_rad - b.angle_rad).abs() < 1e-6 && (a.error_um - b.error_um).abs() < 1e-3);
+    }
+    for (bad, line) in
+        [("0.1 2\n0.1 3\n", 2), ("0.1\n", 1), ("0.1 2 3\n", 1), ("# none\n", 0), ("0 nan\n", 1)]
+    {
+        assert_eq!(read_error_cor(&files.with("error.cor", bad)).unwrap_err().line, line, "{bad:?}");
+    }
+}
+
+#[test]
+fn a_taper_and_a_bore_face_the_probe() {
+    let files = Files::new();
+    // A taper of 5° probed from outside, 10 µm too large in the middle; then the same line probed from inside.
+    for side in [1.0, -1.0] {
+        let (sin, cos) = 5_f64.to_radians().sin_cos();
+        let text = (0..11).fold("z_mm,x_mm,approach_z,approach_x\n".to_owned(), |mut text, k| {
+            let bulge = if k == 5 { 0.010 } else { 0.0 };
+            let p = Zx::new(cos, sin) * (4.0 * f64::from(k)) + Zx::new(-sin, cos) * (side * (2.0 + bulge));
+            let _ = writeln!(text, "{:.7},{:.7},{},{}", p.z, p.x + 20.0, sin * side, -cos * side);
+            text
+        });
+        let probed = Probed::read(&files.with("p.csv", &text)).unwrap();
+        let report = probed.errors(Nominal::Line { taper_deg: Some(5.0) }, 2.0).unwrap();
+        assert!((report.inclination_deg.unwrap() - 5.0).abs() < 1e-4, "{side} {:?}", report.inclination_deg);
+        assert!(report.inclination_error_deg.unwrap().abs() < 1e-4);
+        assert!((report.errors[5].error_um - 10.0).abs() < 0.1, "{side}: {:?}", report.errors[5]);
+        // The surface goes through (0, 20) when the tip is taken off.
+        let [z, x] = report.centre_mm;
+        assert!(((x - 20.0) * cos - z * sin).abs() < 1e-4, "{side}: {z} {x}");
+    }
+}
+
+#[test]
+fn the_geometric_thermal_correction_moves_the_points() {
+    let files = Files::new();
+    let file = files.with("p.csv", &quadrant(0.0, 1.0));
+    let mut probed = Probed::read(&file).unwrap();
+    probed.correct_geometric_thermal(&file, &[Zx::new(5.0, -3.0); 20]).unwrap();
+    let report = probed.errors(CIRCLE, 0.0).unwrap();
+    assert!(
+        (report.robust.centre_mm[0] - 100.005).abs() < 1e-5
+            && (report.robust.centre_mm[1] - 0.497).abs() < 1e-5
+    );
+    assert!(probed.correct_geometric_thermal(&file, &[Zx::new(0.0, 0.0)]).is_err());
+}
+
+#[test]
+fn bad_points_are_named_by_their_line() {
+    let files = Files::new();
+    let good = quadrant(2.5, 1.0);
+    let mut lines: Vec<&str> = good.lines().collect();
+    let other_side = "138.1,0.5,1,0";
+    lines[2] = other_side;
+    let probed = Probed::read(&files.with("p.csv", &lines.join("\n"))).unwrap();
+    assert_eq!(probed.errors(CIRCLE, 2.5).unwrap_err().line, 3);
+    lines[2] = "138.1,0.5,0,0";
+    assert_eq!(Probed::read(&files.with("p.csv", &lines.join("\n"))).unwrap_err().line, 3);
+    assert!(Probed::read(&files.with("p.csv", "z_mm,x_mm,approach_z\n1,2,3\n")).is_err());
+    let two = Probed::read(&files.with("p.csv", "z_mm,x_mm,T3\n1,2,20.1\n2,1,20.2\n")).unwrap();
+    assert!(two.errors(CIRCLE, 0.0).unwrap_err().found.contains("2 points"));
+    let probed = Probed::read(&files.with("p.csv", &good)).unwrap();
+    assert!(probed.check_expected(&probed.tip_centre, 0.1).is_ok());
+    assert!(probed.check_expected(&probed.tip_centre[1..], 0.1).unwrap_err().found.contains("20 trips"));
+    let mut off = probed.tip_centre.clone();
+    off[7].z += 0.2;
+    assert!(probed.check_expected(&off, 0.1).unwrap_err().found.contains("point 8"));
+}
+
+#[test]
+fn whiskers_are_drawn_at_two_hundred_and_fifty() {
+    let files = Files::new();
+    let report =
+        Probed::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
+    let bytes = report.whisker_dxf().unwrap();
+    assert_eq!(bytes, report.whisker_dxf().unwrap());
+    let drawing = dxf::Drawing::load(&mut bytes.as_slice()).unwrap();
+    let bars: Vec<f64> = drawing
+        .entities()
+        .filter(|e| e.common.layer == "WHISKER")
+        .map(|e| match &e.specific {
+            dxf::entities::EntityType::Line(l) => (l.p2.x - l.p1.x).hypot(l.p2.y - l.p1.y),
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(bars.len(), 20);
+    for (bar, error) in bars.iter().zip(&report.errors) {
+        assert!((bar - error.error_um.abs() * 0.25).abs() < 1e-6, "4 µm are 1 mm");
+    }
+    let svg = report.whisker_svg();
+    assert_eq!(svg.matches("class=\"dropped\"").count(), report.rejected.len());
+}

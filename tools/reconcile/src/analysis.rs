@@ -1,0 +1,451 @@
+//! From runs and a model to the answer: what is missing, what else it might be, what the model had slightly wrong.
+
+use crate::chance::Chance;
+use crate::hypotheses::{Cause, Hypotheses, Shape};
+use crate::problem::{Known, Stack, known, rms};
+use crate::search::{Found, Search, Set};
+use rtec_model::effect::{Difference, Effect};
+use rtec_model::machine::Machine;
+use rtec_model::record::Record;
+
+/// Rounds of block permutation.
+const ROUNDS: usize = 40;
+/// Log odds below which the data do not decide between two explanations.
+const DECISIVE: f64 = 3.0;
+/// Log odds by which a shape without a name must beat the best named explanation.
+const SHAPE_DECISIVE: f64 = 3.0;
+
+/// An effect that changes the root mean square by less than this share of the whole gap is not worth a name: on a real
+/// machine everything shows a little of everything.
+const WORTH: f64 = 0.015;
+/// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
+const EXPLAINED: f64 = 0.15;
+
+/// Another explanation of the same thing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rival {
+    /// Name of the effect.
+    pub name: String,
+    /// Its temperature difference, where it has one.
+    pub sensor: Option<Difference>,
+    /// Log odds by which the explanation given is better.
+    pub margin: f64,
+}
+
+/// An effect that was found.
+#[derive(Debug, Clone)]
+pub struct Finding {
+    /// The effect with its parameters.
+    pub effect: Effect,
+    /// Values that the law has and the data did not call for: held where they are.
+    pub held: Vec<usize>,
+    /// Probability that chance alone explains as much.
+    pub p_value: f64,
+    /// Log likelihood gained, less the price of its freedom.
+    pub evidence: f64,
+    /// What the data cannot tell from it.
+    pub rivals: Vec<Rival>,
+}
+
+/// The answer, before anything is written.
+#[derive(Debug)]
+pub struct Answer {
+    /// Effects to add, strongest first.
+    pub findings: Vec<Finding>,
+    /// Structure that no effect explains.
+    pub unexplained: Vec<Shape>,
+    /// The model's own effects with their parameters as the data have them, before the last fit.
+    pub present: Vec<Effect>,
+    /// The model's own effects as the file has them.
+    pub file: Vec<Effect>,
+    /// Every name that was tried as the next one, best first: log odds against what was accepted.
+    pub ranking: Vec<Tried>,
+    /// What is left unexplained, and the noise's coefficient.
+    pub residual: Vec<f64>,
+    /// First-order autocorrelation of the noise.
+    pub phi: f64,
+    /// Size of the noise per response.
+    pub sigma: Vec<f64>,
+    /// Noise made by moving the residual's blocks about, weighed: what `where` is judged by.
+    pub draws: Vec<Vec<f64>>,
+}
+
+/// A name that was tried.
+#[derive(Debug, Clone)]
+pub struct Tried {
+    /// Name, with its sensors.
+    pub label: String,
+    /// Log odds of the best set with it in place of the nearest accepted effect (or beside them).
+    pub odds: f64,
+    /// Whether it is in the answer.
+    pub accepted: bool,
+}
+
+fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
+    (0..stack.responses.len())
+        .map(|j| {
+            let (mut all, mut steps) = (Vec::new(), Vec::new());
+            for s in stack.segments.iter().filter(|s| s.response == j) {
+                let m = &missing[s.rows.clone()];
+                all.extend_from_slice(m);
+                steps.extend(m.windows(2).map(|w| w[1] - w[0]));
+            }
+            let size = rms(&all).max(1e-9);
+            (rms(&steps) / 2f64.sqrt()).clamp(0.1 * size, size)
+        })
+        .collect()
+}
+
+/// Finds and names what is missing.
+#[must_use]
+pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
+    let mut stack = Stack::new(records);
+    let file: Vec<Effect> = machine.effects().cloned().collect();
+    let mut now = file.clone();
+    let simulated = stack.predict(&now);
+    let missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+    stack.sigma = noise_guess(&stack, &missing);
+    retune(&stack, machine, &mut now);
+    for pass in 0.. {
+        let simulated = stack.predict(&now);
+        let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+        stack.weigh(&mut missing);
+        let parameters = known(&stack, machine, &now);
+        let (all, waves) = Hypotheses::new(&stack, machine.dictionary());
+        let mut search = Search::new(&stack, &all, &waves, &parameters, missing);
+        let found = search.run();
+        let (residual, _) = search.residual(&found.any);
+        let beta = search.coefficients(&found.any);
+        let moved = moved(&now, &parameters, &beta);
+        let bent = bend(&stack, &now, &moved, &parameters, &beta);
+        let sigma: Vec<f64> = (0..stack.responses.len())
+            .map(|j| {
+                let rows =
+                    stack.segments.iter().filter(|s| s.response == j).flat_map(|s| &residual[s.rows.clone()]);
+                rms(&rows.copied().collect::<Vec<_>>()).clamp(0.02, 50.0)
+            })
+            .collect();
+        let off = sigma.iter().any(|s| !(0.75..1.35).contains(s));
+        if pass < 2 && (off || bent > 0.1) {
+            let new: Vec<f64> = stack.sigma.iter().zip(&sigma).map(|(a, b)| a * b).collect();
+            now = moved;
+            stack.sigma = new;
+            continue;
+        }
+        return Answer { file, ..conclude(&mut search, &found, &now, level) };
+    }
+    unreachable!("the loop ends at its third pass")
+}
+
+/// Searches the periods of the model's own periodic effects: over a long travel a period that is a little off is out
+/// of step by whole turns, which no linear correction mends.
+fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
+    for e in 0..now.len() {
+        if !["screw_periodic", "subdivision"].contains(&now[e].card().name.as_str()) {
+            continue;
+        }
+        let simulated = stack.predict(now.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, x)| x));
+        let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+        stack.weigh(&mut missing);
+        let others: Vec<Known> = known(stack, machine, now).into_iter().filter(|k| k.effect != e).collect();
+        let (none, waves) = (Hypotheses::periods(stack, &now[e]), Vec::new());
+        let search = Search::new(stack, &none, &waves, &others, missing);
+        let empty = search.empty();
+        let Some(best) = search.scan(&empty, false).into_iter().next() else { continue };
+        let Cause::Effect { effect, .. } = &best.cause else { continue };
+        let same = search.score_of(&empty, &now[e]);
+        let period = effect.scalar(0);
+        if best.score > same + 6.0 {
+            let mut search = search;
+            let set = search.take(&empty, &best);
+            let beta = search.coefficients(&set);
+            let at = beta.len() - 2;
+            let Some(found) = effect_of(&best.cause, &beta[at..]) else { continue };
+            // Another amplitude is another effect, not this one with its period mended.
+            let ratio = found.scalar(1) / now[e].scalar(1).abs().max(1e-12);
+            if (0.4..2.5).contains(&ratio) && period.is_finite() {
+                now[e] = found;
+            }
+        }
+    }
+}
+
+/// The model's effects with the changes that a fit asks for.
+fn moved(now: &[Effect], parameters: &[Known], beta: &[f64]) -> Vec<Effect> {
+    let mut out = now.to_vec();
+    for (e, effect) in out.iter_mut().enumerate() {
+        let mut values = effect.values().to_vec();
+        for (k, b) in parameters.iter().zip(beta).filter(|(k, _)| k.effect == e) {
+            values[k.value] += b;
+        }
+        // A change that leaves the law's limits is not made.
+        let _kept = effect.set_values(&values);
+    }
+    out
+}
+
+/// How far the changes are from linear, in units of the noise.
+fn bend(stack: &Stack<'_>, now: &[Effect], moved: &[Effect], parameters: &[Known], beta: &[f64]) -> f64 {
+    let (a, b) = (stack.predict(now), stack.predict(moved));
+    let mut d: Vec<f64> = b.iter().zip(&a).map(|(b, a)| b - a).collect();
+    stack.weigh(&mut d);
+    for (k, b) in parameters.iter().zip(beta) {
+        d.iter_mut().zip(&k.column).for_each(|(d, c)| *d -= b * c);
+    }
+    rms(&d)
+}
+
+/// The effect that a member stands for, with its coefficients.
+fn effect_of(cause: &Cause, gamma: &[f64]) -> Option<Effect> {
+    let Cause::Effect { effect, free, reference } = cause else { return None };
+    let mut effect = effect.clone();
+    let k = effect.coefficient_count();
+    let directions = crate::problem::free_directions(&effect.constraints(), k);
+    let mut coefficients = vec![0.0; k];
+    for (g, i) in gamma.iter().zip(free) {
+        if directions.is_empty() {
+            coefficients[*i] = *g;
+        } else {
+            coefficients.iter_mut().zip(&directions[*i]).for_each(|(c, d)| *c += g * d);
+        }
+    }
+    if *reference {
+        refer(&mut effect, &mut coefficients, gamma[free.len()]);
+    }
+    effect.set_coefficients(&coefficients);
+    Some(effect)
+}
+
+/// Turns a constant beside a law of ΔT into a reference temperature: c₂x² + c₁x + c₀ = c₂(x − d)² + b(x − d).
+fn refer(effect: &mut Effect, c: &mut [f64], c0: f64) {
+    let c1 = c[0];
+    let c2 = c.get(1).copied().unwrap_or(0.0);
+    let straight = -c0 / c1;
+    let d = if c2 == 0.0 {
+        straight
+    } else {
+        let inside = c1 * c1 - 4.0 * c2 * c0;
+        let near = (-c1 + c1.signum() * inside.max(0.0).sqrt()) / (2.0 * c2);
+        if inside >= 0.0 && near.is_finite() { near } else { straight }
+    };
+    if !d.is_finite() {
+        return;
+    }
+    c[0] = c1 + 2.0 * c2 * d;
+    if let Some(delta) = &mut effect.delta {
+        delta.against = rtec_model::effect::Against::Reference(rtec_model::effect::STANDARD_DEGC + d);
+    }
+}
+
+fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
+    let mut named = found.named.clone();
+    let any = found.any.clone();
+    // One member at a time may have a better name, now that the others are in place.
+    for _ in 0..3 {
+        let mut changed = false;
+        for i in 0..named.members.len() {
+            let rest = search.without(&named, i);
+            let member = named.members[i].hypothesis;
+            let ranking = search.ranking(&rest);
+            let Some(first) = ranking.first() else { continue };
+            let offer = first.offers[0].clone();
+            let same_name = first.name == search.all.list[member].name;
+            if offer.hypothesis == member || (same_name && offer.score <= named.score + 1e-6) {
+                continue;
+            }
+            let next = search.take(&rest, &offer);
+            named = search.polish(next);
+            changed = true;
+            break;
+        }
+        if !changed {
+            break;
+        }
+    }
+    // The level holds for the whole answer: a half for names, a half for shapes.
+    let level = level / 2.0;
+    let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
+    // What does not stand out from chance goes, weakest first.
+    let whole = rms(&search.residual(&search.empty()).0);
+    let mut evidence: Vec<f64>;
+    loop {
+        evidence = (0..named.members.len()).map(|i| named.score - search.without(&named, i).score).collect();
+        let now = rms(&search.residual(&named).0);
+        let worth: Vec<f64> =
+            (0..evidence.len()).map(|i| rms(&search.residual(&search.without(&named, i)).0) - now).collect();
+        let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]));
+        if let Some(w) = least.filter(|w| worth[*w] < WORTH * whole) {
+            named = search.without(&named, w);
+            continue;
+        }
+        let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
+        match weakest {
+            Some(w) if chance.named.tail(evidence[w]) > level => named = search.without(&named, w),
+            _ => break,
+        }
+    }
+    let left = rms(&search.residual(&named).0);
+    let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
+    let unexplained: Vec<Shape> = if !mostly && any.score > named.score + SHAPE_DECISIVE {
+        let gain = any.score - named.score;
+        let real = chance.any.tail(gain) <= level;
+        any.members
+            .iter()
+            .filter_map(|m| match &m.cause {
+                Cause::Shape(s) if real => Some(s.clone()),
+                _ => None,
+            })
+            .collect()
+    } else {
+        Vec::new()
+    };
+    if std::env::var_os("RECONCILE_TRACE").is_some() {
+        let show = |s: &Set| {
+            s.members.iter().map(|m| search.all.list[m.hypothesis].label()).collect::<Vec<_>>().join(" + ")
+        };
+        eprintln!(
+            "named {:.2} [{}]  any {:.2} [{}] phi {:.2} n {}",
+            named.score - search.empty().score,
+            show(&named),
+            any.score - search.empty().score,
+            show(&any),
+            named.phi,
+            search.stack.n
+        );
+        for v in found.visited.iter().take(8) {
+            eprintln!(
+                "   {:.2} ll {:.2} {}",
+                v.score - search.empty().score,
+                v.loglik - search.empty().loglik,
+                show(v)
+            );
+        }
+        eprintln!(
+            "   chance named at 1%: evidence {:?} p {:?}",
+            evidence,
+            evidence.iter().map(|e| chance.named.tail(*e)).collect::<Vec<_>>()
+        );
+    }
+    let set = if unexplained.is_empty() { named.clone() } else { any.clone() };
+    let beta = search.coefficients(&set);
+    let mut tried: Vec<Tried> = Vec::new();
+    let note = |tried: &mut Vec<Tried>, label: String, odds: f64, accepted: bool| match tried
+        .iter_mut()
+        .find(|t| t.label == label)
+    {
+        Some(t) => {
+            t.odds = t.odds.max(odds);
+            t.accepted |= accepted;
+        }
+        None => tried.push(Tried { label, odds, accepted }),
+    };
+    for m in &set.members {
+        note(&mut tried, search.all.list[m.hypothesis].label(), 0.0, true);
+    }
+    if set.members.is_empty() {
+        for r in search.ranking(&set) {
+            let o = &r.offers[0];
+            note(&mut tried, search.all.list[o.hypothesis].label(), o.score - set.score, false);
+        }
+    }
+    let mut at = now_len(search);
+    let mut findings = Vec::new();
+    for (i, m) in set.members.iter().enumerate() {
+        let k = m.columns();
+        let gamma = &beta[at..at + k];
+        at += k;
+        let Some(effect) = effect_of(&m.cause, gamma) else { continue };
+        let own = set.score - search.without(&set, i).score;
+        // Beside a shape without a name only what reads something else, and stands out by itself, is named.
+        let entangled =
+            !unexplained.is_empty() && (reads(&effect, &unexplained) || chance.any.tail(own) > level);
+        if entangled {
+            continue;
+        }
+        let mut list: Vec<Rival> = Vec::new();
+        if unexplained.is_empty() {
+            let own_name = &search.all.list[m.hypothesis].name;
+            let ranking = search.ranking(&search.without(&set, i));
+            let top =
+                ranking.iter().find(|r| r.name == *own_name).map_or(set.score, |r| r.evidence.max(set.score));
+            for r in &ranking {
+                let o = &r.offers[0];
+                note(&mut tried, search.all.list[o.hypothesis].label(), o.score - set.score, false);
+                let alike = r.name == *own_name;
+                let margin = if alike { 0.0 } else { top - r.evidence };
+                if margin >= DECISIVE {
+                    continue;
+                }
+                let best = if alike { set.score } else { r.offers[0].score };
+                for o in r.offers.iter().filter(|o| o.hypothesis != m.hypothesis && best - o.score < DECISIVE)
+                {
+                    let h = &search.all.list[o.hypothesis];
+                    let margin = margin.max(best - o.score);
+                    list.push(Rival { name: h.name.clone(), sensor: h.sensor.clone(), margin });
+                }
+            }
+            for v in found.visited.iter().filter(|v| set.score - v.score < DECISIVE) {
+                let lacks = |h: usize| {
+                    !set.members.iter().any(|m| search.all.list[m.hypothesis].name == search.all.list[h].name)
+                };
+                if v.members.iter().any(|x| x.hypothesis == m.hypothesis) {
+                    continue;
+                }
+                for x in v.members.iter().filter(|x| lacks(x.hypothesis)) {
+                    let h = &search.all.list[x.hypothesis];
+                    if !list.iter().any(|r| r.name == h.name && r.sensor == h.sensor) {
+                        list.push(Rival {
+                            name: h.name.clone(),
+                            sensor: h.sensor.clone(),
+                            margin: set.score - v.score,
+                        });
+                    }
+                }
+            }
+        }
+        let held = match &m.cause {
+            Cause::Effect { effect, free, .. } if effect.constraints().is_empty() && effect.width() == 1 => {
+                let linear = effect.card().parameters.iter().enumerate();
+                linear
+                    .filter(|(_, p)| p.search == rtec_model::effect::Search::Linear)
+                    .enumerate()
+                    .filter(|(k, _)| !free.contains(k))
+                    .map(|(_, (v, _))| v)
+                    .collect()
+            }
+            _ => Vec::new(),
+        };
+        findings.push(Finding { effect, held, p_value: chance.named.tail(own), evidence: own, rivals: list });
+    }
+    findings.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+    tried.sort_by(|a, b| b.accepted.cmp(&a.accepted).then(b.odds.total_cmp(&a.odds)));
+    let (residual, phi) = search.residual(if any.score > set.score { &any } else { &set });
+    Answer {
+        findings,
+        unexplained,
+        present: now.to_vec(),
+        file: Vec::new(),
+        ranking: tried,
+        residual,
+        phi,
+        sigma: search.stack.sigma.clone(),
+        draws: chance.draws,
+    }
+}
+
+/// Whether an effect reads what a shape runs along; a temperature runs along time.
+fn reads(effect: &Effect, shapes: &[Shape]) -> bool {
+    use rtec_model::effect::Need;
+    let along = |text: &str| shapes.iter().any(|s| s.against.iter().any(|a| a.starts_with(text)));
+    effect.card().needs.iter().any(|n| match n {
+        Need::Delta | Need::Time => along("time") || along("temperature"),
+        Need::Velocity | Need::Direction | Need::Acceleration => along("velocity") || along("direction"),
+        Need::Channel => effect.channel().is_some_and(|c| along(&format!("channel.{c}"))) || along("time"),
+        Need::Position(_) => along(&n.role(effect.axes()).to_string()),
+        other => along(&other.role(effect.axes()).to_string()),
+    })
+}
+
+fn now_len(search: &Search<'_, '_>) -> usize {
+    search.empty().ids.len()
+}

@@ -1,0 +1,223 @@
+//! The last fit: all effects jointly in their own parameters, non-linear ones too, with an interval for each value.
+
+use crate::gram::{Cholesky, Products, Vector};
+use crate::problem::{Stack, rms};
+use rtec_model::effect::{Effect, Search};
+
+/// Half width of an interval in standard errors: 95 %.
+const HALF_WIDTH: f64 = 1.96;
+
+/// An effect in a fit.
+#[derive(Debug, Clone)]
+pub(crate) struct Term {
+    pub(crate) effect: Effect,
+    /// Which of its values are fitted.
+    pub(crate) free: Vec<bool>,
+    /// What the model's file says of its values, and how far that may be trusted: one standard deviation of each.
+    pub(crate) prior: Option<(Vec<f64>, Vec<f64>)>,
+    /// Half widths of the values' intervals.
+    pub(crate) half: Vec<f64>,
+}
+
+impl Term {
+    /// A term whose values are all free but those chosen beforehand (knots, lobes, the moment of a step).
+    pub(crate) fn new(effect: Effect, held: &[usize]) -> Self {
+        let width = effect.width();
+        let parameters = &effect.card().parameters;
+        let free = (0..effect.values().len())
+            .map(|v| parameters[v / width].search != Search::Chosen && !held.contains(&v))
+            .collect();
+        let half = vec![0.0; effect.values().len()];
+        Self { effect, free, prior: None, half }
+    }
+
+    /// A term that stays as it is.
+    pub(crate) fn fixed(effect: Effect) -> Self {
+        let n = effect.values().len();
+        Self { effect, free: vec![false; n], prior: None, half: vec![0.0; n] }
+    }
+}
+
+/// Rows that count, for a fit without some of them.
+pub(crate) type Keep<'k> = Option<&'k [bool]>;
+
+/// Measured minus the sum of the terms, weighed.
+pub(crate) fn residual(stack: &Stack<'_>, terms: &[Term]) -> Vec<f64> {
+    let simulated = stack.predict(terms.iter().map(|t| &t.effect));
+    let mut r: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+    stack.weigh(&mut r);
+    r
+}
+
+/// Gauss–Newton steps under noise of coefficient `phi`, each halved until it helps.
+pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize, keep: Keep<'_>) {
+    for _ in 0..steps {
+        let before = cost(stack, terms, phi, keep);
+        let Some((places, step, _)) = newton(stack, terms, phi, keep) else { return };
+        let start = terms.to_vec();
+        let mut share = 1.0;
+        let mut gained = 0.0;
+        for _ in 0..6 {
+            apply(terms, &start, &places, &step, share);
+            gained = before - cost(stack, terms, phi, keep);
+            if gained > 0.0 {
+                break;
+            }
+            share *= 0.4;
+        }
+        if gained <= 0.0 {
+            terms.clone_from_slice(&start);
+            break;
+        }
+        if gained < 1e-4 {
+            break;
+        }
+    }
+    if let Some((places, _, variance)) = newton(stack, terms, phi, keep) {
+        let r = residual(stack, terms);
+        let noise = Vector::new(r.clone(), &stack.ranges).products(&r, &stack.ranges).at(phi)
+            / (stack.n as f64 - places.len() as f64).max(1.0);
+        for ((t, v), var) in places.iter().zip(&variance) {
+            terms[*t].half[*v] = HALF_WIDTH * (var * noise).sqrt();
+        }
+    }
+    terms.iter_mut().for_each(tidy);
+}
+
+fn apply(terms: &mut [Term], start: &[Term], places: &[(usize, usize)], step: &[f64], share: f64) {
+    for (t, term) in terms.iter_mut().enumerate() {
+        let mut values = start[t].effect.values().to_vec();
+        for ((_, v), s) in places.iter().zip(step).filter(|((at, _), _)| *at == t) {
+            let change = share * s;
+            let parameter = &term.effect.card().parameters[v / term.effect.width()];
+            // A length, time or period moves by no more than half of itself at once.
+            let positive = parameter.limits[0] > 0.0 || parameter.plausible[0] > 0.0;
+            values[*v] += if positive { change.clamp(-0.5 * values[*v], 0.5 * values[*v]) } else { change };
+        }
+        let mut effect = start[t].effect.clone();
+        // Values outside the law's limits stay where they were.
+        let _kept = effect.set_values(&values);
+        term.effect = effect;
+    }
+}
+
+fn cost(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> f64 {
+    let mut r = residual(stack, terms);
+    mask(&mut r, keep);
+    let mut sum = Vector::new(r.clone(), &stack.ranges).products(&r, &stack.ranges).at(phi);
+    for t in terms {
+        if let Some((values, sd)) = &t.prior {
+            for ((a, b), s) in t.effect.values().iter().zip(values).zip(sd) {
+                if *s > 0.0 {
+                    sum += ((a - b) / s).powi(2);
+                }
+            }
+        }
+    }
+    sum
+}
+
+fn mask(x: &mut [f64], keep: Keep<'_>) {
+    if let Some(keep) = keep {
+        x.iter_mut().zip(keep).for_each(|(x, k)| *x *= f64::from(u8::from(*k)));
+    }
+}
+
+/// One step: which values it moves, by how much, and the variance of each in units of the noise.
+type Step = (Vec<(usize, usize)>, Vec<f64>, Vec<f64>);
+
+fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option<Step> {
+    let mut places = Vec::new();
+    let mut columns: Vec<Vector> = Vec::new();
+    let mut scale = Vec::new();
+    for (t, term) in terms.iter().enumerate() {
+        if !term.free.iter().any(|f| *f) {
+            continue;
+        }
+        for (v, mut column) in stack.slopes(&term.effect).into_iter().enumerate() {
+            stack.weigh(&mut column);
+            mask(&mut column, keep);
+            let size = rms(&column);
+            if term.free[v] && size > 1e-12 {
+                column.iter_mut().for_each(|c| *c /= size);
+                places.push((t, v));
+                scale.push(size);
+                columns.push(Vector::new(column, &stack.ranges));
+            }
+        }
+    }
+    if places.is_empty() {
+        return None;
+    }
+    let mut r = residual(stack, terms);
+    mask(&mut r, keep);
+    let k = places.len();
+    let mut a = vec![0.0; k * k];
+    for i in 0..k {
+        for j in 0..=i {
+            let p: Products = columns[i].products(&columns[j].data, &stack.ranges);
+            a[i * k + j] = p.at(phi);
+            a[j * k + i] = a[i * k + j];
+        }
+    }
+    let mut g: Vec<f64> = columns.iter().map(|c| c.products(&r, &stack.ranges).at(phi)).collect();
+    for (i, (t, v)) in places.iter().enumerate() {
+        if let Some((values, sd)) = &terms[*t].prior {
+            let w = (1.0 / (sd[*v] * scale[i])).powi(2);
+            a[i * k + i] += w;
+            g[i] += w * (values[*v] - terms[*t].effect.values()[*v]) * scale[i];
+        }
+        // A trace of a pull to where it is keeps what the data do not show where it is.
+        a[i * k + i] *= 1.0 + 1e-9;
+    }
+    // What offset and scale are for a map's heights are held at nothing.
+    for (t, term) in terms.iter().enumerate() {
+        let width = term.effect.width();
+        if term.prior.is_some() {
+            continue;
+        }
+        for weights in term.effect.constraints() {
+            let own: Vec<(usize, f64)> = places
+                .iter()
+                .enumerate()
+                .filter(|(_, (at, v))| *at == t && v / width == 1)
+                .map(|(i, (_, v))| (i, weights[v % width] / scale[i]))
+                .collect();
+            let largest = own.iter().map(|(_, w)| w.abs()).fold(1e-300, f64::max);
+            let pull = 1e3 * stack.n as f64 / (largest * largest);
+            let now: f64 = weights.iter().zip(term.effect.get(1)).map(|(w, u)| w * u).sum();
+            for (i, wi) in &own {
+                for (j, wj) in &own {
+                    a[i * k + j] += pull * wi * wj;
+                }
+                g[*i] -= pull * wi * now;
+            }
+        }
+    }
+    let factor = Cholesky::new(&a, k);
+    let variance: Vec<f64> = factor.inverse_diagonal().iter().zip(&scale).map(|(v, s)| v / (s * s)).collect();
+    factor.forward(&mut g);
+    factor.backward(&mut g);
+    let step = g.iter().zip(&scale).map(|(g, s)| g / s).collect();
+    Some((places, step, variance))
+}
+
+/// Amplitudes above zero, phases and angles within one turn.
+fn tidy(term: &mut Term) {
+    use std::f64::consts::{PI, TAU};
+    let card = term.effect.card();
+    let place = |name: &str| card.parameters.iter().position(|p| p.name == name);
+    let mut values = term.effect.values().to_vec();
+    if let (Some(um), Some(phase)) = (place("um"), place("phase_rad")) {
+        if values[um] < 0.0 {
+            values[um] = -values[um];
+            values[phase] += PI;
+        }
+        values[phase] = (values[phase] + PI).rem_euclid(TAU) - PI;
+    }
+    if let Some(centre) = place("centre_rad") {
+        values[centre] = values[centre].rem_euclid(TAU);
+    }
+    // Only a change that means the same is made: it cannot leave the limits.
+    let _same = term.effect.set_values(&values);
+}

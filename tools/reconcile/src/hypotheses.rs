@@ -1,0 +1,725 @@
+//! What may be missing: every effect of the dictionary that these runs could show, over a grid of its non-linear
+//! parameters, and shapes of no name that stand for "something else".
+
+use crate::gram::Bank;
+use crate::problem::Stack;
+use rtec_model::effect::{Dictionary, Difference, Effect};
+use rtec_model::record::{Record, Role};
+use std::f64::consts::TAU;
+
+/// A shape that is in no dictionary.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shape {
+    /// The response it is seen in.
+    pub response: String,
+    /// What it runs along: roles, as in `where`.
+    pub against: Vec<String>,
+    /// In words: smooth, periodic, differs by direction, …
+    pub manner: String,
+}
+
+/// An explanation.
+#[derive(Debug, Clone)]
+pub(crate) enum Cause {
+    /// An effect with its non-linear parameters set; which coefficients are free, and whether its reference
+    /// temperature is.
+    Effect { effect: Effect, free: Vec<usize>, reference: bool },
+    /// No effect of the dictionary.
+    Shape(Shape),
+}
+
+/// An explanation with its columns.
+#[derive(Debug, Clone)]
+pub(crate) struct Atom {
+    pub(crate) cause: Cause,
+    /// Columns in the bank.
+    pub(crate) columns: Vec<usize>,
+    /// Which hypothesis it is a grid point of.
+    pub(crate) hypothesis: usize,
+    /// log of the number of distinguishable grid points (times the share of its family): the price of searching.
+    pub(crate) cost: f64,
+}
+
+/// One hypothesis: one name with its sensors.
+#[derive(Debug, Clone)]
+pub(crate) struct Hypothesis {
+    pub(crate) name: String,
+    pub(crate) sensor: Option<Difference>,
+    pub(crate) named: bool,
+    /// Every response it touches is this one; `None` for a pair.
+    pub(crate) response: Option<usize>,
+}
+
+impl Hypothesis {
+    /// Name and sensors, as one text.
+    pub(crate) fn label(&self) -> String {
+        match &self.sensor {
+            Some(d) => format!("{} ({d})", self.name),
+            None => self.name.clone(),
+        }
+    }
+}
+
+/// All explanations that are tried over a grid.
+#[derive(Debug, Default)]
+pub(crate) struct Hypotheses {
+    pub(crate) list: Vec<Hypothesis>,
+    pub(crate) atoms: Vec<Atom>,
+    pub(crate) bank: Bank,
+    /// Price of the family choice alone, per law and per shape.
+    pub(crate) family_cost: f64,
+}
+
+/// A variable that a periodic effect or shape runs along, for the search of its period.
+#[derive(Debug, Clone)]
+pub(crate) struct Wave {
+    pub(crate) hypothesis: usize,
+    pub(crate) effect: Option<Effect>,
+    pub(crate) shape: Option<Shape>,
+    pub(crate) response: usize,
+    /// The variable, stacked; zero outside the response.
+    pub(crate) along: Vec<f64>,
+    /// Frequencies to search, in periods per unit of the variable.
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    /// Unit of the period parameter in units of the variable.
+    pub(crate) unit: f64,
+}
+
+/// What a logged channel costs beyond an effect with physics behind it.
+const CHANNEL_COST: f64 = 2.5;
+/// What an explanation without a name costs beyond one with a name.
+const SHAPE_COST: f64 = 2.0;
+
+impl Hypotheses {
+    pub(crate) fn new(stack: &Stack<'_>, dictionary: &Dictionary) -> (Self, Vec<Wave>) {
+        let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };
+        let mut waves = Vec::new();
+        let mut candidates: Vec<Effect> = Vec::new();
+        for record in stack.records {
+            for effect in dictionary.candidates(&[record]) {
+                let effect = in_order(effect, dictionary);
+                if !candidates.iter().any(|c| c.name() == effect.name() && c.delta == effect.delta) {
+                    candidates.push(effect);
+                }
+            }
+        }
+        let laws: Vec<String> = candidates.iter().map(|c| c.card().name.clone()).collect();
+        let mut families = laws.clone();
+        families.sort();
+        families.dedup();
+        all.family_cost = (families.len().max(1) as f64).ln();
+        for effect in &candidates {
+            // Without movement of what it reads an effect is a constant, or nothing.
+            let share = laws.iter().filter(|l| **l == effect.card().name).count() as f64;
+            let cost = all.family_cost + share.ln();
+            all.effect(stack, effect, cost, &mut waves);
+        }
+        all.shapes(stack, &mut waves);
+        (all, waves)
+    }
+
+    /// Only the periods near a periodic effect's own, as fine as the travel resolves them.
+    pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> Self {
+        let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };
+        let Some(places) = distinct(stack, &Role::Position(effect.axes()[0].clone())) else { return all };
+        let span = places[places.len() - 1] - places[0];
+        let name = effect.card().parameters[0].name.clone();
+        let unit = if effect.card().name == "subdivision" { 1e-3 } else { 1.0 };
+        let turns = span / (effect.scalar(0) * unit);
+        let steps = (turns * 0.03 / 0.2).ceil().clamp(0.0, 150.0) as i32;
+        let h = all.hypothesis(effect, stack);
+        for i in -steps..=steps {
+            let period = effect.scalar(0) / (1.0 + f64::from(i) * 0.2 / turns);
+            all.single(stack, h, effect, &[(&name, period)], 0.0);
+        }
+        all
+    }
+
+    fn hypothesis(&mut self, effect: &Effect, stack: &Stack<'_>) -> usize {
+        let touched: Vec<usize> = (0..stack.responses.len())
+            .filter(|j| {
+                stack
+                    .records
+                    .iter()
+                    .any(|r| effect.acts_on(r).iter().any(|(role, _)| *role == stack.responses[*j]))
+            })
+            .collect();
+        self.list.push(Hypothesis {
+            name: effect.name(),
+            sensor: effect.delta.clone(),
+            named: true,
+            response: if let [one] = touched[..] { Some(one) } else { None },
+        });
+        self.list.len() - 1
+    }
+
+    fn push(&mut self, stack: &Stack<'_>, mut column: Vec<f64>) -> usize {
+        stack.weigh(&mut column);
+        self.bank.push(&column)
+    }
+
+    fn atom(
+        &mut self,
+        hypothesis: usize,
+        effect: &Effect,
+        free: &[usize],
+        reference: bool,
+        columns: Vec<usize>,
+        cost: f64,
+    ) {
+        let cause = Cause::Effect { effect: effect.clone(), free: free.to_vec(), reference };
+        self.atoms.push(Atom { cause, columns, hypothesis, cost });
+    }
+
+    fn effect(&mut self, stack: &Stack<'_>, effect: &Effect, cost: f64, waves: &mut Vec<Wave>) {
+        let law = effect.card().name.clone();
+        let pair = effect
+            .delta
+            .as_ref()
+            .is_some_and(|d| matches!(d.against, rtec_model::effect::Against::Sensor(_)));
+        let own = cost + if law == "channel" { CHANNEL_COST } else { 0.0 };
+        match law.as_str() {
+            "screw_periodic" | "subdivision" => {
+                let Some(response) = self.response_of(stack, effect) else { return };
+                let axis = effect.axes()[0].clone();
+                let along = stack.column(Some(response), |r, row| {
+                    r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row])
+                });
+                let h = self.hypothesis(effect, stack);
+                let unit = if law == "subdivision" { 1e-3 } else { 1.0 };
+                let [lo, hi] = effect.card().parameters[0].limits;
+                let (from, to) = (1.0 / (hi * unit), 1.0 / (lo * unit));
+                waves.push(Wave {
+                    hypothesis: h,
+                    effect: Some(effect.clone()),
+                    shape: None,
+                    response,
+                    along,
+                    from,
+                    to,
+                    unit,
+                });
+            }
+            "position_map" | "straightness" => {
+                let along = effect.axes()[effect.axes().len() - 1].clone();
+                let h = self.hypothesis(effect, stack);
+                let sizes = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24];
+                let Some(places) = distinct(stack, &Role::Position(along)) else { return };
+                for k in sizes.into_iter().filter(|k| *k < places.len().min(stack.n / 3)) {
+                    let (lo, hi) = (places[0], places[places.len() - 1]);
+                    let knots: Vec<f64> =
+                        (0..k).map(|i| lo + (hi - lo) * i as f64 / (k - 1) as f64).collect();
+                    self.map(stack, h, effect, &knots, own + 1.0);
+                }
+                if (4..=48).contains(&places.len()) && places.len() < stack.n / 2 {
+                    self.map(stack, h, effect, &places, own + 1.0);
+                }
+            }
+            "thermal_lag" if pair => {
+                // Pairs are many: their lags are searched from the best single sensors' (see `search`).
+                let h = self.hypothesis(effect, stack);
+                for tau in taus(stack).into_iter().step_by(2) {
+                    self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), false);
+                }
+            }
+            "thermal_lag" => {
+                let h = self.hypothesis(effect, stack);
+                for tau in taus(stack) {
+                    self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), true);
+                }
+            }
+            "thermal_growth" | "thermal_expansion" => {
+                let h = self.hypothesis(effect, stack);
+                self.thermal(stack, h, effect, None, own, !pair);
+            }
+            "warm_up" => {
+                let h = self.hypothesis(effect, stack);
+                let grid = taus(stack);
+                for tau in &grid {
+                    self.single(stack, h, effect, &[("tau_s", *tau)], own + (grid.len() as f64).ln());
+                }
+            }
+            "reversal_spike" => {
+                let Some(places) = distinct(stack, &Role::Position(effect.axes()[0].clone())) else { return };
+                let span = places[places.len() - 1] - places[0];
+                if span <= 0.0 {
+                    return;
+                }
+                let h = self.hypothesis(effect, stack);
+                let grid: Vec<f64> = (0..12).map(|i| span * 0.4 * 0.6_f64.powi(i)).collect();
+                for length in &grid {
+                    self.single(stack, h, effect, &[("length_mm", *length)], own + 8f64.ln());
+                }
+            }
+            "lost_counts" => {
+                let h = self.hypothesis(effect, stack);
+                let times = moments(stack);
+                let step = (times.len() / 160).max(1);
+                let count = (times.len().max(2) as f64).ln();
+                for at in times.iter().step_by(step) {
+                    self.single(stack, h, effect, &[("at_s", *at)], own + count);
+                }
+            }
+            "probe_lobing" => {
+                let h = self.hypothesis(effect, stack);
+                for lobes in 1..=12 {
+                    // A single lobe is an eccentric set-up as well: allowed, at a price.
+                    let extra = if lobes == 1 { 1.0 } else { 0.0 };
+                    self.single(stack, h, effect, &[("lobes", f64::from(lobes))], own + extra + 11f64.ln());
+                }
+            }
+            "form_bump" => {
+                let h = self.hypothesis(effect, stack);
+                let mut width = 0.15;
+                while width < 4.0 {
+                    let places = (TAU / width * 4.0).ceil() as usize;
+                    for i in 0..places {
+                        let centre = TAU * i as f64 / places as f64;
+                        let at = [("centre_rad", centre), ("width_rad", width)];
+                        self.single(stack, h, effect, &at, own + (TAU / width * 2.0).ln() + 6f64.ln());
+                    }
+                    width *= 1.4;
+                }
+            }
+            "spindle_speed" => {
+                let h = self.hypothesis(effect, stack);
+                let columns: Vec<usize> =
+                    stack.basis(effect).into_iter().map(|c| self.push(stack, c)).collect();
+                self.atom(h, effect, &[0], false, columns[..1].to_vec(), own + 0.5);
+                self.atom(h, effect, &[0, 1], false, columns, own + 1.0);
+            }
+            _ => {
+                let h = self.hypothesis(effect, stack);
+                self.single(stack, h, effect, &[], own);
+            }
+        }
+    }
+
+    fn response_of(&self, stack: &Stack<'_>, effect: &Effect) -> Option<usize> {
+        let axis = effect.axes().first()?;
+        stack.responses.iter().position(|r| *r == Role::Error(axis.clone()))
+    }
+
+    /// An atom with all coefficients free and some parameters set.
+    fn single(&mut self, stack: &Stack<'_>, h: usize, effect: &Effect, set: &[(&str, f64)], cost: f64) {
+        let mut effect = effect.clone();
+        for (name, value) in set {
+            if effect.set(name, &[*value]).is_err() {
+                return;
+            }
+        }
+        let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
+        let free: Vec<usize> = (0..columns.len()).collect();
+        self.atom(h, &effect, &free, false, columns, cost);
+    }
+
+    fn map(&mut self, stack: &Stack<'_>, h: usize, effect: &Effect, knots: &[f64], cost: f64) {
+        let mut effect = effect.clone();
+        let values: Vec<f64> = knots.iter().copied().chain(knots.iter().map(|_| 0.0)).collect();
+        if effect.set_values(&values).is_err() {
+            return;
+        }
+        let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
+        let free: Vec<usize> = (0..columns.len()).collect();
+        self.atom(h, &effect, &free, false, columns, cost);
+    }
+
+    fn thermal(
+        &mut self,
+        stack: &Stack<'_>,
+        h: usize,
+        effect: &Effect,
+        tau: Option<f64>,
+        cost: f64,
+        reference: bool,
+    ) {
+        let mut effect = effect.clone();
+        if let Some(tau) = tau {
+            if effect.set("tau_s", &[tau]).is_err() {
+                return;
+            }
+        }
+        let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
+        let quadratic = columns.len() == 2;
+        // A straight line from 20 °C first; a parabola, another reference, both: each a little less likely.
+        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost + 0.5);
+        if quadratic {
+            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost + 1.4);
+        }
+        if reference {
+            let constant = self.push(stack, reference_column(stack, &effect));
+            self.atom(h, &effect, &[0], true, vec![columns[0], constant], cost + 1.9);
+            if quadratic {
+                self.atom(h, &effect, &[0, 1], true, vec![columns[0], columns[1], constant], cost + 2.5);
+            }
+        }
+    }
+
+    /// Shapes without a name, over every channel and the products that physics suggests.
+    fn shapes(&mut self, stack: &Stack<'_>, waves: &mut Vec<Wave>) {
+        let mut made: Vec<(usize, Shape, Vec<Vec<f64>>, f64)> = Vec::new();
+        for j in 0..stack.responses.len() {
+            self.shapes_of(stack, j, &mut made, waves);
+        }
+        // Grid points of one shape stand one after the other.
+        let count = made.iter().zip(made.iter().skip(1)).filter(|(a, b)| a.1 != b.1).count() + 1;
+        let price = self.family_cost + SHAPE_COST + (count as f64).ln();
+        let mut last: Option<Shape> = None;
+        for (j, shape, columns, grid) in made {
+            let cost = price + grid;
+            if last.as_ref() != Some(&shape) {
+                let name = format!("unnamed {}", shape.against.join("·"));
+                self.list.push(Hypothesis { name, sensor: None, named: false, response: Some(j) });
+                last = Some(shape.clone());
+            }
+            let h = self.list.len() - 1;
+            let columns: Vec<usize> = columns.into_iter().map(|c| self.push(stack, c)).collect();
+            self.atoms.push(Atom { cause: Cause::Shape(shape), columns, hypothesis: h, cost });
+        }
+    }
+
+    fn shapes_of(
+        &mut self,
+        stack: &Stack<'_>,
+        j: usize,
+        made: &mut Vec<(usize, Shape, Vec<Vec<f64>>, f64)>,
+        waves: &mut Vec<Wave>,
+    ) {
+        let role = &stack.responses[j];
+        let Some(axis) = role.axis().cloned() else { return };
+        let force = matches!(role, Role::Force(_));
+        let records: Vec<&Record> =
+            stack.segments.iter().filter(|s| s.response == j).map(|s| stack.record(s)).collect();
+        let has = |r: &Role| records.iter().all(|rec| rec.column(r).is_some());
+        let get =
+            |r: Role| has(&r).then(|| stack.column(Some(j), |rec, row| rec.data(&r).map_or(0.0, |d| d[row])));
+        let response = role.to_string();
+        let rows: Vec<usize> =
+            stack.segments.iter().filter(|s| s.response == j).flat_map(|s| s.rows.clone()).collect();
+        let n = rows.len();
+        let time = stack.column(Some(j), |rec, row| rec.time_s()[row]);
+        let mut offer = |against: &[&str], manner: &str, columns: Vec<Vec<f64>>, grid: usize| {
+            let shape = Shape {
+                response: response.clone(),
+                against: against.iter().map(|s| (*s).to_owned()).collect(),
+                manner: manner.to_owned(),
+            };
+            if columns.len() + 8 < n / 2 && columns.iter().all(|c| c.iter().any(|x| *x != 0.0)) {
+                made.push((j, shape, columns, (grid as f64).ln()));
+            }
+        };
+        let hats = |x: &[f64], k: usize| hats(x, &rows, k);
+        let times = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).collect::<Vec<f64>>();
+        let mut scalars: Vec<(String, Vec<f64>)> = vec![("time".into(), time.clone())];
+        for column in &records[0].columns {
+            let own = column.role == Role::Position(axis.clone());
+            let wanted = match &column.role {
+                Role::Temperature => records.iter().all(|r| r.temperature(&column.name).is_some()),
+                Role::Channel => records.iter().all(|r| r.channel(&column.name).is_some()),
+                Role::Velocity(a) | Role::Acceleration(a) | Role::Load(a) => *a == axis && has(&column.role),
+                Role::SpindleSpeed | Role::Cycle => has(&column.role),
+                Role::Position(_) => has(&column.role) && force && own,
+                _ => false,
+            };
+            if !wanted {
+                continue;
+            }
+            let data = stack.column(Some(j), |rec, row| match &column.role {
+                Role::Temperature => rec.temperature(&column.name).map_or(0.0, |d| d[row]),
+                Role::Channel => rec.channel(&column.name).map_or(0.0, |d| d[row]),
+                r => rec.data(r).map_or(0.0, |d| d[row]),
+            });
+            scalars.push((column.label(), data));
+        }
+        for (label, data) in &scalars {
+            let u = centred(data, &rows);
+            for i in 1..10 {
+                let knee = -1.0 + 0.2 * f64::from(i);
+                let bent: Vec<f64> = u.iter().map(|u| (u - knee).max(0.0)).collect();
+                offer(&[label], "straight with a knee", vec![masked(&bent, &rows), u.clone()], 9);
+            }
+        }
+        let clock = centred(&time, &rows);
+        for width in [0.05, 0.12, 0.3] {
+            for i in 0..=24 {
+                let centre = -1.0 + f64::from(i) / 12.0;
+                let burst: Vec<f64> = clock.iter().map(|u| (-((u - centre) / width).powi(2)).exp()).collect();
+                offer(&["time"], "a passing burst", vec![masked(&burst, &rows)], 75);
+            }
+        }
+        for i in 4..30 {
+            let turns = f64::from(i) * 0.25;
+            let columns = (1..=4)
+                .flat_map(|k| {
+                    let w = std::f64::consts::PI * turns * f64::from(k);
+                    [
+                        clock.iter().map(|u| (w * u).sin()).collect::<Vec<f64>>(),
+                        clock.iter().map(|u| (w * u).cos()).collect(),
+                    ]
+                })
+                .map(|c| masked(&c, &rows))
+                .collect();
+            offer(&["time"], "repeats in time", columns, 26);
+        }
+        let mut add =
+            |against: &[&str], manner: &str, columns: Vec<Vec<f64>>| offer(against, manner, columns, 1);
+        for (label, data) in &scalars {
+            let sizes: &[usize] = if label == "time" { &[5, 8, 12, 20] } else { &[5, 9] };
+            for k in sizes {
+                add(&[label], "smooth", hats(data, *k));
+            }
+        }
+        let position = get(Role::Position(axis.clone())).map(|p| centred(&p, &rows));
+        let velocity = get(Role::Velocity(axis.clone()));
+        let direction = get(Role::Direction(axis.clone()))
+            .or_else(|| velocity.as_ref().map(|v| v.iter().map(|v| rtec_model::effect::sign(*v)).collect()));
+        let (p_name, d_name, v_name) =
+            (format!("position.{axis}"), format!("direction.{axis}"), format!("velocity.{axis}"));
+        let t0 = centred(&time, &rows);
+        if let (Some(p), Some(d)) = (&position, &direction) {
+            add(&[&d_name, &p_name], "differs by direction, in proportion to position", vec![times(d, p)]);
+            for k in [5, 9] {
+                let columns = hats(p, k).iter().map(|h| times(d, h)).chain([d.clone()]).collect();
+                add(&[&d_name, &p_name], "differs by direction, smooth", columns);
+            }
+        }
+        if let Some(d) = &direction {
+            add(
+                &[&d_name, "time"],
+                "differs by direction, drifting",
+                hats(&time, 5).iter().map(|h| times(d, h)).collect(),
+            );
+        }
+        if let Some(p) = &position {
+            add(&[&p_name, "time"], "in proportion to position, drifting", vec![times(p, &t0)]);
+            for (label, data) in &scalars {
+                if label == "time" || label.starts_with("temperature") || label.starts_with("cycle") {
+                    let k = if label == "time" { 7 } else { 5 };
+                    let columns = hats(data, k).iter().map(|h| times(p, h)).chain([p.clone()]).collect();
+                    add(&[&p_name, label], "in proportion to position, smooth", columns);
+                }
+            }
+            if has(&Role::Position(axis.clone())) {
+                for other in records[0]
+                    .axes(Role::Position)
+                    .filter(|o| **o != axis && has(&Role::Position((*o).clone())))
+                {
+                    let Some(q) = get(Role::Position(other.clone())) else { continue };
+                    let (a, b) = (hats(p, 5), hats(&centred(&q, &rows), 5));
+                    let columns = a.iter().flat_map(|x| b.iter().map(|y| times(x, y))).collect();
+                    add(&[&p_name, &format!("position.{other}")], "smooth over the plane", columns);
+                }
+            }
+        }
+        if let Some(v) = &velocity {
+            let top = rows.iter().fold(1e-12_f64, |m, r| m.max(v[*r].abs()));
+            let map = |f: &dyn Fn(f64) -> f64| v.iter().map(|v| f(v / top)).collect::<Vec<f64>>();
+            add(&[&v_name], "quadratic, with the sign of the velocity", vec![map(&|v| v * v.abs())]);
+            add(&[&v_name], "quadratic", vec![map(&|v| v * v)]);
+            if !force {
+                add(&[&v_name], "in proportion to the speed", vec![map(&f64::abs)]);
+            }
+            for v0 in [0.05, 0.15, 0.4] {
+                let stribeck = move |v: f64| rtec_model::effect::sign(v) * (-(v / v0).powi(2)).exp();
+                add(&[&v_name], "at low speed, with the sign of the velocity", vec![map(&stribeck)]);
+            }
+            if let Some(p) = &position {
+                let sign: Vec<f64> = v.iter().map(|v| rtec_model::effect::sign(*v)).collect();
+                add(&[&v_name, &p_name], "sign of the velocity times position", vec![times(&sign, p)]);
+                add(&[&v_name, &p_name], "velocity times position", vec![times(v, p)]);
+            }
+        }
+        if let Some(f) = get(Role::Load(axis.clone())) {
+            let bent: Vec<f64> = f.iter().map(|f| f * f.abs()).collect();
+            add(&[&format!("load.{axis}")], "quadratic, with the sign of the load", vec![bent]);
+            add(&[&format!("load.{axis}")], "quadratic", vec![times(&f, &f)]);
+            if let Some(p) = &position {
+                add(&[&format!("load.{axis}"), &p_name], "load times position", vec![times(&f, p)]);
+            }
+        }
+        if let (Some(rpm), Some(wet)) = (get(Role::SpindleSpeed), get(Role::Coolant)) {
+            add(
+                &["spindle_speed", "coolant"],
+                "spindle speed while the coolant is on",
+                vec![times(&rpm, &wet)],
+            );
+        }
+        if let Some(angle) = get(Role::Angle) {
+            for harmonics in [4, 8] {
+                let columns = (1..=harmonics)
+                    .flat_map(|k| {
+                        let wave = |f: fn(f64) -> f64| {
+                            let mut c = vec![0.0; stack.n];
+                            rows.iter().for_each(|r| c[*r] = f(f64::from(k) * angle[*r]));
+                            c
+                        };
+                        [wave(f64::sin), wave(f64::cos)]
+                    })
+                    .collect();
+                add(&["angle"], "repeats with the angle", columns);
+            }
+            for lobes in 1..=4 {
+                let wave = |f: &dyn Fn(f64) -> f64| {
+                    let mut c = vec![0.0; stack.n];
+                    rows.iter().for_each(|r| c[*r] = f(f64::from(lobes) * angle[*r]));
+                    c
+                };
+                add(&["angle"], "steps with the angle", vec![wave(&|w| w.sin().signum())]);
+                add(&["angle"], "saw-tooth in the angle", vec![wave(&|w| (w / TAU).rem_euclid(1.0) - 0.5)]);
+            }
+            add(&["angle"], "smooth", hats(&angle, 24));
+        }
+        // Periodic along time, and along position where no periodic effect has a name.
+        let mut wave = |label: &str, along: &[f64], top: f64| {
+            let (lo, hi) = bounds(along, &rows);
+            if hi <= lo {
+                return;
+            }
+            let h = self.list.len();
+            let name = format!("unnamed {label}");
+            self.list.push(Hypothesis { name, sensor: None, named: false, response: Some(j) });
+            let shape = Shape {
+                response: response.clone(),
+                against: vec![label.to_owned()],
+                manner: "periodic".to_owned(),
+            };
+            let (from, to) = (0.7 / (hi - lo), top / (hi - lo));
+            let along = along.to_vec();
+            waves.push(Wave {
+                hypothesis: h,
+                effect: None,
+                shape: Some(shape),
+                response: j,
+                along,
+                from,
+                to,
+                unit: 1.0,
+            });
+        };
+        wave("time", &time, (n as f64 / 4.0).min(40.0));
+        if force {
+            if let Some(p) = get(Role::Position(axis.clone())) {
+                wave(&p_name, &p, (n as f64 / 4.0).min(200.0));
+            }
+        }
+    }
+}
+
+/// The two positions of an angular effect are interchangeable: written alphabetically.
+fn in_order(effect: Effect, dictionary: &Dictionary) -> Effect {
+    match effect.axes() {
+        [a, b, c] if effect.card().name == "angular" && b > c => {
+            dictionary.effect(&format!("angular.{a}.{c}.{b}")).unwrap_or(effect)
+        }
+        _ => effect,
+    }
+}
+
+/// The column that a free reference temperature adds: the effect of one kelvin, the same at all times.
+pub(crate) fn reference_column(stack: &Stack<'_>, effect: &Effect) -> Vec<f64> {
+    let expansion = effect.card().name == "thermal_expansion";
+    let axis = effect.axes()[0].clone();
+    let role = Role::Error(axis.clone());
+    let Some(j) = stack.responses.iter().position(|r| *r == role) else { return vec![0.0; stack.n] };
+    stack.column(Some(j), |r, row| {
+        if expansion { r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row] / 1000.0) } else { 1.0 }
+    })
+}
+
+/// Time constants to try: from three rows to twice the longest record.
+pub(crate) fn taus(stack: &Stack<'_>) -> Vec<f64> {
+    let longest = stack
+        .records
+        .iter()
+        .map(|r| (span(r.time_s()), r.rows()))
+        .fold((0.0, 1), |a, b| if b.0 > a.0 { b } else { a });
+    if longest.0 <= 0.0 {
+        return Vec::new();
+    }
+    let lo = (longest.0 / longest.1 as f64 * 2.0).max(longest.0 / 300.0);
+    let hi = longest.0 * 2.0;
+    let count = 14;
+    (0..count).map(|i| lo * (hi / lo).powf(f64::from(i) / f64::from(count - 1))).collect()
+}
+
+/// Moments at which a step may fall: every row's time but the first and last few.
+pub(crate) fn moments(stack: &Stack<'_>) -> Vec<f64> {
+    let mut times: Vec<f64> = stack.records.iter().flat_map(|r| r.time_s().iter().copied()).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let cut = 3.min(times.len() / 2);
+    times[cut..times.len() - cut].to_vec()
+}
+
+fn span(x: &[f64]) -> f64 {
+    x.last().zip(x.first()).map_or(0.0, |(b, a)| b - a)
+}
+
+fn distinct(stack: &Stack<'_>, role: &Role) -> Option<Vec<f64>> {
+    let mut all: Vec<f64> = stack.records.iter().filter_map(|r| r.data(role)).flatten().copied().collect();
+    all.sort_by(f64::total_cmp);
+    let (lo, hi) = (*all.first()?, *all.last()?);
+    let close = (hi - lo) / 300.0;
+    // Targets that are approached again and again differ by little: each cluster is one place.
+    let mut out: Vec<(f64, f64)> = Vec::new();
+    for x in all {
+        match out.last_mut() {
+            Some((sum, count)) if x - *sum / *count <= close => {
+                *sum += x;
+                *count += 1.0;
+            }
+            _ => out.push((x, 1.0)),
+        }
+    }
+    Some(out.into_iter().map(|(s, c)| s / c).collect())
+}
+
+fn bounds(x: &[f64], rows: &[usize]) -> (f64, f64) {
+    rows.iter().fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(x[*r]), h.max(x[*r])))
+}
+
+fn masked(x: &[f64], rows: &[usize]) -> Vec<f64> {
+    let mut out = vec![0.0; x.len()];
+    rows.iter().for_each(|r| out[*r] = x[*r]);
+    out
+}
+
+/// Minus the middle, over half the range; zero outside the rows.
+fn centred(x: &[f64], rows: &[usize]) -> Vec<f64> {
+    let (lo, hi) = bounds(x, rows);
+    let mut out = vec![0.0; x.len()];
+    if hi > lo {
+        rows.iter().for_each(|r| out[*r] = (2.0 * x[*r] - lo - hi) / (hi - lo));
+    }
+    out
+}
+
+/// Hat functions over the range of a variable, without the constant: k − 1 columns that span k hats less their sum.
+fn hats(x: &[f64], rows: &[usize], k: usize) -> Vec<Vec<f64>> {
+    let mut values: Vec<f64> = rows.iter().map(|r| x[*r]).collect();
+    values.sort_by(f64::total_cmp);
+    let (lo, hi) = (values[0], values[values.len() - 1]);
+    values.dedup_by(|a, b| (*a - *b).abs() <= (hi - lo) * 1e-3);
+    if hi <= lo || values.len() < k + 1 {
+        return vec![vec![0.0; x.len()]];
+    }
+    let mut out = vec![vec![0.0; x.len()]; k];
+    for r in rows {
+        let u = ((x[*r] - lo) / (hi - lo) * (k - 1) as f64).clamp(0.0, (k - 1) as f64);
+        let i = (u.floor() as usize).min(k - 2);
+        let w = u - i as f64;
+        out[i][*r] = 1.0 - w;
+        out[i + 1][*r] = w;
+    }
+    // Differences to the middle hat's share: any k − 1 of them with the constant span the same functions; the first
+    // is left out so that a constant alone is no evidence for structure.
+    let n = rows.len() as f64;
+    for c in &mut out {
+        let mean = rows.iter().map(|r| c[*r]).sum::<f64>() / n;
+        rows.iter().for_each(|r| c[*r] -= mean);
+    }
+    out.remove(k / 2);
+    out.retain(|c| c.iter().any(|v| *v != 0.0));
+    if out.is_empty() { vec![vec![0.0; x.len()]] } else { out }
+}

@@ -1,0 +1,35 @@
+//! Reconciliation: measured runs and a machine model in; out comes where they disagree, which effect is missing, a
+//! better model, and how far the gap shrank.
+
+mod analysis;
+mod chance;
+mod fit;
+mod gram;
+mod hypotheses;
+mod problem;
+mod report;
+mod search;
+mod verdict;
+mod wherein;
+
+pub use analysis::{Answer, Finding, Rival, Tried, analyse};
+pub use chance::SEED;
+pub use hypotheses::Shape;
+pub use report::html;
+pub use verdict::{Gap, Reconciliation, Refined, Trace, reconcile};
+pub use wherein::Place;
+
+/// What a reconciliation may be told.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Probability with which chance alone may lead to an answer other than "nothing is missing".
+    pub level: f64,
+    /// The date that added effects carry, ISO 8601.
+    pub date: Option<String>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { level: 0.01, date: None }
+    }
+}

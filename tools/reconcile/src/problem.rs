@@ -1,0 +1,203 @@
+//! The runs and the model as one least-squares problem: every response of every record one under the other.
+
+use rtec_model::effect::{Effect, Search};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Record, Role};
+use std::ops::Range;
+
+/// One response of one record: a stretch of rows of the stack.
+#[derive(Debug, Clone)]
+pub(crate) struct Segment {
+    pub(crate) record: usize,
+    pub(crate) response: usize,
+    pub(crate) rows: Range<usize>,
+}
+
+/// All rows of all responses, measured.
+#[derive(Debug)]
+pub(crate) struct Stack<'r> {
+    pub(crate) records: &'r [Record],
+    pub(crate) responses: Vec<Role>,
+    pub(crate) segments: Vec<Segment>,
+    pub(crate) ranges: Vec<Range<usize>>,
+    pub(crate) n: usize,
+    pub(crate) measured: Vec<f64>,
+    /// What each response is divided by, so that its noise has about unit size.
+    pub(crate) sigma: Vec<f64>,
+}
+
+impl<'r> Stack<'r> {
+    pub(crate) fn new(records: &'r [Record]) -> Self {
+        let mut responses: Vec<Role> = Vec::new();
+        let (mut segments, mut measured) = (Vec::new(), Vec::new());
+        for (r, record) in records.iter().enumerate() {
+            for column in record.responses() {
+                let response = responses.iter().position(|x| *x == column.role).unwrap_or_else(|| {
+                    responses.push(column.role.clone());
+                    responses.len() - 1
+                });
+                let start = measured.len();
+                measured.extend_from_slice(&column.data);
+                segments.push(Segment { record: r, response, rows: start..measured.len() });
+            }
+        }
+        let ranges = segments.iter().map(|s| s.rows.clone()).collect();
+        let sigma = vec![1.0; responses.len()];
+        Self { records, responses, segments, ranges, n: measured.len(), measured, sigma }
+    }
+
+    pub(crate) fn record(&self, segment: &Segment) -> &'r Record {
+        &self.records[segment.record]
+    }
+
+    /// Divides a stacked column by the noise size of each response.
+    pub(crate) fn weigh(&self, column: &mut [f64]) {
+        for s in &self.segments {
+            for x in &mut column[s.rows.clone()] {
+                *x /= self.sigma[s.response];
+            }
+        }
+    }
+
+    /// A stacked column from a function of record and row, only for one response (or all of them).
+    pub(crate) fn column(&self, only: Option<usize>, value: impl Fn(&Record, usize) -> f64) -> Vec<f64> {
+        let mut out = vec![0.0; self.n];
+        for s in self.segments.iter().filter(|s| only.is_none_or(|o| o == s.response)) {
+            let record = self.record(s);
+            for (row, x) in out[s.rows.clone()].iter_mut().enumerate() {
+                *x = value(record, row);
+            }
+        }
+        out
+    }
+
+    /// Sum of effects, stacked. An effect whose sensor a record lacks is absent there.
+    pub(crate) fn predict<'e>(&self, effects: impl IntoIterator<Item = &'e Effect>) -> Vec<f64> {
+        let mut out = vec![0.0; self.n];
+        for effect in effects {
+            for s in &self.segments {
+                let role = &self.responses[s.response];
+                let _absent = effect.add(self.record(s), role, &mut out[s.rows.clone()]);
+            }
+        }
+        out
+    }
+
+    /// The basis columns of an effect, stacked; constraints taken in, so that the columns are free.
+    pub(crate) fn basis(&self, effect: &Effect) -> Vec<Vec<f64>> {
+        let k = effect.coefficient_count();
+        let raw = self.collect(effect, k, |bound, component, out| bound.basis(effect, component, out));
+        let free = free_directions(&effect.constraints(), k);
+        if free.is_empty() {
+            return raw;
+        }
+        free.iter()
+            .map(|weights| {
+                let mut out = vec![0.0; self.n];
+                for (w, column) in weights.iter().zip(&raw) {
+                    out.iter_mut().zip(column).for_each(|(o, c)| *o += w * c);
+                }
+                out
+            })
+            .collect()
+    }
+
+    /// Derivatives of an effect by its values, stacked.
+    pub(crate) fn slopes(&self, effect: &Effect) -> Vec<Vec<f64>> {
+        self.collect(effect, effect.values().len(), |bound, component, out| {
+            bound.slopes(effect, component, out)
+        })
+    }
+
+    fn collect(
+        &self,
+        effect: &Effect,
+        k: usize,
+        fill: impl Fn(&rtec_model::effect::Bound<'_>, usize, &mut [f64]),
+    ) -> Vec<Vec<f64>> {
+        let mut out = vec![vec![0.0; self.n]; k];
+        for s in &self.segments {
+            let record = self.record(s);
+            let acts = effect.acts_on(record);
+            let role = &self.responses[s.response];
+            let (Some((_, component)), Ok(bound)) =
+                (acts.iter().find(|(r, _)| r == role), effect.bind(record))
+            else {
+                continue;
+            };
+            let rows = record.rows();
+            let mut buffer = vec![0.0; rows * k];
+            fill(&bound, *component, &mut buffer);
+            for (column, part) in out.iter_mut().zip(buffer.chunks(rows)) {
+                column[s.rows.clone()].copy_from_slice(part);
+            }
+        }
+        out
+    }
+}
+
+/// Directions in coefficient space that fulfil the constraints, orthonormal; empty where there are none.
+pub(crate) fn free_directions(constraints: &[Vec<f64>], k: usize) -> Vec<Vec<f64>> {
+    if constraints.is_empty() {
+        return Vec::new();
+    }
+    let mut basis: Vec<Vec<f64>> = Vec::new();
+    let units = (0..k).map(|i| (0..k).map(|j| f64::from(u8::from(i == j))).collect::<Vec<f64>>());
+    for (i, mut v) in constraints.iter().cloned().chain(units).enumerate() {
+        for _ in 0..2 {
+            for b in &basis {
+                let d: f64 = v.iter().zip(b).map(|(x, y)| x * y).sum();
+                v.iter_mut().zip(b).for_each(|(x, y)| *x -= d * y);
+            }
+        }
+        let len = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if len > 1e-6 || i < constraints.len() {
+            basis.push(v.iter().map(|x| x / len.max(1e-300)).collect());
+        }
+    }
+    basis.split_off(constraints.len())
+}
+
+/// A value of the present model that may be a little off: its slope, and how far the model may be trusted.
+#[derive(Debug, Clone)]
+pub(crate) struct Known {
+    /// Place of the effect in the model.
+    pub(crate) effect: usize,
+    /// Place of the value among the effect's.
+    pub(crate) value: usize,
+    /// Slope, weighed.
+    pub(crate) column: Vec<f64>,
+    /// Expected deviation of the file's value, in the value's own unit.
+    pub(crate) sd: f64,
+    /// File's value minus the value it is linearised at.
+    pub(crate) target: f64,
+}
+
+/// How far a model's value may be off, as a share of what its effect does to the error: one standard deviation.
+const TRUST: f64 = 0.3;
+
+/// The parameters of the model's effects, linearised at `now`; `file` holds the values the file gives.
+pub(crate) fn known(stack: &Stack<'_>, file: &Machine, now: &[Effect]) -> Vec<Known> {
+    let mut out = Vec::new();
+    for (e, (effect, listed)) in now.iter().zip(file.effects()).enumerate() {
+        let mut size = stack.predict([effect]);
+        stack.weigh(&mut size);
+        let size = rms(&size).max(3.0 / (stack.n as f64).sqrt());
+        let width = effect.width();
+        for (v, mut column) in stack.slopes(effect).into_iter().enumerate() {
+            stack.weigh(&mut column);
+            let reach = rms(&column);
+            if effect.card().parameters[v / width].search == Search::Chosen || reach < 1e-12 {
+                continue;
+            }
+            let sd = TRUST * size / reach;
+            let target = listed.values()[v] - effect.values()[v];
+            out.push(Known { effect: e, value: v, column, sd, target });
+        }
+    }
+    out
+}
+
+pub(crate) fn rms(v: &[f64]) -> f64 {
+    (crate::gram::dot(v, v) / v.len().max(1) as f64).sqrt()
+}

@@ -1,0 +1,309 @@
+//! `report.html`: the answer for a person, in one file, plots inside.
+
+use crate::verdict::{Reconciliation, Trace};
+use std::fmt::Write as _;
+
+const WIDTH: f64 = 860.0;
+
+/// The report.
+#[must_use]
+pub fn html(r: &Reconciliation, machine: &str) -> String {
+    let mut h = String::new();
+    let _ = write!(
+        h,
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Reconciliation of {0}</title><style>\
+         body{{font:15px/1.45 system-ui,sans-serif;color:#1c2733;max-width:{WIDTH}px;margin:2em auto;padding:0 1em}}\
+         h1{{font-size:1.5em;margin-bottom:.2em}}h2{{font-size:1.1em;margin:1.8em 0 .4em;border-bottom:1px solid #ccd5de}}\
+         table{{border-collapse:collapse;width:100%}}td,th{{text-align:left;padding:.25em .6em .25em 0;border-bottom:1px solid #e6ebf0;\
+         vertical-align:top}}td.n,th.n{{text-align:right;font-variant-numeric:tabular-nums}}.verdict{{font-size:1.15em}}\
+         .tag{{display:inline-block;padding:.1em .6em;border-radius:.3em;color:#fff;background:{1}}}\
+         svg{{display:block;margin:.6em 0}}small{{color:#5b6b7b}}.bar{{background:#2f6fb0;height:.8em}}.no{{background:#c3ccd6}}</style>\
+         <h1>Reconciliation of {0}</h1><p class=\"verdict\"><span class=\"tag\">{2}</span> {3}</p>",
+        escape(machine),
+        match r.verdict {
+            "named" => "#2a7d46",
+            "nothing_missing" => "#5b6b7b",
+            "not_separable" => "#b36b00",
+            _ => "#a33",
+        },
+        r.verdict.replace('_', " "),
+        escape(&headline(r)),
+    );
+    gap(&mut h, r);
+    effects(&mut h, r);
+    if !r.refined.is_empty() {
+        h.push_str("<h2>What the model had slightly wrong</h2><table><tr><th>effect<th>parameter<th class=n>model<th class=n>data<th class=n>interval");
+        for x in &r.refined {
+            for (i, p) in x.before.card().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
+                let (b, a, half) = (x.before.scalar(i), x.after.0.scalar(i), x.after.1[i]);
+                let _ = write!(
+                    h,
+                    "<tr><td>{}<td>{} ({})<td class=n>{}<td class=n>{}<td class=n>{} … {}",
+                    escape(&x.before.name()),
+                    p.name,
+                    p.unit,
+                    number(b),
+                    number(a),
+                    number(a - half),
+                    number(a + half)
+                );
+            }
+        }
+        h.push_str("</table>");
+    }
+    h.push_str("<h2>Measured minus simulated, before and after</h2>");
+    for t in &r.traces {
+        trace(&mut h, t);
+    }
+    places(&mut h, r);
+    ranking(&mut h, r);
+    if !r.advice.is_empty() {
+        let _ = write!(h, "<h2>Next experiment</h2><p>{}</p>", escape(&r.advice));
+    }
+    let _ = write!(
+        h,
+        "<p><small>False-alarm rate {}; block permutation, seed {}; noise autocorrelation from row to row {}. Intervals hold 95 %.</small></p></html>",
+        r.level,
+        crate::SEED,
+        number(r.phi)
+    );
+    h
+}
+
+fn headline(r: &Reconciliation) -> String {
+    let names = r.effects.iter().map(|(f, _)| f.effect.name()).collect::<Vec<_>>().join(", ");
+    match r.verdict {
+        "named" => format!("missing: {names}"),
+        "not_separable" => {
+            format!("something is missing; likeliest {names}, but this data cannot tell it from its rivals")
+        }
+        "unknown_effect" => r
+            .unexplained
+            .iter()
+            .map(|s| {
+                format!(
+                    "{} has structure against {} ({}) that no known effect explains",
+                    s.response,
+                    s.against.join(" and "),
+                    s.manner
+                )
+            })
+            .collect::<Vec<_>>()
+            .join("; "),
+        _ if r.refined.is_empty() => "model and measurement agree".to_owned(),
+        _ => "no effect is missing; parameters of the model were corrected".to_owned(),
+    }
+}
+
+fn gap(h: &mut String, r: &Reconciliation) {
+    h.push_str("<h2>The gap</h2><table><tr><th>records<th class=n>RMS before<th class=n>after<th class=n>floor<th class=n>closed");
+    for g in &r.gap {
+        let closed = g.closed().map_or_else(|| "–".to_owned(), |c| format!("{:.1} %", 100.0 * c));
+        let mut row = |name: &str, pair: [f64; 2], closed: &str| {
+            let _ = write!(
+                h,
+                "<tr><td>{name}<td class=n>{} {u}<td class=n>{} {u}<td class=n>{} {u}<td class=n>{closed}",
+                number(pair[0]),
+                number(pair[1]),
+                number(g.floor),
+                u = if g.unit == "um" { "µm" } else { &g.unit }
+            );
+        };
+        row("training", g.train, "");
+        if let Some(p) = g.holdout {
+            row("hold-out, never used before", p, &closed);
+        }
+        if let Some(p) = g.blocked {
+            row("training, blocks left out in turn", p, &closed);
+        }
+    }
+    h.push_str("</table>");
+}
+
+fn effects(h: &mut String, r: &Reconciliation) {
+    if r.effects.is_empty() {
+        return;
+    }
+    h.push_str("<h2>What is missing</h2><table><tr><th>effect<th>law<th>parameter<th class=n>value<th class=n>interval<th>what else it might be");
+    for (f, half) in &r.effects {
+        let card = f.effect.card();
+        let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+        let rivals = f
+            .rivals
+            .iter()
+            .map(|v| {
+                let s = v.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+                format!("{}{s}, odds 1:{:.1}", v.name, v.margin.exp())
+            })
+            .collect::<Vec<_>>()
+            .join("<br>");
+        for (i, p) in card.parameters.iter().enumerate() {
+            let (value, interval) = if p.array {
+                (format!("{} values", f.effect.width()), String::new())
+            } else {
+                let (v, w) = (f.effect.scalar(i), half[i]);
+                (
+                    number(v),
+                    if w > 0.0 { format!("{} … {}", number(v - w), number(v + w)) } else { "held".into() },
+                )
+            };
+            let (name, law, rivals) = if i == 0 {
+                (escape(&f.effect.name()) + &escape(&sensor), escape(&card.law), rivals.clone())
+            } else {
+                Default::default()
+            };
+            let _ = write!(
+                h,
+                "<tr><td>{name}<td><small>{law}</small><td>{} ({})<td class=n>{value}<td class=n>{interval}<td>{rivals}",
+                p.name, p.unit
+            );
+        }
+        let p = if f.p_value < 1e-6 { "below 10⁻⁶".to_owned() } else { number(f.p_value) };
+        let _ = write!(
+            h,
+            "<tr><td colspan=6><small>{}: {}. Probability that chance alone explains as much: {p}.</small>",
+            escape(&f.effect.name()),
+            escape(&card.cause)
+        );
+    }
+    h.push_str("</table>");
+}
+
+/// A plot of a trace: rows along, before in grey, after in blue.
+fn trace(h: &mut String, t: &Trace) {
+    let (left, top, w, hh) = (56.0, 14.0, WIDTH - 70.0, 170.0);
+    let all = || t.before.iter().chain(&t.after).copied();
+    let (mut lo, mut hi) = (all().fold(f64::MAX, f64::min), all().fold(f64::MIN, f64::max));
+    if hi - lo < 1e-12 {
+        (lo, hi) = (lo - 1.0, hi + 1.0);
+    }
+    let n = t.before.len();
+    let x = |i: usize| left + w * i as f64 / (n.max(2) - 1) as f64;
+    let y = |v: f64| top + hh * (hi - v) / (hi - lo);
+    let unit = if t.response.starts_with("force") { "N" } else { "µm" };
+    let _ = write!(
+        h,
+        "<svg viewBox=\"0 0 {WIDTH} {0}\" width=\"{WIDTH}\" role=\"img\"><text x=\"{left}\" y=\"10\" font-size=\"12\">{1}, {2}{3} — {unit} over rows</text>",
+        top + hh + 24.0,
+        escape(&t.file),
+        escape(&t.response),
+        if t.holdout { ", hold-out" } else { "" }
+    );
+    for v in ticks(lo, hi) {
+        let _ = write!(
+            h,
+            "<line x1=\"{left}\" x2=\"{0:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\" stroke=\"#e1e7ed\"/><text x=\"{2}\" y=\"{3:.1}\" font-size=\"11\" text-anchor=\"end\" fill=\"#5b6b7b\">{4}</text>",
+            left + w,
+            y(v),
+            left - 5.0,
+            y(v) + 4.0,
+            number(v)
+        );
+    }
+    for (data, colour, name, at) in
+        [(&t.before, "#9aa7b4", "before", 0.0), (&t.after, "#2f6fb0", "after", 70.0)]
+    {
+        let mut path = String::new();
+        // At most a least and a largest value per pixel column.
+        let group = (n / 800).max(1);
+        for (g, part) in data.chunks(group).enumerate() {
+            let (l, u) = part.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(*v), u.max(*v)));
+            let both = if group == 1 { vec![part[0]] } else { vec![l, u] };
+            for v in both {
+                let _ = write!(
+                    path,
+                    "{}{:.1} {:.1}",
+                    if path.is_empty() { "M" } else { "L" },
+                    x(g * group),
+                    y(v)
+                );
+            }
+        }
+        let _ = write!(
+            h,
+            "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.2\"/><text x=\"{0}\" y=\"{1}\" font-size=\"12\" fill=\"{colour}\">{name}</text>",
+            left + at,
+            top + hh + 18.0
+        );
+    }
+    h.push_str("</svg>");
+}
+
+fn places(h: &mut String, r: &Reconciliation) {
+    h.push_str("<h2>Where it lived</h2><table><tr><th>response<th>against<th class=n>share explained<th class=n>p<th>mean over it");
+    for p in r.places.iter().filter(|p| p.q_value <= 0.05).take(14) {
+        let (lo, hi) = p.profile.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(v[1]), u.max(v[1])));
+        let (a, b) = (p.profile[0][0], p.profile[p.profile.len() - 1][0]);
+        let mut line = String::new();
+        for v in &p.profile {
+            let x = 70.0 + 160.0 * (v[0] - a) / (b - a).max(1e-300);
+            let y = 4.0 + 28.0 * (hi - v[1]) / (hi - lo).max(1e-300);
+            let _ = write!(line, "{}{x:.1} {y:.1}", if line.is_empty() { "M" } else { "L" });
+        }
+        let _ = write!(
+            h,
+            "<tr><td>{}<td>{}<td class=n>{:.1} %<td class=n>{}<td><svg viewBox=\"0 0 240 36\" width=\"240\" style=\"margin:0\"><text x=\"64\" y=\"12\" font-size=\"10\" text-anchor=\"end\">{}</text><text x=\"64\" y=\"34\" font-size=\"10\" text-anchor=\"end\">{}</text><path d=\"{line}\" fill=\"none\" stroke=\"#2f6fb0\" stroke-width=\"1.5\"/></svg>",
+            escape(&p.response),
+            escape(&p.against),
+            100.0 * p.statistic,
+            if p.p_value < 1e-6 { "&lt; 10⁻⁶".to_owned() } else { number(p.p_value) },
+            number(hi),
+            number(lo)
+        );
+    }
+    h.push_str("</table>");
+    if !r.places.iter().any(|p| p.q_value <= 0.05) {
+        h.push_str("<p>Nowhere beyond chance (false-discovery rate 5 %).</p>");
+    }
+}
+
+fn ranking(h: &mut String, r: &Reconciliation) {
+    h.push_str("<h2>What was tried</h2><table><tr><th>explanation<th class=n>log odds<th>margin<th>why");
+    let worst = r.ranking.iter().map(|t| t.odds).fold(-1.0, f64::min);
+    for t in r.ranking.iter().take(16) {
+        let (why, class) = if t.accepted {
+            ("accepted", "bar")
+        } else if r.effects.is_empty() {
+            ("no better than chance, for the freedom it takes", "bar no")
+        } else if t.odds > -3.0 {
+            ("cannot be told from what was accepted", "bar no")
+        } else {
+            ("explains less, or needs more freedom", "bar no")
+        };
+        let width = 100.0 * (1.0 - t.odds / worst.min(-1.0)).clamp(0.02, 1.0);
+        let _ = write!(
+            h,
+            "<tr><td>{}<td class=n>{:.1}<td width=\"30%\"><div class=\"{class}\" style=\"width:{width:.0}%\"></div><td><small>{why}</small>",
+            escape(&t.label),
+            t.odds
+        );
+    }
+    h.push_str("</table>");
+}
+
+/// Two to five round values inside a range.
+fn ticks(lo: f64, hi: f64) -> Vec<f64> {
+    let raw = (hi - lo) / 4.0;
+    let power = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].iter().map(|m| m * power).find(|s| *s >= raw).unwrap_or(raw);
+    let first = (lo / step).ceil() as i64;
+    (first..first + 8).map(|i| i as f64 * step).filter(|v| *v <= hi).collect()
+}
+
+/// Four significant digits.
+fn number(v: f64) -> String {
+    if v == 0.0 || !v.is_finite() {
+        return format!("{v}");
+    }
+    let digits = 3 - v.abs().log10().floor() as i32;
+    if (-3..=8).contains(&digits) {
+        let text = format!("{:.*}", digits.max(0) as usize, v);
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    } else {
+        format!("{v:.3e}")
+    }
+}
+
+fn escape(s: &str) -> String {
+    s.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

@@ -1,0 +1,870 @@
+//! The search for the set of effects that explains what the model does not: a beam over sets, every hypothesis fitted
+//! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
+
+use crate::gram::{Bank, Cholesky, Products, Vector, dot};
+use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column};
+use crate::problem::{Known, Stack};
+use rtec_model::effect::Effect;
+use rustfft::FftPlanner;
+use rustfft::num_complex::Complex64;
+use std::cell::RefCell;
+use std::f64::consts::TAU;
+
+/// Noise coefficients that every fit is tried at: tanh of an even grid.
+const NOISE_STEP: f64 = 0.35;
+const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=7;
+
+/// Most frequencies that a periodogram is computed at.
+const MOST_FREQUENCIES: f64 = 262_144.0;
+
+/// Spacing of the frequencies, in periods over the span.
+const FREQUENCY_STEP: f64 = 0.3;
+
+/// A fit at one noise coefficient.
+#[derive(Debug, Clone)]
+pub(crate) struct AtPhi {
+    pub(crate) phi: f64,
+    pub(crate) factor: Cholesky,
+    /// L⁻¹ of the right-hand side.
+    pub(crate) z: Vec<f64>,
+    pub(crate) rss: f64,
+}
+
+/// An accepted explanation inside a set.
+#[derive(Debug, Clone)]
+pub(crate) struct Member {
+    pub(crate) cause: Cause,
+    pub(crate) hypothesis: usize,
+    pub(crate) cost: f64,
+    vectors: Vec<usize>,
+}
+
+impl Member {
+    /// Number of its coefficients.
+    pub(crate) fn columns(&self) -> usize {
+        self.vectors.len()
+    }
+}
+
+/// A set of explanations, fitted.
+#[derive(Debug, Clone)]
+pub(crate) struct Set {
+    pub(crate) members: Vec<Member>,
+    /// Log likelihood less the price of all freedom.
+    pub(crate) score: f64,
+    pub(crate) loglik: f64,
+    pub(crate) phi: f64,
+    pub(crate) fits: Vec<AtPhi>,
+    pub(crate) ids: Vec<usize>,
+}
+
+/// An explanation that could join a set.
+#[derive(Debug, Clone)]
+pub(crate) struct Offer {
+    pub(crate) cause: Cause,
+    pub(crate) hypothesis: usize,
+    pub(crate) cost: f64,
+    /// Score of the set with it.
+    pub(crate) score: f64,
+    /// The same, averaged over the grid instead of its best point: what the hypothesis as a whole is worth.
+    pub(crate) evidence: f64,
+    columns: Source,
+}
+
+#[derive(Debug, Clone)]
+enum Source {
+    Bank(Vec<usize>),
+    Made(Vec<Vec<f64>>),
+}
+
+/// Everything that a search keeps.
+pub(crate) struct Search<'p, 'r> {
+    pub(crate) stack: &'p Stack<'r>,
+    pub(crate) all: &'p Hypotheses,
+    pub(crate) waves: &'p [Wave],
+    pub(crate) known: &'p [Known],
+    pub(crate) vectors: Vec<Vector>,
+    /// Products of each vector with the bank's columns.
+    pub(crate) with_bank: Vec<Vec<Products>>,
+    /// Products among vectors: `pairs[i][j]`, j ≤ i.
+    pairs: Vec<Vec<Products>>,
+    /// Products among the columns of each atom, packed by rows of the lower triangle.
+    pub(crate) own: Vec<Vec<Products>>,
+    /// Degrees of freedom that noise is judged by.
+    pub(crate) nu: f64,
+    pub(crate) phis: Vec<f64>,
+    planner: RefCell<FftPlanner<f64>>,
+    /// Frequencies worth a look, per wave: the highest peaks met so far.
+    peaks: RefCell<Vec<Vec<f64>>>,
+}
+
+/// A name with everything that speaks for it.
+pub(crate) struct Ranked {
+    pub(crate) name: String,
+    pub(crate) evidence: f64,
+    /// One per sensor, best first.
+    pub(crate) offers: Vec<Offer>,
+}
+
+/// The columns of a hypothesis against a set: products with the set's vectors, with the response, among themselves.
+struct Cross {
+    /// `[column][vector of the set]`
+    with_set: Vec<Vec<Products>>,
+    with_y: Vec<Products>,
+    own: Vec<Products>,
+}
+
+impl<'p, 'r> Search<'p, 'r> {
+    /// `missing`: measured minus simulated, weighed.
+    pub(crate) fn new(
+        stack: &'p Stack<'r>,
+        all: &'p Hypotheses,
+        waves: &'p [Wave],
+        known: &'p [Known],
+        missing: Vec<f64>,
+    ) -> Self {
+        let phis = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
+        let own = all.atoms.iter().map(|a| own_products(&a.columns, &all.bank, stack)).collect();
+        let nu = (stack.n as f64 - known.len() as f64).max(stack.n as f64 / 2.0);
+        let mut s = Self {
+            stack,
+            all,
+            waves,
+            known,
+            vectors: Vec::new(),
+            with_bank: Vec::new(),
+            pairs: Vec::new(),
+            own,
+            nu,
+            phis,
+            planner: RefCell::new(FftPlanner::new()),
+            peaks: RefCell::new(vec![Vec::new(); waves.len()]),
+        };
+        let mut start = vec![missing];
+        start.extend(known.iter().map(|k| k.column.clone()));
+        s.register(start);
+        s
+    }
+
+    /// Adds vectors; gives the number of the first.
+    fn register(&mut self, columns: Vec<Vec<f64>>) -> usize {
+        let first = self.vectors.len();
+        let made: Vec<Vector> = columns.into_iter().map(|c| Vector::new(c, &self.stack.ranges)).collect();
+        let with_bank = self.all.bank.products(&made.iter().collect::<Vec<_>>(), &self.stack.ranges);
+        for (v, b) in made.into_iter().zip(with_bank) {
+            self.vectors.push(v);
+            self.with_bank.push(b);
+            let last = self.vectors.len() - 1;
+            let row = (0..=last)
+                .map(|j| self.vectors[last].products(&self.vectors[j].data, &self.stack.ranges))
+                .collect();
+            self.pairs.push(row);
+        }
+        first
+    }
+
+    fn pair(&self, a: usize, b: usize) -> Products {
+        if a >= b { self.pairs[a][b] } else { self.pairs[b][a] }
+    }
+
+    fn fits(&self, ids: &[usize]) -> Vec<AtPhi> {
+        let b = ids.len();
+        self.phis
+            .iter()
+            .map(|&phi| {
+                let mut a = vec![0.0; b * b];
+                for i in 0..b {
+                    for j in 0..=i {
+                        a[i * b + j] = self.pair(ids[i], ids[j]).at(phi);
+                    }
+                }
+                let mut g: Vec<f64> = ids.iter().map(|i| self.pair(*i, 0).at(phi)).collect();
+                let mut rss = self.pair(0, 0).at(phi);
+                for (i, k) in self.known.iter().enumerate() {
+                    // What the file says of a parameter counts as one more observation of it.
+                    let w = 1.0 / (k.sd * k.sd);
+                    a[i * b + i] += w;
+                    g[i] += w * k.target;
+                    rss += w * k.target * k.target;
+                }
+                let factor = Cholesky::new(&a, b);
+                let mut z = g;
+                factor.forward(&mut z);
+                let rss = (rss - dot(&z, &z)).max(1e-9);
+                AtPhi { phi, factor, z, rss }
+            })
+            .collect()
+    }
+
+    pub(crate) fn loglik(&self, at: &AtPhi, gain: f64) -> f64 {
+        self.loglik_of(at.phi, (at.rss - gain).max(1e-9 * at.rss))
+    }
+
+    pub(crate) fn loglik_of(&self, phi: f64, rss: f64) -> f64 {
+        let segments = self.stack.ranges.len() as f64;
+        -0.5 * self.nu * (rss / self.nu).ln() + 0.5 * segments * (1.0 - phi * phi).ln()
+    }
+
+    /// Best over the noise coefficient, from values on its grid: a parabola through the best three.
+    pub(crate) fn best_phi(&self, loglik: &[f64]) -> (f64, f64) {
+        let top = (0..loglik.len()).max_by(|a, b| loglik[*a].total_cmp(&loglik[*b])).unwrap_or(0);
+        if top == 0 || top + 1 == loglik.len() {
+            return (loglik[top], self.phis[top]);
+        }
+        let (a, b, c) = (loglik[top - 1], loglik[top], loglik[top + 1]);
+        let bend = a - 2.0 * b + c;
+        let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
+        let at = (f64::from(*NOISE_GRID.start()) + top as f64 + shift) * NOISE_STEP;
+        (b - 0.25 * (a - c) * shift, at.tanh())
+    }
+
+    pub(crate) fn dimension_cost(&self) -> f64 {
+        0.5 * (self.stack.n as f64).ln()
+    }
+
+    fn set(&self, members: Vec<Member>) -> Set {
+        let mut ids: Vec<usize> = (1..=self.known.len()).collect();
+        ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
+        let fits = self.fits(&ids);
+        let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
+        let (loglik, phi) = self.best_phi(&values);
+        let price: f64 =
+            members.iter().map(|m| m.cost + self.dimension_cost() * m.vectors.len() as f64).sum();
+        Set { members, score: loglik - price, loglik, phi, fits, ids }
+    }
+
+    pub(crate) fn empty(&self) -> Set {
+        self.set(Vec::new())
+    }
+
+    /// The set without one member.
+    pub(crate) fn without(&self, set: &Set, member: usize) -> Set {
+        let mut members = set.members.clone();
+        members.remove(member);
+        self.set(members)
+    }
+
+    fn price(&self, set: &Set, cost: f64, columns: usize) -> f64 {
+        set.loglik - set.score + cost + self.dimension_cost() * columns as f64
+    }
+
+    /// Log likelihood of the set with further columns.
+    fn extended(&self, set: &Set, cross: &Cross) -> f64 {
+        let k = cross.with_y.len();
+        let b = set.ids.len();
+        let mut values = Vec::with_capacity(self.phis.len());
+        let (mut a, mut m, mut g) = (vec![0.0; k * b], vec![0.0; k * k], vec![0.0; k]);
+        for at in &set.fits {
+            for c in 0..k {
+                let row = &mut a[c * b..(c + 1) * b];
+                for (x, p) in row.iter_mut().zip(&cross.with_set[c]) {
+                    *x = p.at(at.phi);
+                }
+                at.factor.forward(row);
+                g[c] = cross.with_y[c].at(at.phi) - dot(row, &at.z);
+            }
+            let mut p = 0;
+            for i in 0..k {
+                for j in 0..=i {
+                    let full = cross.own[p].at(at.phi);
+                    p += 1;
+                    let left = full - dot(&a[i * b..(i + 1) * b], &a[j * b..(j + 1) * b]);
+                    // What the set explains already to 1 part in 10⁶ is no new explanation.
+                    m[i * k + j] = if i == j && left < 1e-6 * full { f64::INFINITY } else { left };
+                }
+            }
+            let factor = Cholesky::new(&m, k);
+            factor.forward(&mut g);
+            let gain: f64 = g.iter().filter(|x| x.is_finite()).map(|x| x * x).sum();
+            values.push(self.loglik(at, gain));
+        }
+        self.best_phi(&values).0
+    }
+
+    fn bank_cross(&self, set: &Set, atom: usize) -> Cross {
+        let columns = &self.all.atoms[atom].columns;
+        Cross {
+            with_set: columns
+                .iter()
+                .map(|c| set.ids.iter().map(|i| self.with_bank[*i][*c]).collect())
+                .collect(),
+            with_y: columns.iter().map(|c| self.with_bank[0][*c]).collect(),
+            own: self.own[atom].clone(),
+        }
+    }
+
+    fn made_cross(&self, set: &Set, columns: &[Vec<f64>]) -> Cross {
+        let ranges = &self.stack.ranges;
+        let made: Vec<Vector> = columns.iter().map(|c| Vector::new(c.clone(), ranges)).collect();
+        let mut own = Vec::new();
+        for i in 0..made.len() {
+            own.extend((0..=i).map(|j| made[i].products(&made[j].data, ranges)));
+        }
+        Cross {
+            with_set: made
+                .iter()
+                .map(|m| set.ids.iter().map(|i| m.products(&self.vectors[*i].data, ranges)).collect())
+                .collect(),
+            with_y: made.iter().map(|m| m.products(&self.vectors[0].data, ranges)).collect(),
+            own,
+        }
+    }
+
+    /// The best grid point of every hypothesis as an addition to a set, best first.
+    pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
+        let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
+        for (i, atom) in self.all.atoms.iter().enumerate() {
+            let cross = self.bank_cross(set, i);
+            let score = self.extended(set, &cross) - self.price(set, atom.cost, atom.columns.len());
+            let place = &mut best[atom.hypothesis];
+            *place = Some(match *place {
+                None => (score, i, score),
+                Some((s, at, all)) if s >= score => (s, at, log_sum(all, score)),
+                Some((_, _, all)) => (score, i, log_sum(all, score)),
+            });
+        }
+        let mut offers: Vec<Offer> = best
+            .into_iter()
+            .flatten()
+            .map(|(score, i, evidence)| {
+                let atom: &Atom = &self.all.atoms[i];
+                Offer {
+                    cause: atom.cause.clone(),
+                    hypothesis: atom.hypothesis,
+                    cost: atom.cost,
+                    score,
+                    evidence,
+                    columns: Source::Bank(atom.columns.clone()),
+                }
+            })
+            .collect();
+        for (i, wave) in self.waves.iter().enumerate() {
+            if fresh {
+                self.find_peaks(set, i);
+            }
+            offers.extend(self.wave(set, wave, &self.peaks.borrow()[i]));
+        }
+        offers.sort_by(|a, b| b.score.total_cmp(&a.score));
+        offers
+    }
+
+    /// What the set leaves unexplained, weighed.
+    pub(crate) fn residual(&self, set: &Set) -> (Vec<f64>, f64) {
+        let top = (0..set.fits.len())
+            .max_by(|a, b| self.loglik(&set.fits[*a], 0.0).total_cmp(&self.loglik(&set.fits[*b], 0.0)))
+            .unwrap_or(0);
+        let fit = &set.fits[top];
+        let mut beta = fit.z.clone();
+        fit.factor.backward(&mut beta);
+        let mut r = self.vectors[0].data.clone();
+        for (b, i) in beta.iter().zip(&set.ids) {
+            r.iter_mut().zip(&self.vectors[*i].data).for_each(|(r, x)| *r -= b * x);
+        }
+        (r, fit.phi)
+    }
+
+    /// Coefficients of the set at its best noise coefficient: known parameters' changes, then members' in order.
+    pub(crate) fn coefficients(&self, set: &Set) -> Vec<f64> {
+        let fits = self.fits(&set.ids);
+        let top = (0..fits.len())
+            .max_by(|a, b| self.loglik(&fits[*a], 0.0).total_cmp(&self.loglik(&fits[*b], 0.0)))
+            .unwrap_or(0);
+        let mut beta = fits[top].z.clone();
+        fits[top].factor.backward(&mut beta);
+        beta
+    }
+
+    /// Frequencies at which the periodogram of what a set leaves is highest, added to the wave's list.
+    fn find_peaks(&self, set: &Set, at: usize) {
+        let wave = &self.waves[at];
+        let Some((rows, lo, span)) = self.extent(wave) else { return };
+        let from = wave.from.max(0.5 / span);
+        if wave.to <= from {
+            return;
+        }
+        let (residual, phi) = self.residual(set);
+        let step = FREQUENCY_STEP / span;
+        let count = ((wave.to - from) / step).ceil().min(MOST_FREQUENCIES).max(2.0) as usize;
+        let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
+        let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+        gaps.sort_by(f64::total_cmp);
+        let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
+        let list = &mut self.peaks.borrow_mut()[at];
+        for p in [0.0, phi] {
+            if p != 0.0 && p.abs() < 0.3 {
+                continue;
+            }
+            let u = sharpened(&residual, p, &self.stack.ranges);
+            let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
+            let mut power = periodogram(&mut self.planner.borrow_mut(), &x, &u, from, step, count);
+            if p != 0.0 {
+                for (i, p2) in power.iter_mut().enumerate() {
+                    let f = from + step * i as f64;
+                    *p2 /= 1.0 + p * p - 2.0 * p * (TAU * f * gap).cos();
+                }
+            }
+            for _ in 0..3 {
+                let top = (0..count).max_by(|a, b| power[*a].total_cmp(&power[*b])).unwrap_or(0);
+                let f = from + step * top as f64;
+                if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
+                    list.push(f);
+                }
+                power[top.saturating_sub(4)..(top + 5).min(count)].fill(0.0);
+            }
+        }
+    }
+
+    /// Rows of a wave's response, the variable's least value there and its span.
+    fn extent(&self, wave: &Wave) -> Option<(Vec<usize>, f64, f64)> {
+        let rows: Vec<usize> = self
+            .stack
+            .segments
+            .iter()
+            .filter(|s| s.response == wave.response)
+            .flat_map(|s| s.rows.clone())
+            .collect();
+        let (lo, hi) = rows
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(wave.along[*r]), h.max(wave.along[*r])));
+        (hi > lo).then_some((rows, lo, hi - lo))
+    }
+
+    /// The best period of a periodic hypothesis: each peak refined exactly.
+    fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64]) -> Option<Offer> {
+        let (_, _, span) = self.extent(wave)?;
+        let from = wave.from.max(0.5 / span);
+        let step = FREQUENCY_STEP / span;
+        // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
+        let cost_of_search = ((wave.to - from) * span).max(2.0).ln();
+        let hypothesis = &self.all.list[wave.hypothesis];
+        let extra = if hypothesis.named { 0.0 } else { 3.0 };
+        let cost = self.all.family_cost + cost_of_search + extra;
+        let mut best: Option<(f64, f64, Vec<Vec<f64>>)> = None;
+        for f0 in peaks {
+            let best_before = best.as_ref().map(|b| b.0);
+            let mut eval = |f: f64| {
+                let columns = self.wave_columns(wave, f);
+                let score = self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, 2);
+                if best.as_ref().is_none_or(|b| score > b.0) {
+                    best = Some((score, f, columns));
+                }
+                score
+            };
+            let mut centre = (eval(*f0), *f0);
+            if best_before.is_some_and(|b: f64| centre.0 < b - 30.0) {
+                continue;
+            }
+            let mut h = step;
+            for _ in 0..8 {
+                h *= 0.5;
+                for f in [centre.1 - h, centre.1 + h] {
+                    if f >= wave.from && f <= wave.to {
+                        let s = eval(f);
+                        if s > centre.0 {
+                            centre = (s, f);
+                        }
+                    }
+                }
+            }
+        }
+        let (score, f, columns) = best?;
+        let cause = match (&wave.effect, &wave.shape) {
+            (Some(e), _) => {
+                let mut effect = e.clone();
+                let name = effect.card().parameters[0].name.clone();
+                effect.set(&name, &[1.0 / (f * wave.unit)]).ok()?;
+                Cause::Effect { effect, free: vec![0, 1], reference: false }
+            }
+            (None, Some(shape)) => {
+                let mut shape = shape.clone();
+                shape.manner = format!("periodic, period {:.4}", 1.0 / f);
+                Cause::Shape(shape)
+            }
+            (None, None) => return None,
+        };
+        Some(Offer {
+            cause,
+            hypothesis: wave.hypothesis,
+            cost,
+            score,
+            evidence: score,
+            columns: Source::Made(columns),
+        })
+    }
+
+    fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
+        let mut out = vec![vec![0.0; self.stack.n]; 2];
+        for s in self.stack.segments.iter().filter(|s| s.response == wave.response) {
+            for r in s.rows.clone() {
+                let (sin, cos) = (TAU * (wave.along[r] * f).fract()).sin_cos();
+                out[0][r] = sin;
+                out[1][r] = cos;
+            }
+        }
+        out.iter_mut().for_each(|c| self.stack.weigh(c));
+        out
+    }
+
+    /// The columns of an effect with free coefficients, weighed.
+    pub(crate) fn columns(&self, effect: &Effect, free: &[usize], reference: bool) -> Vec<Vec<f64>> {
+        let all = self.stack.basis(effect);
+        let mut out: Vec<Vec<f64>> = free.iter().map(|i| all[*i].clone()).collect();
+        if reference {
+            out.push(reference_column(self.stack, effect));
+        }
+        out.iter_mut().for_each(|c| self.stack.weigh(c));
+        out
+    }
+
+    /// Score of a set with an effect added at its own non-linear parameters, search unpaid.
+    pub(crate) fn score_of(&self, set: &Set, effect: &Effect) -> f64 {
+        let free: Vec<usize> = (0..effect.coefficient_count()).collect();
+        let columns = self.columns(effect, &free, false);
+        self.extended(set, &self.made_cross(set, &columns)) - self.price(set, 0.0, columns.len())
+    }
+
+    /// Refines the non-linear parameters of an offer to a set.
+    pub(crate) fn refine(&self, set: &Set, offer: Offer) -> Offer {
+        let Cause::Effect { effect, free, reference } = &offer.cause else { return offer };
+        let law = effect.card().name.as_str();
+        let steps: &[(&str, bool, f64)] = match law {
+            "thermal_lag" | "warm_up" => &[("tau_s", true, 0.35)],
+            "reversal_spike" => &[("length_mm", true, 0.3)],
+            "form_bump" => &[("centre_rad", false, 0.12), ("width_rad", true, 0.2)],
+            "lost_counts" => &[("at_s", false, 0.0)],
+            _ => return offer,
+        };
+        let (free, reference) = (free.clone(), *reference);
+        let eval = |e: &Effect| {
+            let columns = self.columns(e, &free, reference);
+            let score = self.extended(set, &self.made_cross(set, &columns))
+                - self.price(set, offer.cost, columns.len());
+            (score, columns)
+        };
+        let mut effect = effect.clone();
+        let (mut score, mut columns) = eval(&effect);
+        let mut take = |effect: &mut Effect, name: &str, value: f64| -> bool {
+            let mut next = effect.clone();
+            if next.set(name, &[value]).is_err() {
+                return false;
+            }
+            let (s, c) = eval(&next);
+            let better = s > score;
+            if better {
+                (score, columns) = (s, c);
+                *effect = next;
+            }
+            better
+        };
+        if law == "lost_counts" {
+            let times = moments(self.stack);
+            let mut reach = (times.len() / 160).max(1) as isize;
+            while reach >= 1 {
+                for side in [-reach, reach] {
+                    let now = effect.value("at_s").map_or(0.0, |v| v[0]);
+                    let at = times.partition_point(|t| *t < now) as isize + side;
+                    if let Some(t) = usize::try_from(at).ok().and_then(|i| times.get(i)) {
+                        take(&mut effect, "at_s", *t);
+                    }
+                }
+                reach = if reach > 1 { (reach * 2 / 3).max(1) } else { 0 };
+            }
+        } else {
+            let mut shrink = 1.0;
+            for _ in 0..7 {
+                for (name, log, step) in steps {
+                    for side in [-1.0, 1.0] {
+                        let now = effect.value(name).map_or(0.0, |v| v[0]);
+                        let h = side * step * shrink;
+                        let next = if *log { now * h.exp() } else { now + h };
+                        if take(&mut effect, name, next) {
+                            break;
+                        }
+                    }
+                }
+                shrink *= 0.6;
+            }
+        }
+        let cause = Cause::Effect { effect, free, reference };
+        Offer { cause, score, evidence: offer.evidence.max(score), columns: Source::Made(columns), ..offer }
+    }
+
+    /// The set with an offer taken in.
+    pub(crate) fn take(&mut self, set: &Set, offer: &Offer) -> Set {
+        let columns: Vec<Vec<f64>> = match &offer.columns {
+            Source::Bank(at) => at
+                .iter()
+                .map(|c| self.all.bank.column(*c).iter().map(|x| x * self.all.bank.scale[*c]).collect())
+                .collect(),
+            Source::Made(columns) => columns.clone(),
+        };
+        let count = columns.len();
+        let first = self.register(columns);
+        let mut members = set.members.clone();
+        members.push(Member {
+            cause: offer.cause.clone(),
+            hypothesis: offer.hypothesis,
+            cost: offer.cost,
+            vectors: (first..first + count).collect(),
+        });
+        self.set(members)
+    }
+
+    pub(crate) fn named(&self, set: &Set) -> bool {
+        set.members.iter().all(|m| self.all.list[m.hypothesis].named)
+    }
+
+    /// Whether an offer repeats what a set has: the same hypothesis, unless it may stand twice.
+    fn repeats(&self, set: &Set, offer: &Offer) -> bool {
+        let may = |name: &str| {
+            ["screw_periodic", "subdivision", "form_bump", "probe_lobing"].iter().any(|l| name.starts_with(l))
+        };
+        set.members.iter().any(|m| {
+            let (a, b) = (&self.all.list[m.hypothesis], &self.all.list[offer.hypothesis]);
+            m.hypothesis == offer.hypothesis && !(may(&b.name) || (a.named && a.name != b.name))
+        })
+    }
+
+    /// Named explanations as additions to a set, by name: the evidence of each name over all its sensors and grid
+    /// points, with its best offers refined. Best first.
+    pub(crate) fn ranking(&self, set: &Set) -> Vec<Ranked> {
+        let mut out: Vec<Ranked> = Vec::new();
+        for offer in self.scan(set, false) {
+            let hypothesis = &self.all.list[offer.hypothesis];
+            if !hypothesis.named || self.repeats(set, &offer) {
+                continue;
+            }
+            match out.iter_mut().find(|r| r.name == hypothesis.name) {
+                Some(r) => {
+                    r.evidence = log_sum(r.evidence, offer.evidence);
+                    r.offers.push(offer);
+                }
+                None => out.push(Ranked {
+                    name: hypothesis.name.clone(),
+                    evidence: offer.evidence,
+                    offers: vec![offer],
+                }),
+            }
+        }
+        let top = out.iter().map(|r| r.evidence).fold(f64::NEG_INFINITY, f64::max);
+        for (i, r) in out.iter_mut().enumerate() {
+            // Far behind, no refinement will bring it back.
+            let close = r.evidence > top - 40.0 || i < 3;
+            let offers = std::mem::take(&mut r.offers);
+            r.offers = offers
+                .into_iter()
+                .enumerate()
+                .map(|(k, o)| if close && k < 3 { self.refine(set, o) } else { o })
+                .collect();
+            r.offers.sort_by(|a, b| b.score.total_cmp(&a.score));
+            r.evidence = r.evidence.max(r.offers[0].score);
+        }
+        out.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        out
+    }
+
+    /// Best additions to a set, refined: so many named and so many unnamed.
+    pub(crate) fn offers(&self, set: &Set, named: usize, unnamed: usize, fresh: bool) -> Vec<Offer> {
+        let mut left = [unnamed, named];
+        let mut out = Vec::new();
+        let mut sensors: Vec<(String, usize)> = Vec::new();
+        for offer in self.scan(set, fresh) {
+            let hypothesis = &self.all.list[offer.hypothesis];
+            let room = &mut left[usize::from(hypothesis.named)];
+            if *room == 0 || self.repeats(set, &offer) {
+                continue;
+            }
+            // Many sensors of one law must not crowd out other laws.
+            let law = hypothesis.name.clone();
+            match sensors.iter_mut().find(|(l, _)| *l == law) {
+                Some((_, n)) if *n >= 2 => continue,
+                Some((_, n)) => *n += 1,
+                None => sensors.push((law, 1)),
+            }
+            *room -= 1;
+            out.push(self.refine(set, offer));
+        }
+        out.sort_by(|a, b| b.score.total_cmp(&a.score));
+        out
+    }
+}
+
+/// log(eᵃ + eᵇ)
+fn log_sum(a: f64, b: f64) -> f64 {
+    let (hi, lo) = if a > b { (a, b) } else { (b, a) };
+    hi + (lo - hi).exp().ln_1p()
+}
+
+/// Products among the columns of an atom, packed.
+fn own_products(columns: &[usize], bank: &Bank, stack: &Stack<'_>) -> Vec<Products> {
+    let mut out = Vec::new();
+    for i in 0..columns.len() {
+        let v = Vector::new(bank.column(columns[i]).to_vec(), &stack.ranges);
+        out.extend((0..=i).map(|j| v.products(bank.column(columns[j]), &stack.ranges)));
+    }
+    out
+}
+
+/// K·r with K = WᵀW, the inverse covariance of the noise.
+fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f64> {
+    let mut out: Vec<f64> = r.iter().map(|x| (1.0 + phi * phi) * x).collect();
+    for s in segments {
+        for i in s.clone() {
+            if i > s.start {
+                out[i] -= phi * r[i - 1];
+            }
+            if i + 1 < s.end {
+                out[i] -= phi * r[i + 1];
+            }
+        }
+        out[s.start] -= phi * phi * r[s.start];
+        out[s.end - 1] -= phi * phi * r[s.end - 1];
+    }
+    out
+}
+
+/// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
+/// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
+fn periodogram(
+    planner: &mut FftPlanner<f64>,
+    x: &[f64],
+    u: &[f64],
+    from: f64,
+    step: f64,
+    count: usize,
+) -> Vec<f64> {
+    let size = (2 * count).next_power_of_two().max(64);
+    // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
+    let middle = from + step * (count / 2) as f64;
+    let mut grid = vec![Complex64::new(0.0, 0.0); size];
+    for (x, u) in x.iter().zip(u) {
+        let turn = Complex64::cis(TAU * (middle * x).fract()) * u;
+        let place = x * step * size as f64;
+        let base = place.floor();
+        let w = place - base;
+        // Lagrange's cubic through four neighbours.
+        let weights = [
+            -w * (w - 1.0) * (w - 2.0) / 6.0,
+            (w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0,
+            -(w + 1.0) * w * (w - 2.0) / 2.0,
+            (w + 1.0) * w * (w - 1.0) / 6.0,
+        ];
+        for (k, weight) in weights.iter().enumerate() {
+            let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
+            grid[at] += turn * weight;
+        }
+    }
+    planner.plan_fft_inverse(size).process(&mut grid);
+    (0..count)
+        .map(|i| grid[(i as i64 - (count / 2) as i64).rem_euclid(size as i64) as usize].norm_sqr())
+        .collect()
+}
+
+/// How wide the search goes.
+const BEAM_NAMED: usize = 3;
+const BEAM_UNNAMED: usize = 2;
+/// Most effects that are looked for at once.
+const DEPTH: usize = 5;
+
+/// What a search found: the best sets of each size and kind, best first.
+pub(crate) struct Found {
+    pub(crate) named: Set,
+    pub(crate) any: Set,
+    /// Sets of names only that were visited, best first.
+    pub(crate) visited: Vec<Set>,
+}
+
+impl Search<'_, '_> {
+    /// Beam search over sets of explanations.
+    pub(crate) fn run(&mut self) -> Found {
+        let empty = self.empty();
+        let mut beam = vec![empty.clone()];
+        let (mut named, mut any) = (empty.clone(), empty.clone());
+        let mut visited = vec![empty];
+        for _ in 0..DEPTH {
+            let mut next: Vec<(usize, Offer)> = Vec::new();
+            for (i, set) in beam.iter().enumerate() {
+                let pure = self.named(set);
+                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 3 } else { 0 }, i == 0);
+                next.extend(offers.into_iter().map(|o| (i, o)));
+            }
+            next.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));
+            let mut seen: Vec<Vec<usize>> = Vec::new();
+            let mut room = [BEAM_UNNAMED, BEAM_NAMED];
+            let mut grown = Vec::new();
+            for (i, offer) in next {
+                let set = &beam[i];
+                let mut key: Vec<usize> =
+                    set.members.iter().map(|m| m.hypothesis).chain([offer.hypothesis]).collect();
+                key.sort_unstable();
+                let pure = self.named(set) && self.all.list[offer.hypothesis].named;
+                if room[usize::from(pure)] == 0 || seen.contains(&key) {
+                    continue;
+                }
+                seen.push(key);
+                room[usize::from(pure)] -= 1;
+                let set = set.clone();
+                let set = self.take(&set, &offer);
+                grown.push(self.polish(set));
+            }
+            let before = any.score.max(named.score);
+            for set in &grown {
+                if self.named(set) {
+                    if set.score > named.score {
+                        named = set.clone();
+                    }
+                    visited.push(set.clone());
+                }
+                if set.score > any.score {
+                    any = set.clone();
+                }
+            }
+            let best = grown.iter().map(|s| s.score).fold(f64::NEG_INFINITY, f64::max);
+            let best_named =
+                grown.iter().filter(|s| self.named(s)).map(|s| s.score).fold(f64::NEG_INFINITY, f64::max);
+            // A level that does not pay ends the search, for names and for anything.
+            if best <= before && best_named < named.score {
+                break;
+            }
+            beam = grown;
+        }
+        visited.sort_by(|a, b| b.score.total_cmp(&a.score));
+        Found { named, any, visited }
+    }
+
+    /// Refines each member's non-linear parameters with the others in place.
+    pub(crate) fn polish(&mut self, set: Set) -> Set {
+        let mut set = set;
+        if set.members.len() < 2 {
+            return set;
+        }
+        for i in 0..set.members.len() {
+            let rest = self.without(&set, i);
+            let member = set.members[i].clone();
+            let columns = member.vectors.iter().map(|v| self.vectors[*v].data.clone()).collect();
+            let offer = Offer {
+                cause: member.cause.clone(),
+                hypothesis: member.hypothesis,
+                cost: member.cost,
+                score: set.score,
+                evidence: set.score,
+                columns: Source::Made(columns),
+            };
+            let refined = match self.waves.iter().enumerate().find(|(_, w)| w.hypothesis == member.hypothesis)
+            {
+                Some((i, w)) => self.wave(&rest, w, &self.peaks.borrow()[i]).unwrap_or(offer),
+                None => self.refine(&rest, offer),
+            };
+            if refined.score > set.score + 1e-3 {
+                let next = self.take(&rest, &refined);
+                // Its place stays the same.
+                let mut members = next.members;
+                if let Some(last) = members.pop() {
+                    members.insert(i, last);
+                }
+                set = self.set(members);
+            }
+        }
+        set
+    }
+}

@@ -1,0 +1,224 @@
+//! Where measured and simulated disagree: structure of the residual against every channel, each with a p-value that
+//! holds for autocorrelated noise, and which of them survive a false-discovery rate.
+
+use crate::analysis::Answer;
+use crate::gram::dot;
+use crate::problem::{Segment, Stack};
+use rtec_model::record::Role;
+use serde_json::{Value, json};
+
+/// Structure of a response against one thing.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// The response.
+    pub response: String,
+    /// A role, `temperature.T3`, `channel.z9`.
+    pub against: String,
+    /// Share of the residual's mean square that a smooth function of it explains.
+    pub statistic: f64,
+    /// Probability of as much by chance.
+    pub p_value: f64,
+    /// Smallest false-discovery rate at which it counts.
+    pub q_value: f64,
+    /// Mean residual over stretches of it: middle of the stretch, mean, number of rows.
+    pub profile: Vec<[f64; 3]>,
+}
+
+impl Place {
+    /// As in `where`.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
+        json!({
+            "response": self.response,
+            "against": self.against,
+            "statistic": self.statistic,
+            "p_value": self.p_value,
+            "q_value": self.q_value,
+            "profile": self.profile,
+        })
+    }
+}
+
+/// Stretches of a channel that a smooth function is made of.
+const STRETCHES: usize = 8;
+
+/// Every response against every channel, strongest first.
+pub(crate) fn places(stack: &Stack<'_>, answer: &Answer) -> Vec<Place> {
+    let before = missing(stack, answer);
+    let mut out = Vec::new();
+    for (j, response) in stack.responses.iter().enumerate() {
+        let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == j).collect();
+        let Some(first) = segments.first() else { continue };
+        let mut channels: Vec<(String, Vec<f64>)> = Vec::new();
+        for column in stack.record(first).columns.iter().filter(|c| !c.role.is_response()) {
+            let data: Option<Vec<f64>> = segments
+                .iter()
+                .map(|s| {
+                    let record = stack.record(s);
+                    match column.role {
+                        Role::Temperature => record.temperature(&column.name),
+                        Role::Channel => record.channel(&column.name),
+                        _ => record.data(&column.role),
+                    }
+                })
+                .collect::<Option<Vec<&[f64]>>>()
+                .map(|parts| parts.concat());
+            if let Some(data) = data {
+                channels.push((column.label(), data));
+            }
+        }
+        if stack.record(first).column(&Role::Time).is_none() {
+            let rows = segments.iter().flat_map(|s| (0..s.rows.len()).map(|r| r as f64)).collect();
+            channels.push(("time".into(), rows));
+        }
+        let temperatures: Vec<(String, Vec<f64>)> =
+            channels.iter().filter(|(l, _)| l.starts_with("temperature.")).cloned().collect();
+        if temperatures.len() <= 6 {
+            for (i, (a, x)) in temperatures.iter().enumerate() {
+                for (b, y) in &temperatures[i + 1..] {
+                    let b = b.trim_start_matches("temperature.");
+                    channels.push((format!("{a}-{b}"), x.iter().zip(y).map(|(x, y)| x - y).collect()));
+                }
+            }
+        }
+        let pick = |all: &[f64]| -> Vec<f64> {
+            segments.iter().flat_map(|s| all[s.rows.clone()].iter().copied()).collect()
+        };
+        let residual = pick(&before);
+        let draws: Vec<Vec<f64>> = answer.draws.iter().map(|d| pick(d)).collect();
+        for (label, x) in channels {
+            let Some(bins) = stretches(&x) else { continue };
+            let explained = |r: &[f64]| -> f64 {
+                let all = r.iter().sum::<f64>() / r.len() as f64;
+                bins.iter()
+                    .map(|b| (b.iter().map(|i| r[*i] - all).sum::<f64>()).powi(2) / b.len() as f64)
+                    .sum()
+            };
+            let own = explained(&residual);
+            let chance: Vec<f64> = draws.iter().map(|d| explained(d)).collect();
+            let n = chance.len().max(1) as f64;
+            let mean = chance.iter().sum::<f64>() / n;
+            let var = chance.iter().map(|c| (c - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+            let p_value =
+                if mean > 0.0 && var > 0.0 { gamma_tail(mean * mean / var, own * mean / var) } else { 1.0 };
+            let total = dot(&residual, &residual).max(1e-300);
+            let sigma = stack.sigma[j];
+            let profile = bins
+                .iter()
+                .map(|b| {
+                    let m = b.len() as f64;
+                    [
+                        b.iter().map(|i| x[*i]).sum::<f64>() / m,
+                        b.iter().map(|i| residual[*i]).sum::<f64>() / m * sigma,
+                        m,
+                    ]
+                })
+                .collect();
+            let response = response.to_string();
+            out.push(Place {
+                response,
+                against: label,
+                statistic: own / total,
+                p_value,
+                q_value: 1.0,
+                profile,
+            });
+        }
+    }
+    out.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
+    // Benjamini and Hochberg, J. R. Statist. Soc. B 57 (1995) 289.
+    let m = out.len() as f64;
+    let mut least = 1.0_f64;
+    for (i, place) in out.iter_mut().enumerate().rev() {
+        least = least.min(place.p_value * m / (i as f64 + 1.0));
+        place.q_value = least;
+    }
+    out
+}
+
+/// Measured minus simulated by the model as it was, weighed.
+fn missing(stack: &Stack<'_>, answer: &Answer) -> Vec<f64> {
+    let simulated = stack.predict(&answer.file);
+    let mut r: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+    stack.weigh(&mut r);
+    r
+}
+
+/// Rows by stretch: by value where there are few, by equal numbers of rows otherwise; none for a constant.
+fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
+    let mut order: Vec<usize> = (0..x.len()).collect();
+    order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
+    let mut distinct: Vec<f64> = order.iter().map(|i| x[*i]).collect();
+    distinct.dedup();
+    if distinct.len() < 2 {
+        return None;
+    }
+    if distinct.len() <= STRETCHES {
+        let of = |v: f64| order.iter().copied().filter(|i| x[*i].to_bits() == v.to_bits()).collect();
+        return Some(distinct.iter().map(|v| of(*v)).collect());
+    }
+    let n = order.len();
+    let bins = STRETCHES.min(n / 4).max(2);
+    Some((0..bins).map(|b| order[n * b / bins..n * (b + 1) / bins].to_vec()).collect())
+}
+
+/// Upper tail of the gamma distribution of unit scale (Abramowitz and Stegun 6.5.29 and 6.5.31).
+fn gamma_tail(a: f64, x: f64) -> f64 {
+    if x <= 0.0 {
+        return 1.0;
+    }
+    let front = (a * x.ln() - x - ln_gamma(a)).exp();
+    if x < a + 1.0 {
+        let (mut term, mut sum, mut k) = (1.0 / a, 1.0 / a, a);
+        for _ in 0..1000 {
+            k += 1.0;
+            term *= x / k;
+            sum += term;
+            if term < sum * 1e-14 {
+                break;
+            }
+        }
+        return (1.0 - front * sum).max(0.0);
+    }
+    let mut b = x + 1.0 - a;
+    let mut c = 1e300;
+    let mut d = 1.0 / b;
+    let mut h = d;
+    for i in 1..1000 {
+        let an = -f64::from(i) * (f64::from(i) - a);
+        b += 2.0;
+        d = 1.0 / (an * d + b);
+        c = b + an / c;
+        h *= d * c;
+        if (d * c - 1.0).abs() < 1e-14 {
+            break;
+        }
+    }
+    front * h
+}
+
+/// Logarithm of the gamma function, Stirling's series after shifting the argument above 8.
+fn ln_gamma(mut x: f64) -> f64 {
+    let mut shift = 0.0;
+    while x < 8.0 {
+        shift += x.ln();
+        x += 1.0;
+    }
+    let z = 1.0 / (x * x);
+    let series = (1.0 / 12.0 - z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z / 1680.0))) / x;
+    (x - 0.5) * x.ln() - x + 0.5 * std::f64::consts::TAU.ln() + series - shift
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gamma_tail_matches_tables() {
+        // Upper 5 % and 1 % points of chi-square (NIST/SEMATECH handbook, 1.3.6.7.4): 1, 5, 20 degrees.
+        for (k, x, p) in [(1.0, 3.841, 0.05), (5.0, 11.070, 0.05), (20.0, 37.566, 0.01), (10.0, 23.209, 0.01)]
+        {
+            assert!((gamma_tail(k / 2.0, x / 2.0) - p).abs() < 2e-5, "{k} {x}");
+        }
+    }
+}

@@ -1,0 +1,252 @@
+//! `rtecctl demo`: the main job on the embedded default, with nothing but this program.
+
+use crate::Outcome;
+use rtec_driver::card::{AxisLines, MachineLines};
+use rtec_driver::clock::Monotonic;
+use rtec_driver::mock::MockCard;
+use rtec_driver::moving::{Motion, MovingAxes, Truth};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::{EventKind, Mode, Request, Status};
+use rtec_rt::thread::{Options, Running, spawn};
+use std::f64::consts::TAU;
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
+
+/// Correct a simulated axis in real time: no hardware, no root, no configuration
+///
+/// The real engine runs on a thread of its own, against a mock card with a moving axis behind it and a controller that
+/// counts what it is sent. The axis has an error of 240 µm per metre and a periodic one of its screw.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// How long to run
+    #[arg(long, default_value = "10s", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// Print one JSON document at the end instead of the live view
+    #[arg(long)]
+    json: bool,
+}
+
+const COUNT_UM: f64 = 1.0;
+const STROKE_MM: f64 = 60.0;
+const FEED_MM_S: f64 = 30.0;
+
+/// The axis's error at a place, µm: the linear error that NISTIR 4832 calls the largest to be expected on a one-metre
+/// axis, and a ball screw's once-per-turn error.
+fn error_um(position_mm: f64) -> f64 {
+    let (ppm, period_mm, periodic_um) = (240.0, 5.0, 3.0);
+    ppm * position_mm / 1000.0 + periodic_um * (TAU * position_mm / period_mm).sin()
+}
+
+/// Sums of squares of the tool's error, µm².
+#[derive(Debug, Default)]
+struct Seen {
+    without: f64,
+    with: f64,
+    samples: u32,
+}
+
+impl Seen {
+    fn add(&mut self, without_um: f64, with_um: f64) {
+        self.without += without_um * without_um;
+        self.with += with_um * with_um;
+        self.samples += 1;
+    }
+
+    fn rms_um(&self) -> (f64, f64) {
+        let n = f64::from(self.samples.max(1));
+        ((self.without / n).sqrt(), (self.with / n).sqrt())
+    }
+}
+
+type Card = MockCard<MovingAxes, Monotonic>;
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let lines = AxisLines::standard(0, true);
+    let motion = Motion {
+        stroke_counts: STROKE_MM * 1000.0 / COUNT_UM,
+        feed_counts_s: FEED_MM_S * 1000.0 / COUNT_UM,
+        dwell_s: 0.2,
+    };
+    let (axes, operator) = MovingAxes::new(&[(lines, motion)]);
+    let mut card = MockCard::new(axes, Monotonic);
+    let axis = AxisConfig {
+        lines,
+        max_correction_counts: 100,
+        window_counts: 10,
+        max_accel_counts_s2: 1e7,
+        detect_ns: 4_000,
+        ..AxisConfig::default()
+    };
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let engine = Engine::new(&mut card, &[axis], machine, &[])?;
+    let options = Options { wanted: None, real: false, stale_after_ns: 500_000_000 };
+    let mut running = spawn(engine, card, options)?;
+    start(&mut running)?;
+    let truth = &operator.truth;
+    operator.cycle_start();
+
+    let live = !args.json && std::io::stdout().is_terminal();
+    let (begun, mut drawn) = (Instant::now(), Duration::ZERO);
+    let mut seen = Seen::default();
+    let mut view = View { live, lines: 0 };
+    if !args.json {
+        println!(
+            "axis X: {STROKE_MM} mm strokes at {FEED_MM_S} mm/s, {COUNT_UM} µm per count, mock card, simulated MTC"
+        );
+    }
+    while begun.elapsed() < args.duration && !running.control.ended() {
+        std::thread::sleep(Duration::from_millis(10));
+        running.control.beat();
+        let status = running.control.status();
+        let axis = status.axes[0];
+        // What the live model does: position in, total out (NISTIR 4832: a value every 10–20 ms is sufficient).
+        let wanted_um = error_um(axis.position_counts as f64 * COUNT_UM / 1000.0);
+        let total_counts = (wanted_um / COUNT_UM).round() as i64;
+        running.control.send(Request::Correct { axis: 0, total_counts, large: false })?;
+        let (without, with) = tool_error_um(&truth[0]);
+        seen.add(without, with);
+        let every = Duration::from_millis(if live { 100 } else { 1000 });
+        if !args.json && begun.elapsed() >= drawn + every {
+            drawn = begun.elapsed();
+            view.draw(drawn, &status, without, with)?;
+        }
+    }
+    let (ended, mut control) = running.stop();
+    let status = ended.status;
+    let mut faults = Vec::new();
+    while let Some(event) = control.event() {
+        if let EventKind::Fault(fault) = event.kind {
+            faults.push(fault);
+        }
+    }
+    let axis = status.axes[0];
+    let mtc_minus_scale = truth[0].mtc_counts() - axis.position_counts;
+    let balanced = mtc_minus_scale == axis.completed && truth[0].illegal() == 0 && status.balanced();
+    let (without_um, with_um) = seen.rms_um();
+    if args.json {
+        let document = serde_json::json!({
+            "position_counts": axis.position_counts, "mtc_counts": truth[0].mtc_counts(),
+            "requested": axis.requested, "completed": axis.completed, "insertions": axis.insertions,
+            "illegal_out": truth[0].illegal(), "faults": faults, "balanced": balanced,
+            "rms_without_um": without_um, "rms_with_um": with_um,
+        });
+        println!("{document}");
+    } else {
+        println!("tool error, RMS over the run: {without_um:.2} µm without, {with_um:.2} µm with correction");
+        println!(
+            "ledger: MTC {} − scale {} = {mtc_minus_scale:+}, completed {:+}: {}",
+            truth[0].mtc_counts(),
+            axis.position_counts,
+            axis.completed,
+            if balanced { "balanced" } else { "NOT BALANCED" }
+        );
+        println!(
+            "{} insertions, {} illegal states at the MTC, {} looks at the card",
+            axis.insertions,
+            truth[0].illegal(),
+            status.polls
+        );
+    }
+    if !faults.is_empty() {
+        return Err(Outcome::Fault(format!("fault latched: {faults:?}")).into());
+    }
+    if !balanced {
+        return Err(Outcome::No("the ledger does not balance".into()).into());
+    }
+    Ok(())
+}
+
+/// Homes the axis as the start-up must: nothing further before the home position has been read back. Then enables.
+fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
+    let control = &mut running.control;
+    control.send(Request::Home { axis: 0, position_counts: 0 })?;
+    loop {
+        let Some(event) = control.event() else {
+            anyhow::ensure!(!control.ended(), "the real-time thread has ended");
+            std::thread::sleep(Duration::from_millis(1));
+            continue;
+        };
+        match event.kind {
+            EventKind::HomeSet { .. } => {
+                // A status from before the zeroing would tell an old position.
+                while control.status().t_ns <= event.t_ns && !control.ended() {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                let position_counts = control.status().axes[0].position_counts;
+                control.send(Request::ConfirmHome { axis: 0, position_counts })?;
+            }
+            EventKind::Homed => control.send(Request::Enable)?,
+            EventKind::Mode(Mode::Run) => return Ok(()),
+            EventKind::Refused { why, .. } => anyhow::bail!("the corrector was not enabled: {why:?}"),
+            _ => {}
+        }
+    }
+}
+
+/// The tool's error without and with correction, µm: its own at that place, and where it is against where the program
+/// wanted it.
+fn tool_error_um(truth: &Truth) -> (f64, f64) {
+    let position_mm = truth.position_counts() * COUNT_UM / 1000.0;
+    let commanded_mm = truth.commanded_counts() * COUNT_UM / 1000.0;
+    (error_um(commanded_mm), (position_mm - commanded_mm) * 1000.0 + error_um(position_mm))
+}
+
+struct View {
+    live: bool,
+    lines: usize,
+}
+
+impl View {
+    fn draw(&mut self, at: Duration, status: &Status, without_um: f64, with_um: f64) -> std::io::Result<()> {
+        let axis = &status.axes[0];
+        let mut out = std::io::stdout().lock();
+        let seconds = at.as_secs_f64();
+        if !self.live {
+            return writeln!(
+                out,
+                "{seconds:5.1} s  X {:8.3} mm  requested {:+4}  completed {:+4}  error {without_um:+6.2} µm without, {with_um:+6.2} µm with",
+                axis.position_counts as f64 * COUNT_UM / 1000.0,
+                axis.requested,
+                axis.completed,
+            );
+        }
+        if self.lines > 0 {
+            write!(out, "\x1b[{}A", self.lines)?;
+        }
+        let rows = [
+            format!(
+                "{seconds:5.1} s   X {:8.3} mm   {:>6.0} counts/s",
+                axis.position_counts as f64 * COUNT_UM / 1000.0,
+                axis.edge_rate_hz
+            ),
+            format!(
+                "  requested {:+4}   completed {:+4}   insertions {}",
+                axis.requested, axis.completed, axis.insertions
+            ),
+            format!("  without {without_um:+6.2} µm  {}", bar(without_um)),
+            format!("  with    {with_um:+6.2} µm  {}", bar(with_um)),
+        ];
+        self.lines = rows.len();
+        for row in rows {
+            writeln!(out, "\x1b[2K{row}")?;
+        }
+        out.flush()
+    }
+}
+
+/// ±20 µm as a line of 41 places.
+fn bar(um: f64) -> String {
+    let at = (um.clamp(-20.0, 20.0) + 20.0).round() as usize;
+    (0..=40)
+        .map(|n| {
+            if n == at {
+                '●'
+            } else if n == 20 {
+                '│'
+            } else {
+                '·'
+            }
+        })
+        .collect()
+}

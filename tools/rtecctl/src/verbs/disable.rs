@@ -1,0 +1,15 @@
+//! `rtecctl disable`: corrections off.
+
+use crate::daemon::Daemon;
+use rtec_control::protocol::Request;
+
+/// Switch corrections off: they freeze where they are, nothing moves
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    args.daemon.order(&Request::Disable {}, "corrections off, frozen where they are")
+}

@@ -1,0 +1,27 @@
+//! `rtecctl enable`: corrections on.
+
+use crate::daemon::{Daemon, describe};
+use rtec_control::protocol::{Request, Response};
+
+/// Switch corrections on; shows what moves, and refuses a jump beyond the belief window
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// A jump beyond the belief window is meant
+    #[arg(long)]
+    accept_jump: bool,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let response = args.daemon.ask(&Request::Enable { accept_jump: args.accept_jump })?;
+    if let Response::Done { jumps } = response
+        && !args.daemon.json
+    {
+        println!("corrections on{}", if jumps.is_empty() { ", nothing moves" } else { "; what moves:" });
+        for jump in &jumps {
+            println!("  {}", describe(jump));
+        }
+    }
+    Ok(())
+}

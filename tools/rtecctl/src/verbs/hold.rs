@@ -1,0 +1,19 @@
+//! `rtecctl hold`: feed hold.
+
+use crate::daemon::Daemon;
+use crate::verbs::probe::Switch;
+use rtec_control::protocol::Request;
+
+/// Switch feed hold on or off; corrections freeze while it is on
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// On or off
+    switch: Switch,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let on = args.switch == Switch::On;
+    args.daemon.order(&Request::Hold { on }, if on { "feed hold on" } else { "feed hold off" })
+}

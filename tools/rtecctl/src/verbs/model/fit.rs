@@ -1,0 +1,195 @@
+//! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
+
+use anyhow::Context;
+use rtec_driver::input::InputError;
+use rtec_model::effect::Difference;
+use rtec_model::fit::{self, Options, Report};
+use rtec_model::record::{Record, write_whole};
+use std::path::{Path, PathBuf};
+
+/// What both verbs take
+#[derive(Debug, clap::Args)]
+pub(crate) struct Common {
+    /// Records to fit on
+    #[arg(long = "record", value_name = "TRAIN.run.toml", required = true)]
+    records: Vec<PathBuf>,
+    /// Differences to choose from, as T0 (to the environment) or T8-T18; all sensors where it is left out
+    #[arg(long, value_delimiter = ',', value_name = "T0,T8-T18")]
+    sensors: Vec<String>,
+    /// The sensor of the environment; the coldest on average where it is left out
+    #[arg(long, value_name = "SENSOR")]
+    environment: Option<String>,
+    /// Blocks of the cross-validation in time
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(3..=50))]
+    folds: u8,
+    /// Offer no lags: the patent's equation 1 as it stands
+    #[arg(long)]
+    no_lag: bool,
+    /// Offer no squares
+    #[arg(long)]
+    no_square: bool,
+    /// Draw correlation and range of every sensor into this SVG file, as the patent's figure 17
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Choose sensors by correlation (CASC), without fitting a model
+#[derive(Debug, clap::Args)]
+pub(crate) struct SelectArgs {
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Fit growth from temperatures: sensors chosen, blocks of time left out, hold-outs judged
+#[derive(Debug, clap::Args)]
+pub(crate) struct FitArgs {
+    #[command(flatten)]
+    common: Common,
+    /// Records that never influence the fit, only the last figures
+    #[arg(long, value_name = "LATER.run.toml")]
+    holdout: Vec<PathBuf>,
+    /// The machine model to write
+    #[arg(long, value_name = "machine.toml")]
+    out: PathBuf,
+}
+
+pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
+    let (_, reports) = run_fit(&args.common, &[])?;
+    if args.common.json {
+        return print_json(&reports, |r| {
+            serde_json::json!({
+                "response": r.response, "environment": r.environment, "environment_by": r.environment_by,
+                "kept": r.kept, "dropped": r.dropped, "pairs": r.pairs, "rounds": r.rounds,
+                "alternatives": r.alternatives, "warnings": r.warnings,
+            })
+        });
+    }
+    for r in &reports {
+        print_selection(r);
+    }
+    Ok(())
+}
+
+pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
+    let (machine, reports) = run_fit(&args.common, &args.holdout)?;
+    machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
+    if args.common.json {
+        return print_json(&reports, |r| serde_json::to_value(r).unwrap_or_default());
+    }
+    for r in &reports {
+        print_selection(r);
+        for e in &r.effects {
+            let of =
+                [e.sensor.as_deref(), e.minus.as_deref()].into_iter().flatten().collect::<Vec<_>>().join("-");
+            for (name, p) in &e.parameters {
+                println!("  {:20} {of:10} {name:12} {:12.4}  [{:.4}, {:.4}]", e.name, p.value, p.low, p.high);
+            }
+        }
+        let list = |v: &[f64]| v.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(" ");
+        println!(
+            "RMS (µm): train {:.3}, blocks {:.3} ({})",
+            r.rms_um.train,
+            r.rms_um.folds_mean,
+            list(&r.rms_um.folds)
+        );
+        if !r.rms_um.holdout.is_empty() {
+            println!("          hold-out {}", list(&r.rms_um.holdout));
+        }
+        let i = &r.interval95;
+        println!(
+            "95 % interval: ±{:.3} µm; holds {:.1} % of the blocks",
+            i.half_width_um,
+            100.0 * i.coverage_folds
+        );
+        for c in &i.coverage_holdout {
+            println!("               and {:.1} % of a hold-out", 100.0 * c);
+        }
+        println!("simpler predictions on the same blocks (µm):");
+        for (name, b) in &r.baselines {
+            println!("  {name:24} {:.3}  {}", b.folds_mean, list(&b.holdout));
+        }
+    }
+    Ok(())
+}
+
+fn run_fit(
+    common: &Common,
+    holdout: &[PathBuf],
+) -> anyhow::Result<(rtec_model::machine::Machine, Vec<Report>)> {
+    let read =
+        |paths: &[PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, InputError>>();
+    let (train, holdout) = (read(&common.records)?, read(holdout)?);
+    let sensors = common.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
+    let options = Options {
+        sensors,
+        environment: common.environment.clone(),
+        folds: usize::from(common.folds),
+        lag: !common.no_lag,
+        square: !common.no_square,
+    };
+    let (machine, reports) =
+        fit::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
+    for r in &reports {
+        for w in &r.warnings {
+            eprintln!("warning: {}: {w}", r.response);
+        }
+    }
+    if let Some(path) = &common.plot {
+        for (i, r) in reports.iter().enumerate() {
+            let path = if i == 0 { path.clone() } else { path.with_extension(format!("{}.svg", i + 1)) };
+            let svg = r.chart().svg(1000, 520)?;
+            write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+        }
+    }
+    Ok((machine, reports))
+}
+
+/// `T8-T18` or `T8`; names that hold a minus themselves are tried whole first.
+fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
+    if record.temperature(text).is_some() {
+        return Ok(Difference::single(text));
+    }
+    let known = |s: &str| record.temperature(s).is_some();
+    let places = text.match_indices('-').map(|(i, _)| (&text[..i], &text[i + 1..]));
+    let pair = places.into_iter().find(|(a, b)| known(a) && known(b));
+    pair.map(|(a, b)| Difference::pair(a, b)).ok_or_else(|| {
+        let has = record.names(&rtec_model::record::Role::Temperature).collect::<Vec<_>>().join(", ");
+        InputError::whole(
+            Path::new("--sensors"),
+            format!("`{text}`"),
+            format!("a sensor or SENSOR-SENSOR of {has}"),
+        )
+    })
+}
+
+fn print_json(reports: &[Report], of: impl Fn(&Report) -> serde_json::Value) -> anyhow::Result<()> {
+    let document = match reports {
+        [one] => of(one),
+        many => serde_json::json!({ "responses": many.iter().map(of).collect::<Vec<_>>() }),
+    };
+    println!("{}", serde_json::to_string_pretty(&document)?);
+    Ok(())
+}
+
+fn print_selection(r: &Report) {
+    println!("{}", r.response);
+    if let Some(e) = &r.environment {
+        println!("environment: {e} ({})", r.environment_by);
+    }
+    println!("  {:14} {:>8} {:>9} {:>9} {:>8} {:>9}", "kept", "γ", "γ lagged", "lag s", "range K", "CV µm");
+    for k in &r.kept {
+        println!(
+            "  {:14} {:8.4} {:9.4} {:9.0} {:8.2} {:9.3}",
+            k.sensor, k.gamma, k.gamma_lagged, k.tau_s, k.range_k, k.cv_rms_um
+        );
+    }
+    for d in &r.dropped {
+        println!("  {:14} {:8.4} redundant: α {:.4} with {}", d.sensor, d.gamma, d.alpha, d.with);
+    }
+    for (i, round) in r.rounds.iter().enumerate() {
+        println!("round {}: {:28} R {:.5}  CV {:.3} µm", i + 1, round.added, round.r, round.cv_rms_um);
+    }
+}

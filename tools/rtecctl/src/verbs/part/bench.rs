@@ -1,0 +1,91 @@
+//! The simulated machine's options and its workpiece on file, for the steps that need a machine.
+
+use super::points::{MotionArgs, positive};
+use super::usage;
+use rtec_driver::input::InputError;
+use rtec_part::experiment::Setup;
+use rtec_part::fit::Zx;
+use rtec_part::lathe::{self, Bench, Workpiece};
+use rtec_part::sheet::{Sheet, read_text};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// The simulated machine
+#[derive(Debug, clap::Args)]
+pub(crate) struct BenchArgs {
+    /// Machine, tool and probe as TOML; by default those of NISTIR 4854
+    #[arg(long)]
+    bench: Option<PathBuf>,
+    /// Insertion design: original, a or c
+    #[arg(long, default_value = "c")]
+    design: String,
+    /// Seed of everything that is random
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Radius of the probe's tip, in mm
+    #[arg(long, default_value_t = 2.5)]
+    tip_mm: f64,
+    /// Feed of the cuts, in mm/min
+    #[arg(long, default_value_t = 120.0)]
+    cut_feed_mm_min: f64,
+    /// How near a trip must be to its expected place, in mm
+    #[arg(long, default_value_t = 1.0)]
+    trip_window_mm: f64,
+    #[command(flatten)]
+    motion: MotionArgs,
+}
+
+impl BenchArgs {
+    pub(crate) fn setup(&self) -> anyhow::Result<Setup> {
+        let bench = match &self.bench {
+            None => Bench::default(),
+            Some(file) => read_bench(file)?,
+        };
+        if lathe::design(&self.design).is_none() {
+            return Err(usage("--design", self.design.clone(), "original, a or c: those on XOR gates"));
+        }
+        Ok(Setup {
+            lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
+            bench,
+            design: self.design.clone(),
+            tip_mm: positive("--tip-mm", self.tip_mm)?,
+            motion: self.motion.motion()?,
+            cut_feed_mm_min: positive("--cut-feed-mm-min", self.cut_feed_mm_min)?,
+            window_mm: positive("--trip-window-mm", self.trip_window_mm)?,
+            seed: self.seed,
+            ..Setup::default()
+        })
+    }
+}
+
+fn read_bench(file: &Path) -> anyhow::Result<Bench> {
+    let text = read_text(file)?;
+    let bench: Bench = toml::from_str(&text).map_err(|e| {
+        let expected = "keys of the simulated machine";
+        InputError::at_offset(file, &text, e.span().map_or(0, |s| s.start), e.message(), expected)
+    })?;
+    bench.check().map_err(|(key, expected)| {
+        let at = text.find(key).unwrap_or(0);
+        InputError::at_offset(file, &text, at, format!("{key} out of range"), expected)
+    })?;
+    Ok(bench)
+}
+
+/// A workpiece on file: radii at even steps of angle about one centre.
+pub(crate) fn workpiece_csv(part: &Workpiece) -> String {
+    let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
+    for r in part.radii_mm() {
+        let _ = writeln!(text, "{},{},{r:.7}", part.centre.z, part.centre.x);
+    }
+    text
+}
+
+pub(crate) fn read_workpiece(file: &Path) -> anyhow::Result<Workpiece> {
+    let sheet = Sheet::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
+    let (z, x) = (sheet.numbers("centre_z_mm")?, sheet.numbers("centre_x_mm")?);
+    let centre = z.first().zip(x.first()).map_or(Zx::new(0.0, 0.0), |(&z, &x)| Zx::new(z, x));
+    let radii = sheet.numbers("radius_mm")?;
+    let found = format!("{} radii", radii.len());
+    Workpiece::from_radii(centre, radii)
+        .ok_or_else(|| InputError::whole(file, found, "a workpiece as `part finish` writes it").into())
+}

@@ -1,0 +1,99 @@
+//! `rtecctl part features`: the features of a drawing, in probing order.
+
+use super::{print, write_all};
+use rtec_part::contour::{Contour, Kind};
+use rtec_part::drawing::{self, Options, Unit};
+use rtec_part::svg::Svg;
+use serde_json::json;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// The drawing and how to read it
+#[derive(Debug, clap::Args)]
+pub(crate) struct DrawingArgs {
+    /// The part's half profile as DXF: X along the axis, Y ≥ 0 the distance from it
+    pub(crate) drawing: PathBuf,
+    /// The drawing's unit, where its header does not say
+    #[arg(long, value_enum)]
+    units: Option<Units>,
+    /// Take the contour from this layer only
+    #[arg(long)]
+    layer: Option<String>,
+    /// Ends closer than this are one point, in mm
+    #[arg(long, default_value_t = 1e-3)]
+    tolerance_mm: f64,
+}
+
+/// A unit of length
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Units {
+    /// Millimetres
+    Mm,
+    /// Inches
+    Inch,
+}
+
+impl Units {
+    pub(crate) fn unit(self) -> Unit {
+        match self {
+            Self::Mm => Unit::MM,
+            Self::Inch => Unit::INCH,
+        }
+    }
+}
+
+impl DrawingArgs {
+    pub(crate) fn read(&self) -> anyhow::Result<(Contour, Unit)> {
+        let unit = self.units.map(Units::unit);
+        let options = Options { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };
+        Ok(drawing::read(&self.drawing, &options)?)
+    }
+}
+
+/// List the features of a drawing in probing order
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    drawing: DrawingArgs,
+    /// Write features.svg into this folder
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let (contour, unit) = args.drawing.read()?;
+    if let Some(folder) = &args.out {
+        let mut svg = Svg::default();
+        contour.draw(&mut svg, true);
+        write_all(folder, &[("features.svg", svg.finish("Features").as_bytes())])?;
+    }
+    if args.json {
+        let features: Vec<_> = (0..contour.features.len())
+            .map(|i| {
+                let f = &contour.features[i];
+                let (a, b) = (f.segment.at(0.0), f.segment.at(1.0));
+                json!({"name": f.name, "feature": f.kind, "start_mm": [a.z, a.x], "end_mm": [b.z, b.x],
+                       "length_mm": f.segment.length_mm(), "entity": f.entity})
+            })
+            .collect();
+        let document = json!({"unit_mm": unit.0, "closed": contour.closed, "features": features});
+        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+    }
+    let mut t = format!("{} features, 1 drawing unit = {} mm\n", contour.features.len(), unit.0);
+    for f in &contour.features {
+        let what = match f.kind {
+            Kind::Cylinder { radius_mm } => format!("cylinder   radius {radius_mm:.4} mm"),
+            Kind::Step { z_mm } => format!("step       at Z {z_mm:.4} mm"),
+            Kind::Taper { angle_deg } => format!("taper      {angle_deg:.4}°"),
+            Kind::Arc { centre_z_mm, centre_x_mm, radius_mm } => {
+                format!("arc        radius {radius_mm:.4} mm about Z {centre_z_mm:.4} X {centre_x_mm:.4}")
+            }
+            Kind::Conic => "conic".to_owned(),
+        };
+        let _ = writeln!(t, "{:<4} {what:<52} {:>10.4} mm long  {}", f.name, f.segment.length_mm(), f.entity);
+    }
+    print(&t)
+}

@@ -1,0 +1,68 @@
+//! `rtecctl part finish`: a cut round the nose on the simulated machine, with or without the corrector's table.
+
+use super::bench::{BenchArgs, read_workpiece, workpiece_csv};
+use super::points::positive;
+use super::{failed, print, usage, write_all};
+use rtec_part::errors::read_error_cor;
+use rtec_part::fit::Zx;
+use rtec_part::lathe::{Workpiece, axes, design};
+use rtec_part::table::Table;
+use std::path::PathBuf;
+
+/// Cut the nose on the simulated machine, with the errors' table loaded
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The workpiece to cut on; without one a raw part, 1 mm larger
+    #[arg(long)]
+    workpiece: Option<PathBuf>,
+    /// Errors to take out, as `part errors` writes them; without them the cut is not corrected
+    #[arg(long, value_name = "ERROR.COR")]
+    errors: Option<PathBuf>,
+    /// Radius to cut to, in mm
+    #[arg(long)]
+    radius_mm: f64,
+    /// Centre of the nose on the part's axis, in mm; a workpiece brings its own
+    #[arg(long, default_value_t = 127.0, allow_negative_numbers = true)]
+    centre_z_mm: f64,
+    #[command(flatten)]
+    bench: BenchArgs,
+    /// Folder for workpiece.csv
+    #[arg(long)]
+    out: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let mut setup = args.bench.setup()?;
+    let radius_mm = positive("--radius-mm", args.radius_mm)?;
+    if !args.centre_z_mm.is_finite() {
+        return Err(usage("--centre-z-mm", args.centre_z_mm.to_string(), "a finite number"));
+    }
+    let mut part = match &args.workpiece {
+        Some(file) => read_workpiece(file)?,
+        None => Workpiece::raw(Zx::new(args.centre_z_mm, 0.0), radius_mm + 1.0),
+    };
+    setup.centre = part.centre;
+    let table = match (&args.errors, design(&setup.design)) {
+        (Some(file), Some(design)) => {
+            Some(Table::new(setup.cut(radius_mm), axes(&setup.bench, design), read_error_cor(file)?))
+        }
+        _ => None,
+    };
+    let ran = setup.turn(&mut part, radius_mm, table.as_ref(), setup.seed).map_err(failed)?;
+    write_all(&args.out, &[("workpiece.csv", workpiece_csv(&part).as_bytes())])?;
+    let insertions = [0, 1].map(|n| ran.status.axes[n].insertions);
+    let completed = [0, 1].map(|n| ran.status.axes[n].completed);
+    if args.json {
+        let document = serde_json::json!({"seconds": ran.seconds, "insertions": insertions, "completed": completed,
+            "mtc_minus_scale": ran.mtc_minus_scale, "corrected": table.is_some()});
+        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+    }
+    let how = if table.is_some() { "with the table" } else { "without corrections" };
+    print(&format!(
+        "cut to {radius_mm} mm {how} in {:.1} s: {} insertions in Z, {} in X\n",
+        ran.seconds, insertions[0], insertions[1]
+    ))
+}

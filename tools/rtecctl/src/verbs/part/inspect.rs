@@ -1,0 +1,80 @@
+//! `rtecctl part inspect`: before and after in one report.
+
+use super::points::positive;
+use super::{print, usage, write_all};
+use crate::Outcome;
+use rtec_part::errors::{Nominal, Probed, Report};
+use rtec_part::experiment::inspection_page;
+use std::path::{Path, PathBuf};
+
+/// Compare the part before and after the finish cut
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Points probed after the semi-finish cut
+    #[arg(long)]
+    before: PathBuf,
+    /// Points probed after the finish cut
+    #[arg(long)]
+    after: PathBuf,
+    /// Nominal radius of the semi-finish cut, in mm
+    #[arg(long)]
+    before_radius_mm: f64,
+    /// Nominal radius of the finish cut, in mm
+    #[arg(long)]
+    radius_mm: f64,
+    /// Radius of the probe's tip, in mm
+    #[arg(long, default_value_t = 0.0)]
+    tip_mm: f64,
+    /// The largest error that may be left, in µm
+    #[arg(long)]
+    limit_um: Option<f64>,
+    /// Folder for inspection.html and decisions.log
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    if !(args.tip_mm.is_finite() && args.tip_mm >= 0.0) {
+        return Err(usage("--tip-mm", args.tip_mm.to_string(), "a radius in mm, 0 or more"));
+    }
+    let read = |file: &Path, name: &str, radius_mm: f64| -> anyhow::Result<Report> {
+        let radius_mm = positive(name, radius_mm)?;
+        Ok(Probed::read(file)?.errors(Nominal::Circle { radius_mm }, args.tip_mm)?)
+    };
+    let before = read(&args.before, "--before-radius-mm", args.before_radius_mm)?;
+    let after = read(&args.after, "--radius-mm", args.radius_mm)?;
+    let largest = |r: &Report| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
+    let mut decisions = vec![format!(
+        "largest error {:.2} -> {:.2} µm, SD {:.2} -> {:.2} µm",
+        largest(&before),
+        largest(&after),
+        before.sd_before_um,
+        after.sd_before_um
+    )];
+    let limit = args.limit_um.map(|limit_um| (limit_um, largest(&after) <= limit_um));
+    if let Some((limit_um, kept)) = limit {
+        decisions.push(format!(
+            "limit of {limit_um} µm {}",
+            if kept { "kept: accepted" } else { "not kept: refused" }
+        ));
+    }
+    if let Some(folder) = &args.out {
+        let (page, log) = (inspection_page(&before, &after, &decisions), decisions.join("\n") + "\n");
+        write_all(folder, &[("inspection.html", page.as_bytes()), ("decisions.log", log.as_bytes())])?;
+    }
+    if args.json {
+        let document = serde_json::json!({"before": before, "after": after, "decisions": decisions});
+        print(&(serde_json::to_string_pretty(&document)? + "\n"))?;
+    } else {
+        print(&(decisions.join("\n") + "\n"))?;
+    }
+    match limit {
+        Some((limit_um, false)) => {
+            Err(Outcome::No(format!("{:.2} µm, more than {limit_um} µm", largest(&after))).into())
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,93 @@
+//! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854). One file per step.
+
+mod bench;
+mod errors;
+mod features;
+mod finish;
+mod inspect;
+mod points;
+mod post_process;
+mod probe;
+mod program;
+mod run;
+mod table;
+
+use crate::Outcome;
+use rtec_part::experiment::ExperimentError;
+use std::path::Path;
+
+/// Probe a part and compensate its errors: the steps of the process-intermittent and post-process loops
+#[derive(Debug, clap::Args)]
+#[command(arg_required_else_help = true)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    step: Step,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Step {
+    Features(Box<features::Args>),
+    Points(Box<points::Args>),
+    Program(Box<program::Args>),
+    Probe(Box<probe::Args>),
+    Errors(Box<errors::Args>),
+    Table(Box<table::Args>),
+    Finish(Box<finish::Args>),
+    Inspect(Box<inspect::Args>),
+    PostProcess(Box<post_process::Args>),
+    Run(Box<run::Args>),
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    match &args.step {
+        Step::Features(args) => features::run(args),
+        Step::Points(args) => points::run(args),
+        Step::Program(args) => program::run(args),
+        Step::Probe(args) => probe::run(args),
+        Step::Errors(args) => errors::run(args),
+        Step::Table(args) => table::run(args),
+        Step::Finish(args) => finish::run(args),
+        Step::Inspect(args) => inspect::run(args),
+        Step::PostProcess(args) => post_process::run(args),
+        Step::Run(args) => run::run(args),
+    }
+}
+
+/// Write files of one result into a folder, making the folder where it is not there.
+fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
+    use anyhow::Context as _;
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    for (name, content) in files {
+        let file = folder.join(name);
+        rtec_part::sheet::write_whole(&file, content)
+            .with_context(|| format!("cannot write {}", file.display()))?;
+        eprintln!("wrote {}", file.display());
+    }
+    Ok(())
+}
+
+/// Print a whole result; a reader that has seen enough (`| head`) is no fault.
+fn print(text: &str) -> anyhow::Result<()> {
+    use std::io::Write as _;
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(e.into()),
+        _ => Ok(()),
+    }
+}
+
+/// A usage finding that clap cannot express: exit code 2.
+fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> anyhow::Error {
+    rtec_driver::input::InputError::whole(Path::new(argument), found, expected).into()
+}
+
+/// An experiment's failure with its exit code: bad points are bad input, a latched fault is a fault, a trip that is
+/// not as planned is a no.
+fn failed(error: ExperimentError) -> anyhow::Error {
+    match error {
+        ExperimentError::Points(input) => input.into(),
+        ExperimentError::Fault(_) => Outcome::Fault(error.to_string()).into(),
+        ExperimentError::Trip(_) => Outcome::No(error.to_string()).into(),
+        other => other.into(),
+    }
+}

@@ -1,0 +1,210 @@
+//! `rtecctl part points`: probing points and the probe's path.
+
+use super::features::DrawingArgs;
+use super::{print, usage, write_all};
+use crate::Outcome;
+use rtec_part::path::{Hit, Motion, Plan, Probe, Stem};
+use rtec_part::web::{Page, Session, files};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// Choose probing points and write the probe's path
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    drawing: DrawingArgs,
+    /// Points on a feature: F1:20 puts 20 points on F1, F1:5mm one at least every 5 mm
+    #[arg(long = "feature", value_name = "NAME:POINTS")]
+    features: Vec<Choice>,
+    /// Points from a CSV `z_mm,x_mm`, each moved to the nearest place of the contour
+    #[arg(long, value_name = "FILE")]
+    points: Option<PathBuf>,
+    /// How far a point of the file may be off the contour, in mm
+    #[arg(long, default_value_t = 0.1)]
+    off_mm: f64,
+    /// Keep this far from the ends of each feature, in mm
+    #[arg(long, default_value_t = 0.0)]
+    margin_mm: f64,
+    /// Radius of the probe's tip, in mm
+    #[arg(long)]
+    tip_mm: f64,
+    #[command(flatten)]
+    motion: MotionArgs,
+    /// Distance from the start of a touch to the trip, in mm; by default from feed and acceleration
+    #[arg(long)]
+    stand_off_mm: Option<f64>,
+    /// Distance from the trip to the end of a touch, in mm; by default from feed and deceleration
+    #[arg(long)]
+    over_travel_mm: Option<f64>,
+    /// The stylus behind the tip: length and radius in mm, and where it points to from +Z, in degrees
+    #[arg(
+        long,
+        value_name = "LENGTH,RADIUS,DEG",
+        value_delimiter = ',',
+        num_args = 3,
+        allow_negative_numbers = true
+    )]
+    stem: Option<Vec<f64>>,
+    /// Put by-pass points where the way to the next point meets the part, with this clearance in mm
+    #[arg(long, value_name = "CLEARANCE_MM")]
+    bypass: Option<f64>,
+    /// Open a page on this machine to pick the points in
+    #[arg(long)]
+    web: bool,
+    /// Port of the page; 0 takes a free one
+    #[arg(long, default_value_t = 0, requires = "web")]
+    port: u16,
+    /// Folder for pathfin.cdl, probpath.cdl and points.svg
+    #[arg(long)]
+    out: PathBuf,
+    /// Print one JSON document
+    #[arg(long, conflicts_with = "web")]
+    json: bool,
+}
+
+/// How the machine moves while probing
+#[derive(Debug, clap::Args)]
+pub(crate) struct MotionArgs {
+    /// Probing feed, in mm/min
+    #[arg(long, default_value_t = Motion::REPORT.feed_mm_min)]
+    feed_mm_min: f64,
+    /// Acceleration to the feed, in mm/s²
+    #[arg(long, default_value_t = Motion::REPORT.accel_mm_s2)]
+    accel_mm_s2: f64,
+    /// Deceleration from the feed, in mm/s²
+    #[arg(long, default_value_t = Motion::REPORT.decel_mm_s2)]
+    decel_mm_s2: f64,
+    /// Constant velocity wanted on each side of the trip, in mm
+    #[arg(long, default_value_t = Motion::REPORT.window_mm)]
+    window_mm: f64,
+}
+
+impl MotionArgs {
+    pub(crate) fn motion(&self) -> anyhow::Result<Motion> {
+        let Self { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm } = *self;
+        for (name, value) in [
+            ("--feed-mm-min", feed_mm_min),
+            ("--accel-mm-s2", accel_mm_s2),
+            ("--decel-mm-s2", decel_mm_s2),
+            ("--window-mm", window_mm),
+        ] {
+            positive(name, value)?;
+        }
+        Ok(Motion { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm })
+    }
+}
+
+pub(crate) fn positive(name: &str, value: f64) -> anyhow::Result<f64> {
+    if value.is_finite() && value > 0.0 {
+        Ok(value)
+    } else {
+        Err(usage(name, value.to_string(), "a positive number"))
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Choice {
+    feature: String,
+    by: By,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum By {
+    Number(usize),
+    SpacingMm(f64),
+}
+
+impl FromStr for Choice {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = "NAME:NUMBER or NAME:SPACINGmm, as F1:20 or F1:5mm";
+        let (feature, points) = text.split_once(':').ok_or(expected)?;
+        let by = match points.strip_suffix("mm") {
+            Some(mm) => {
+                By::SpacingMm(mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?)
+            }
+            None => By::Number(points.parse().ok().filter(|n| (1..=10_000).contains(n)).ok_or(expected)?),
+        };
+        Ok(Self { feature: feature.to_owned(), by })
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let (contour, unit) = args.drawing.read()?;
+    let motion = args.motion.motion()?;
+    let stem = match args.stem.as_deref() {
+        Some(&[length_mm, radius_mm, deg]) => {
+            Some(Stem { length_mm, radius_mm, angle_rad: deg.to_radians() })
+        }
+        _ => None,
+    };
+    let probe = Probe {
+        tip_mm: positive("--tip-mm", args.tip_mm)?,
+        stand_off_mm: positive("--stand-off-mm", args.stand_off_mm.unwrap_or(motion.stand_off_mm()))?,
+        over_travel_mm: positive("--over-travel-mm", args.over_travel_mm.unwrap_or(motion.over_travel_mm()))?,
+        stem,
+    };
+    let mut plan = Plan::new(probe);
+    for choice in &args.features {
+        let feature = contour.features.iter().position(|f| f.name == choice.feature).ok_or_else(|| {
+            let names: Vec<&str> = contour.features.iter().map(|f| f.name.as_str()).collect();
+            usage("--feature", choice.feature.clone(), format!("one of {}", names.join(", ")))
+        })?;
+        match choice.by {
+            By::Number(n) => plan.add_number(&contour, feature, n, args.margin_mm),
+            By::SpacingMm(mm) => plan.add_spacing(&contour, feature, mm, args.margin_mm),
+        }
+    }
+    if let Some(file) = &args.points {
+        plan.add_file(&contour, file, args.off_mm)?;
+    }
+    if let Some(clear_mm) = args.bypass {
+        plan.add_bypasses(&contour, clear_mm);
+    }
+    if args.web {
+        let page = Page::listen(args.port)?;
+        eprintln!("open {} and say Done there when you are", page.url());
+        let clear_mm = args.bypass.unwrap_or(2.0);
+        let mut session = Session { contour, plan, unit, folder: args.out.clone(), clear_mm };
+        return Ok(page.serve(&mut session)?);
+    }
+    if plan.points.is_empty() {
+        return Err(usage("--feature", "no point", "--feature, --points or --web"));
+    }
+    let made = files(&contour, &plan, unit);
+    write_all(&args.out, &made.each_ref().map(|(name, text)| (*name, text.as_bytes())))?;
+    let hits = plan.hits(&contour);
+    if args.json {
+        let expected: Vec<[f64; 2]> = plan.expected().iter().map(|p| [p.z, p.x]).collect();
+        let document = serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
+            "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits});
+        print(&(serde_json::to_string_pretty(&document)? + "\n"))?;
+    } else {
+        print(&text(&plan, &hits))?;
+    }
+    if hits.is_empty() {
+        return Ok(());
+    }
+    Err(Outcome::No(format!("{} collisions: add --bypass, a margin or a shorter stand-off", hits.len()))
+        .into())
+}
+
+fn text(plan: &Plan, hits: &[Hit]) -> String {
+    let probe = &plan.probe;
+    let mut t = format!(
+        "{} points, stand-off {:.3} mm, over-travel {:.3} mm\n",
+        plan.points.len(),
+        probe.stand_off_mm,
+        probe.over_travel_mm
+    );
+    for h in hits {
+        let when = if h.touching { "in the touch of" } else { "on the way to" };
+        let _ = writeln!(
+            t,
+            "COLLISION: the {} meets {} {when} point {}, tip at Z {:.3} X {:.3} mm",
+            h.by, h.feature, h.point, h.at.z, h.at.x
+        );
+    }
+    t
+}

@@ -1,0 +1,69 @@
+//! `rtecctl part post-process`: a batch from a measuring machine, what is systematic in it, offered and not applied.
+
+use super::{print, usage, write_all};
+use rtec_part::batch::{Finding, Judgement, evaluate};
+use rtec_part::errors::{error_cor, read_error_cor};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Judge a batch measured off the machine and offer changes
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Measurements: a CSV `part,feature,error_um[,angle_rad]`, or with `nominal_mm,measured_mm` for the error
+    #[arg(long)]
+    batch: PathBuf,
+    /// What probing on the machine found on the same feature: an `error.cor`
+    #[arg(long, value_name = "ERROR.COR")]
+    inspected: Option<PathBuf>,
+    /// False-alarm rate over all places together
+    #[arg(long, default_value_t = 0.01)]
+    alpha: f64,
+    /// Mean errors below this do not matter, in µm
+    #[arg(long, default_value_t = 1.0)]
+    least_um: f64,
+    /// Write offer.cor (errors to add to the table's, should you decide so) into this folder
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    if !(args.alpha > 0.0 && args.alpha < 1.0) {
+        return Err(usage("--alpha", args.alpha.to_string(), "a rate between 0 and 1"));
+    }
+    if !(args.least_um >= 0.0 && args.least_um.is_finite()) {
+        return Err(usage("--least-um", args.least_um.to_string(), "0 or more, in µm"));
+    }
+    let seen = args.inspected.as_deref().map(read_error_cor).transpose()?;
+    let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
+    let batch = evaluate(&args.batch, seen.as_deref(), judgement)?;
+    if let Some(folder) = &args.out {
+        write_all(folder, &[("offer.cor", error_cor(&batch.offer_table).as_bytes())])?;
+    }
+    if args.json {
+        return print(&(serde_json::to_string_pretty(&batch)? + "\n"));
+    }
+    let mut t =
+        "feature         angle rad  parts  mean µm    SD µm        p   trend µm        p\n".to_owned();
+    for p in &batch.places {
+        let angle = p.angle_rad.map_or("-".to_owned(), |a| format!("{a:.4}"));
+        let mark = match p.finding {
+            Finding::Nothing => "",
+            Finding::Systematic => "  systematic",
+            Finding::NotObservable => "  systematic, not observable on the machine",
+            Finding::Trend => "  trend",
+        };
+        let _ = writeln!(
+            t,
+            "{:<15} {angle:>9} {:>6} {:>8.2} {:>8.2} {:>8.4} {:>10.3} {:>8.4}{mark}",
+            p.feature, p.parts, p.mean_um, p.sd_um, p.p_value, p.trend_um_per_part, p.trend_p_value
+        );
+    }
+    t.push_str(if batch.offers.is_empty() { "\nnothing to change\n" } else { "\noffered, not applied:\n" });
+    for offer in &batch.offers {
+        let _ = writeln!(t, "- {offer}");
+    }
+    print(&t)
+}

@@ -1,0 +1,145 @@
+//! `rtecctl part program`: the NC probing program from the path and a template.
+
+use super::features::Units;
+use super::points::positive;
+use super::{print, usage, write_all};
+use rtec_part::path::{Role, read_pathfin};
+use rtec_part::program::{BUILT_IN, Controller, Job, PARAMETERS, Parameters, date_time};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Write the NC probing program
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The probe's path
+    #[arg(long, required_unless_present = "parameters")]
+    path: Option<PathBuf>,
+    /// Unit of the path file
+    #[arg(long, value_enum, default_value_t = Units::Mm)]
+    path_units: Units,
+    /// Unit of the program; by default that of the path
+    #[arg(long, value_enum)]
+    units: Option<Units>,
+    /// Controller: report, linuxcnc or fanuc
+    #[arg(long, default_value = "report")]
+    dialect: String,
+    /// A controller of your own, as the built-in dialect.toml files
+    #[arg(long, requires = "template", conflicts_with = "dialect")]
+    dialect_file: Option<PathBuf>,
+    /// A template of your own instead of the dialect's
+    #[arg(long)]
+    template: Option<PathBuf>,
+    /// Program parameters as TOML, `name = value`
+    #[arg(long)]
+    params: Option<PathBuf>,
+    /// One parameter, over the file's
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<String>,
+    /// Probing feed, in mm/min; the parameter `feed` is in the program's unit
+    #[arg(long, default_value_t = 2500.0)]
+    feed_mm_min: f64,
+    /// Comments in the program
+    #[arg(long, value_enum, default_value_t = Comments::Full)]
+    comments: Comments,
+    /// Date and time as the program shows them; by default now, or `SOURCE_DATE_EPOCH`
+    #[arg(long)]
+    date: Option<String>,
+    /// List the program parameters and end
+    #[arg(long)]
+    parameters: bool,
+    /// Folder for the program
+    #[arg(long, default_value = ".")]
+    out: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Comments {
+    /// Every move explained
+    Full,
+    /// Only the header's notes: a smaller file
+    Minimal,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let Some(path) = args.path.as_deref().filter(|_| !args.parameters) else { return list() };
+    let path_unit = args.path_units.unit();
+    let unit = args.units.map_or(path_unit, Units::unit);
+    let records = read_pathfin(path, path_unit)?;
+    let mut controller = match (&args.dialect_file, Controller::built_in(&args.dialect)) {
+        (Some(dialect), _) => Controller::read(dialect, args.template.as_deref().unwrap_or(dialect))?,
+        (None, Some(built_in)) => built_in?,
+        (None, None) => {
+            let names: Vec<&str> = BUILT_IN.iter().map(|b| b.0).collect();
+            return Err(usage("--dialect", args.dialect.clone(), format!("one of {}", names.join(", "))));
+        }
+    };
+    if let Some(template) = &args.template {
+        controller.template = rtec_part::sheet::read_text(template)?;
+    }
+    let mut parameters = Parameters::default();
+    let feed = positive("--feed-mm-min", args.feed_mm_min)? / unit.0;
+    let mut set = vec![("feed".to_owned(), format!("{}", (feed * 1e4).round() / 1e4))];
+    for pair in &args.set {
+        let (name, value) = pair.split_once('=').ok_or_else(|| usage("--set", pair.clone(), "NAME=VALUE"))?;
+        set.push((name.trim().to_owned(), value.trim().to_owned()));
+    }
+    // The feed of the command line is a default: a file or --set that names it stands over it.
+    for (k, (name, value)) in set.iter().enumerate() {
+        parameters.set(name, value).map_err(|(found, expected)| usage("--set", found, expected))?;
+        if let (0, Some(file)) = (k, &args.params) {
+            parameters.read(file)?;
+        }
+    }
+    let untold: Vec<&str> = parameters.untold().collect();
+    if !untold.is_empty() {
+        eprintln!(
+            "rtecctl: machine positions left at 0: {}; set them before the program runs",
+            untold.join(", ")
+        );
+    }
+    let made = match &args.date {
+        Some(date) => date.clone(),
+        None => date_time(now_s()?),
+    };
+    let comments = args.comments == Comments::Full;
+    let job = Job {
+        controller: &controller,
+        parameters: &parameters,
+        records: &records,
+        unit,
+        comments,
+        made: &made,
+    };
+    let template = args.template.as_deref().unwrap_or(Path::new("template.prb"));
+    let text = job.text(template)?;
+    let name = parameters.file_name();
+    write_all(&args.out, &[(&name, text.as_bytes())])?;
+    let points = records.iter().filter(|r| matches!(r.role, Role::Touch(_))).count();
+    if args.json {
+        let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
+            "points": points, "lines": text.lines().count(), "bytes": text.len()});
+        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+    }
+    let shown: Vec<&str> = text.lines().take(20).collect();
+    print(&format!("{}\n… {} lines, {points} points\n", shown.join("\n"), text.lines().count()))
+}
+
+fn now_s() -> anyhow::Result<u64> {
+    match std::env::var("SOURCE_DATE_EPOCH") {
+        Ok(text) => text.parse().map_err(|_| usage("SOURCE_DATE_EPOCH", text, "seconds since 1970")),
+        Err(_) => Ok(SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs()),
+    }
+}
+
+fn list() -> anyhow::Result<()> {
+    let mut t = String::new();
+    for p in PARAMETERS {
+        let _ =
+            writeln!(t, "${:<3} {:<16} {:<12} {}", p.number, p.name, format!("'{}'", p.default), p.meaning);
+    }
+    print(&t)
+}

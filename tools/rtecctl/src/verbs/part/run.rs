@@ -1,0 +1,103 @@
+//! `rtecctl part run`: the whole process-intermittent loop on the simulated machine.
+
+use super::bench::BenchArgs;
+use super::points::positive;
+use super::{failed, print, usage, write_all};
+use crate::Outcome;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Go through all steps on the simulated machine: semi-finish, probe, errors, table, finish, inspect
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    bench: BenchArgs,
+    /// Radius of the finished nose, in mm
+    #[arg(long, default_value_t = 38.1)]
+    radius_mm: f64,
+    /// Semi-finish allowance on the radius, in mm
+    #[arg(long, default_value_t = 0.254)]
+    allowance_mm: f64,
+    /// Probing points on the quadrant
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(5..=500))]
+    points: u32,
+    /// The largest error that the finish cut may leave, in µm; by default one correction
+    #[arg(long)]
+    limit_um: Option<f64>,
+    /// Folder for the files of every step and report.html
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let mut setup = args.bench.setup()?;
+    setup.radius_mm = positive("--radius-mm", args.radius_mm)?;
+    setup.allowance_mm = positive("--allowance-mm", args.allowance_mm)?;
+    if setup.allowance_mm > 5.0 {
+        return Err(usage("--allowance-mm", setup.allowance_mm.to_string(), "at most 5 mm"));
+    }
+    setup.points = args.points as usize;
+    let outcome = setup.run(&mut |step| eprintln!("{step} …")).map_err(failed)?;
+    if let Some(folder) = &args.out {
+        for (name, content) in &outcome.files {
+            let (step, file) = name.rsplit_once('/').unwrap_or(("", name));
+            write_all(&folder.join(step), &[(file, content)])?;
+        }
+        let log = outcome.decisions.join("\n") + "\n";
+        write_all(folder, &[("decisions.log", log.as_bytes())])?;
+    }
+    if args.json {
+        print(&(serde_json::to_string_pretty(&outcome)? + "\n"))?;
+    } else {
+        print(&text(&outcome))?;
+    }
+    if !outcome.balanced() {
+        return Err(Outcome::No("the ledger does not balance".into()).into());
+    }
+    let limit_um = args.limit_um.unwrap_or(outcome.increment_um);
+    if outcome.finish.largest_um > limit_um {
+        let what = format!("{:.2} µm left, more than {limit_um:.2} µm", outcome.finish.largest_um);
+        return Err(Outcome::No(what).into());
+    }
+    Ok(())
+}
+
+fn text(o: &rtec_part::experiment::Outcome) -> String {
+    let mut t = format!("design {}, {:.0} µm a correction, seed {}\n\n", o.design, o.increment_um, o.seed);
+    let _ = writeln!(t, "                          largest   bump     SD  SD after  true form  (µm)");
+    let program = format!("finish, {} G01 lines", o.program_lines);
+    for (name, r) in
+        [("semi-finish", &o.semi_finish), ("finish, corrected", &o.finish), (program.as_str(), &o.program)]
+    {
+        let _ = writeln!(
+            t,
+            "{name:<24} {:>8.2} {:>6.2} {:>6.2} {:>9.2} {:>10.2}",
+            r.largest_um, r.bump_um, r.sd_before_um, r.sd_after_um, r.true_form_um
+        );
+    }
+    let [z, x] = o.insertions;
+    let _ = writeln!(
+        t,
+        "\nat most {} corrections; {z} insertions in Z, {x} in X; ledger balances",
+        o.corrections
+    );
+    for p in &o.probing {
+        let _ = writeln!(
+            t,
+            "probing at {:>5.3} m/min: {:>6.1} s, capture within {:.2} µm ({:.2} RMS); 25 µs late costs {:.2} µm",
+            p.feed_mm_min / 1e3,
+            p.seconds,
+            p.capture_worst_um,
+            p.capture_rms_um,
+            p.late_25us_um
+        );
+    }
+    t.push_str("\ndecisions:\n");
+    for d in &o.decisions {
+        let _ = writeln!(t, "- {d}");
+    }
+    t
+}

@@ -1,0 +1,170 @@
+//! `rtecctl part table`: the finish cut's corrections by position.
+
+use super::points::positive;
+use super::{print, usage, write_all};
+use rtec_part::errors::read_error_cor;
+use rtec_part::fit::Zx;
+use rtec_part::table::{AxisCounts, Cut, Table, csv};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Turn part errors into the table of corrections for the finish cut
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Errors by angle, as `part errors` writes them
+    #[arg(long, value_name = "ERROR.COR")]
+    errors: PathBuf,
+    #[command(flatten)]
+    cut: CutArgs,
+    #[command(flatten)]
+    counts: CountArgs,
+    /// Entries interpolated between each two probed points
+    #[arg(long, default_value_t = 9)]
+    between: usize,
+    /// Feed of the finish cut, in mm/min
+    #[arg(long, default_value_t = 100.0)]
+    feed_mm_min: f64,
+    /// Send each correction this long before the tool is there, in ms
+    #[arg(long, default_value_t = 50.0)]
+    lead_ms: f64,
+    /// The cut runs towards smaller angles
+    #[arg(long)]
+    backwards: bool,
+    /// Write the same compensation as G01 moves too, within this of the path, in µm
+    #[arg(long, value_name = "OFF_UM")]
+    g01_um: Option<f64>,
+    /// Folder for table.csv and g01.nc
+    #[arg(long)]
+    out: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// The arc of the finish cut
+#[allow(clippy::struct_field_names, reason = "units belong in names")]
+#[derive(Debug, clap::Args)]
+pub(crate) struct CutArgs {
+    /// Centre of the arc on the part's axis, in mm of part coordinates
+    #[arg(long, allow_negative_numbers = true)]
+    centre_z_mm: f64,
+    /// Distance of the arc's centre from the part's axis, in mm
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    centre_x_mm: f64,
+    /// Radius of the finished surface, in mm
+    #[arg(long)]
+    radius_mm: f64,
+    /// Radius of the tool's nose, in mm
+    #[arg(long, default_value_t = 0.0)]
+    nose_mm: f64,
+    /// Machine Z at which the nose's centre is at the part's origin: work offset and tool length, in mm
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    tool_z_mm: f64,
+    /// The same for X
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    tool_x_mm: f64,
+}
+
+impl CutArgs {
+    pub(crate) fn cut(&self) -> anyhow::Result<Cut> {
+        positive("--radius-mm", self.radius_mm)?;
+        for (name, value) in [
+            ("--centre-z-mm", self.centre_z_mm),
+            ("--centre-x-mm", self.centre_x_mm),
+            ("--tool-z-mm", self.tool_z_mm),
+            ("--tool-x-mm", self.tool_x_mm),
+        ] {
+            if !value.is_finite() {
+                return Err(usage(name, value.to_string(), "a finite number"));
+            }
+        }
+        if !(self.nose_mm.is_finite() && self.nose_mm >= 0.0) {
+            return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 or more"));
+        }
+        Ok(Cut {
+            centre: Zx::new(self.centre_z_mm, self.centre_x_mm),
+            radius_mm: self.radius_mm,
+            nose_mm: self.nose_mm,
+            origin: Zx::new(self.tool_z_mm, self.tool_x_mm),
+        })
+    }
+}
+
+/// The corrector's counts
+#[derive(Debug, clap::Args)]
+pub(crate) struct CountArgs {
+    /// What one count is worth, in µm
+    #[arg(long, default_value_t = 1.0)]
+    count_um: f64,
+    /// Counts of one insertion: 2 for Design C, 4 for the Original and Design A, 1 for Design B
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(i64).range(1..=64))]
+    increment: i64,
+    /// Z counts down towards the part's +Z
+    #[arg(long)]
+    z_counts_down: bool,
+    /// X counts down away from the part's axis
+    #[arg(long)]
+    x_counts_down: bool,
+}
+
+impl CountArgs {
+    pub(crate) fn axes(&self) -> anyhow::Result<[AxisCounts; 2]> {
+        let count_um = positive("--count-um", self.count_um)?;
+        Ok([self.z_counts_down, self.x_counts_down].map(|down| AxisCounts {
+            count_um,
+            increment: self.increment,
+            sign: if down { -1.0 } else { 1.0 },
+        }))
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let table = Table::new(args.cut.cut()?, args.counts.axes()?, read_error_cor(&args.errors)?);
+    let feed_mm_s = positive("--feed-mm-min", args.feed_mm_min)? / 60.0;
+    if !(args.lead_ms.is_finite() && args.lead_ms >= 0.0) {
+        return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 or more"));
+    }
+    let lead_mm = feed_mm_s * args.lead_ms * 1e-3;
+    let rows = table.rows(args.between);
+    let text = csv(&table, &rows, lead_mm, args.backwards);
+    let mut made: Vec<(&str, &[u8])> = vec![("table.csv", text.as_bytes())];
+    let moves = match args.g01_um {
+        Some(off_um) => table.straight_moves(positive("--g01-um", off_um)? * 1e-3, 4),
+        None => Vec::new(),
+    };
+    let program = g01(&moves, args.feed_mm_min);
+    if !moves.is_empty() {
+        made.push(("g01.nc", program.as_bytes()));
+    }
+    write_all(&args.out, &made)?;
+    let most = |axis: usize| rows.iter().map(|r| r.requested[axis].abs()).max().unwrap_or(0);
+    let left_um = rows.iter().map(|r| r.left_um.abs()).fold(0.0, f64::max);
+    let lines = moves.len().saturating_sub(1);
+    if args.json {
+        let document = serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [most(0), most(1)],
+            "most_left_um": left_um, "g01_lines": lines});
+        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+    }
+    let mut t = format!(
+        "{} entries, at most {} counts in Z and {} in X, at most {left_um:.2} µm left along the normal\n\
+         sent {lead_mm:.3} mm ahead\n",
+        rows.len(),
+        most(0),
+        most(1)
+    );
+    if lines > 0 {
+        let _ = writeln!(t, "the same as {lines} G01 lines in g01.nc");
+    }
+    print(&t)
+}
+
+/// Straight moves of the nose's centre in part coordinates, mm, X a radius.
+fn g01(moves: &[Zx], feed_mm_min: f64) -> String {
+    moves.iter().enumerate().fold(String::new(), |mut t, (i, p)| {
+        let _ = match i {
+            0 => writeln!(t, "G01 Z{:.4} X{:.4} F{feed_mm_min}", p.z, p.x),
+            _ => writeln!(t, "G01 Z{:.4} X{:.4}", p.z, p.x),
+        };
+        t
+    })
+}

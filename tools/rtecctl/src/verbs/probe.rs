@@ -1,0 +1,83 @@
+//! `rtecctl probe`: positions at the probe's trip.
+
+use crate::Outcome;
+use crate::daemon::{Daemon, check, unreachable};
+use clap::ValueEnum;
+use rtec_control::protocol::{Happened, Request, Response};
+
+/// Switch probing on and print every captured position, or switch it off
+///
+/// While probing is on no corrections are made. `on` prints until interrupted; probing then stays on.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// On or off
+    switch: Switch,
+    /// Switch off again and end after so many captures, every axis counted; 0 only switches on
+    #[arg(long, value_name = "N")]
+    captures: Option<u64>,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Switch {
+    On,
+    Off,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    if args.switch == Switch::Off {
+        return args.daemon.order(&Request::Probe { on: false }, "probing off");
+    }
+    if args.captures == Some(0) {
+        return args.daemon.order(&Request::Probe { on: true }, "probing on");
+    }
+    if args.daemon.json && args.captures.is_none() {
+        return Err(
+            Outcome::Bad("one JSON document needs an end: --captures N beside --json".to_owned()).into()
+        );
+    }
+    // Watching first: no trip can come between the two.
+    let mut watch = args.daemon.connect()?;
+    check(watch.ask(&Request::Watch {}).map_err(unreachable)?)?;
+    watch.be_patient()?;
+    check(args.daemon.connect()?.ask(&Request::Probe { on: true }).map_err(unreachable)?)?;
+    let mut captured = Vec::new();
+    if !args.daemon.json {
+        println!("{:>16} {:<8} {:>14} {:>14} {:>10}", "t/ns", "axis", "position/mm", "counts", "±");
+    }
+    while args.captures.is_none_or(|n| (captured.len() as u64) < n) {
+        let Response::Event(happened) = check(watch.answer().map_err(unreachable)?)? else { continue };
+        if happened.trip.is_none() {
+            if happened.kind != "mode" {
+                eprintln!(
+                    "{}{}",
+                    happened.axis.map(|a| format!("axis {a}: ")).unwrap_or_default(),
+                    happened.text
+                );
+            }
+            continue;
+        }
+        show(&happened, args.daemon.json);
+        if args.captures.is_some() {
+            captured.push(happened);
+        }
+    }
+    if args.daemon.json {
+        println!("{}", serde_json::json!({ "captures": captured }));
+    }
+    check(args.daemon.connect()?.ask(&Request::Probe { on: false }).map_err(unreachable)?)?;
+    Ok(())
+}
+
+fn show(happened: &Happened, json: bool) {
+    let (Some(trip), false) = (&happened.trip, json) else { return };
+    println!(
+        "{:>16} {:<8} {:>14.6} {:>14.3} {:>10.3}",
+        happened.t_ns,
+        happened.axis.as_deref().unwrap_or("-"),
+        trip.position_mm,
+        trip.position_counts,
+        trip.uncertainty_counts
+    );
+}

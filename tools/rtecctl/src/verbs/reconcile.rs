@@ -1,0 +1,151 @@
+//! `rtecctl reconcile`: where simulation and measurement disagree, which effect is missing, a better model.
+
+use anyhow::Context;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Record, write_whole};
+use rtec_reconcile::{Options, Reconciliation, html, reconcile};
+use std::path::PathBuf;
+use std::time::SystemTime;
+
+/// Find what the model of a machine lacks: name it, add it, show the gap shrink
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Run records to learn from
+    #[arg(required = true, value_name = "TRAIN.run.toml")]
+    train: Vec<PathBuf>,
+    /// The machine model as it stands; never touched
+    #[arg(long)]
+    model: PathBuf,
+    /// A later run, for the last figures only; may repeat
+    #[arg(long, value_name = "LATER.run.toml")]
+    holdout: Vec<PathBuf>,
+    /// Directory for verdict.json, model.toml and report.html, created where it is missing
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print the verdict as one JSON document
+    #[arg(long)]
+    json: bool,
+    /// How often chance alone may lead to an answer
+    #[arg(long, default_value_t = 0.01, value_parser = level)]
+    level: f64,
+    /// Stop after a stage: find (where they disagree), name (what is missing), add (the better model), show (all)
+    #[arg(long, value_enum, default_value_t = Stage::Show)]
+    stage: Stage,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+enum Stage {
+    Find,
+    Name,
+    Add,
+    Show,
+}
+
+fn level(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v > 0.0 && v < 0.5 => Ok(v),
+        _ => Err("a probability above 0 and below 0.5".into()),
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let read = |paths: &[PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, _>>();
+    let (train, holdout) = (read(&args.train)?, read(&args.holdout)?);
+    let machine = Machine::read(&args.model)?;
+    let rows: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
+    if rows > 8000 {
+        eprintln!("reconciling {rows} measured values …");
+    }
+    let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
+    let answer = reconcile(&train, &holdout, &machine, &Options { level: args.level, date: Some(date) })?;
+    let mut document = answer.to_json();
+    if let Some(map) = document.as_object_mut() {
+        if args.stage == Stage::Find {
+            map.retain(|k, _| ["where", "level", "seed"].contains(&k.as_str()));
+        } else if args.stage < Stage::Show {
+            map.remove("gap");
+        }
+    }
+    if let Some(dir) = &args.out {
+        std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
+        let write = |name: &str, text: &str| {
+            let path = dir.join(name);
+            write_whole(&path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
+        };
+        write("verdict.json", &(serde_json::to_string_pretty(&document)? + "\n"))?;
+        if args.stage >= Stage::Add {
+            write("model.toml", &answer.model.to_text())?;
+        }
+        if args.stage >= Stage::Show {
+            write("report.html", &html(&answer, machine.name()))?;
+        }
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    } else {
+        print!("{}", summary(&answer, args.stage));
+    }
+    Ok(())
+}
+
+fn summary(r: &Reconciliation, stage: Stage) -> String {
+    use std::fmt::Write as _;
+    let mut s = String::new();
+    let found: Vec<_> = r.places.iter().filter(|p| p.q_value <= 0.05).collect();
+    let _ = writeln!(s, "Where measured and simulated disagree (false-discovery rate 5 %):");
+    for p in found.iter().take(8) {
+        let _ = writeln!(
+            s,
+            "  {} against {}: {:.1} %, p {:.1e}",
+            p.response,
+            p.against,
+            100.0 * p.statistic,
+            p.p_value
+        );
+    }
+    if found.is_empty() {
+        s.push_str("  nowhere\n");
+    }
+    if stage == Stage::Find {
+        return s;
+    }
+    let _ = writeln!(s, "Verdict: {}", r.verdict);
+    for (f, half) in &r.effects {
+        let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+        let _ = writeln!(s, "  {}{sensor}, p {:.1e}", f.effect.name(), f.p_value);
+        for (i, p) in f.effect.card().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
+            let _ = writeln!(s, "    {} = {:.5} ± {:.2} {}", p.name, f.effect.scalar(i), half[i], p.unit);
+        }
+        for v in &f.rivals {
+            let sensor = v.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+            let _ = writeln!(s, "    or {}{sensor}, odds 1:{:.1}", v.name, v.margin.exp());
+        }
+    }
+    for u in &r.unexplained {
+        let _ = writeln!(
+            s,
+            "  {} against {}: {}, no effect explains it",
+            u.response,
+            u.against.join(" and "),
+            u.manner
+        );
+    }
+    for x in &r.refined {
+        let _ = writeln!(s, "  {} corrected", x.before.name());
+    }
+    if stage == Stage::Show {
+        for g in &r.gap {
+            let [before, after] = g.holdout.or(g.blocked).unwrap_or(g.train);
+            let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} %", 100.0 * c));
+            let _ = writeln!(
+                s,
+                "Gap: {before:.4} -> {after:.4} {}, floor {:.4}, closed {closed}",
+                g.unit, g.floor
+            );
+        }
+    }
+    if !r.advice.is_empty() {
+        let _ = writeln!(s, "Next: {}", r.advice);
+    }
+    s
+}

@@ -1,0 +1,225 @@
+//! `rtecctl replay`: the engine of the real-time thread over a recorded trace, on a virtual clock.
+
+use crate::Outcome;
+use anyhow::Context;
+use clap::ValueEnum;
+use rtec_control::config::Config;
+use rtec_driver::input::InputError;
+use rtec_driver::quadrature::State;
+use rtec_driver::replay::Listener;
+use rtec_driver::trace::{RequestReader, TraceFile, TraceFormat, TracePoint, TraceReader};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::replay::ReplayError;
+use rtec_sim::bench::{AnyDesign, replay_any};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Replay a recorded trace through the real-time engine and print what the MTC would have counted
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// What the scale gave (.csv: `t_ns,a,b`; .vcd: IEEE 1364, signals a and b)
+    #[arg(long, value_name = "FILE")]
+    trace: PathBuf,
+    /// Requested totals (CSV: `t_ns,requested`)
+    #[arg(long, value_name = "FILE")]
+    requests: PathBuf,
+    /// Insertion design [default: that of the configuration, or c]
+    #[arg(long, value_enum)]
+    design: Option<Design>,
+    /// Take the axis and its belief window from this configuration; without it: 1 µm counts, 500 ns separation,
+    /// 1e6 counts/s², ±1000 counts, requests believed whatever their size
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The configuration's axis [default: the first]
+    #[arg(long, value_name = "NAME", requires = "config")]
+    axis: Option<String>,
+    /// Write what the MTC sees (.csv)
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Write what the MTC sees (.vcd)
+    #[arg(long, value_name = "FILE")]
+    vcd: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Design {
+    Original,
+    A,
+    B,
+    C,
+    Ecc,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let (config, large, design) = axis(args)?;
+    let trace = TraceReader::open(&args.trace)?;
+    let requests = RequestReader::open(&args.requests)?;
+    let mut files = Vec::new();
+    for (file, format) in [(&args.out, TraceFormat::Csv), (&args.vcd, TraceFormat::Vcd)] {
+        if let Some(file) = file {
+            if TraceFormat::of(file)? != format {
+                let expected = if format == TraceFormat::Csv { "--out FILE.csv" } else { "--vcd FILE.vcd" };
+                let found = format!("the name {}", file.display());
+                return Err(InputError::whole(file, found, expected).into());
+            }
+            files.push((TraceFile::create(file)?, file.as_path()));
+        }
+    }
+    let trace = Progress { trace, points: 0, told: Instant::now() };
+    // Without an output nothing listens: the compiler takes the whole branch out of the loop.
+    let outcome = if files.is_empty() {
+        replay_any(design, config, trace, requests, large, |_, _: State| {}).map(|(outcome, _)| outcome)
+    } else {
+        let to = Outputs { files, failed: None };
+        match replay_any(design, config, trace, requests, large, to) {
+            Ok((outcome, to)) => {
+                to.finish()?;
+                Ok(outcome)
+            }
+            Err(error) => Err(error),
+        }
+    };
+    let outcome = outcome.map_err(|error| match error {
+        ReplayError::Input(error) => error,
+        ReplayError::Start(error) => {
+            let file = args.config.as_deref().unwrap_or(Path::new("the default axis"));
+            InputError::whole(file, error.to_string(), "an axis that can be corrected")
+        }
+    })?;
+    if args.json {
+        println!("{}", serde_json::to_string(&outcome)?);
+    } else {
+        print(&outcome);
+    }
+    // The more telling answer first: a latched fault says why a ledger does not balance.
+    if let Some(latched) = outcome.faults.first() {
+        return Err(Outcome::Fault(format!("{} latched at {} ns", word(latched.fault), latched.t_ns)).into());
+    }
+    if !outcome.balanced() || outcome.illegal_out > 0 {
+        let message = format!(
+            "the ledger does not balance: {} counts out - {} in, {} completed, {} illegal transitions at the MTC",
+            outcome.counts_out, outcome.counts_in, outcome.completed, outcome.illegal_out
+        );
+        return Err(Outcome::No(message).into());
+    }
+    Ok(())
+}
+
+/// The axis to play, whether its requests are flagged large, and the design.
+fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool, AnyDesign)> {
+    let (axis, large) = match &args.config {
+        None => (AxisConfig::default(), true),
+        Some(file) => {
+            let config = Config::load(file)?;
+            let n = match &args.axis {
+                None => 0,
+                Some(name) => config.axis(name).ok_or_else(|| {
+                    let names: Vec<&str> = config.axes.iter().map(|a| a.name.as_str()).collect();
+                    InputError::whole(file, format!("no axis {name}"), names.join(" or "))
+                })?,
+            };
+            (config.axes[n].engine, false)
+        }
+    };
+    let design = match (args.design, axis.design) {
+        (Some(Design::Original), _) | (None, rtec_rt::axis::Design::Original) => AnyDesign::Original,
+        (Some(Design::A), _) | (None, rtec_rt::axis::Design::A) => AnyDesign::A,
+        (Some(Design::B), _) => AnyDesign::B,
+        (Some(Design::C), _) | (None, rtec_rt::axis::Design::C) => AnyDesign::C,
+        (Some(Design::Ecc), _) => AnyDesign::Ecc,
+    };
+    Ok((axis, large, design))
+}
+
+/// A trace that says how far it is, every two seconds.
+struct Progress {
+    trace: TraceReader<std::fs::File>,
+    points: u64,
+    told: Instant,
+}
+
+impl Iterator for Progress {
+    type Item = Result<TracePoint, InputError>;
+
+    #[inline]
+    fn next(&mut self) -> Option<Self::Item> {
+        let point = self.trace.next();
+        self.points += 1;
+        if self.points.is_multiple_of(1 << 22) && self.told.elapsed() > Duration::from_secs(2) {
+            self.told = Instant::now();
+            eprintln!("{} million edges", self.points / 1_000_000);
+        }
+        point
+    }
+}
+
+/// The files that receive what the MTC sees, and the first failure to write one.
+struct Outputs<'a> {
+    files: Vec<(TraceFile, &'a Path)>,
+    failed: Option<io::Error>,
+}
+
+impl Listener for Outputs<'_> {
+    #[inline]
+    fn changed(&mut self, t_ns: u64, state: State) {
+        for (file, _) in &mut self.files {
+            if let Err(error) = file.write(TracePoint { t_ns, state })
+                && self.failed.is_none()
+            {
+                self.failed = Some(error);
+            }
+        }
+    }
+}
+
+impl Outputs<'_> {
+    fn finish(self) -> anyhow::Result<()> {
+        if let Some(error) = self.failed {
+            return Err(error).context("writing what the MTC sees; nothing is left behind");
+        }
+        for (file, path) in self.files {
+            file.finish().with_context(|| format!("writing {}", path.display()))?;
+        }
+        Ok(())
+    }
+}
+
+/// A name as the JSON document has it.
+fn word(name: impl serde::Serialize) -> String {
+    let value = serde_json::to_value(name).unwrap_or_default();
+    value.as_str().map_or_else(|| value.to_string(), |s| s.replace('_', " "))
+}
+
+fn print(outcome: &rtec_rt::replay::Outcome) {
+    let rows = [
+        ("edges", outcome.edges.to_string()),
+        ("counts of the scale", format!("{:+}", outcome.counts_in)),
+        ("counts at the MTC", format!("{:+}", outcome.counts_out)),
+        ("requested", format!("{:+}", outcome.requested)),
+        ("completed", format!("{:+}", outcome.completed)),
+        ("insertions", outcome.insertions.to_string()),
+        ("edges too fast for one", outcome.waited_for_gate.to_string()),
+        ("edges inside one", outcome.overlaps.to_string()),
+        ("illegal, from the scale", outcome.illegal_in.to_string()),
+        ("illegal, at the MTC", outcome.illegal_out.to_string()),
+        (
+            "closest edges at the MTC",
+            outcome.min_edge_separation_ns.map_or_else(|| "-".to_owned(), |ns| format!("{ns} ns")),
+        ),
+        ("ledger", if outcome.balanced() { "balances" } else { "DOES NOT BALANCE" }.to_owned()),
+    ];
+    for (name, value) in rows {
+        println!("{name:<26} {value:>20}");
+    }
+    for refused in &outcome.refused {
+        println!("refused  {:>14} ns  {:+} counts: {}", refused.t_ns, refused.requested, word(refused.why));
+    }
+    for latched in &outcome.faults {
+        println!("FAULT    {:>14} ns  {}", latched.t_ns, word(latched.fault));
+    }
+}

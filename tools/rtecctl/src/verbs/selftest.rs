@@ -1,0 +1,331 @@
+//! `rtecctl selftest latency`: how late this machine can be, and what that leaves for corrections.
+
+use crate::Outcome;
+use anyhow::Context;
+use rtec_control::config::Config;
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::histogram::Snapshot;
+use rtec_rt::selftest::{Backend, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure};
+use rtec_rt::setup::System;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Rows of the text's histogram, 1 µs each: as many as the plotting scripts of the field ask cyclictest for.
+const ROWS: usize = 400;
+
+/// Test this machine
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    test: Test,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Test {
+    Latency(LatencyArgs),
+}
+
+/// Measure wake-up, poll gap and edge-to-done latency with the real engine; exit 1 when they do not allow corrections
+///
+/// The text is shaped like cyclictest's: thread 0 is the wake-up, thread 1 the poll gap, thread 2 edge to done.
+#[derive(Debug, clap::Args)]
+struct LatencyArgs {
+    /// How long: half for the wake-ups, half for the polling loop
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = duration)]
+    duration: Duration,
+    /// Take axes, CPU and priority from this configuration; without it: one axis of 1e6 counts/s², 500 ns separation
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The CPU of the real-time thread [default: the configuration's, else the first isolated, else the last one]
+    #[arg(long, value_name = "N")]
+    cpu: Option<usize>,
+    /// The `SCHED_FIFO` priority of the real-time thread [default: the configuration's, else 80]
+    #[arg(long, value_name = "P", value_parser = clap::value_parser!(u8).range(1..=99))]
+    priority: Option<u8>,
+    /// The card: registers in shared memory, or wires in the process
+    #[arg(long, value_enum, default_value_t = Card::Mapped)]
+    backend: Card,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+    /// Write the histogram, as cyclictest's --histfile does, to F
+    #[arg(long, value_name = "F")]
+    histfile: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Card {
+    Mock,
+    Mapped,
+}
+
+/// What formats.md calls the self-test's document, and what else is worth knowing.
+#[derive(Serialize)]
+struct Document<'a> {
+    wakeup_ns: &'a Latency,
+    poll_gap_ns: &'a Latency,
+    edge_to_done_ns: &'a Latency,
+    /// The engine's own part of it: from the look that saw the edge to the look that ordered the second inversion.
+    seen_to_done_ns: &'a Snapshot,
+    /// Per axis, from the worst that was seen; null where that leaves no time for an insertion at any speed.
+    max_safe_edge_rate_hz: BTreeMap<&'a str, Option<f64>>,
+    /// The same but for one look in ten thousand.
+    edge_rate_at_p9999_hz: BTreeMap<&'a str, Option<f64>>,
+    /// What belongs into `[rt]` of the configuration.
+    rt: RtKeys,
+    verdict: &'static str,
+    reason: String,
+    separations_ns: u64,
+    backend: Backend,
+    duration_s: f64,
+    cpu: usize,
+    priority: u8,
+    emulated: Option<&'a str>,
+    ledger_balanced: bool,
+    poll_gap_faults: u64,
+    far_side: Option<&'a rtec_rt::selftest::FarSide>,
+    missing_to_arm: Vec<&'static str>,
+}
+
+#[derive(Serialize)]
+struct RtKeys {
+    detect_ns: u64,
+    write_ns: u64,
+}
+
+/// An axis and the highest edge rates at which an insertion still has time: from the worst latency that was seen, and
+/// from all but one in ten thousand. `None` where there is no such rate.
+struct AxisRate {
+    name: String,
+    safe_hz: Option<f64>,
+    usual_hz: Option<f64>,
+}
+
+fn duration(text: &str) -> Result<Duration, String> {
+    let time = humantime::parse_duration(text).map_err(|e| format!("{e}; write 10s, 2m or 1h"))?;
+    if time < Duration::from_millis(100) { Err("at least 100ms".into()) } else { Ok(time) }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let Test::Latency(args) = &args.test;
+    let config = args.config.as_deref().map(Config::load).transpose()?;
+    let rt = config.as_ref().map(|c| c.rt);
+    let options = Options {
+        cpu: args.cpu.or(rt.and_then(|rt| rt.cpu)).unwrap_or_else(|| System::live().default_cpu()),
+        priority: args.priority.or(rt.map(|rt| rt.priority)).unwrap_or(80),
+        run: args.duration,
+        backend: match args.backend {
+            Card::Mock => Backend::Mock,
+            Card::Mapped => Backend::Mapped,
+        },
+        seed: 1,
+    };
+    let measured = measure(options, |what, left_s| eprintln!("selftest: {what}, {left_s} s left"))
+        .context("measuring latencies")?;
+    let axes = config.map_or_else(
+        || vec![("default".to_owned(), AxisConfig::default())],
+        |config| config.axes.into_iter().map(|axis| (axis.name, axis.engine)).collect(),
+    );
+    let rates: Vec<AxisRate> = axes
+        .into_iter()
+        .map(|(name, axis)| AxisRate {
+            name,
+            safe_hz: edge_rate_hz(axis, &measured, measured.detect_ns().0),
+            usual_hz: edge_rate_hz(axis, &measured, measured.detect_ns().1),
+        })
+        .collect();
+    let reasons = reasons(&measured, &rates);
+    if let Some(file) = &args.histfile {
+        write_whole(file, &histogram(&measured)).with_context(|| format!("writing {}", file.display()))?;
+    }
+    if args.json {
+        let document = Document {
+            wakeup_ns: &measured.wakeup,
+            poll_gap_ns: &measured.poll_gap,
+            edge_to_done_ns: &measured.edge_to_done,
+            seen_to_done_ns: &measured.seen_to_done,
+            max_safe_edge_rate_hz: rates.iter().map(|r| (r.name.as_str(), r.safe_hz)).collect(),
+            edge_rate_at_p9999_hz: rates.iter().map(|r| (r.name.as_str(), r.usual_hz)).collect(),
+            rt: RtKeys { detect_ns: measured.detect_ns().0, write_ns: measured.write_ns() },
+            verdict: if reasons.is_empty() { "pass" } else { "fail" },
+            reason: reasons.join("; "),
+            separations_ns: measured.separations_ns(),
+            backend: options.backend,
+            duration_s: args.duration.as_secs_f64(),
+            cpu: options.cpu,
+            priority: options.priority,
+            emulated: measured.setup.emulated.as_deref(),
+            ledger_balanced: measured.balanced(),
+            poll_gap_faults: measured.faults,
+            far_side: measured.far.as_ref(),
+            missing_to_arm: measured.setup.missing().map(|f| f.name).collect(),
+        };
+        println!("{}", serde_json::to_string(&document)?);
+    } else {
+        print!("{}", text(&measured, &options, &rates, &reasons));
+    }
+    if reasons.is_empty() { Ok(()) } else { Err(Outcome::No(reasons.join("; ")).into()) }
+}
+
+/// The highest edge rate at which an insertion still has time on an axis, with this machine's latency.
+fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
+    let axis = AxisConfig { detect_ns, write_ns: measured.write_ns(), ..axis };
+    axis.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
+}
+
+/// Everything that forbids corrections on this machine.
+fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
+    let mut reasons = Vec::new();
+    if let Some(emulator) = &measured.setup.emulated {
+        reasons.push(format!("emulated by {emulator}: emulated time is no evidence for any machine"));
+    }
+    reasons.extend(measured.setup.missing().map(|f| {
+        let errno = f.errno.as_ref().map(|e| format!(" ({e})")).unwrap_or_default();
+        format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
+    }));
+    if measured.edge_to_done.ns.samples() == 0 {
+        let why = if measured.far.is_some() { "no insertion was seen" } else { "it needs a second CPU" };
+        reasons.push(format!("edge to done was not measured: {why}"));
+    }
+    if !measured.balanced() {
+        reasons.push("the ledger does not balance".into());
+    }
+    for axis in rates.iter().filter(|axis| axis.safe_hz.is_none()) {
+        let (worst_us, usual_us) = (measured.detect_ns().0 as f64 / 1e3, measured.detect_ns().1 as f64 / 1e3);
+        let usual = axis.usual_hz.map_or_else(String::new, |hz| {
+            format!(" (the {usual_us:.1} µs that 99.99 % keep to would do, up to {hz:.0} edges/s)")
+        });
+        let name = &axis.name;
+        reasons.push(format!(
+            "the longest delay, {worst_us:.1} µs, leaves axis {name} no time for an insertion at any speed{usual}"
+        ));
+    }
+    reasons
+}
+
+fn threads(measured: &Measured) -> [&Latency; 3] {
+    [&measured.wakeup, &measured.poll_gap, &measured.edge_to_done]
+}
+
+fn text(measured: &Measured, options: &Options, rates: &[AxisRate], reasons: &[String]) -> String {
+    let mut out = String::new();
+    let mut line = |text: std::fmt::Arguments| {
+        let _ = writeln!(out, "{text}"); // a String takes everything
+    };
+    if measured.setup.finding("cpu_dma_latency").is_some_and(|f| f.ok) {
+        line(format_args!("# /dev/cpu_dma_latency set to 0us"));
+    }
+    let fifo = measured.setup.finding("scheduler").is_some_and(|f| f.ok);
+    for (n, thread) in threads(measured).into_iter().enumerate() {
+        let ns = &thread.ns;
+        line(format_args!(
+            "T:{n:2} ({:5}) P:{:2} I:{} C:{:7} Min:{:7} Act:{:5} Avg:{:5} Max:{:8}",
+            thread.tid,
+            if fifo && n < 2 { options.priority } else { 0 },
+            if n == 0 { WAKEUP_INTERVAL_NS / 1000 } else { 0 },
+            ns.samples(),
+            ns.min() / 1000,
+            thread.last_ns / 1000,
+            ns.mean() as u64 / 1000,
+            ns.max() / 1000,
+        ));
+    }
+    line(format_args!("{}", histogram(measured).trim_end()));
+    line(format_args!("#"));
+    line(format_args!(
+        "# in ns              samples      min      p50      p99    p99.9   p99.99         max"
+    ));
+    for (name, s) in [
+        ("T0 wake-up", &measured.wakeup.ns),
+        ("T1 poll gap", &measured.poll_gap.ns),
+        ("T2 edge to done", &measured.edge_to_done.ns),
+        ("   seen to done", &measured.seen_to_done),
+    ] {
+        line(format_args!(
+            "# {name:<15} {:>11} {:>8} {:>8} {:>8} {:>8} {:>8} {:>11}",
+            s.samples(),
+            s.min(),
+            s.p50(),
+            s.p99(),
+            s.p999(),
+            s.p9999(),
+            s.max()
+        ));
+    }
+    line(format_args!(
+        "# Edge to done contains {} ns that the MTC is given: {} after the edge, as much between the inversions.",
+        measured.separations_ns(),
+        measured.axis.min_separation_ns
+    ));
+    if let Some(far) = &measured.far {
+        line(format_args!(
+            "# Far side: {} edges, {} without insertion, {} untimed; MTC minus scale {}, completed {}; {} poll gap faults.",
+            far.edges,
+            far.without_insertion,
+            far.unresolved,
+            far.mtc_minus_scale,
+            measured.completed,
+            measured.faults
+        ));
+    }
+    let rate = |hz: Option<f64>| hz.map_or_else(|| "none".into(), |hz| format!("{hz:.0}"));
+    for axis in rates {
+        line(format_args!(
+            "# Max Safe Edge Rate, axis {}: {} edges/s from the worst seen, {} from 99.99 %",
+            axis.name,
+            rate(axis.safe_hz),
+            rate(axis.usual_hz)
+        ));
+    }
+    line(format_args!(
+        "# For the configuration: [rt] detect_ns = {}, write_ns = {}",
+        measured.detect_ns().0,
+        measured.write_ns()
+    ));
+    if reasons.is_empty() {
+        line(format_args!("# Verdict: pass"));
+    } else {
+        line(format_args!("# Verdict: fail"));
+        for reason in reasons {
+            line(format_args!("#   {reason}"));
+        }
+    }
+    out
+}
+
+/// The part between `# Histogram` and the overflows, shaped as cyclictest -h prints it.
+fn histogram(measured: &Measured) -> String {
+    let threads = threads(measured);
+    let linear = threads.map(|t| t.ns.linear(1000, ROWS));
+    let joined = |values: [String; 3], by: &str| values.join(by);
+    let mut out = String::from("# Histogram\n");
+    for row in 0..ROWS {
+        let counts = [0, 1, 2].map(|t: usize| format!("{:06}", linear[t].0[row]));
+        let _ = writeln!(out, "{row:06} {}", joined(counts, "\t"));
+    }
+    let totals = [0, 1, 2].map(|t: usize| format!("{:09}", threads[t].ns.samples() - linear[t].1));
+    let of = |f: fn(&Snapshot) -> u64| joined(threads.map(|t| format!("{:05}", f(&t.ns))), " ");
+    let _ = writeln!(out, "# Total: {}", joined(totals, " "));
+    let _ = writeln!(out, "# Min Latencies: {}", of(|s| s.min() / 1000));
+    let _ = writeln!(out, "# Avg Latencies: {}", of(|s| s.mean() as u64 / 1000));
+    let _ = writeln!(out, "# Max Latencies: {}", of(|s| s.max() / 1000));
+    let overflows = [0, 1, 2].map(|t: usize| format!("{:05}", linear[t].1));
+    let _ = writeln!(out, "# Histogram Overflows: {}", joined(overflows, " "));
+    out
+}
+
+/// The whole file or none of it.
+fn write_whole(file: &Path, text: &str) -> std::io::Result<()> {
+    let directory = file.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut temporary = tempfile::Builder::new();
+    #[cfg(unix)]
+    temporary.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as any file
+    let mut temporary = temporary.prefix(".rtec-histogram-").tempfile_in(directory)?;
+    temporary.write_all(text.as_bytes())?;
+    temporary.persist(file).map_err(|e| e.error)?;
+    Ok(())
+}

@@ -1,0 +1,15 @@
+//! `rtecctl shadow`: compute everything, write nothing.
+
+use crate::daemon::Daemon;
+use rtec_control::protocol::Request;
+
+/// Compute, gate and count everything, write nothing: watch a machine before it is touched
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    args.daemon.order(&Request::Shadow {}, "shadow mode: nothing is written")
+}

@@ -1,0 +1,127 @@
+//! `rtecctl status`: what the corrector is doing, and if nothing, why.
+
+use crate::Outcome;
+use crate::daemon::{Daemon, check, unreachable};
+use rtec_control::protocol::{Distribution, Request, Response, Status};
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write as _};
+use std::time::Duration;
+
+/// Show what the corrector is doing; exit 4 while a fault is latched
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Show it again and again, every half second, until interrupted
+    #[arg(long, conflicts_with = "json")]
+    watch: bool,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+const EVERY: Duration = Duration::from_millis(500);
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    if args.watch {
+        return watch(&args.daemon);
+    }
+    let Response::Status(status) = args.daemon.ask(&Request::Status {})? else { return Ok(()) };
+    if !args.daemon.json {
+        print!("{}", table(&status));
+    }
+    if status.mode == "fault" {
+        return Err(Outcome::Fault("a fault is latched".to_owned()).into());
+    }
+    Ok(())
+}
+
+fn watch(daemon: &Daemon) -> anyhow::Result<()> {
+    let mut client = daemon.connect()?;
+    let mut out = std::io::stdout();
+    let terminal = out.is_terminal();
+    loop {
+        let response = check(client.ask(&Request::Status {}).map_err(unreachable)?)?;
+        if let Response::Status(status) = response {
+            // Home, then clear to the end: no flicker, and nothing of a longer view is left.
+            let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
+            let written = write!(out, "{clear}{}", table(&status)).and_then(|()| out.flush());
+            match written {
+                Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
+                other => other?,
+            }
+        }
+        std::thread::sleep(EVERY);
+    }
+}
+
+fn yes(is: bool) -> &'static str {
+    if is { "yes" } else { "no" }
+}
+
+fn table(s: &Status) -> String {
+    let mut text = String::new();
+    let ledger = if s.balanced { "balances" } else { "DOES NOT BALANCE" };
+    // Writing to a String does not fail.
+    let _ = writeln!(
+        text,
+        "machine \"{}\"   mode {}   homed {}   up {:.1} s   ledger {ledger}",
+        s.machine,
+        s.mode.to_uppercase(),
+        yes(s.homed),
+        s.uptime_s
+    );
+    let _ = writeln!(
+        text,
+        "{:<8} {:>13} {:>12} {:>10} {:>10} {:>10} {:>9} {:>9} {:>17} {:>11}",
+        "axis",
+        "position/mm",
+        "counts",
+        "requested",
+        "completed",
+        "in effect",
+        "inverted",
+        "edges/s",
+        "gate",
+        "insertions"
+    );
+    for a in &s.axes {
+        let _ = writeln!(
+            text,
+            "{:<8} {:>13.4} {:>12} {:>10} {:>10} {:>10} {:>9} {:>9.0} {:>17} {:>11}",
+            a.name,
+            a.position_mm,
+            a.position_counts,
+            a.requested,
+            a.completed,
+            a.in_effect,
+            yes(a.inverted),
+            a.edge_rate_hz,
+            a.gate.replace('_', " "),
+            a.insertions
+        );
+    }
+    let thread = match (s.rt.cpu, s.rt.priority) {
+        (Some(cpu), Some(priority)) => format!("CPU {cpu}, SCHED_FIFO {priority}"),
+        _ => "ordinary thread".to_owned(),
+    };
+    let _ = writeln!(
+        text,
+        "card {}, {thread}; poll gap {}; edge to done {}; {} events lost",
+        s.rt.card,
+        times(&s.rt.poll_gap_ns),
+        times(&s.rt.edge_to_done_ns),
+        s.rt.events_lost
+    );
+    for missing in &s.rt.missing {
+        let _ = writeln!(text, "missing: {missing}");
+    }
+    for why in &s.why_not {
+        let _ = writeln!(text, "not correcting: {why}");
+    }
+    text
+}
+
+fn times(d: &Distribution) -> String {
+    if d.samples == 0 {
+        return "-".to_owned();
+    }
+    format!("p50 {} ns, p99.99 {} ns, max {} ns", d.p50, d.p9999, d.max)
+}

@@ -1,0 +1,513 @@
+//! `rtecctl trace`: quadrature traces from one form into another, and from a measured position record.
+
+use anyhow::Context;
+use clap::{Subcommand, ValueEnum};
+use rtec_driver::input::InputError;
+use rtec_driver::quadrature::State;
+use rtec_driver::trace::{TraceFile, TracePoint, TraceReader};
+use std::io::BufRead;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Convert quadrature traces, or make one from a measured position record
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Rewrite a trace; the extensions tell the formats (.csv: `t_ns,a,b`; .vcd: IEEE 1364, signals a and b)
+    Convert {
+        /// The trace to read
+        input: PathBuf,
+        /// The trace to write
+        output: PathBuf,
+        /// Print the summary as one JSON document
+        #[arg(long)]
+        json: bool,
+    },
+    /// Make the trace that a scale gives along a measured position record (CSV: `t_s` and a position column)
+    FromPosition(FromPosition),
+}
+
+#[derive(Debug, clap::Args)]
+struct FromPosition {
+    /// The record: a header, a time column `t_s` (or `t_ms`, `t_us`, `t_ns`) and a position column
+    input: PathBuf,
+    /// What one count is worth, in µm
+    #[arg(long, value_name = "UM", value_parser = positive)]
+    count_um: f64,
+    /// The trace to write (.csv or .vcd)
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// The position column [default: the one whose name begins with "position"]
+    #[arg(long, value_name = "NAME")]
+    column: Option<String>,
+    /// The position's unit [default: the column name's ending _m, _mm, _um or _nm; without one, m]
+    #[arg(long, value_enum)]
+    unit: Option<Unit>,
+    /// Way back, in counts, before a count edge is undone, as in a scale's interpolator: noise at rest below
+    /// this gives no edges
+    #[arg(long, value_name = "COUNTS", default_value_t = 0.25, value_parser = not_negative)]
+    hysteresis_counts: f64,
+    /// Print the summary as one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
+enum Unit {
+    M,
+    Mm,
+    Um,
+    Nm,
+}
+
+impl Unit {
+    /// The unit that a column's name ends with.
+    fn of(column: &str) -> Option<Self> {
+        let (_, ending) = column.rsplit_once('_')?;
+        Self::from_str(ending, false).ok()
+    }
+
+    const fn in_um(self) -> f64 {
+        match self {
+            Self::M => 1e6,
+            Self::Mm => 1e3,
+            Self::Um => 1.0,
+            Self::Nm => 1e-3,
+        }
+    }
+}
+
+fn number(text: &str, good: fn(f64) -> bool, expected: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|&n| good(n)).ok_or_else(|| format!("expected {expected}"))
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    number(text, |n| n.is_finite() && n > 0.0, "a number above 0")
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    number(text, |n| n.is_finite() && n >= 0.0, "a number from 0")
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    match &args.what {
+        What::Convert { input, output, json } => convert(input, output)?.print(output, *json),
+        What::FromPosition(args) => from_position(args)?.print(&args.out, args.json),
+    }
+    Ok(())
+}
+
+/// What was written.
+#[derive(Debug, Default, PartialEq)]
+struct Summary {
+    points: u64,
+    illegal: u64,
+    net_counts: i64,
+    first: TracePoint,
+    last: TracePoint,
+    shortest_ns: Option<u64>,
+}
+
+impl Summary {
+    fn add(&mut self, point: TracePoint) {
+        if self.points == 0 {
+            self.first = point;
+        } else {
+            match self.last.state.step_to(point.state) {
+                Some(step) => self.net_counts += i64::from(step),
+                None => self.illegal += 1,
+            }
+            let interval = point.t_ns - self.last.t_ns;
+            self.shortest_ns = Some(self.shortest_ns.map_or(interval, |s| s.min(interval)));
+        }
+        self.last = point;
+        self.points += 1;
+    }
+
+    fn print(&self, out: &Path, json: bool) {
+        let edges = self.points.saturating_sub(1);
+        if json {
+            let document = serde_json::json!({
+                "out": out, "edges": edges, "net_counts": self.net_counts, "illegal": self.illegal,
+                "start_ns": self.first.t_ns, "end_ns": self.last.t_ns, "min_edge_separation_ns": self.shortest_ns,
+            });
+            println!("{document}");
+            return;
+        }
+        println!(
+            "{}: {edges} edges, {:+} counts net, {} illegal, {:.6} s, edges at least {} ns apart",
+            out.display(),
+            self.net_counts,
+            self.illegal,
+            (self.last.t_ns - self.first.t_ns) as f64 / 1e9,
+            self.shortest_ns.map_or_else(|| "-".to_owned(), |ns| ns.to_string()),
+        );
+    }
+}
+
+/// A trace being written, its summary, and a word to the terminal every two seconds.
+struct Output {
+    file: TraceFile,
+    summary: Summary,
+    told: Instant,
+}
+
+impl Output {
+    fn create(out: &Path) -> anyhow::Result<Self> {
+        Ok(Self { file: TraceFile::create(out)?, summary: Summary::default(), told: Instant::now() })
+    }
+
+    fn write(&mut self, point: TracePoint) -> anyhow::Result<()> {
+        self.summary.add(point);
+        if self.summary.points.is_multiple_of(1 << 20) && self.told.elapsed() > Duration::from_secs(2) {
+            self.told = Instant::now();
+            eprintln!("{} edges, at {:.3} s", self.summary.points, point.t_ns as f64 / 1e9);
+        }
+        Ok(self.file.write(point)?)
+    }
+}
+
+fn convert(input: &Path, output: &Path) -> anyhow::Result<Summary> {
+    let mut reader = TraceReader::open(input)?;
+    let mut out = Output::create(output)?;
+    while let Some(point) = reader.next_point()? {
+        out.write(point).with_context(|| format!("writing {}", output.display()))?;
+    }
+    out.file.finish().with_context(|| format!("writing {}", output.display()))?;
+    Ok(out.summary)
+}
+
+fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
+    let mut record = Record::open(args)?;
+    let mut out = Output::create(&args.out)?;
+    let Some((t_ns, counts)) = record.next()? else {
+        let expected = "a header and at least one row";
+        return Err(InputError::whole(&args.input, "no rows", expected).into());
+    };
+    let mut scale = Scale::new(t_ns, counts, args.hysteresis_counts);
+    out.write(scale.at)?;
+    while let Some((t_ns, counts)) = record.next()? {
+        let fits = scale.move_to(t_ns, counts, |point| {
+            out.write(point).with_context(|| format!("writing {}", args.out.display()))
+        })?;
+        if !fits {
+            let expected =
+                "a motion of at most one count a nanosecond (is --count-um, or the unit, too small?)";
+            return Err(record.error(0, "a faster motion", expected).into());
+        }
+    }
+    out.file.finish().with_context(|| format!("writing {}", args.out.display()))?;
+    Ok(out.summary)
+}
+
+/// A scale with its interpolator, moved in straight lines from one sample to the next.
+struct Scale {
+    hysteresis: f64,
+    /// Time in ns and position in counts of the last sample.
+    from: (u64, f64),
+    /// The present count and the state it shows, with the time of its edge.
+    count: i64,
+    at: TracePoint,
+}
+
+impl Scale {
+    fn new(t_ns: u64, counts: f64, hysteresis: f64) -> Self {
+        let count = counts.floor() as i64;
+        // The state of a count, so that equal positions show equal states: 0 is 00, 1 is 10, 2 is 11, 3 is 01.
+        let state = (0..count.rem_euclid(4)).fold(State::default(), |state, _| state.next(true));
+        Self { hysteresis, from: (t_ns, counts), count, at: TracePoint { t_ns, state } }
+    }
+
+    /// Gives each edge on the way to a sample; `false` when they do not fit into whole nanoseconds.
+    fn move_to(
+        &mut self,
+        t_ns: u64,
+        counts: f64,
+        mut edge: impl FnMut(TracePoint) -> anyhow::Result<()>,
+    ) -> anyhow::Result<bool> {
+        let (from_ns, from) = std::mem::replace(&mut self.from, (t_ns, counts));
+        let span_ns = (t_ns - from_ns) as f64;
+        let up = counts > from;
+        loop {
+            let half = self.hysteresis / 2.0;
+            let boundary = if up { (self.count + 1) as f64 + half } else { self.count as f64 - half };
+            if (up && counts < boundary) || (!up && counts >= boundary) {
+                return Ok(true);
+            }
+            // The first sample may lie beyond the boundary already: its edge is then due at once.
+            let part = ((boundary - from) / (counts - from)).clamp(0.0, 1.0);
+            let at_ns = (from_ns + (part * span_ns).round() as u64).max(self.at.t_ns + 1);
+            if at_ns > t_ns {
+                return Ok(false);
+            }
+            self.count += if up { 1 } else { -1 };
+            self.at = TracePoint { t_ns: at_ns, state: self.at.state.next(up) };
+            edge(self.at)?;
+        }
+    }
+}
+
+/// The rows of a position record, as time in ns and position in counts.
+struct Record {
+    file: PathBuf,
+    input: std::io::BufReader<std::fs::File>,
+    line: usize,
+    text: String,
+    time: usize,
+    ns_per_unit: f64,
+    position: usize,
+    counts_per_unit: f64,
+    last_ns: Option<u64>,
+}
+
+impl Record {
+    fn open(args: &FromPosition) -> Result<Self, InputError> {
+        let file = args.input.clone();
+        let input = std::fs::File::open(&file)
+            .map_err(|e| InputError::whole(&file, e.to_string(), "a file that can be read"))?;
+        let input = std::io::BufReader::new(input);
+        let mut record = Self {
+            file,
+            input,
+            line: 0,
+            text: String::new(),
+            time: 0,
+            ns_per_unit: 0.0,
+            position: 0,
+            counts_per_unit: 0.0,
+            last_ns: None,
+        };
+        if !record.row()? {
+            return Err(InputError::whole(&record.file, "no header", "a header such as t_s,position_mm"));
+        }
+        let header = record.text.clone();
+        let names: Vec<&str> = header.split(',').map(str::trim).collect();
+        let times = [("t_s", 1e9), ("t_ms", 1e6), ("t_us", 1e3), ("t_ns", 1.0)];
+        (record.time, record.ns_per_unit) = times
+            .iter()
+            .find_map(|(name, ns)| Some((names.iter().position(|n| n == name)?, *ns)))
+            .ok_or_else(|| {
+                record.error(1, &format!("the columns {header}"), "a time column: t_s, t_ms, t_us or t_ns")
+            })?;
+        let wanted = |name: &&str| match &args.column {
+            Some(column) => *name == column,
+            None => name.starts_with("position"),
+        };
+        let expected = match &args.column {
+            Some(column) => format!("one column named {column}"),
+            None => "one column whose name begins with position (or --column NAME)".to_owned(),
+        };
+        let mut matching = names.iter().enumerate().filter(|(_, name)| wanted(name));
+        let (Some((position, name)), None) = (matching.next(), matching.next()) else {
+            return Err(record.error(1, &format!("the columns {header}"), &expected));
+        };
+        record.position = position;
+        let unit = args.unit.or_else(|| Unit::of(name)).unwrap_or_else(|| {
+            eprintln!("{}: column '{name}' names no unit: taken as m (see --unit)", args.input.display());
+            Unit::M
+        });
+        record.counts_per_unit = unit.in_um() / args.count_um;
+        Ok(record)
+    }
+
+    fn error(&self, column: usize, found: &str, expected: &str) -> InputError {
+        InputError::at(&self.file, self.line, column, found, expected)
+    }
+
+    /// Reads the next line that holds something besides a comment into `text`; `false` at the end.
+    fn row(&mut self) -> Result<bool, InputError> {
+        loop {
+            self.line += 1;
+            self.text.clear();
+            match self.input.read_line(&mut self.text) {
+                Ok(0) => return Ok(false),
+                Ok(_) => {}
+                Err(e) => return Err(self.error(0, &e.to_string(), "a text file in UTF-8 that can be read")),
+            }
+            if self.line == 1 && self.text.starts_with('\u{feff}') {
+                self.text.remove(0);
+            }
+            let content = self.text.split('#').next().unwrap_or_default().trim_end().len();
+            self.text.truncate(content);
+            if content > 0 {
+                return Ok(true);
+            }
+        }
+    }
+
+    fn number(&self, n: usize, name: &str) -> Result<f64, InputError> {
+        let column = self.text.split(',').take(n).map(|field| field.chars().count() + 1).sum::<usize>() + 1;
+        let Some(field) = self.text.split(',').nth(n) else {
+            let found = format!("the end of the row after {} fields", self.text.split(',').count());
+            return Err(self.error(self.text.chars().count() + 1, &found, &format!("the {name}")));
+        };
+        let value = field.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+        value.ok_or_else(|| {
+            self.error(column, &format!("'{}'", field.trim()), &format!("the {name}: a finite number"))
+        })
+    }
+
+    fn next(&mut self) -> Result<Option<(u64, f64)>, InputError> {
+        if !self.row()? {
+            return Ok(None);
+        }
+        let time = self.number(self.time, "time")? * self.ns_per_unit;
+        let counts = self.number(self.position, "position")? * self.counts_per_unit;
+        // Beyond 2^53 neither a time in ns nor a count is exact in a float any more.
+        let exact = 9_007_199_254_740_992.0;
+        if !(0.0..exact).contains(&time) {
+            return Err(self.error(0, "a time out of range", "a time from 0 to 104 days"));
+        }
+        if counts.abs() >= exact {
+            return Err(self.error(0, "a position out of range", "a position below 2^53 counts"));
+        }
+        let t_ns = time.round() as u64;
+        if let Some(last) = self.last_ns
+            && t_ns <= last
+        {
+            let expected = format!("a time after the row before, {} s", last as f64 / 1e9);
+            return Err(self.error(0, &format!("the time {} s", t_ns as f64 / 1e9), &expected));
+        }
+        self.last_ns = Some(t_ns);
+        Ok(Some((t_ns, counts)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Times and counts of the edges along samples (ns, counts).
+    fn edges(samples: &[(u64, f64)], hysteresis: f64) -> Option<Vec<(u64, i64)>> {
+        let mut scale = Scale::new(samples[0].0, samples[0].1, hysteresis);
+        let (mut count, mut state) = (samples[0].1.floor() as i64, scale.at.state);
+        let mut edges = Vec::new();
+        for &(t_ns, counts) in &samples[1..] {
+            let fits = scale.move_to(t_ns, counts, |point| {
+                count += i64::from(state.step_to(point.state).expect("never both signals at once"));
+                state = point.state;
+                edges.push((point.t_ns, count));
+                Ok(())
+            });
+            if !fits.unwrap() {
+                return None;
+            }
+        }
+        Some(edges)
+    }
+
+    #[test]
+    fn edges_fall_on_the_straight_line() {
+        let there_and_back = [(0, 0.5), (1000, 2.5), (2000, 0.5)];
+        let want = [(250, 1), (750, 2), (1250, 1), (1750, 0)];
+        assert_eq!(edges(&there_and_back, 0.0).unwrap(), want);
+        let late = [(300, 1), (800, 2), (1300, 1), (1800, 0)];
+        assert_eq!(edges(&there_and_back, 0.2).unwrap(), late);
+        let below_zero = [(0, -0.5), (1000, -2.5)];
+        assert_eq!(edges(&below_zero, 0.0).unwrap(), [(250, -2), (750, -3)]);
+    }
+
+    #[test]
+    fn noise_within_the_hysteresis_gives_no_edge() {
+        let noise: Vec<_> =
+            (0..100).map(|n| (n * 1000, 7.0 + if n % 2 == 0 { 0.04 } else { -0.04 })).collect();
+        assert_eq!(edges(&noise, 0.0).unwrap().len(), 99);
+        assert!(edges(&noise, 0.1).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_motion_faster_than_a_count_a_nanosecond_is_refused() {
+        assert!(edges(&[(0, 0.5), (10, 9.5)], 0.0).is_some());
+        assert!(edges(&[(0, 0.5), (10, 30.5)], 0.0).is_none());
+    }
+
+    #[test]
+    fn an_equal_position_shows_an_equal_state() {
+        for counts in [-5.0, -4.0, -1.0, 0.0, 3.0, 4.0] {
+            let up = Scale::new(0, counts + 4.0, 0.0).at.state;
+            assert_eq!(Scale::new(0, counts, 0.0).at.state, up);
+            assert_eq!(up.step_to(Scale::new(0, counts + 1.0, 0.0).at.state), Some(1));
+        }
+    }
+
+    fn run_from(text: &str, options: &[&str]) -> (anyhow::Result<Summary>, String) {
+        use clap::Parser;
+        #[derive(Parser)]
+        struct Cli {
+            #[command(flatten)]
+            args: FromPosition,
+        }
+        let directory = tempfile::tempdir().unwrap();
+        let (input, out) = (directory.path().join("p.csv"), directory.path().join("t.csv"));
+        std::fs::write(&input, text).unwrap();
+        let fixed = ["x", input.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        let summary = from_position(&Cli::parse_from(fixed.iter().chain(options)).args);
+        let written = std::fs::read_to_string(&out).unwrap_or_default();
+        let left = std::fs::read_dir(directory.path()).unwrap().count();
+        assert_eq!(
+            left,
+            if summary.is_ok() { 2 } else { 1 },
+            "no output and no temporary file after an error"
+        );
+        let summary = summary.map_err(|e| {
+            anyhow::anyhow!("{}", e.to_string().replace(directory.path().to_str().unwrap(), ""))
+        });
+        (summary, written)
+    }
+
+    #[test]
+    fn a_record_becomes_a_trace() {
+        let text = "\u{feff}# run 3\r\nt_s,reference_m,position_m\r\n0,0,0.0000005\r\n0.001,9,0.0000025\r\n";
+        let (summary, written) = run_from(text, &["--count-um", "1", "--hysteresis-counts", "0"]);
+        assert_eq!(written, "t_ns,a,b\n0,0,0\n250000,1,0\n750000,1,1\n");
+        assert_eq!(summary.unwrap().net_counts, 2);
+        let same = "t_ms,x_mm,p\n0,0.5,0\n1,2.5,0\n";
+        let options = ["--count-um", "1000", "--hysteresis-counts", "0", "--column", "x_mm"];
+        assert_eq!(run_from(same, &options).1, written);
+        let bare =
+            run_from("t_s,position\n0,0.5\n0.001,2.5\n", &["--count-um", "1e6", "--hysteresis-counts", "0"]);
+        assert_eq!(bare.1, written);
+    }
+
+    #[test]
+    fn a_bad_record_is_explained_and_nothing_is_written() {
+        let table = [
+            ("", "/p.csv: found no header, expected a header such as t_s,position_mm"),
+            ("t_s,position_mm\n", "/p.csv: found no rows, expected a header and at least one row"),
+            (
+                "t,position_mm\n0,0\n",
+                "/p.csv:1:1: found the columns t,position_mm, expected a time column: t_s, t_ms, t_us or t_ns",
+            ),
+            (
+                "t_s,position_mm,position_m\n0,0\n",
+                "/p.csv:1:1: found the columns t_s,position_mm,position_m, expected one column whose name begins with position (or --column NAME)",
+            ),
+            (
+                "t_s,position_mm\n0,0\n0.1\n",
+                "/p.csv:3:4: found the end of the row after 1 fields, expected the position",
+            ),
+            (
+                "t_s,position_mm\n0,0\n0.1,inf\n",
+                "/p.csv:3:5: found 'inf', expected the position: a finite number",
+            ),
+            (
+                "t_s,position_mm\n0.2,0\n0.1,1\n",
+                "/p.csv:3: found the time 0.1 s, expected a time after the row before, 0.2 s",
+            ),
+            (
+                "t_s,position_mm\n0,0\n0.000000001,1\n",
+                "/p.csv:3: found a faster motion, expected a motion of at most one count a nanosecond (is --count-um, or the unit, too small?)",
+            ),
+        ];
+        for (text, message) in table {
+            let (summary, written) = run_from(text, &["--count-um", "1"]);
+            assert_eq!(summary.unwrap_err().to_string(), message);
+            assert_eq!(written, "");
+        }
+    }
+}

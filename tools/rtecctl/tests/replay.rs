@@ -1,0 +1,215 @@
+//! `rtecctl replay` as a user meets it. `RTEC_BLESS=1 cargo test` writes the golden files anew.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn golden(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/replay").join(name)
+}
+
+fn rtecctl(args: &[&str], paths: &[(&str, &Path)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rtecctl"));
+    command.args(args);
+    for (flag, path) in paths {
+        command.arg(flag).arg(path);
+    }
+    command.output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+fn same(name: &str, found: &str) {
+    let golden = golden(name);
+    if std::env::var_os("RTEC_BLESS").is_some() {
+        std::fs::write(&golden, found).unwrap();
+    }
+    // Not assert_eq: a whole trace is no message.
+    assert!(found == std::fs::read_to_string(&golden).unwrap_or_default(), "{name} differs");
+}
+
+#[test]
+fn a_recorded_trace_is_replayed_bit_for_bit() {
+    let directory = tempfile::tempdir().unwrap();
+    let (motion, requests) = (golden("motion.csv"), golden("requests.csv"));
+    for design in ["c", "a", "original"] {
+        let out = directory.path().join("out.csv");
+        let vcd = directory.path().join("out.vcd");
+        let paths: &[(&str, &Path)] =
+            &[("--trace", &motion), ("--requests", &requests), ("--out", &out), ("--vcd", &vcd)];
+        let run = rtecctl(&["replay", "--json", "--design", design], paths);
+        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+        same(&format!("{design}.json"), &text(&run.stdout));
+        same(&format!("{design}.csv"), &std::fs::read_to_string(&out).unwrap());
+        if design == "c" {
+            same("c.vcd", &std::fs::read_to_string(&vcd).unwrap());
+        }
+        // The same motion as a VCD gives the same.
+        let again = directory.path().join("motion.vcd");
+        assert!(rtecctl(&["trace", "convert"], &[]).status.code() == Some(2));
+        let made = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .args(["trace", "convert"])
+            .args([&motion, &again])
+            .output()
+            .unwrap();
+        assert!(made.status.success(), "{}", text(&made.stderr));
+        let other = rtecctl(
+            &["replay", "--json", "--design", design],
+            &[("--trace", &again), ("--requests", &requests)],
+        );
+        assert_eq!(text(&run.stdout), text(&other.stdout));
+    }
+}
+
+#[test]
+fn the_document_has_the_keys_of_the_contract() {
+    let (motion, requests) = (golden("motion.csv"), golden("requests.csv"));
+    let run = rtecctl(&["replay", "--json"], &[("--trace", &motion), ("--requests", &requests)]);
+    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    for key in [
+        "counts_in",
+        "counts_out",
+        "requested",
+        "completed",
+        "insertions",
+        "illegal_in",
+        "illegal_out",
+        "min_edge_separation_ns",
+        "waited_for_gate",
+        "refused",
+        "faults",
+    ] {
+        assert!(document.get(key).is_some(), "no {key} in {document}");
+    }
+    // 140 is served, 9999 is beyond ±1000 and is not.
+    assert_eq!(
+        (&document["requested"], &document["refused"][0]["why"]),
+        (&140.into(), &"above_maximum".into())
+    );
+    assert_eq!(document["completed"], 140);
+    assert!(document["min_edge_separation_ns"].as_u64().unwrap() >= 500);
+    // People get a table.
+    let run = rtecctl(&["replay"], &[("--trace", &motion), ("--requests", &requests)]);
+    assert!(text(&run.stdout).contains("balances"), "{}", text(&run.stdout));
+}
+
+const CONFIG: &str = "[machine]\nname='m'\n[card]\nbackend='mock'\n[[axis]]\nname='x'\ncount_um=1\ntravel_mm=9\n\
+                      max_correction_counts=1000\nwindow_counts=30\nmin_separation_ns=500\n";
+
+#[test]
+fn a_configuration_brings_its_belief_window() {
+    let directory = tempfile::tempdir().unwrap();
+    let config = directory.path().join("rtec.toml");
+    std::fs::write(&config, CONFIG).unwrap();
+    let (motion, requests) = (golden("motion.csv"), golden("requests.csv"));
+    let paths: &[(&str, &Path)] = &[("--trace", &motion), ("--requests", &requests), ("--config", &config)];
+    let run = rtecctl(&["replay", "--json"], paths);
+    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    // 10 → −30 is a change of 40, and so is −30 → … : the window of 30 refuses what is too far from the last.
+    let refused: Vec<_> = document["refused"].as_array().unwrap().iter().map(|r| &r["why"]).collect();
+    assert_eq!(refused, ["not_believed", "not_believed", "above_maximum"], "{document}");
+    assert_eq!((run.status.code(), &document["requested"]), (Some(0), &11.into()));
+
+    // Three in a row: "I still don't believe you", a latched fault, exit 4; the ledger still balances.
+    let wild = directory.path().join("wild.csv");
+    std::fs::write(&wild, "t_ns,requested\n0,20\n1000000,500\n2000000,501\n3000000,502\n").unwrap();
+    let run =
+        rtecctl(&["replay", "--json"], &[("--trace", &motion), ("--requests", &wild), ("--config", &config)]);
+    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
+    assert_eq!(document["faults"][0]["fault"], "still_not_believed");
+    assert_eq!(document["illegal_out"], 0);
+    let number = |key: &str| document[key].as_i64().unwrap();
+    assert_eq!(number("counts_out") - number("counts_in"), number("completed"));
+
+    // An axis that is not there, and a configuration with a mistake.
+    let run = rtecctl(&["replay", "--axis", "y"], paths);
+    assert_eq!(run.status.code(), Some(2));
+    assert!(text(&run.stderr).contains("found no axis y, expected x"), "{}", text(&run.stderr));
+    std::fs::write(&config, CONFIG.replace("window_counts", "windw_counts")).unwrap();
+    let run = rtecctl(&["replay"], paths);
+    assert_eq!(run.status.code(), Some(2));
+    assert!(text(&run.stderr).contains("did you mean window_counts?"), "{}", text(&run.stderr));
+}
+
+#[test]
+fn bad_input_is_named_and_leaves_nothing_behind() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = |name: &str, text: &str| {
+        let path = directory.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let good = at("good.csv", "t_ns,a,b\n0,0,0\n1000,1,0\n");
+    let back = at("back.csv", "t_ns,a,b\n0,0,0\n2000,1,0\n1000,1,1\n");
+    let none = at("none.csv", "t_ns,requested\n");
+    let late = at("late.csv", "t_ns,requested\n5,1\n4,2\n");
+    let missing = directory.path().join("missing.csv");
+    let out = directory.path().join("out.csv");
+    let as_text = directory.path().join("out.txt");
+    for (trace, requests, out, wants) in [
+        (&back, &none, &out, "back.csv:4:1: found '1000', expected a time after the row before, 2000 ns"),
+        (&good, &late, &out, "late.csv:3:1: found '4'"),
+        (&missing, &none, &out, "missing.csv: found No such file"),
+        (&good, &none, &as_text, "expected a trace ending in .csv or .vcd"),
+    ] {
+        let paths: &[(&str, &Path)] = &[("--trace", trace), ("--requests", requests), ("--out", out)];
+        let run = rtecctl(&["replay", "--json"], paths);
+        assert_eq!(run.status.code(), Some(2), "{wants}: {}", text(&run.stderr));
+        assert!(text(&run.stderr).contains(wants), "{}", text(&run.stderr));
+        assert!(run.stdout.is_empty());
+        assert!(!out.exists());
+    }
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 4, "a temporary file was left");
+}
+
+#[test]
+fn an_illegal_transition_is_a_latched_fault_not_a_guess() {
+    let directory = tempfile::tempdir().unwrap();
+    let trace = directory.path().join("t.csv");
+    std::fs::write(
+        &trace,
+        "t_ns,a,b\n0,0,0\n1000000,1,0\n2000000,1,1\n3000000,0,0\n4000000,1,0\n5000000,1,1\n",
+    )
+    .unwrap();
+    let requests = directory.path().join("r.csv");
+    std::fs::write(&requests, "t_ns,requested\n0,10\n").unwrap();
+    let run = rtecctl(&["replay", "--json"], &[("--trace", &trace), ("--requests", &requests)]);
+    assert_eq!(run.status.code(), Some(4));
+    assert!(text(&run.stderr).contains("illegal transition latched at 3000000 ns"), "{}", text(&run.stderr));
+    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(document["illegal_in"], 1);
+    assert_eq!(document["insertions"], 1);
+}
+
+/// NISTIR 4832, Design B: single counts; CMTI (2014), figures 8 and 9: three pulses added, three subtracted.
+#[test]
+fn designs_that_drive_the_signals_themselves_replay_too() {
+    let directory = tempfile::tempdir().unwrap();
+    let (trace, requests) = (directory.path().join("t.csv"), directory.path().join("r.csv"));
+    // 10 kHz encoder frequency, forward.
+    let states = ["0,0", "1,0", "1,1", "0,1"];
+    let rows = (0..4000).map(|n| format!("{},{}\n", n * 25_000, states[n % 4]));
+    std::fs::write(&trace, "t_ns,a,b\n".to_owned() + &rows.collect::<Vec<_>>().concat()).unwrap();
+    std::fs::write(&requests, "t_ns,requested\n20000000,13\n60000000,-12\n").unwrap();
+    for (design, insertions) in [("b", 13 + 25), ("ecc", 2)] {
+        let paths: &[(&str, &Path)] = &[("--trace", &trace), ("--requests", &requests)];
+        let run = rtecctl(&["replay", "--json", "--design", design], paths);
+        assert_eq!(run.status.code(), Some(0), "{design}: {}", text(&run.stderr));
+        let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert_eq!(
+            (&document["counts_in"], &document["completed"]),
+            (&3999.into(), &(-12).into()),
+            "{design}"
+        );
+        assert_eq!(
+            (&document["counts_out"], &document["illegal_out"]),
+            (&3987.into(), &0.into()),
+            "{design}"
+        );
+        assert_eq!(document["insertions"], insertions, "{design}");
+    }
+}

@@ -1,0 +1,181 @@
+//! `rtecctl selftest latency`: the ledger, the document and the text's shape. No figure is asserted: time is the machine's.
+
+use serde_json::Value;
+use std::process::{Command, Output};
+
+fn latency(options: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(["selftest", "latency", "--duration", "600ms"])
+        .args(options)
+        .output()
+        .expect("the binary was built with this test")
+}
+
+fn text(out: &Output) -> String {
+    String::from_utf8(out.stdout.clone()).expect("UTF-8")
+}
+
+/// Says loudly that something could not be compared; with `RTEC_REQUIRE=1` that is a failure.
+fn skipped(why: &str) {
+    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
+    eprintln!("SKIPPED: {why}");
+}
+
+/// What a line looks like: every number as one 9, every run of blanks as it may vary with the numbers' width.
+fn shape(line: &str) -> String {
+    let mut shape = String::new();
+    for c in line.chars() {
+        let c = if c.is_ascii_digit() { '9' } else { c };
+        if !(matches!(c, '9' | ' ') && shape.ends_with(c)) {
+            shape.push(c);
+        }
+    }
+    shape.replace(": 9", ":9").replace("( 9", "(9")
+}
+
+#[test]
+fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed() {
+    for backend in ["mock", "mapped"] {
+        let out = latency(&["--json", "--backend", backend]);
+        let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+        for key in ["wakeup_ns", "poll_gap_ns", "edge_to_done_ns"] {
+            for figure in ["min", "p50", "p99", "p9999", "max", "samples"] {
+                assert!(document[key][figure].is_u64(), "{backend}: {key}.{figure}");
+            }
+            let counts =
+                document[key]["histogram"].as_array().expect("buckets").iter().map(|b| b[2].as_u64());
+            assert_eq!(counts.sum::<Option<u64>>(), document[key]["samples"].as_u64());
+        }
+        let verdict = document["verdict"].as_str().expect("a verdict");
+        assert_eq!(out.status.code(), Some(i32::from(verdict == "fail")));
+        assert_eq!(verdict == "pass", document["reason"] == "");
+        let safe = &document["max_safe_edge_rate_hz"]["default"];
+        assert!(safe.is_f64() || safe.is_null() && verdict == "fail");
+        assert!(document["wakeup_ns"]["samples"].as_u64() > Some(0));
+        if document["far_side"].is_null() {
+            skipped("one CPU only, so nobody can play the machine while the engine polls");
+            continue;
+        }
+        assert_eq!(document["ledger_balanced"], true);
+        assert!(document["edge_to_done_ns"]["samples"].as_u64() > Some(0), "{backend}: no insertion");
+        assert_eq!(document["far_side"]["illegal"], 0);
+        // The MTC was given its separation after the edge and between the inversions, at every single insertion.
+        assert!(document["edge_to_done_ns"]["min"].as_u64() >= document["separations_ns"].as_u64());
+    }
+}
+
+#[test]
+fn unmet_settings_fail_with_their_remedy() {
+    let out = latency(&["--json"]);
+    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let missing = document["missing_to_arm"].as_array().expect("a list");
+    let reason = document["reason"].as_str().expect("a text");
+    for name in missing {
+        assert!(reason.contains(name.as_str().expect("a name")), "{reason}");
+    }
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(reason.is_empty() || stderr.contains(reason), "{stderr}");
+}
+
+#[test]
+fn without_privileges_it_measures_all_the_same_and_names_what_is_missing() {
+    use std::os::unix::fs::PermissionsExt;
+    use std::os::unix::process::CommandExt;
+    const NOBODY: u32 = 65534;
+    let dir = tempfile::tempdir().expect("a directory");
+    let program = dir.path().join("rtecctl");
+    std::fs::copy(env!("CARGO_BIN_EXE_rtecctl"), &program).expect("a copy that everybody may run");
+    for path in [dir.path(), &program] {
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).expect("our own file");
+    }
+    let mut command = Command::new(&program);
+    command.args(["selftest", "latency", "--duration", "600ms", "--json"]);
+    let root = std::fs::metadata("/proc/self").is_ok_and(|me| std::os::unix::fs::MetadataExt::uid(&me) == 0);
+    if root {
+        command.uid(NOBODY).gid(NOBODY).current_dir("/");
+    }
+    let out = command.output().expect("the copy runs");
+    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    assert!(document["poll_gap_ns"]["samples"].as_u64() > Some(0));
+    assert_eq!(document["ledger_balanced"], true, "{document}");
+    let missing =
+        |name: &str| document["missing_to_arm"].as_array().is_some_and(|m| m.iter().any(|f| f == name));
+    // Someone with a real-time limit of his own gets the priority without being root.
+    if root || missing("scheduler") {
+        assert!(missing("scheduler"));
+        assert_eq!((out.status.code(), &document["verdict"]), (Some(1), &Value::from("fail")));
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(stderr.contains("sched_setscheduler: Operation not permitted"), "{stderr}");
+        assert!(stderr.contains("CAP_SYS_NICE"), "{stderr}");
+    }
+}
+
+#[test]
+fn text_and_histogram_file_have_the_shape_of_cyclictest() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let file = dir.path().join("histogram");
+    let out = text(&latency(&["--histfile", file.to_str().expect("UTF-8")]));
+    let histogram = std::fs::read_to_string(&file).expect("the histogram file");
+    assert!(out.contains(&histogram), "the same histogram in both places");
+    assert_eq!(std::fs::read_dir(dir.path()).expect("a directory").count(), 1, "no temporary file stays");
+    assert_eq!(out.lines().filter(|l| l.starts_with("T:")).count(), 3);
+    // What plotting scripts do: rows are the lines that are neither empty nor a comment, the maximum has its comment.
+    let rows: Vec<&str> = histogram.lines().filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    assert_eq!(rows.len(), 400);
+    assert!(rows.iter().enumerate().all(|(us, row)| row.starts_with(&format!("{us:06} "))));
+
+    let arguments = ["-q", "-l", "20", "-i", "1000", "-t", "3", "-h", "400"];
+    let Ok(cyclictest) = Command::new("cyclictest").args(arguments).output() else {
+        skipped("cyclictest (Debian rt-tests) is not there to be compared with");
+        return;
+    };
+    let theirs = text(&cyclictest);
+    let their_rows: Vec<&str> = theirs.lines().filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    assert_eq!(their_rows.len(), rows.len());
+    for (ours, theirs) in rows.iter().zip(&their_rows) {
+        assert_eq!(shape(ours), shape(theirs));
+        assert_eq!(ours.split_once(' ').map(|s| s.0), theirs.split_once(' ').map(|s| s.0));
+    }
+    for key in [
+        "# Histogram",
+        "# Total:",
+        "# Min Latencies:",
+        "# Avg Latencies:",
+        "# Max Latencies:",
+        "# Histogram Overflows:",
+    ] {
+        let line = |text: &str| text.lines().find(|l| l.starts_with(key)).map(shape);
+        assert!(line(&theirs).is_some(), "{key} in cyclictest's output:\n{theirs}");
+        assert_eq!(line(&histogram), line(&theirs), "{key}");
+    }
+    let plain = Command::new("cyclictest").args(["-q", "-l", "20", "-i", "1000", "-t", "3"]).output();
+    let plain = text(&plain.expect("it ran a moment ago"));
+    let thread = |text: &str| text.lines().find(|l| l.starts_with("T: 0")).map(shape);
+    assert_eq!(thread(&out), thread(&plain));
+}
+
+#[test]
+fn the_configuration_s_axes_have_their_own_rates() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let file = dir.path().join("rtec.toml");
+    let text = include_str!("../../control/src/default.toml");
+    std::fs::write(&file, text).expect("a writable directory");
+    let names: Vec<String> =
+        rtec_control::config::Config::embedded().axes.into_iter().map(|a| a.name).collect();
+    let out = latency(&["--json", "--config", file.to_str().expect("UTF-8")]);
+    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let rates = document["max_safe_edge_rate_hz"].as_object().expect("an object");
+    assert!(names.iter().all(|name| rates.contains_key(name)) && rates.len() == names.len(), "{rates:?}");
+    assert!(document["rt"]["detect_ns"].is_u64() && document["rt"]["write_ns"].is_u64());
+
+    std::fs::write(&file, "[machine]\nnmae = \"x\"\n").expect("a writable directory");
+    let out = latency(&["--config", file.to_str().expect("UTF-8")]);
+    assert_eq!(out.status.code(), Some(2));
+    assert!(out.stdout.is_empty() && String::from_utf8_lossy(&out.stderr).contains("rtec.toml:2"));
+}
+
+#[test]
+fn a_duration_without_a_unit_is_a_usage_error() {
+    let out = latency(&["--duration", "soon"]);
+    assert_eq!(out.status.code(), Some(2));
+}

@@ -1,0 +1,177 @@
+//! The card that the configuration names.
+
+use crate::Failure;
+use nix::sys::statfs::{SYSFS_MAGIC, statfs};
+use rtec_control::config::Config;
+use rtec_driver::card::AxisLines;
+use rtec_driver::clock::Monotonic;
+use rtec_driver::input::InputError;
+use rtec_driver::mapped::MappedCard;
+use rtec_driver::mock::{MockCard, Wires};
+use rtec_driver::moving::{Motion, MovingAxes, Truth};
+use rtec_driver::profile::Profile;
+use rtec_driver::trace::{TracePoint, TraceReader};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Feed of the simulated axes: 20 mm/s, and not so fast that a process without real-time priority falls behind.
+const FEED_MM_S: f64 = 20.0;
+const FEED_COUNTS_S: f64 = 50_000.0;
+/// Points of all recorded traces together: they are held in memory, 16 bytes each.
+const MAX_POINTS: usize = 50_000_000;
+
+/// Moving axes with a probe in the middle of the first one's stroke.
+pub(crate) struct MockMachine {
+    axes: MovingAxes,
+    first: Option<Arc<Truth>>,
+    probe: u64,
+    probe_at_counts: f64,
+}
+
+impl Wires for MockMachine {
+    fn levels(&mut self, t_ns: u64, outputs: u64) -> u64 {
+        let levels = self.axes.levels(t_ns, outputs);
+        let tripped =
+            self.first.as_ref().is_some_and(|truth| truth.position_counts() >= self.probe_at_counts);
+        levels | if tripped { self.probe } else { 0 }
+    }
+
+    fn step_limit_ns(&self) -> u64 {
+        self.axes.step_limit_ns()
+    }
+}
+
+/// Axes that go to and fro over a quarter of their travel.
+pub(crate) fn mock(config: &Config) -> MockCard<MockMachine, Monotonic> {
+    let motions: Vec<_> = config
+        .axes
+        .iter()
+        .map(|axis| {
+            let motion = Motion {
+                stroke_counts: (axis.travel_mm / 4.0 * 1000.0 / axis.count_um).max(1.0),
+                feed_counts_s: (FEED_MM_S * 1000.0 / axis.count_um).min(FEED_COUNTS_S),
+                dwell_s: 0.2,
+            };
+            (axis.engine.lines, motion)
+        })
+        .collect();
+    let (axes, operator) = MovingAxes::new(&motions);
+    operator.cycle_start();
+    let machine = MockMachine {
+        axes,
+        first: operator.truth.into_iter().next(),
+        probe: config.lines.probe.map_or(0, |bit| 1 << bit),
+        probe_at_counts: motions.first().map_or(0.0, |(_, m)| m.stroke_counts / 2.0),
+    };
+    MockCard::new(machine, Monotonic)
+}
+
+/// One recorded axis.
+struct Recorded {
+    lines: AxisLines,
+    points: Vec<TracePoint>,
+    /// The point that shows now.
+    at: usize,
+}
+
+/// Recorded axes, played in real time from the first look on; after the last edge they stand still.
+pub(crate) struct Recordings {
+    axes: Vec<Recorded>,
+    start_ns: Option<u64>,
+    now_ns: u64,
+}
+
+impl Wires for Recordings {
+    fn levels(&mut self, t_ns: u64, _outputs: u64) -> u64 {
+        let start_ns = *self.start_ns.get_or_insert(t_ns);
+        self.now_ns = t_ns - start_ns;
+        let mut inputs = 0;
+        for axis in &mut self.axes {
+            let first_ns = axis.points[0].t_ns;
+            if axis.points.get(axis.at + 1).is_some_and(|p| p.t_ns - first_ns <= self.now_ns) {
+                axis.at += 1;
+            }
+            let state = axis.points[axis.at].state;
+            inputs |= u64::from(state.a()) << axis.lines.a | u64::from(state.b()) << axis.lines.b;
+        }
+        inputs
+    }
+
+    /// Up to the next edge of any axis: late looks find the recording waiting, not torn.
+    fn step_limit_ns(&self) -> u64 {
+        let next = self.axes.iter().filter_map(|axis| {
+            let next = axis.points.get(axis.at + 1)?;
+            Some((next.t_ns - axis.points[0].t_ns).saturating_sub(self.now_ns).max(1))
+        });
+        next.min().unwrap_or(u64::MAX)
+    }
+}
+
+/// Recorded traces in real time.
+pub(crate) fn replay(
+    config: &Config,
+    traces: &[PathBuf],
+) -> Result<MockCard<Recordings, Monotonic>, InputError> {
+    let mut axes = Vec::new();
+    let mut held = 0;
+    for (axis, file) in config.axes.iter().zip(traces) {
+        let mut reader = TraceReader::open(file)?;
+        let mut points = Vec::new();
+        while let Some(point) = reader.next_point()? {
+            points.push(point);
+            held += 1;
+            if held > MAX_POINTS {
+                let found = format!("more than {MAX_POINTS} points in all traces");
+                let expected = "shorter recordings; `rtecctl replay` takes them of any length";
+                return Err(InputError::whole(file, found, expected));
+            }
+        }
+        axes.push(Recorded { lines: axis.engine.lines, points, at: 0 });
+    }
+    Ok(MockCard::new(Recordings { axes, start_ns: None, now_ns: 0 }, Monotonic))
+}
+
+/// A file of registers.
+pub(crate) fn mapped(file: &Path, profile: &Profile) -> Result<MappedCard<Monotonic>, Failure> {
+    MappedCard::open(file, profile, Monotonic).map_err(|e| Failure::Unreachable(e.to_string()))
+}
+
+/// A plain file (shared memory) drives nothing: whoever plays the card is another program. A device, or a PCI resource
+/// in sysfs, does.
+pub(crate) fn drives_a_machine(file: &Path) -> Result<bool, Failure> {
+    let failed = |e: std::io::Error| Failure::Unreachable(format!("card {}: {e}", file.display()));
+    let plain = std::fs::metadata(file).map_err(failed)?.is_file();
+    let system = statfs(file).map_err(|e| failed(e.into()))?.filesystem_type();
+    Ok(!plain || system == SYSFS_MAGIC)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_driver::quadrature::State;
+
+    #[test]
+    fn recordings_show_every_edge_however_late_the_looks_are() {
+        let point = |t_ns, bits| TracePoint { t_ns, state: State::from_bits(bits) };
+        let points = vec![point(1000, 0), point(1100, 1), point(1150, 3), point(2000, 2)];
+        let lines = AxisLines::standard(0, false);
+        let mut wires =
+            Recordings { axes: vec![Recorded { lines, points, at: 0 }], start_ns: None, now_ns: 0 };
+        assert_eq!(wires.levels(50_000, 0), 0);
+        assert_eq!(wires.step_limit_ns(), 100);
+        assert_eq!(wires.levels(50_100, 0), 1);
+        assert_eq!(wires.levels(60_000, 0), 3);
+        assert_eq!(wires.levels(60_001, 0), 2);
+        assert_eq!(wires.step_limit_ns(), u64::MAX);
+        assert_eq!(wires.levels(99_000_000, 0), 2);
+    }
+
+    #[test]
+    fn a_plain_file_drives_nothing_and_a_device_does() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        assert!(!drives_a_machine(file.path()).unwrap());
+        assert!(drives_a_machine(Path::new("/dev/null")).unwrap());
+        assert!(drives_a_machine(Path::new("/sys/kernel/notes")).unwrap());
+        assert!(drives_a_machine(Path::new("/nonexistent")).is_err());
+    }
+}

@@ -1,0 +1,271 @@
+//! `rtecd`: the real-time thread, and the control side that talks to it for everyone else.
+//!
+//! | file | what |
+//! |---|---|
+//! | `cards` | the card that the configuration names |
+//! | `session` | requests of the protocol, carried out on the link |
+//! | `server` | the control socket and its clients |
+//! | `log` | standard error, fit for the journal |
+
+mod cards;
+mod log;
+mod server;
+mod session;
+
+use anyhow::Context;
+use clap::Parser;
+use log::{Level, Log};
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signalfd::{SfdFlags, SignalFd};
+use rtec_control::config::{CardConfig, Config, Findings};
+use rtec_driver::card::Card;
+use rtec_driver::input::InputError;
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{Fault, MAX_AXES};
+use rtec_rt::journal::{Journal, Record, resume};
+use rtec_rt::setup::{Report, System, Wanted};
+use rtec_rt::thread::{Options, spawn};
+use session::Session;
+use std::fs::File;
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Where an installed machine's configuration is.
+const INSTALLED: &str = "/etc/rtec/rtec.toml";
+
+/// Real-time error corrector: the daemon
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Args {
+    /// The configuration [default: /etc/rtec/rtec.toml where it exists, else three simulated axes]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The control socket, instead of the configuration's
+    #[arg(long, value_name = "PATH")]
+    socket: Option<PathBuf>,
+}
+
+/// Why the daemon does not start.
+#[derive(Debug, thiserror::Error)]
+enum Failure {
+    /// Exit 1: somebody else is there already.
+    #[error("{0}")]
+    Taken(String),
+    /// Exit 3: the card cannot be reached.
+    #[error("{0}")]
+    Unreachable(String),
+    /// Exit 4: the card's state forbids it.
+    #[error("{0}")]
+    Fault(String),
+}
+
+fn main() -> ExitCode {
+    let mut log = Log::new();
+    match run(&Args::parse(), &mut log) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            for line in format!("{error:#}").lines() {
+                log.say(Level::Error, line);
+            }
+            ExitCode::from(exit_code(&error))
+        }
+    }
+}
+
+fn exit_code(error: &anyhow::Error) -> u8 {
+    if error.is::<InputError>() || error.is::<Findings>() {
+        return 2;
+    }
+    match error.downcast_ref::<Failure>() {
+        Some(Failure::Unreachable(_)) => 3,
+        Some(Failure::Fault(_)) => 4,
+        Some(Failure::Taken(_)) | None => 1,
+    }
+}
+
+fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
+    let installed = Path::new(INSTALLED);
+    let mut config = match &args.config {
+        Some(file) => Config::load(file)?,
+        None if installed.exists() => Config::load(installed)?,
+        None => Config::embedded(),
+    };
+    if let Some(socket) = &args.socket {
+        config.control.socket.clone_from(socket);
+    }
+    for note in &config.notes {
+        log.say(Level::Warning, note);
+    }
+    // Before any thread starts: they all inherit the mask, and the signals come through the descriptor only.
+    let signals = SigSet::from_iter([Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP]);
+    signals.thread_block().context("blocking signals")?;
+    let signals =
+        SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC).context("signalfd")?;
+
+    let (listener, _lock) = server::listen(&config.control)?;
+    let socket = config.control.socket.clone();
+    let done = match config.card.clone() {
+        CardConfig::Mock => work(cards::mock(&config), config, false, &listener, &signals, log),
+        CardConfig::Replay { traces } => {
+            let card = cards::replay(&config, &traces)?;
+            work(card, config, false, &listener, &signals, log)
+        }
+        CardConfig::Mapped { file, profile } => {
+            let _card_lock = lock(&file, "card")?;
+            let card = cards::mapped(&file, &profile)?;
+            let real = cards::drives_a_machine(&file)?;
+            work(card, config, real, &listener, &signals, log)
+        }
+    };
+    // The lock is still held: nobody else can have a socket of this name.
+    let _ = std::fs::remove_file(&socket);
+    done
+}
+
+/// Takes a file for this process alone.
+fn lock(file: &Path, what: &str) -> anyhow::Result<Flock<File>> {
+    let opened = File::options().read(true).write(true).open(file);
+    let opened = opened.map_err(|e| Failure::Unreachable(format!("{what} {}: {e}", file.display())))?;
+    Flock::lock(opened, FlockArg::LockExclusiveNonblock).map_err(|(mut held, errno)| {
+        let mut holder = String::new();
+        if what == "lock" {
+            // The holder's number is a courtesy; without it the message is shorter.
+            let _ = held.read_to_string(&mut holder);
+        }
+        let holder = holder.trim();
+        let by = if holder.is_empty() { String::new() } else { format!(" (process {holder})") };
+        let why = match errno {
+            Errno::EWOULDBLOCK => format!("another rtecd{by} holds the {what} {}", file.display()),
+            other => format!("locking the {what} {}: {}", file.display(), other.desc()),
+        };
+        Failure::Taken(why).into()
+    })
+}
+
+/// Locks the file beside the socket and puts our process number in it.
+fn lock_beside(socket: &Path) -> anyhow::Result<Flock<File>> {
+    let mut name = socket.as_os_str().to_owned();
+    name.push(".lock");
+    let path = PathBuf::from(name);
+    if !path.exists() {
+        File::create(&path).with_context(|| format!("creating {}", path.display()))?;
+    }
+    let mut held = lock(&path, "lock")?;
+    held.set_len(0)?;
+    held.rewind()?;
+    writeln!(held, "{}", std::process::id())?;
+    Ok(held)
+}
+
+/// Runs the engine on `card` until a signal ends it.
+fn work<C: Card + Send + 'static>(
+    mut card: C,
+    config: Config,
+    real: bool,
+    listener: &std::os::unix::net::UnixListener,
+    signals: &SignalFd,
+    log: &mut Log,
+) -> anyhow::Result<()> {
+    // The outputs of a mock card end with its process: there is nothing to be taken over.
+    let journal = match config.card {
+        CardConfig::Mapped { .. } => {
+            let file = config.control.state_path();
+            let opened = Journal::open(&file).with_context(|| format!("state file {}", file.display()))?;
+            Some(opened)
+        }
+        CardConfig::Mock | CardConfig::Replay { .. } => None,
+    };
+    let found = journal.as_ref().map_or([[None; 2]; MAX_AXES], |(_, found)| *found);
+    let (completed, moved) = take_over(&mut card, &config, &found)?;
+    let machine = MachineConfig { lines: config.lines, may_arm: false };
+    let mut engine = match Engine::new(&mut card, &config.engine_axes(), machine, &completed) {
+        Ok(engine) => engine,
+        Err(StartError::HalfInverted(n)) => {
+            let why = format!(
+                "axis {}: its two inverters are not equal: it was left in the middle of an insertion. Nothing is \
+                 written; switch the MTC off, set both inverters equal, start again and home",
+                config.axes[n].name
+            );
+            return Err(Failure::Fault(why).into());
+        }
+        Err(error) => return Err(Failure::Unreachable(error.to_string()).into()),
+    };
+    for n in moved {
+        log.say(
+            Level::Error,
+            &format!("axis {}: the inverters are not where the state file left them", config.axes[n].name),
+        );
+        // What is latched now stands in the status from the first one on; there is no one yet to be told.
+        engine.latch(Some(n as u8), Fault::InvertersMoved, &mut card, &mut |_| true)?;
+    }
+    if let Some((journal, _)) = journal {
+        engine.keep_journal(journal);
+    }
+    // A mock needs no real time; with `cpu` it gets it, so that a set-up can be tried without a machine.
+    let system = System::live();
+    let wanted = (real || config.rt.cpu.is_some()).then(|| Wanted {
+        cpu: config.rt.cpu.unwrap_or_else(|| system.default_cpu()),
+        priority: config.rt.priority,
+    });
+    let options = Options { wanted, real, stale_after_ns: config.control.stale_ms * 1_000_000 };
+    let mut running = spawn(engine, card, options)?;
+    log.say(
+        Level::Notice,
+        &format!(
+            "machine \"{}\": card {}, {} axes, socket {}",
+            config.machine,
+            config.card.backend(),
+            config.axes.len(),
+            config.control.socket.display()
+        ),
+    );
+    for finding in running.report.iter().flat_map(Report::missing) {
+        let text =
+            format!("{}: wanted {}, found {}: {}", finding.name, finding.wanted, finding.got, finding.remedy);
+        log.say(Level::Warning, &text);
+    }
+    let set_up = session::SetUp {
+        real,
+        wanted: options.wanted,
+        missing: running.report.take(),
+        timing: running.timing.clone(),
+    };
+    let mut session = Session::new(config, set_up);
+    let served = server::serve(listener, signals, &mut session, &mut running.control, log);
+    let (ended, mut control) = running.stop();
+    session.drain(&mut control, log);
+    for (axis, status) in session.axes().iter().zip(ended.status.axes()) {
+        let text = format!(
+            "parked axis {}: completed {:+} counts, inverters {}",
+            axis.name,
+            status.in_effect,
+            if status.inverted { "on" } else { "off" }
+        );
+        log.say(Level::Notice, &text);
+    }
+    served
+}
+
+/// What each axis had completed before, from the state file and the inverters as they are; and the axes where the two
+/// disagree.
+fn take_over<C: Card>(
+    card: &mut C,
+    config: &Config,
+    found: &[[Option<Record>; 2]; MAX_AXES],
+) -> anyhow::Result<(Vec<i64>, Vec<usize>)> {
+    let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
+    let (mut completed, mut moved) = (Vec::new(), Vec::new());
+    for (n, axis) in config.axes.iter().enumerate() {
+        let inverters = axis.engine.lines.inverters(outputs);
+        let before = resume(found[n], inverters);
+        let first_start = found[n] == [None, None] && inverters == 0;
+        if before.is_none() && !first_start {
+            moved.push(n);
+        }
+        completed.push(before.unwrap_or(0));
+    }
+    Ok((completed, moved))
+}

@@ -1,0 +1,467 @@
+//! Requests of the protocol, carried out on the link to the real-time thread.
+
+use crate::log::{Level, Log};
+use rtec_control::config::{Axis as AxisConfig, Config};
+use rtec_control::protocol::{
+    Axis, Distribution, Happened, Jump, Request, Response, Rt, Status, explain_fault, explain_refusal, word,
+};
+use rtec_rt::engine::Timing;
+use rtec_rt::event::{self, Event, EventKind, Mode, Refusal};
+use rtec_rt::histogram::Reader;
+use rtec_rt::link::ControlEnd;
+use rtec_rt::setup::{Report, Wanted};
+use std::time::{Duration, Instant};
+
+/// The real-time thread takes a request within a millisecond or two; one that takes longer than this does not run.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// A request that finds an insertion under way is repeated so often.
+const BUSY_TRIES: u32 = 50;
+
+/// What is known of the real-time thread from its start on.
+pub(crate) struct SetUp {
+    /// The card drives a real machine.
+    pub real: bool,
+    pub wanted: Option<Wanted>,
+    pub missing: Option<Report>,
+    pub timing: Timing,
+}
+
+pub(crate) struct Session {
+    config: Config,
+    set_up: SetUp,
+    started: Instant,
+    patience: Duration,
+    /// What happened since the server last asked.
+    happened: Vec<Happened>,
+}
+
+impl Session {
+    pub(crate) fn new(config: Config, set_up: SetUp) -> Self {
+        Self { config, set_up, started: Instant::now(), patience: PATIENCE, happened: Vec::new() }
+    }
+
+    pub(crate) fn axes(&self) -> &[AxisConfig] {
+        &self.config.axes
+    }
+
+    /// How often the real-time thread must hear from us.
+    pub(crate) fn beat_every(&self) -> Duration {
+        Duration::from_millis((self.config.control.stale_ms / 4).clamp(1, 20))
+    }
+
+    /// Takes what has happened since the last time.
+    pub(crate) fn take_happened(&mut self) -> Vec<Happened> {
+        std::mem::take(&mut self.happened)
+    }
+
+    /// Logs what the real-time thread has told.
+    pub(crate) fn drain(&mut self, control: &mut ControlEnd, log: &mut Log) {
+        while let Some(event) = control.event() {
+            self.note(&event, log);
+        }
+    }
+
+    fn note(&mut self, event: &Event, log: &mut Log) {
+        let axis = event.axis.and_then(|n| self.config.axes.get(usize::from(n)));
+        let happened = Happened::of(event, axis.map(|a| (a.name.as_str(), a.count_um)));
+        let level = match event.kind {
+            EventKind::Fault(_) => Level::Error,
+            EventKind::Refused { .. } | EventKind::Warning { .. } | EventKind::ControlStale(_) => {
+                Level::Warning
+            }
+            EventKind::Mode(_) | EventKind::Homed => Level::Notice,
+            _ => Level::Info,
+        };
+        let text = match &happened.axis {
+            Some(axis) => format!("axis {axis}: {}", happened.text),
+            None => happened.text.clone(),
+        };
+        log.event(level, &happened.kind, &text);
+        self.happened.push(happened);
+    }
+
+    /// Sends a request and waits until it has been worked off; returns what was told in the meantime.
+    fn send(
+        &mut self,
+        request: event::Request,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Vec<Event>, Response> {
+        let dead = |why: &str, text: &str| Response::Refused {
+            why: why.to_owned(),
+            text: text.to_owned(),
+            jumps: Vec::new(),
+        };
+        control.send(request).map_err(|full| dead("ring_full", &full.to_string()))?;
+        let deadline = Instant::now() + self.patience;
+        let mut events = Vec::new();
+        // It is taken when the ring is empty, and worked off when a status is there that is newer than one read after
+        // that. Its events come before that status.
+        let mut taken_at = None;
+        loop {
+            control.beat();
+            let status = control.status();
+            let worked = taken_at.is_some_and(|polls| polls != status.polls);
+            if taken_at.is_none() && control.pending() == 0 {
+                taken_at = Some(control.status().polls);
+            }
+            while let Some(event) = control.event() {
+                self.note(&event, log);
+                events.push(event);
+            }
+            if worked {
+                return Ok(events);
+            }
+            if control.ended() {
+                return Err(dead(
+                    "ended",
+                    "the real-time thread has ended: see the log, then restart the daemon",
+                ));
+            }
+            if Instant::now() > deadline {
+                return Err(dead("no_answer", "the real-time thread does not answer: is its CPU taken?"));
+            }
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+
+    /// Sends a request and turns what was told into an answer; an insertion under way is waited for.
+    fn carry_out(
+        &mut self,
+        request: event::Request,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Vec<Event>, Response> {
+        for _ in 0..BUSY_TRIES {
+            let events = self.send(request, control, log)?;
+            let mut busy = false;
+            for event in &events {
+                match event.kind {
+                    EventKind::Refused { why: Refusal::Busy, .. } => busy = true,
+                    EventKind::Refused { why: Refusal::FaultLatched, .. } => {
+                        return Err(Response::Fault {
+                            text: explain_refusal(Refusal::FaultLatched).to_owned(),
+                        });
+                    }
+                    EventKind::Refused { why, .. } => return Err(refused(why)),
+                    EventKind::Fault(fault) => {
+                        return Err(Response::Fault {
+                            text: format!("{}: {}", word(fault), explain_fault(fault)),
+                        });
+                    }
+                    _ => {}
+                }
+            }
+            if !busy {
+                return Ok(events);
+            }
+        }
+        Err(refused(Refusal::Busy))
+    }
+
+    /// Carries out a request. `watch` is the server's.
+    pub(crate) fn answer(&mut self, request: &Request, control: &mut ControlEnd, log: &mut Log) -> Response {
+        let done = Response::Done { jumps: Vec::new() };
+        let plain = |request| (request, done.clone());
+        let (request, done) = match request {
+            Request::Status {} => return Response::Status(Box::new(self.status(control))),
+            Request::Home { axis } => return self.home(axis.as_deref(), control, log).unwrap_or_else(|e| e),
+            Request::Enable { accept_jump } => {
+                let jumps = self.jumps(&control.status());
+                if let Some(refusal) = self.forbidden(&jumps, *accept_jump) {
+                    return refusal;
+                }
+                (event::Request::Enable, Response::Done { jumps })
+            }
+            Request::Correct { axis, total_counts, large } => match self.number(axis) {
+                Ok(n) => plain(event::Request::Correct {
+                    axis: n as u8,
+                    total_counts: *total_counts,
+                    large: *large,
+                }),
+                Err(bad) => return bad,
+            },
+            Request::Disable {} => plain(event::Request::Disable),
+            Request::Shadow {} => plain(event::Request::Shadow),
+            Request::Probe { on } => plain(event::Request::Probe(*on)),
+            Request::Hold { on } => plain(event::Request::Hold(*on)),
+            Request::Clear {} => plain(event::Request::Clear),
+            Request::Watch {} => return done,
+        };
+        match self.carry_out(request, control, log) {
+            Ok(_) => done,
+            Err(response) => response,
+        }
+    }
+
+    fn number(&self, axis: &str) -> Result<usize, Response> {
+        self.config.axis(axis).ok_or_else(|| {
+            let names: Vec<&str> = self.config.axes.iter().map(|a| a.name.as_str()).collect();
+            let mut text = format!("found axis {axis:?}, expected one of {}", names.join(", "));
+            if let Some(near) = self.config.nearest_axis(axis) {
+                text = format!("{text}; did you mean {near}?");
+            }
+            Response::Bad { text }
+        })
+    }
+
+    /// Homes one axis or all: the counter is set, read back here, and only the expected value completes it.
+    fn home(
+        &mut self,
+        axis: Option<&str>,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Response, Response> {
+        let axes = match axis {
+            Some(name) => {
+                let n = self.number(name)?;
+                n..n + 1
+            }
+            None => 0..self.config.axes.len(),
+        };
+        for n in axes {
+            let (axis, position_counts) = (n as u8, self.config.axes[n].home_counts);
+            let told = self.carry_out(event::Request::Home { axis, position_counts }, control, log)?;
+            let read_back = told.iter().find_map(|e| match e.kind {
+                EventKind::HomeSet { position_counts } if e.axis == Some(axis) => Some(position_counts),
+                _ => None,
+            });
+            if read_back != Some(position_counts) {
+                let text = format!(
+                    "axis {}: read back {read_back:?}, expected {position_counts} counts: not homed",
+                    self.config.axes[n].name
+                );
+                return Err(Response::Refused { why: "home_read_back".to_owned(), text, jumps: Vec::new() });
+            }
+            self.carry_out(event::Request::ConfirmHome { axis, position_counts }, control, log)?;
+        }
+        Ok(Response::Done { jumps: Vec::new() })
+    }
+
+    /// What enabling would insert, axis by axis.
+    fn jumps(&self, status: &event::Status) -> Vec<Jump> {
+        let both = self.config.axes.iter().zip(status.axes());
+        both.filter(|(_, s)| s.requested != s.in_effect)
+            .map(|(axis, s)| {
+                let counts = s.requested - s.in_effect;
+                Jump {
+                    axis: axis.name.clone(),
+                    counts,
+                    um: counts as f64 * axis.count_um,
+                    window_counts: axis.engine.window_counts,
+                }
+            })
+            .collect()
+    }
+
+    /// Why corrections must not be enabled, as far as it is known here.
+    fn forbidden(&self, jumps: &[Jump], accept_jump: bool) -> Option<Response> {
+        if self.set_up.real && !self.config.rt.latency_measured {
+            return Some(refused(Refusal::NotArmable));
+        }
+        let large = jumps.iter().any(|j| j.counts.abs() > j.window_counts);
+        (large && !accept_jump).then(|| Response::Refused {
+            why: "jump".to_owned(),
+            text: "enabling would move an axis further than its belief window; --accept-jump if it is meant"
+                .to_owned(),
+            jumps: jumps.to_vec(),
+        })
+    }
+
+    fn status(&self, control: &mut ControlEnd) -> Status {
+        let now = control.status();
+        let alive = !control.ended();
+        let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
+        let may_arm = !self.set_up.real || verified && self.config.rt.latency_measured;
+        let missing = self.set_up.missing.iter().flat_map(Report::missing);
+        let rt = Rt {
+            alive,
+            card: self.config.card.backend().to_owned(),
+            may_arm,
+            cpu: self.set_up.wanted.map(|w| w.cpu),
+            priority: self.set_up.wanted.map(|w| w.priority),
+            missing: missing
+                .map(|f| format!("{}: wanted {}, found {}; {}", f.name, f.wanted, f.got, f.remedy))
+                .collect(),
+            polls: now.polls,
+            events_lost: now.events_lost,
+            control_stale: now.control_stale,
+            disable_switch: now.disable_switch,
+            poll_gap_ns: distribution(&self.set_up.timing.poll_gap_ns),
+            edge_to_done_ns: distribution(&self.set_up.timing.edge_to_done_ns),
+        };
+        let axes = self.config.axes.iter().zip(now.axes()).map(|(axis, s)| Axis {
+            name: axis.name.clone(),
+            position_counts: s.position_counts,
+            position_mm: s.position_counts as f64 * axis.count_um / 1000.0,
+            requested: s.requested,
+            completed: s.completed,
+            in_effect: s.in_effect,
+            mtc_minus_scale: s.mtc_minus_scale,
+            inverted: s.inverted,
+            homed: s.homed,
+            gate: word(s.gate),
+            edge_rate_hz: s.edge_rate_hz,
+            faults: s.faults.iter().collect(),
+            max_correction_counts: axis.engine.max_correction_counts,
+            window_counts: axis.engine.window_counts,
+            insertions: s.insertions,
+            waited_for_gate: s.waited_for_gate,
+            overlaps: s.overlaps,
+            late: s.late,
+            illegal: s.illegal,
+        });
+        Status {
+            machine: self.config.machine.clone(),
+            mode: word(now.mode),
+            homed: now.axes().iter().all(|a| a.homed),
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            balanced: now.balanced(),
+            faults: now.faults.iter().collect(),
+            why_not: self.why_not(&now, alive, may_arm),
+            rt,
+            axes: axes.collect(),
+        }
+    }
+
+    /// Why nothing is corrected now, each with its remedy.
+    fn why_not(&self, now: &event::Status, alive: bool, may_arm: bool) -> Vec<String> {
+        let mut why = Vec::new();
+        if !alive {
+            why.push("the real-time thread has ended: see the log, then restart the daemon".to_owned());
+        }
+        for fault in now.faults.iter() {
+            why.push(format!("{}: {}", word(fault), explain_fault(fault)));
+        }
+        for (axis, s) in self.config.axes.iter().zip(now.axes()) {
+            for fault in s.faults.iter() {
+                why.push(format!("axis {}: {}: {}", axis.name, word(fault), explain_fault(fault)));
+            }
+        }
+        if now.disable_switch {
+            why.push(explain_refusal(Refusal::DisableSwitch).to_owned());
+        }
+        if now.control_stale {
+            why.push("the control side is silent".to_owned());
+        }
+        if !may_arm {
+            why.push(explain_refusal(Refusal::NotArmable).to_owned());
+            if !self.config.rt.latency_measured {
+                why.push("[rt] has no detect_ns and write_ns: run `rtecctl selftest latency`".to_owned());
+            }
+        }
+        let away: Vec<&str> = (self.config.axes.iter().zip(now.axes()))
+            .filter(|(_, s)| !s.homed)
+            .map(|(axis, _)| axis.name.as_str())
+            .collect();
+        if !away.is_empty() {
+            why.push(format!("not homed: {}; move there, then `rtecctl home`", away.join(", ")));
+        }
+        match now.mode {
+            Mode::Disabled => why.push("corrections are off: `rtecctl enable`".to_owned()),
+            Mode::Shadow => why.push("shadow mode: everything is computed, nothing is written".to_owned()),
+            Mode::Probe => why.push("probing mode: `rtecctl probe off`".to_owned()),
+            Mode::Hold => why.push("feed hold: `rtecctl hold off`".to_owned()),
+            Mode::Fault => why.push("when mended: `rtecctl clear`".to_owned()),
+            Mode::Run => {}
+        }
+        why
+    }
+}
+
+fn refused(why: Refusal) -> Response {
+    Response::Refused { why: word(why), text: explain_refusal(why).to_owned(), jumps: Vec::new() }
+}
+
+fn distribution(reader: &Reader) -> Distribution {
+    let s = reader.snapshot();
+    if s.samples() == 0 {
+        return Distribution::default();
+    }
+    Distribution {
+        min: s.min(),
+        p50: s.p50(),
+        p99: s.p99(),
+        p9999: s.p9999(),
+        max: s.max(),
+        samples: s.samples(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_driver::clock::Monotonic;
+    use rtec_driver::mock::{MockCard, SharedWires};
+    use rtec_rt::engine::{Engine, MachineConfig};
+    use rtec_rt::link::{REQUESTS, link};
+    use rtec_rt::thread::{Options, spawn};
+
+    fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
+        let mut card = MockCard::new(SharedWires::default(), Monotonic);
+        let machine = MachineConfig { lines: config.lines, may_arm: true };
+        let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
+        (engine, card)
+    }
+
+    fn session(engine: &Engine) -> Session {
+        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+        Session::new(Config::embedded(), set_up)
+    }
+
+    /// A real-time thread that takes nothing: the request is answered, and when the ring is full that is said.
+    #[test]
+    fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
+        let (engine, _card) = engine(&Config::embedded());
+        let mut session = session(&engine);
+        session.patience = Duration::from_millis(1);
+        let (mut control, _rt) = link(engine.status());
+        let mut log = Log::new();
+        let hold = Request::Hold { on: true };
+        for _ in 0..REQUESTS {
+            let Response::Refused { why, .. } = session.answer(&hold, &mut control, &mut log) else {
+                panic!("an answer from nobody")
+            };
+            assert_eq!(why, "no_answer");
+        }
+        let Response::Refused { why, text, .. } = session.answer(&hold, &mut control, &mut log) else {
+            panic!("an answer from nobody")
+        };
+        assert!(why == "ring_full" && text.contains("256 requests"), "{why}: {text}");
+        // A status never waits for the real-time thread.
+        assert!(matches!(session.answer(&Request::Status {}, &mut control, &mut log), Response::Status(_)));
+    }
+
+    /// A control side that falls silent: corrections freeze, the status says so; heard again, they go on.
+    #[test]
+    fn a_stale_control_side_freezes_corrections_and_is_named() {
+        let config = Config::embedded();
+        let (engine, card) = engine(&config);
+        let mut session = session(&engine);
+        let options = Options { wanted: None, real: false, stale_after_ns: 20_000_000 };
+        let mut running = spawn(engine, card, options).unwrap();
+        let control = &mut running.control;
+        let mut log = Log::new();
+        let done = Response::Done { jumps: Vec::new() };
+        assert_eq!(session.answer(&Request::Home { axis: None }, control, &mut log), done);
+        assert_eq!(session.answer(&Request::Enable { accept_jump: false }, control, &mut log), done);
+        while !control.status().control_stale {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let status = session.status(control);
+        assert!(status.rt.control_stale && status.axes[0].gate == "control_stale", "{status:?}");
+        assert!(status.why_not.iter().any(|w| w.contains("silent")), "{:?}", status.why_not);
+        while control.status().control_stale {
+            control.beat();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(session.status(control).why_not.is_empty());
+        let (ended, mut control) = running.stop();
+        assert!(ended.status.balanced());
+        // A thread that has ended says so.
+        let Response::Refused { why, .. } = session.answer(&Request::Clear {}, &mut control, &mut log) else {
+            panic!("an answer from nobody")
+        };
+        assert_eq!(why, "ended");
+    }
+}
