@@ -165,9 +165,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let middle = u64::midpoint(works_ns, fails_ns);
         // Every request but the last must have been served.
         if run(&gaps, middle, 100_000)?.is_some_and(|n| n >= 90) {
-            works_ns = middle
+            works_ns = middle;
         } else {
-            fails_ns = middle
+            fails_ns = middle;
         }
     }
     let begun = Instant::now();

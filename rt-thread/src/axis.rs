@@ -198,8 +198,8 @@ pub(crate) struct Axis {
     unsettled: Option<Unsettled>,
     /// The last edge came between these two times.
     last_edge: Option<(u64, u64)>,
-    /// Lower bound of the last period, ns.
-    period_ns: u64,
+    /// Lower bound of the last period, ns; `None` before the second edge.
+    period_ns: Option<u64>,
     /// No insertion before this, ns: the rate cap.
     next_allowed_ns: u64,
     /// The gate was shut at the last edge for this reason.
@@ -252,7 +252,7 @@ impl Axis {
             insertion: Insertion::Idle,
             unsettled: None,
             last_edge: None,
-            period_ns: 0,
+            period_ns: None,
             next_allowed_ns: found.t_ns,
             shut: GateState::WaitingForEdge,
             doubts: 0,
@@ -455,16 +455,17 @@ impl Axis {
             (look.sample.edge_ns.unwrap_or(look.since_ns), look.sample.edge_ns.unwrap_or(look.sample.t_ns));
         let before = self.scale.state();
         let gap_ns = look.sample.t_ns - look.since_ns;
-        // Seen late: three counts or more may have passed, and one change may stand for them.
+        // Seen late: three counts or more may have passed, and one change may stand for them. Before a second edge
+        // the axis is taken to come from rest, as it stood when it was homed.
         if look.sample.edge_ns.is_none()
             && gap_ns > self.gate.need_ns()
             && self.homed
             && self.last_edge.is_some()
-            && self.gate.travel_ns(self.period_ns, 3.0) < gap_ns as f64
+            && self.gate.travel_ns(self.period_ns.unwrap_or(u64::MAX), 3.0) < gap_ns as f64
         {
             self.fault(Fault::PollGap, tell);
         }
-        self.period_ns = self.last_edge.map_or(0, |(_, last)| edge.0.saturating_sub(last));
+        self.period_ns = self.last_edge.map(|(_, last)| edge.0.saturating_sub(last));
         self.last_edge = Some(edge);
         let Some(step) = self.scale.update(state) else {
             self.wire.mtc = state.inverted(self.wire.inverters);
@@ -561,8 +562,9 @@ impl Axis {
             self.shut = GateState::RateCap;
             return Insertion::Idle;
         }
-        let quiet_ns = self.gate.quiet_ns(self.period_ns);
-        if self.period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
+        let period_ns = self.period_ns.unwrap_or(0);
+        let quiet_ns = self.gate.quiet_ns(period_ns);
+        if period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
             self.shut = GateState::TooFast;
             self.waited_for_gate += 1;
             return Insertion::Idle;
@@ -726,7 +728,7 @@ impl Axis {
         } else {
             self.shut
         };
-        let period_ns = since_ns.map_or(0, |s| s.max(self.period_ns));
+        let period_ns = since_ns.map_or(0, |s| s.max(self.period_ns.unwrap_or(0)));
         AxisStatus {
             position_counts: self.home_counts + self.scale.count(),
             mtc_minus_scale: mtc_count - self.scale.count(),

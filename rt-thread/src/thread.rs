@@ -51,6 +51,9 @@ pub enum SpawnError {
     /// The system gave no thread.
     #[error("starting the real-time thread: {0}")]
     Thread(#[from] std::io::Error),
+    /// A thread that polls at real-time priority would leave nothing of the only CPU to anyone.
+    #[error("a real-time thread that polls needs a CPU of its own, and this machine has one in all")]
+    OneCpu,
     /// It ended while setting itself up.
     #[error("the real-time thread ended during its set-up")]
     SetUp,
@@ -59,12 +62,15 @@ pub enum SpawnError {
 /// Starts the thread on an engine and its card.
 ///
 /// # Errors
-/// When the system gives no thread.
+/// When the system gives no thread, or real-time priority is wanted on a machine with one CPU.
 pub fn spawn<C: Card + Send + 'static>(
     mut engine: Engine,
     card: C,
     options: Options,
 ) -> Result<Running<C>, SpawnError> {
+    if options.wanted.is_some() && std::thread::available_parallelism().is_ok_and(|n| n.get() == 1) {
+        return Err(SpawnError::OneCpu);
+    }
     let (control, rt) = link(engine.status());
     let timing = engine.timing();
     let (say_report, report) = mpsc::sync_channel(1);

@@ -398,3 +398,17 @@ fn an_axis_that_is_not_there_is_refused() {
     rig.take(Request::Home { axis: 9, position_counts: 0 });
     assert_eq!(rig.refusals(), [Refusal::NoSuchAxis; 2]);
 }
+
+#[test]
+fn a_late_look_before_the_second_edge_is_judged_from_rest() {
+    // From rest at 1e6 counts/s² three counts take 2.4 ms: 1 ms is no loss of counts, 10 ms may be.
+    for (late_ns, latched) in [(1_000_000, false), (10_000_000, true)] {
+        let mut rig = Rig::running(windowed());
+        rig.step(1);
+        rig.card.count += 1;
+        rig.card.inputs = rig.card.inputs & !3 | [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
+        rig.card.t_ns += late_ns;
+        rig.looks(1);
+        assert_eq!(rig.faults().contains(&Fault::PollGap), latched, "{late_ns} ns late");
+    }
+}

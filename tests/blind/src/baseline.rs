@@ -49,9 +49,9 @@ fn stacked(records: &[Record], effect: &Effect, slopes: bool) -> Vec<Vec<f64>> {
                 (acts.iter().find(|(role, _)| *role == c.role), effect.bind(r))
             {
                 if slopes {
-                    bound.slopes(effect, *at, &mut part)
+                    bound.slopes(effect, *at, &mut part);
                 } else {
-                    bound.basis(effect, *at, &mut part)
+                    bound.basis(effect, *at, &mut part);
                 }
             }
             out.iter_mut().zip(part.chunks(r.rows())).for_each(|(o, p)| o.extend_from_slice(p));

@@ -1,6 +1,15 @@
 //! Blind cases: random machines with something hidden, and the score of an answer. What makes the cases ([`world`],
 //! [`case`]) and marks the answers ([`score`]) shares no code and no formula with what it judges.
 
+// Long lists of experiments and formulas, each with its switches; text is put together plainly.
+#![allow(
+    clippy::needless_for_each,
+    clippy::too_many_lines,
+    clippy::format_push_string,
+    clippy::match_same_arms,
+    clippy::struct_excessive_bools
+)]
+
 pub mod baseline;
 pub mod case;
 pub mod score;

@@ -197,7 +197,7 @@ impl Source {
                 "at_s" | "lobes" | "reference_degC" => {}
                 "centre_rad" => *v += 0.1 * share * dice.normal(),
                 _ if sizes.contains(k) || *k == "tau_s" || *k == "length_mm" || *k == "width_rad" => {
-                    *v *= 1.0 + share * dice.normal()
+                    *v *= 1.0 + share * dice.normal();
                 }
                 _ => {}
             }
@@ -212,9 +212,9 @@ impl Source {
         }
         for (k, v) in &self.num {
             if *k == "lobes" {
-                s += &format!("{k} = {}\n", *v as i64)
+                s += &format!("{k} = {}\n", *v as i64);
             } else {
-                s += &format!("{k} = {v:?}\n")
+                s += &format!("{k} = {v:?}\n");
             }
         }
         for (k, v) in &self.arr {
@@ -225,13 +225,11 @@ impl Source {
 
     fn delta(&self, run: &Run) -> Vec<f64> {
         let a = run.named(self.word("sensor").unwrap_or(""));
-        match self.word("minus") {
-            Some(m) => a.iter().zip(run.named(m)).map(|(a, b)| a - b).collect(),
-            None => {
-                let reference =
-                    self.num.iter().find(|(k, _)| *k == "reference_degC").map_or(20.0, |(_, v)| *v);
-                a.iter().map(|a| a - reference).collect()
-            }
+        if let Some(m) = self.word("minus") {
+            a.iter().zip(run.named(m)).map(|(a, b)| a - b).collect()
+        } else {
+            let reference = self.num.iter().find(|(k, _)| *k == "reference_degC").map_or(20.0, |(_, v)| *v);
+            a.iter().map(|a| a - reference).collect()
         }
     }
 
@@ -584,11 +582,12 @@ impl Plan {
             if k == self.sensors - 1 && k > 0 {
                 v.clone_from(&ambient);
             }
-            if k == 1 && self.alike {
-                if let Some(f) = &first {
-                    let g = fixed.within(0.9, 1.1);
-                    v = f.iter().map(|f| 20.0 + g * (f - 20.0)).collect();
-                }
+            if k == 1
+                && self.alike
+                && let Some(f) = &first
+            {
+                let g = fixed.within(0.9, 1.1);
+                v = f.iter().map(|f| 20.0 + g * (f - 20.0)).collect();
             }
             first.get_or_insert_with(|| v.clone());
             v.iter_mut().for_each(|v| *v = ((*v + noise * dice.normal()) * 1000.0).round() / 1000.0);

@@ -9,9 +9,10 @@
 //! lag) is nearest to the cause, and one that runs beside it is not; and a difference to the environment keeps the
 //! sign of its own correlation.
 
+use crate::date;
 use crate::effect::{Against, Dictionary, Difference, Effect, ValueError};
 use crate::iso230::correlation;
-use crate::machine::{Machine, Provenance, Source};
+use crate::machine::{FitNote, Machine, Provenance, Source};
 use crate::plot::{Chart, Series, Style};
 use crate::record::{Axis, Record, Role};
 use nalgebra::{DMatrix, DVector};
@@ -44,11 +45,23 @@ pub struct Options {
     pub lag: bool,
     /// Offer squares.
     pub square: bool,
+    /// The date that the model will carry, days since 1970-01-01.
+    pub date: i64,
+    /// Days that it may be used for without being looked at again.
+    pub valid_days: i64,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { sensors: Vec::new(), environment: None, folds: 10, lag: true, square: true }
+        Self {
+            sensors: Vec::new(),
+            environment: None,
+            folds: 10,
+            lag: true,
+            square: true,
+            date: 0,
+            valid_days: 365,
+        }
     }
 }
 
@@ -81,6 +94,11 @@ pub struct Dropped {
     pub with: String,
     /// Its own γ.
     pub gamma: f64,
+    /// γ of its lagged difference.
+    pub gamma_lagged: f64,
+    /// Range of the sensor, K.
+    #[serde(rename = "range_K")]
+    pub range_k: f64,
 }
 
 /// One round of the refit.
@@ -676,6 +694,20 @@ struct Selection {
     pairs: Vec<(usize, Option<usize>)>,
 }
 
+impl Selection {
+    /// Says which sensors the data could not tell from the one chosen.
+    fn rivals(&self, problem: &Problem) -> Option<String> {
+        let names: Vec<String> = self.tied.iter().map(|j| problem.name(j.terms[0])).collect();
+        let chosen = problem.name(self.rounds[0].terms[0]);
+        (!names.is_empty()).then(|| {
+            let names = names.join(", ");
+            format!(
+                "the data cannot tell {names} from {chosen}; the one that leads the growth most was taken"
+            )
+        })
+    }
+}
+
 /// The columns of a structure at every row of a record.
 fn full_columns(problem: &Problem, terms: &[Term], record: &Record) -> Result<Vec<Vec<f64>>, InputError> {
     let lacks =
@@ -896,16 +928,20 @@ fn fit_response(
     let mut own = Machine::ideal("fit");
     for (effect, interval) in effects {
         fitted.push(Fitted::of(&effect, &interval));
-        let provenance = Provenance {
-            added_by: Some("model fit".to_owned()),
-            date: None,
-            from: train.iter().map(|r| Source::of(r)).collect(),
-            interval,
-        };
+        let from = train.iter().map(|r| Source::of(r)).collect();
+        let provenance = Provenance { added_by: Some("model fit".to_owned()), date: None, from, interval };
         let twice = |e: ValueError| whole(&e.to_string(), "each effect once");
         own.push(effect.clone(), provenance.clone()).map_err(twice)?;
         machine.push(effect, provenance).map_err(twice)?;
     }
+    machine.note_fit(FitNote {
+        response: response.to_string(),
+        date: date::format(options.date),
+        valid_until: date::format(options.date + options.valid_days),
+        rms_um: mean(&blocks.folds),
+        half_width_um: blocks.half_width_um.max(1e-9),
+        from: train.iter().map(|r| Source::of(r)).collect(),
+    });
     let later = judge_holdouts(&own, holdout, response, blocks.half_width_um)?;
     let mut warnings = later.warnings;
     let ranked = |j: &Judged| problem.ranked(j, &all);
@@ -917,14 +953,7 @@ fn fit_response(
         .map(|j| problem.ranked(&j, &all))
         .collect();
     pairs.sort_by(|a, b| b.gamma_lagged.abs().total_cmp(&a.gamma_lagged.abs()));
-    if !chosen.tied.is_empty() {
-        let names: Vec<String> = chosen.tied.iter().map(|j| problem.name(j.terms[0])).collect();
-        warnings.push(format!(
-            "the data cannot tell {} from {}; the one that leads the growth most was taken",
-            names.join(", "),
-            problem.name(chosen.rounds[0].terms[0])
-        ));
-    }
+    warnings.extend(chosen.rivals(&problem));
     let environment = problem.environment.map(|e| problem.sensors[e].clone());
     Ok(Report {
         response: response.to_string(),
@@ -947,6 +976,8 @@ fn fit_response(
                     alpha: *alpha,
                     with: kept[*with].sensor.clone(),
                     gamma: own.gamma,
+                    gamma_lagged: own.gamma_lagged,
+                    range_k: own.range_k,
                 }
             })
             .collect(),
@@ -1185,9 +1216,9 @@ impl Report {
     pub fn chart(&self) -> Chart {
         let mut all: Vec<(String, f64, f64)> =
             self.kept.iter().map(|k| (k.sensor.clone(), k.gamma_lagged, k.range_k)).collect();
-        all.extend(self.dropped.iter().map(|d| (format!("({})", d.sensor), d.gamma, f64::NAN)));
+        all.extend(self.dropped.iter().map(|d| (format!("({})", d.sensor), d.gamma_lagged, d.range_k)));
         all.sort_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-        let widest = all.iter().map(|a| a.2).filter(|v| v.is_finite()).fold(1e-9, f64::max);
+        let widest = all.iter().map(|a| a.2).fold(1e-9, f64::max);
         let title = format!(
             "{}: correlation γ (up) and temperature range (down); in brackets: redundant",
             self.response

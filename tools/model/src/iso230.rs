@@ -481,7 +481,16 @@ fn contour(record: &Record) -> Result<Contour, InputError> {
     let angle: Vec<f64> = px.iter().zip(py.iter()).map(|(x, y)| (y - cy).atan2(x - cx)).collect();
     let radial =
         angle.iter().zip(ex.iter().zip(ey.iter())).map(|(a, (x, y))| x * a.cos() + y * a.sin()).collect();
-    let radius = px.iter().zip(py.iter()).map(|(x, y)| (x - cx).hypot(y - cy)).sum::<f64>() / px.len() as f64;
+    let radii = || px.iter().zip(py.iter()).map(|(x, y)| (x - cx).hypot(y - cy));
+    let radius = radii().sum::<f64>() / px.len() as f64;
+    // The centre is the middle of the positions: that holds for a whole circle only.
+    if radii().any(|r| (r - radius).abs() > 0.01 * radius) {
+        return Err(lacks(
+            record,
+            "positions that are no full circle",
+            "a circle about its centre, all the way round",
+        ));
+    }
     Ok((format!("{ax}-{ay}"), angle, radial, Some(radius)))
 }
 

@@ -9,7 +9,9 @@
 //! | [`chain`] | the other way to build a model: error components of each joint, combined by homogeneous transforms |
 //! | [`fit`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
 //! | [`sensors`] | temperatures through what Linux offers, each watched |
+//! | [`rehearse`] | a recorded shift replayed against a new model |
 //! | [`iso230`], [`plate`] | evaluations as the standards define them |
+//! | [`plan`] | the test sequence a machine is characterised with |
 //! | [`import`] | other tools' files as run records |
 //! | [`plot`] | charts as SVG |
 //! | [`document`], [`date`] | TOML tables read with line and column; calendar days |
@@ -23,7 +25,9 @@ pub mod import;
 pub mod iso230;
 pub mod live;
 pub mod machine;
+pub mod plan;
 pub mod plate;
 pub mod plot;
 pub mod record;
+pub mod rehearse;
 pub mod sensors;

@@ -1,9 +1,20 @@
 //! A model evaluated at one instant: what the corrector asks every 10–20 ms and the simulator at every step.
 //!
 //! Everything is looked up by name once, in [`Live::new`]; [`Live::evaluate`] allocates nothing.
+//!
+//! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades: what the held
+//! part leaves out, u = |gain|·excess, is weighed against the model's own uncertainty h (half width of its prediction
+//! interval), weight = 1/(1 + (u/h)²). It is one at the bound, so nothing jumps.
 
-use crate::effect::{Against, Effect, Input, Missing, Naming, Need, Quantity, STANDARD_DEGC, State, sign};
+use crate::chain::Chain;
+use crate::effect::{
+    Against, Difference, Effect, Input, Missing, Naming, Need, Quantity, STANDARD_DEGC, State, sign,
+};
+use crate::machine::Machine;
 use crate::record::Axis;
+
+/// Uncertainty of a model that does not state its own, µm.
+const DEFAULT_HALF_WIDTH_UM: f64 = 1.0;
 
 /// Where the values of a [`Frame`] stand: names of axes, sensors and channels, in the frame's order.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -75,8 +86,34 @@ struct Item {
     probing_only: bool,
     components: usize,
     state: State,
+    half_width_um: f64,
     /// What each component is worth now.
     now: [f64; 2],
+    /// How far ΔT is outside the range it was fitted on, K, and what is left of the effect for it.
+    outside_k: f64,
+    weight: f64,
+}
+
+/// One effect at the last instant.
+#[derive(Debug, Clone, Copy)]
+pub struct Part<'l> {
+    /// The effect.
+    pub effect: &'l Effect,
+    /// What it was worth (µm or N; the second value is a pair's second axis).
+    pub value: [f64; 2],
+    /// How far ΔT was outside the range the effect was fitted on, K.
+    pub outside_k: f64,
+    /// The share of the effect that was left for it, 1 inside.
+    pub weight: f64,
+}
+
+/// A chain with the places of what it reads.
+#[derive(Debug, Clone)]
+struct LiveChain {
+    chain: Chain,
+    /// Places of the axes x, y, z.
+    out: [Option<usize>; 3],
+    now_um: [f64; 3],
 }
 
 /// A model ready to be evaluated.
@@ -84,6 +121,7 @@ struct Item {
 pub struct Live {
     layout: Layout,
     items: Vec<Item>,
+    chain: Option<LiveChain>,
     scratch: Vec<f64>,
     errors_um: Vec<f64>,
     forces_n: Vec<f64>,
@@ -91,6 +129,43 @@ pub struct Live {
 }
 
 impl Live {
+    /// Looks up everything a machine's effects and chain read; its fits say how uncertain it is.
+    ///
+    /// # Errors
+    /// A sensor, channel or (for the chain) axis that the layout does not have.
+    pub fn of(machine: &Machine, layout: Layout) -> Result<Self, Missing> {
+        let mut live = Self::new(machine.effects(), layout)?;
+        for item in &mut live.items {
+            let axis = item.effect.axes().first().map(|a| format!("error.{a}"));
+            if let Some(h) = axis.and_then(|a| machine.half_width_um(&a)) {
+                item.half_width_um = h;
+            }
+        }
+        if let Some(chain) = machine.chain() {
+            let layout = &live.layout;
+            let missing = |what: String, has: String| Missing { effect: "chain".to_owned(), what, has };
+            for joint in &chain.joints {
+                if let Some((axis, _)) = joint.axis.as_ref().filter(|(a, _)| !layout.axes.contains(a)) {
+                    let has = layout.axes.iter().map(Axis::as_str).collect::<Vec<_>>().join(", ");
+                    return Err(missing(format!("position.{axis}"), has));
+                }
+                for d in joint.components.iter().filter_map(|c| c.delta.as_ref()) {
+                    let minus = match &d.against {
+                        Against::Sensor(m) => Some(m),
+                        _ => None,
+                    };
+                    let mut read = std::iter::once(&d.sensor).chain(minus);
+                    if let Some(s) = read.find(|s| !layout.sensors.contains(s)) {
+                        return Err(missing(format!("temperature.{s}"), layout.sensors.join(", ")));
+                    }
+                }
+            }
+            let out = ["x", "y", "z"].map(|n| layout.axes.iter().position(|a| a.as_str() == n));
+            live.chain = Some(LiveChain { chain: chain.clone(), out, now_um: [0.0; 3] });
+        }
+        Ok(live)
+    }
+
     /// Looks up everything the effects read.
     ///
     /// # Errors
@@ -132,7 +207,10 @@ impl Live {
                 probing_only: effect.card().name == "probe_latency",
                 components: if effect.card().naming == Naming::Pair { 2 } else { 1 },
                 state: State::default(),
+                half_width_um: DEFAULT_HALF_WIDTH_UM,
                 now: [0.0; 2],
+                outside_k: 0.0,
+                weight: 1.0,
                 effect: effect.clone(),
             });
         }
@@ -140,6 +218,7 @@ impl Live {
         Ok(Self {
             layout,
             items,
+            chain: None,
             scratch: vec![0.0; longest],
             errors_um: vec![0.0; axes],
             forces_n: vec![0.0; axes],
@@ -189,20 +268,45 @@ impl Live {
                 channel: item.channel.map_or(0.0, |c| frame.channels[c]),
             };
             let basis = &mut self.scratch[..item.coefficients.len()];
-            let law = item.effect.law();
+            let (naming, quantity) = (item.effect.card().naming, item.effect.card().quantity);
             let before = item.state;
             for component in 0..item.components {
                 // Both components of a pair start from the same state.
                 item.state = before;
-                law.basis(&item.effect, &input, component, &mut item.state, basis);
+                item.effect.law().basis(&item.effect, &input, component, &mut item.state, basis);
                 let value: f64 = item.coefficients.iter().zip(basis.iter()).map(|(c, b)| c * b).sum();
                 let value = if item.probing_only && !frame.probing { 0.0 } else { value };
+                item.fade(delta_k);
+                let value = value * item.weight;
                 item.now[component] = value;
-                match (item.axes[component], law.card().quantity) {
+                match (item.axes[component], quantity) {
                     (Some(a), Quantity::Error) => self.errors_um[a] += value,
                     (Some(a), Quantity::Force) => self.forces_n[a] += value,
-                    (None, _) if law.card().naming == Naming::Plain => self.radial_um += value,
+                    (None, _) if naming == Naming::Plain => self.radial_um += value,
                     (None, _) => {}
+                }
+            }
+        }
+        if let Some(live) = &mut self.chain {
+            let layout = &self.layout;
+            // What the chain reads was found in the layout when it was taken in.
+            let place =
+                |names: &[String], name: &str| names.iter().position(|n| n == name).unwrap_or_default();
+            let position =
+                |a: &Axis| layout.axes.iter().position(|b| b == a).map_or(0.0, |i| frame.axes[i].position_mm);
+            let degc = |name: &str| frame.temperatures_degc[place(&layout.sensors, name)];
+            let delta = |d: &Difference| {
+                degc(&d.sensor)
+                    - match &d.against {
+                        Against::Sensor(m) => degc(m),
+                        Against::Reference(t) => *t,
+                        Against::Standard => STANDARD_DEGC,
+                    }
+            };
+            live.now_um = live.chain.error_um(position, delta);
+            for (place, e) in live.out.iter().zip(live.now_um) {
+                if let Some(a) = place {
+                    self.errors_um[*a] += e;
                 }
             }
         }
@@ -226,8 +330,59 @@ impl Live {
         self.radial_um
     }
 
-    /// Every effect with what it was worth at the last instant (µm or N; the second value is a pair's second axis).
-    pub fn contributions(&self) -> impl Iterator<Item = (&Effect, [f64; 2])> {
-        self.items.iter().map(|i| (&i.effect, i.now))
+    /// Every effect with what it was worth at the last instant.
+    pub fn parts(&self) -> impl Iterator<Item = Part<'_>> {
+        self.items.iter().map(|i| Part {
+            effect: &i.effect,
+            value: i.now,
+            outside_k: i.outside_k,
+            weight: i.weight,
+        })
+    }
+
+    /// What the chain was worth at the last instant, µm along x, y, z.
+    #[must_use]
+    pub fn chain_um(&self) -> Option<[f64; 3]> {
+        self.chain.as_ref().map(|c| c.now_um)
+    }
+}
+
+impl Item {
+    /// How far ΔT (after the lag, where there is one) is outside, and what is left of the effect for it.
+    fn fade(&mut self, delta_k: f64) {
+        let Some([lo, hi]) = self.effect.range_k else { return };
+        // The first value of a lag's state is the lagged difference.
+        let asked = if self.effect.card().needs.contains(&Need::Time) { self.state.x[0] } else { delta_k };
+        self.outside_k = (asked - hi).max(lo - asked).max(0.0);
+        let left_out = self.coefficients.first().map_or(0.0, |gain| gain.abs() * self.outside_k);
+        self.weight = 1.0 / (1.0 + (left_out / self.half_width_um).powi(2));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outside_its_range_an_effect_fades_without_a_jump() {
+        let text = "name = \"m\"\n[[fit]]\nresponse = \"error.z\"\ndate = \"2026-01-01\"\nvalid_until = \"2027-01-01\"\n\
+                    rms_um = 0.4\nhalf_width_um = 0.8\n[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T1\"\n\
+                    um_per_K = 2.0\num_per_K2 = -0.3\nrange_K = [0.0, 4.0]\n";
+        let machine = Machine::parse(std::path::Path::new("m.toml"), text).unwrap();
+        let layout =
+            Layout { axes: vec![Axis::new("z").unwrap()], sensors: vec!["T1".into()], channels: vec![] };
+        let mut live = Live::of(&machine, layout).unwrap();
+        let mut at = |degc: f64| {
+            let frame = Frame { axes: &[AxisNow::default()], temperatures_degc: &[degc], ..Frame::default() };
+            live.evaluate(&frame);
+            let part = live.parts().next().unwrap();
+            (live.errors_um()[0], part.weight, part.outside_k)
+        };
+        let top = 2.0 * 4.0 - 0.3 * 16.0;
+        assert!((at(24.0).0 - top).abs() < 1e-12 && (at(24.0 + 1e-6).0 - top).abs() < 1e-9);
+        // 0.4 K outside leave 0.8 µm unknown, as much as the model's own uncertainty: half is left.
+        let (e, weight, outside) = at(24.4);
+        assert!((weight - 0.5).abs() < 1e-9 && (e - top / 2.0).abs() < 1e-9 && (outside - 0.4).abs() < 1e-9);
+        assert!(at(60.0).0.abs() < 0.01);
     }
 }

@@ -270,7 +270,7 @@ impl Machine {
             }
             *item = Item::ArrayOfTables(tables);
         }
-        item.as_array_of_tables_mut().expect("made one above")
+        item.as_array_of_tables_mut().expect("an array of tables was put there just above")
     }
 
     /// The file's text.

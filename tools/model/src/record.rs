@@ -306,6 +306,19 @@ impl Record {
     /// listed column that is not in the CSV, a short row, a value that is missing or not finite, time running
     /// backwards, no response.
     pub fn read(path: &Path) -> Result<Self, InputError> {
+        let record = Self::read_log(path)?;
+        if record.responses().next().is_none() {
+            let found = "no response among the columns";
+            return Err(InputError::whole(path, found, "a column of role error.AXIS or force.AXIS"));
+        }
+        Ok(record)
+    }
+
+    /// Reads a log: a record that need not have a response (a recorded shift).
+    ///
+    /// # Errors
+    /// As [`Record::read`], but for the response.
+    pub fn read_log(path: &Path) -> Result<Self, InputError> {
         let sidecar = Sidecar::read(path)?;
         let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
         let bytes = std::fs::read(&csv_path).map_err(|e| {
@@ -692,10 +705,6 @@ impl Sidecar {
             }
             let place = Place(entry.key_error("", ""));
             columns.push(Listed { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
-        }
-        if !columns.iter().any(|c| c.role.is_response()) {
-            let found = "no response among the columns";
-            return Err(InputError::whole(path, found, "a column of role error.AXIS or force.AXIS"));
         }
         let file_error = Place(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();

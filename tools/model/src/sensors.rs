@@ -10,7 +10,7 @@
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
 use crate::document::Table;
-use crate::record::{Record, Role};
+use crate::record::Record;
 use rtec_driver::input::InputError;
 use std::collections::BTreeMap;
 use std::fs;
@@ -254,9 +254,9 @@ impl Watch {
     }
 }
 
-/// A feed of lines: the last value of every key.
+/// A feed of lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device.
 #[derive(Debug)]
-struct Feed {
+pub struct Feed {
     from: String,
     stream: Option<Stream>,
     partial: Vec<u8>,
@@ -272,7 +272,9 @@ enum Stream {
 }
 
 impl Feed {
-    fn new(from: &str) -> Self {
+    /// A feed that connects at its first poll.
+    #[must_use]
+    pub fn new(from: &str) -> Self {
         Self {
             from: from.to_owned(),
             stream: None,
@@ -298,8 +300,16 @@ impl Feed {
         Ok(Stream::Tcp(stream))
     }
 
+    /// The value of a key that came with the last poll, or what is in the way.
+    ///
+    /// # Errors
+    /// No such value: the feed's last trouble.
+    pub fn value(&self, key: &str) -> Result<f64, &str> {
+        self.values.get(key).copied().ok_or(&self.trouble)
+    }
+
     /// Takes in what has come; values are taken once, so that silence shows.
-    fn poll(&mut self, now_s: f64) {
+    pub fn poll(&mut self, now_s: f64) {
         self.values.clear();
         if self.stream.is_none() && now_s >= self.retry_at {
             match self.connect() {
@@ -516,13 +526,6 @@ pub fn read_by<'e>(effects: impl IntoIterator<Item = &'e crate::effect::Effect>)
     names.sort();
     names.dedup();
     names
-}
-
-/// Columns of role temperature that a record lacks for a model, in order.
-#[must_use]
-pub fn lacking(names: &[String], record: &Record) -> Vec<String> {
-    let has: Vec<&str> = record.names(&Role::Temperature).collect();
-    names.iter().filter(|n| !has.contains(&n.as_str())).cloned().collect()
 }
 
 #[cfg(test)]

@@ -6,6 +6,9 @@ use crate::sheet::Sheet;
 use crate::svg::Svg;
 use dxf::entities::{Entity, EntityType};
 use rtec_driver::input::InputError;
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::machine::Machine;
+use rtec_model::record::Axis;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -121,9 +124,6 @@ impl Probed {
     /// As [`Probed::read`].
     pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
         let known = ["z_mm", "x_mm", "approach_z", "approach_x", "point", "t_s", "uncertainty_um", "feature"];
-        let is_sensor = |name: &str| {
-            name.strip_prefix('T').is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
-        };
         let sheet = Sheet::parse(file, text, &known, is_sensor)?;
         let pair = |z: &str, x: &str| -> Result<Vec<Zx>, InputError> {
             Ok(sheet.numbers(z)?.into_iter().zip(sheet.numbers(x)?).map(|(z, x)| Zx::new(z, x)).collect())
@@ -144,19 +144,41 @@ impl Probed {
         Ok(Self { sheet, tip_centre, approach })
     }
 
-    /// Add what the geometric-thermal model predicts to the recorded positions: the scale read nominal, the
-    /// machine was off by the error. Probing itself runs uncorrected (NISTIR 4832, probing mode).
+    /// Add what the machine's model predicts at each point to the recorded positions: the scale read nominal, the
+    /// machine was off by the error. Probing itself runs uncorrected (NISTIR 4832, probing mode). The record's columns
+    /// T0, T1, … are the sensors, `t_s` the time, its approach the direction; `origin` is the machine's position at
+    /// the part's zero.
     ///
     /// # Errors
-    /// Not one error per probed row.
-    pub fn correct_geometric_thermal(&mut self, file: &Path, error_um: &[Zx]) -> Result<(), InputError> {
-        if error_um.len() != self.tip_centre.len() {
-            let found = format!("{} rows", error_um.len());
-            let expected = format!("{} rows, one per probed point", self.tip_centre.len());
-            return Err(InputError::whole(file, found, expected));
-        }
-        for (p, &e) in self.tip_centre.iter_mut().zip(error_um) {
-            *p = *p + e * 1e-3;
+    /// A sensor or channel that the model needs and the record does not have.
+    pub fn correct_geometric_thermal(&mut self, machine: &Machine, origin: Zx) -> Result<(), InputError> {
+        let sensors: Vec<String> = self.sheet.names().iter().filter(|n| is_sensor(n)).cloned().collect();
+        let temperatures = sensors.iter().map(|n| self.sheet.numbers(n)).collect::<Result<Vec<_>, _>>()?;
+        let times = self.sheet.optional("t_s")?;
+        let axes = ["z", "x"].into_iter().filter_map(Axis::new).collect();
+        let layout = Layout { axes, sensors, channels: Vec::new() };
+        let mut live = Live::new(machine.effects(), layout).map_err(|m| {
+            let found = format!("{} reads {}, the record has: {}", m.effect, m.what, m.has);
+            InputError::whole(self.sheet.file(), found, "a column for every sensor of the model")
+        })?;
+        for row in 0..self.tip_centre.len() {
+            let place = self.tip_centre[row] + origin;
+            let approach = self.approach.as_ref().map_or(Zx::new(0.0, 0.0), |a| a[row]);
+            let axis = |position_mm: f64, towards: f64| AxisNow {
+                position_mm,
+                direction: if towards.abs() < 1e-9 { 0.0 } else { towards.signum() },
+                ..AxisNow::default()
+            };
+            let degc: Vec<f64> = temperatures.iter().map(|t| t[row]).collect();
+            live.evaluate(&Frame {
+                t_s: times.as_ref().map_or(row as f64, |t| t[row]),
+                axes: &[axis(place.z, approach.z), axis(place.x, approach.x)],
+                temperatures_degc: &degc,
+                ..Frame::default()
+            });
+            if let [z_um, x_um] = *live.errors_um() {
+                self.tip_centre[row] = self.tip_centre[row] + Zx::new(z_um, x_um) * 1e-3;
+            }
         }
         Ok(())
     }
@@ -291,6 +313,11 @@ impl Probed {
         }
         Ok(side)
     }
+}
+
+/// T and a number.
+fn is_sensor(name: &str) -> bool {
+    name.strip_prefix('T').is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
 }
 
 /// The shape moved outward.

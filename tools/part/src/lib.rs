@@ -2,9 +2,15 @@
 //!
 //! | module | what lives there |
 //! |---|---|
-//! | [`sheet`] | CSV files of numbers, with findings by line and column |
-//! | [`fit`] | circle and line through points: least squares, the report's two steps, robust |
-//! | [`errors`] | probed points to part errors: `error.cor`, whiskers |
+//! | [`sheet`], [`svg`] | CSV files of numbers with findings by line and column; drawings as SVG |
+//! | [`contour`], [`drawing`] | the part's features in probing order; read from DXF |
+//! | [`path`], [`web`] | probing points, the probe's path, collisions; the page to pick them in |
+//! | [`program`] | the NC probing program: template, parameters, dialects |
+//! | [`probe`] | captured trips against the plan |
+//! | [`fit`], [`errors`] | circle and line through points; probed points to `error.cor` and whiskers |
+//! | [`table`] | the finish cut's corrections, or the same as G01 moves |
+//! | [`batch`] | the post-process loop: a batch measured off the machine |
+//! | [`lathe`], [`experiment`] | a simulated turning centre for the unchanged engine; the report's experiment on it |
 //!
 //! All lengths are in mm, all errors in µm. `z` runs along the part's axis, `x` is the distance from it (a radius).
 

@@ -96,18 +96,38 @@ fn a_taper_and_a_bore_face_the_probe() {
     }
 }
 
+/// The quadrant as a machine that is off records it: the scale reads nominal minus the error.
 #[test]
-fn the_geometric_thermal_correction_moves_the_points() {
+fn the_geometric_thermal_correction_takes_the_machines_error_out() {
     let files = Files::new();
-    let file = files.with("p.csv", &quadrant(0.0, 1.0));
+    let model = "name = \"lathe\"\n[[effect]]\nname = \"scale.z\"\nppm = 40.0\n\
+                 [[effect]]\nname = \"thermal_growth.x\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 2.0\num_per_K2 = 0.0\n\
+                 [[effect]]\nname = \"reversal.z\"\num = 4.0\n";
+    let machine = rtec_model::machine::Machine::read(&files.with("machine.toml", model)).unwrap();
+    let origin = Zx::new(300.0, 0.0);
+    let mut text = "z_mm,x_mm,approach_z,approach_x,t_s,T8,T18\n".to_owned();
+    for k in 0..20 {
+        let n = Zx::at_angle(std::f64::consts::FRAC_PI_2 * f64::from(k) / 19.0);
+        let p = Zx::new(100.0, 0.5) + n * 38.1;
+        let (t8, t18) = (24.0 + 0.1 * f64::from(k), 20.5);
+        // Every approach is towards −Z but the last, which is square to it.
+        let reversal_um = if n.z > 1e-6 { -2.0 } else { 0.0 };
+        let error_um = Zx::new(40.0e-3 * (p.z + origin.z) + reversal_um, 2.0 * (t8 - t18));
+        let read = p - error_um * 1e-3;
+        let (az, ax) = (if k == 19 { 0.0 } else { -n.z }, -n.x);
+        let _ = writeln!(text, "{:.7},{:.7},{az:.6},{ax:.6},{k},{t8:.1},{t18}", read.z, read.x);
+    }
+    let file = files.with("p.csv", &text);
     let mut probed = Probed::read(&file).unwrap();
-    probed.correct_geometric_thermal(&file, &[Zx::new(5.0, -3.0); 20]).unwrap();
+    let off = probed.errors(CIRCLE, 0.0).unwrap();
+    assert!((off.centre_mm[0] - 100.0).abs() > 0.010, "uncorrected, the centre is {:?}", off.centre_mm);
+    probed.correct_geometric_thermal(&machine, origin).unwrap();
     let report = probed.errors(CIRCLE, 0.0).unwrap();
-    assert!(
-        (report.robust.centre_mm[0] - 100.005).abs() < 1e-5
-            && (report.robust.centre_mm[1] - 0.497).abs() < 1e-5
-    );
-    assert!(probed.correct_geometric_thermal(&file, &[Zx::new(0.0, 0.0)]).is_err());
+    let [z, x] = report.centre_mm;
+    assert!((z - 100.0).abs() < 2e-5 && (x - 0.5).abs() < 2e-5, "{z} {x}");
+    assert!(report.form_um < 0.1, "{}", report.form_um);
+    let mut bare = Probed::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
+    assert!(bare.correct_geometric_thermal(&machine, origin).unwrap_err().found.contains("T8"));
 }
 
 #[test]

@@ -19,7 +19,9 @@ const SHAPE_DECISIVE: f64 = 3.0;
 /// machine everything shows a little of everything.
 const WORTH: f64 = 0.015;
 /// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
-const EXPLAINED: f64 = 0.15;
+const EXPLAINED: f64 = 0.2;
+/// Most rivals that are listed for one effect.
+const MOST_RIVALS: usize = 12;
 
 /// Another explanation of the same thing.
 #[derive(Debug, Clone, PartialEq)]
@@ -148,13 +150,11 @@ fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
         stack.weigh(&mut missing);
         let others: Vec<Known> = known(stack, machine, now).into_iter().filter(|k| k.effect != e).collect();
-        let (none, waves) = (Hypotheses::periods(stack, &now[e]), Vec::new());
+        let (none, waves) = Hypotheses::periods(stack, &now[e]);
         let search = Search::new(stack, &none, &waves, &others, missing);
         let empty = search.empty();
-        let Some(best) = search.scan(&empty, false).into_iter().next() else { continue };
-        let Cause::Effect { effect, .. } = &best.cause else { continue };
+        let Some(best) = search.scan(&empty, true).into_iter().next() else { continue };
         let same = search.score_of(&empty, &now[e]);
-        let period = effect.scalar(0);
         if best.score > same + 6.0 {
             let mut search = search;
             let set = search.take(&empty, &best);
@@ -163,7 +163,7 @@ fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
             let Some(found) = effect_of(&best.cause, &beta[at..]) else { continue };
             // Another amplitude is another effect, not this one with its period mended.
             let ratio = found.scalar(1) / now[e].scalar(1).abs().max(1e-12);
-            if (0.4..2.5).contains(&ratio) && period.is_finite() {
+            if (0.4..2.5).contains(&ratio) {
                 now[e] = found;
             }
         }
@@ -237,10 +237,9 @@ fn refer(effect: &mut Effect, c: &mut [f64], c0: f64) {
     }
 }
 
-fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
-    let mut named = found.named.clone();
-    let any = found.any.clone();
-    // One member at a time may have a better name, now that the others are in place.
+/// One member at a time may have a better name, with the others in place.
+fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
+    let mut named = set;
     for _ in 0..3 {
         let mut changed = false;
         for i in 0..named.members.len() {
@@ -262,6 +261,13 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             break;
         }
     }
+    named
+}
+
+fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
+    let mut named = found.named.clone();
+    let any = found.any.clone();
+    named = renamed(search, named);
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
     let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
@@ -275,7 +281,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             (0..evidence.len()).map(|i| rms(&search.residual(&search.without(&named, i)).0) - now).collect();
         let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]));
         if let Some(w) = least.filter(|w| worth[*w] < WORTH * whole) {
-            named = search.without(&named, w);
+            let fewer = search.without(&named, w);
+            named = renamed(search, fewer);
             continue;
         }
         let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
@@ -299,33 +306,6 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     } else {
         Vec::new()
     };
-    if std::env::var_os("RECONCILE_TRACE").is_some() {
-        let show = |s: &Set| {
-            s.members.iter().map(|m| search.all.list[m.hypothesis].label()).collect::<Vec<_>>().join(" + ")
-        };
-        eprintln!(
-            "named {:.2} [{}]  any {:.2} [{}] phi {:.2} n {}",
-            named.score - search.empty().score,
-            show(&named),
-            any.score - search.empty().score,
-            show(&any),
-            named.phi,
-            search.stack.n
-        );
-        for v in found.visited.iter().take(8) {
-            eprintln!(
-                "   {:.2} ll {:.2} {}",
-                v.score - search.empty().score,
-                v.loglik - search.empty().loglik,
-                show(v)
-            );
-        }
-        eprintln!(
-            "   chance named at 1%: evidence {:?} p {:?}",
-            evidence,
-            evidence.iter().map(|e| chance.named.tail(*e)).collect::<Vec<_>>()
-        );
-    }
     let set = if unexplained.is_empty() { named.clone() } else { any.clone() };
     let beta = search.coefficients(&set);
     let mut tried: Vec<Tried> = Vec::new();
@@ -415,6 +395,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             }
             _ => Vec::new(),
         };
+        list.sort_by(|a, b| a.margin.total_cmp(&b.margin));
+        list.truncate(MOST_RIVALS);
         findings.push(Finding { effect, held, p_value: chance.named.tail(own), evidence: own, rivals: list });
     }
     findings.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));

@@ -46,8 +46,6 @@ pub(crate) struct Hypothesis {
     pub(crate) name: String,
     pub(crate) sensor: Option<Difference>,
     pub(crate) named: bool,
-    /// Every response it touches is this one; `None` for a pair.
-    pub(crate) response: Option<usize>,
 }
 
 impl Hypothesis {
@@ -119,38 +117,20 @@ impl Hypotheses {
         (all, waves)
     }
 
-    /// Only the periods near a periodic effect's own, as fine as the travel resolves them.
-    pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> Self {
+    /// Only the periods near a periodic effect's own: 3 % either way.
+    pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> (Self, Vec<Wave>) {
         let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };
-        let Some(places) = distinct(stack, &Role::Position(effect.axes()[0].clone())) else { return all };
-        let span = places[places.len() - 1] - places[0];
-        let name = effect.card().parameters[0].name.clone();
-        let unit = if effect.card().name == "subdivision" { 1e-3 } else { 1.0 };
-        let turns = span / (effect.scalar(0) * unit);
-        let steps = (turns * 0.03 / 0.2).ceil().clamp(0.0, 150.0) as i32;
-        let h = all.hypothesis(effect, stack);
-        for i in -steps..=steps {
-            let period = effect.scalar(0) / (1.0 + f64::from(i) * 0.2 / turns);
-            all.single(stack, h, effect, &[(&name, period)], 0.0);
+        let mut waves = Vec::new();
+        all.effect(stack, effect, 0.0, &mut waves);
+        for w in &mut waves {
+            let own = 1.0 / (effect.scalar(0) * w.unit);
+            (w.from, w.to) = (own * 0.97, own * 1.03);
         }
-        all
+        (all, waves)
     }
 
-    fn hypothesis(&mut self, effect: &Effect, stack: &Stack<'_>) -> usize {
-        let touched: Vec<usize> = (0..stack.responses.len())
-            .filter(|j| {
-                stack
-                    .records
-                    .iter()
-                    .any(|r| effect.acts_on(r).iter().any(|(role, _)| *role == stack.responses[*j]))
-            })
-            .collect();
-        self.list.push(Hypothesis {
-            name: effect.name(),
-            sensor: effect.delta.clone(),
-            named: true,
-            response: if let [one] = touched[..] { Some(one) } else { None },
-        });
+    fn hypothesis(&mut self, effect: &Effect) -> usize {
+        self.list.push(Hypothesis { name: effect.name(), sensor: effect.delta.clone(), named: true });
         self.list.len() - 1
     }
 
@@ -181,12 +161,12 @@ impl Hypotheses {
         let own = cost + if law == "channel" { CHANNEL_COST } else { 0.0 };
         match law.as_str() {
             "screw_periodic" | "subdivision" => {
-                let Some(response) = self.response_of(stack, effect) else { return };
+                let Some(response) = response_of(stack, effect) else { return };
                 let axis = effect.axes()[0].clone();
                 let along = stack.column(Some(response), |r, row| {
                     r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row])
                 });
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 let unit = if law == "subdivision" { 1e-3 } else { 1.0 };
                 let [lo, hi] = effect.card().parameters[0].limits;
                 let (from, to) = (1.0 / (hi * unit), 1.0 / (lo * unit));
@@ -203,7 +183,7 @@ impl Hypotheses {
             }
             "position_map" | "straightness" => {
                 let along = effect.axes()[effect.axes().len() - 1].clone();
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 let sizes = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24];
                 let Some(places) = distinct(stack, &Role::Position(along)) else { return };
                 for k in sizes.into_iter().filter(|k| *k < places.len().min(stack.n / 3)) {
@@ -218,23 +198,23 @@ impl Hypotheses {
             }
             "thermal_lag" if pair => {
                 // Pairs are many: their lags are searched from the best single sensors' (see `search`).
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 for tau in taus(stack).into_iter().step_by(2) {
                     self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), false);
                 }
             }
             "thermal_lag" => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 for tau in taus(stack) {
                     self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), true);
                 }
             }
             "thermal_growth" | "thermal_expansion" => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 self.thermal(stack, h, effect, None, own, !pair);
             }
             "warm_up" => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 let grid = taus(stack);
                 for tau in &grid {
                     self.single(stack, h, effect, &[("tau_s", *tau)], own + (grid.len() as f64).ln());
@@ -246,14 +226,14 @@ impl Hypotheses {
                 if span <= 0.0 {
                     return;
                 }
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 let grid: Vec<f64> = (0..12).map(|i| span * 0.4 * 0.6_f64.powi(i)).collect();
                 for length in &grid {
                     self.single(stack, h, effect, &[("length_mm", *length)], own + 8f64.ln());
                 }
             }
             "lost_counts" => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 let times = moments(stack);
                 let step = (times.len() / 160).max(1);
                 let count = (times.len().max(2) as f64).ln();
@@ -262,7 +242,7 @@ impl Hypotheses {
                 }
             }
             "probe_lobing" => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 for lobes in 1..=12 {
                     // A single lobe is an eccentric set-up as well: allowed, at a price.
                     let extra = if lobes == 1 { 1.0 } else { 0.0 };
@@ -270,7 +250,7 @@ impl Hypotheses {
                 }
             }
             "form_bump" => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 let mut width = 0.15;
                 while width < 4.0 {
                     let places = (TAU / width * 4.0).ceil() as usize;
@@ -283,22 +263,17 @@ impl Hypotheses {
                 }
             }
             "spindle_speed" => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 let columns: Vec<usize> =
                     stack.basis(effect).into_iter().map(|c| self.push(stack, c)).collect();
                 self.atom(h, effect, &[0], false, columns[..1].to_vec(), own + 0.5);
                 self.atom(h, effect, &[0, 1], false, columns, own + 1.0);
             }
             _ => {
-                let h = self.hypothesis(effect, stack);
+                let h = self.hypothesis(effect);
                 self.single(stack, h, effect, &[], own);
             }
         }
-    }
-
-    fn response_of(&self, stack: &Stack<'_>, effect: &Effect) -> Option<usize> {
-        let axis = effect.axes().first()?;
-        stack.responses.iter().position(|r| *r == Role::Error(axis.clone()))
     }
 
     /// An atom with all coefficients free and some parameters set.
@@ -335,10 +310,10 @@ impl Hypotheses {
         reference: bool,
     ) {
         let mut effect = effect.clone();
-        if let Some(tau) = tau {
-            if effect.set("tau_s", &[tau]).is_err() {
-                return;
-            }
+        if let Some(tau) = tau
+            && effect.set("tau_s", &[tau]).is_err()
+        {
+            return;
         }
         let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
         let quadratic = columns.len() == 2;
@@ -366,11 +341,11 @@ impl Hypotheses {
         let count = made.iter().zip(made.iter().skip(1)).filter(|(a, b)| a.1 != b.1).count() + 1;
         let price = self.family_cost + SHAPE_COST + (count as f64).ln();
         let mut last: Option<Shape> = None;
-        for (j, shape, columns, grid) in made {
+        for (_, shape, columns, grid) in made {
             let cost = price + grid;
             if last.as_ref() != Some(&shape) {
                 let name = format!("unnamed {}", shape.against.join("·"));
-                self.list.push(Hypothesis { name, sensor: None, named: false, response: Some(j) });
+                self.list.push(Hypothesis { name, sensor: None, named: false });
                 last = Some(shape.clone());
             }
             let h = self.list.len() - 1;
@@ -578,7 +553,7 @@ impl Hypotheses {
             }
             let h = self.list.len();
             let name = format!("unnamed {label}");
-            self.list.push(Hypothesis { name, sensor: None, named: false, response: Some(j) });
+            self.list.push(Hypothesis { name, sensor: None, named: false });
             let shape = Shape {
                 response: response.clone(),
                 against: vec![label.to_owned()],
@@ -598,10 +573,8 @@ impl Hypotheses {
             });
         };
         wave("time", &time, (n as f64 / 4.0).min(40.0));
-        if force {
-            if let Some(p) = get(Role::Position(axis.clone())) {
-                wave(&p_name, &p, (n as f64 / 4.0).min(200.0));
-            }
+        if force && let Some(p) = get(Role::Position(axis.clone())) {
+            wave(&p_name, &p, (n as f64 / 4.0).min(200.0));
         }
     }
 }
@@ -614,6 +587,11 @@ fn in_order(effect: Effect, dictionary: &Dictionary) -> Effect {
         }
         _ => effect,
     }
+}
+
+fn response_of(stack: &Stack<'_>, effect: &Effect) -> Option<usize> {
+    let axis = effect.axes().first()?;
+    stack.responses.iter().position(|r| *r == Role::Error(axis.clone()))
 }
 
 /// The column that a free reference temperature adds: the effect of one kelvin, the same at all times.

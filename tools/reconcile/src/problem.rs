@@ -105,7 +105,7 @@ impl<'r> Stack<'r> {
     /// Derivatives of an effect by its values, stacked.
     pub(crate) fn slopes(&self, effect: &Effect) -> Vec<Vec<f64>> {
         self.collect(effect, effect.values().len(), |bound, component, out| {
-            bound.slopes(effect, component, out)
+            bound.slopes(effect, component, out);
         })
     }
 

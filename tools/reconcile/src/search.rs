@@ -2,7 +2,7 @@
 //! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
 
 use crate::gram::{Bank, Cholesky, Products, Vector, dot};
-use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column};
+use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column, taus};
 use crate::problem::{Known, Stack};
 use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
@@ -53,7 +53,6 @@ pub(crate) struct Set {
     /// Log likelihood less the price of all freedom.
     pub(crate) score: f64,
     pub(crate) loglik: f64,
-    pub(crate) phi: f64,
     pub(crate) fits: Vec<AtPhi>,
     pub(crate) ids: Vec<usize>,
 }
@@ -227,10 +226,10 @@ impl<'p, 'r> Search<'p, 'r> {
         ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
         let fits = self.fits(&ids);
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
-        let (loglik, phi) = self.best_phi(&values);
+        let (loglik, _) = self.best_phi(&values);
         let price: f64 =
             members.iter().map(|m| m.cost + self.dimension_cost() * m.vectors.len() as f64).sum();
-        Set { members, score: loglik - price, loglik, phi, fits, ids }
+        Set { members, score: loglik - price, loglik, fits, ids }
     }
 
     pub(crate) fn empty(&self) -> Set {
@@ -384,7 +383,7 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         let (residual, phi) = self.residual(set);
         let step = FREQUENCY_STEP / span;
-        let count = ((wave.to - from) / step).ceil().min(MOST_FREQUENCIES).max(2.0) as usize;
+        let count = ((wave.to - from) / step).ceil().clamp(2.0, MOST_FREQUENCIES) as usize;
         let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
         let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
         gaps.sort_by(f64::total_cmp);
@@ -543,7 +542,12 @@ impl<'p, 'r> Search<'p, 'r> {
         };
         let mut effect = effect.clone();
         let (mut score, mut columns) = eval(&effect);
+        // A lag far longer than the run is a straight line by another name, and no ground for prediction.
+        let longest = taus(self.stack).last().copied().unwrap_or(f64::MAX);
         let mut take = |effect: &mut Effect, name: &str, value: f64| -> bool {
+            if name == "tau_s" && value > longest {
+                return false;
+            }
             let mut next = effect.clone();
             if next.set(name, &[value]).is_err() {
                 return false;
@@ -705,7 +709,7 @@ fn own_products(columns: &[usize], bank: &Bank, stack: &Stack<'_>) -> Vec<Produc
     out
 }
 
-/// K·r with K = WᵀW, the inverse covariance of the noise.
+/// K·r with K = `WᵀW`, the inverse covariance of the noise.
 fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f64> {
     let mut out: Vec<f64> = r.iter().map(|x| (1.0 + phi * phi) * x).collect();
     for s in segments {

@@ -34,12 +34,12 @@ enum Verb {
     Clear(verbs::clear::Args),
     Part(verbs::part::Args),
     Model(verbs::model::Args),
-    Simulate(verbs::simulate::Args),
     Reconcile(verbs::reconcile::Args),
     Replay(verbs::replay::Args),
     Trace(verbs::trace::Args),
     Platform(verbs::platform::Args),
     Selftest(verbs::selftest::Args),
+    Simulate(verbs::simulate::Args),
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -78,12 +78,12 @@ fn main() -> ExitCode {
         Verb::Clear(args) => verbs::clear::run(&args),
         Verb::Part(args) => verbs::part::run(&args),
         Verb::Model(args) => verbs::model::run(&args),
-        Verb::Simulate(args) => verbs::simulate::run(&args),
         Verb::Reconcile(args) => verbs::reconcile::run(&args),
         Verb::Replay(args) => verbs::replay::run(&args),
         Verb::Trace(args) => verbs::trace::run(&args),
         Verb::Platform(args) => verbs::platform::run(&args),
         Verb::Selftest(args) => verbs::selftest::run(&args),
+        Verb::Simulate(args) => verbs::simulate::run(&args),
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");

@@ -179,3 +179,11 @@ fn a_duration_without_a_unit_is_a_usage_error() {
     let out = latency(&["--duration", "soon"]);
     assert_eq!(out.status.code(), Some(2));
 }
+
+#[test]
+fn a_histogram_file_that_cannot_be_written_is_known_before_the_measurement() {
+    let out = latency(&["--histfile", "/nonexistent/histogram"]);
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert_eq!(out.status.code(), Some(2));
+    assert!(stderr.contains("/nonexistent/histogram") && !stderr.contains("wake-up"), "{stderr}");
+}

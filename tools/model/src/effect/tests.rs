@@ -429,7 +429,7 @@ fn live_is_the_batch_row_by_row() {
         assert!(near(live.errors_um()[1], want[1]), "row {row}");
         assert!(near(live.forces_n()[0], want[2]), "row {row}");
     }
-    assert_eq!(live.contributions().count(), effects.len());
+    assert_eq!(live.parts().count(), effects.len());
 }
 
 #[test]

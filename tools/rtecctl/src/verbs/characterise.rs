@@ -2,6 +2,8 @@
 
 mod evaluate;
 mod import;
+mod plan;
+mod record;
 
 /// Plan, record, import and evaluate measurements of a machine
 #[derive(Debug, clap::Args)]
@@ -14,11 +16,15 @@ pub(crate) struct Args {
 enum Verb {
     Evaluate(evaluate::Args),
     Import(import::Args),
+    Plan(plan::Args),
+    Record(record::Args),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.verb {
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Import(args) => import::run(args),
+        Verb::Plan(args) => plan::run(args),
+        Verb::Record(args) => record::run(args),
     }
 }

@@ -1,9 +1,12 @@
 //! `rtecctl model …`: the machine model, read, fitted, judged and shown.
 
+mod export;
 mod fit;
 mod predict;
+mod show;
+mod validate;
 
-/// Work with machine models: predict runs, choose sensors, fit growth
+/// Work with machine models: choose sensors, fit, predict, judge, rehearse, show, compare, export
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -12,15 +15,25 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Verb {
+    Compare(show::CompareArgs),
+    Export(export::Args),
     Fit(fit::FitArgs),
     Predict(predict::Args),
+    Rehearse(validate::RehearseArgs),
     SelectSensors(fit::SelectArgs),
+    Show(show::ShowArgs),
+    Validate(validate::ValidateArgs),
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.verb {
+        Verb::Compare(args) => show::compare(args),
+        Verb::Export(args) => export::run(args),
         Verb::Fit(args) => fit::run(args),
         Verb::Predict(args) => predict::run(args),
+        Verb::Rehearse(args) => validate::rehearse(args),
         Verb::SelectSensors(args) => fit::select(args),
+        Verb::Show(args) => show::show(args),
+        Verb::Validate(args) => validate::validate(args),
     }
 }

@@ -2,13 +2,13 @@
 
 use crate::Outcome;
 use anyhow::Context;
-use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
 use rtec_driver::input::InputError;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::Listener;
 use rtec_driver::trace::{RequestReader, TraceFile, TraceFormat, TracePoint, TraceReader};
-use rtec_rt::axis::AxisConfig;
+use rtec_rt::axis::{AxisConfig, Design};
 use rtec_rt::replay::ReplayError;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use std::io;
@@ -25,8 +25,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     requests: PathBuf,
     /// Insertion design [default: that of the configuration, or c]
-    #[arg(long, value_enum)]
-    design: Option<Design>,
+    #[arg(long, value_parser = designs())]
+    design: Option<AnyDesign>,
     /// Take the axis and its belief window from this configuration; without it: 1 µm counts, 500 ns separation,
     /// 1e6 counts/s², ±1000 counts, requests believed whatever their size
     #[arg(long, value_name = "FILE")]
@@ -45,18 +45,19 @@ pub(crate) struct Args {
     json: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-enum Design {
-    Original,
-    A,
-    B,
-    C,
-    Ecc,
+/// The designs by the names of the contract.
+fn designs() -> impl TypedValueParser<Value = AnyDesign> {
+    PossibleValuesParser::new(AnyDesign::ALL.map(AnyDesign::name))
+        .try_map(|name| AnyDesign::parse(&name).ok_or("no such design"))
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let (config, large, design) = axis(args)?;
+    let (config, large) = axis(args)?;
+    let design = args.design.unwrap_or(match config.design {
+        Design::Original => AnyDesign::Original,
+        Design::A => AnyDesign::A,
+        Design::C => AnyDesign::C,
+    });
     let trace = TraceReader::open(&args.trace)?;
     let requests = RequestReader::open(&args.requests)?;
     let mut files = Vec::new();
@@ -110,8 +111,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The axis to play, whether its requests are flagged large, and the design.
-fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool, AnyDesign)> {
+/// The axis to play, and whether its requests are flagged large.
+fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
     let (axis, large) = match &args.config {
         None => (AxisConfig::default(), true),
         Some(file) => {
@@ -126,14 +127,7 @@ fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool, AnyDesign)> {
             (config.axes[n].engine, false)
         }
     };
-    let design = match (args.design, axis.design) {
-        (Some(Design::Original), _) | (None, rtec_rt::axis::Design::Original) => AnyDesign::Original,
-        (Some(Design::A), _) | (None, rtec_rt::axis::Design::A) => AnyDesign::A,
-        (Some(Design::B), _) => AnyDesign::B,
-        (Some(Design::C), _) | (None, rtec_rt::axis::Design::C) => AnyDesign::C,
-        (Some(Design::Ecc), _) => AnyDesign::Ecc,
-    };
-    Ok((axis, large, design))
+    Ok((axis, large))
 }
 
 /// A trace that says how far it is, every two seconds.

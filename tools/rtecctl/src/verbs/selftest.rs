@@ -3,6 +3,7 @@
 use crate::Outcome;
 use anyhow::Context;
 use rtec_control::config::Config;
+use rtec_driver::input::InputError;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::Snapshot;
 use rtec_rt::selftest::{Backend, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure};
@@ -124,6 +125,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         },
         seed: 1,
     };
+    let histfile = args.histfile.as_deref().map(Whole::create).transpose()?;
     let measured = measure(options, |what, left_s| eprintln!("selftest: {what}, {left_s} s left"))
         .context("measuring latencies")?;
     let axes = config.map_or_else(
@@ -139,8 +141,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         })
         .collect();
     let reasons = reasons(&measured, &rates);
-    if let Some(file) = &args.histfile {
-        write_whole(file, &histogram(&measured)).with_context(|| format!("writing {}", file.display()))?;
+    if let Some(histfile) = histfile {
+        histfile.finish(&histogram(&measured)).context("writing the histogram file")?;
     }
     if args.json {
         let document = Document {
@@ -173,6 +175,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// The highest edge rate at which an insertion still has time on an axis, with this machine's latency.
 fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
+    if measured.edge_to_done.ns.samples() == 0 {
+        return None; // nothing is known
+    }
     let axis = AxisConfig { detect_ns, write_ns: measured.write_ns(), ..axis };
     axis.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
 }
@@ -188,8 +193,13 @@ fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
         format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
     }));
     if measured.edge_to_done.ns.samples() == 0 {
-        let why = if measured.far.is_some() { "no insertion was seen" } else { "it needs a second CPU" };
+        let why = if measured.far.is_some() {
+            "no insertion was seen"
+        } else {
+            "a polling loop needs a second CPU"
+        };
         reasons.push(format!("edge to done was not measured: {why}"));
+        return reasons;
     }
     if !measured.balanced() {
         reasons.push("the ledger does not balance".into());
@@ -318,14 +328,28 @@ fn histogram(measured: &Measured) -> String {
     out
 }
 
-/// The whole file or none of it.
-fn write_whole(file: &Path, text: &str) -> std::io::Result<()> {
-    let directory = file.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut temporary = tempfile::Builder::new();
-    #[cfg(unix)]
-    temporary.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as any file
-    let mut temporary = temporary.prefix(".rtec-histogram-").tempfile_in(directory)?;
-    temporary.write_all(text.as_bytes())?;
-    temporary.persist(file).map_err(|e| e.error)?;
-    Ok(())
+/// A file that appears under its name only when it is whole. Made before the measurement: a place that cannot be
+/// written to is known at once.
+struct Whole<'a> {
+    file: &'a Path,
+    temporary: tempfile::NamedTempFile,
+}
+
+impl<'a> Whole<'a> {
+    fn create(file: &'a Path) -> Result<Self, InputError> {
+        let directory = file.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut builder = tempfile::Builder::new();
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as any file
+        let temporary = builder.prefix(".rtec-histogram-").tempfile_in(directory);
+        let unwritable =
+            |e: std::io::Error| InputError::whole(file, e.to_string(), "a place that can be written to");
+        Ok(Self { file, temporary: temporary.map_err(unwritable)? })
+    }
+
+    fn finish(mut self, text: &str) -> std::io::Result<()> {
+        self.temporary.write_all(text.as_bytes())?;
+        self.temporary.persist(self.file).map_err(|e| e.error)?;
+        Ok(())
+    }
 }

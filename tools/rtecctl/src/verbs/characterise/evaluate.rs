@@ -138,7 +138,7 @@ fn print_flat(prefix: &str, value: &Value) {
                 print_flat(v["axis"].as_str().or(v["response"].as_str()).unwrap_or(prefix), v);
             }
         }
-        Value::Array(list) if list.iter().all(Value::is_number) && list.len() <= 3 => {
+        Value::Array(list) if list.iter().all(Value::is_number) && (1..=3).contains(&list.len()) => {
             let words: Vec<String> =
                 list.iter().filter_map(Value::as_f64).map(|v| format!("{v:.4}")).collect();
             println!("{prefix:24} {}", words.join(", "));

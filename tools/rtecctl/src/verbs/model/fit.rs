@@ -2,8 +2,10 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
+use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::fit::{self, Options, Report};
+use rtec_model::machine::Machine;
 use rtec_model::record::{Record, write_whole};
 use std::path::{Path, PathBuf};
 
@@ -54,10 +56,16 @@ pub(crate) struct FitArgs {
     /// The machine model to write
     #[arg(long, value_name = "machine.toml")]
     out: PathBuf,
+    /// The date the model carries; today (UTC) where it is left out
+    #[arg(long, value_name = "YYYY-MM-DD")]
+    date: Option<String>,
+    /// Days the model may be used for without being looked at again
+    #[arg(long, default_value_t = 365)]
+    valid_days: u16,
 }
 
 pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
-    let (_, reports) = run_fit(&args.common, &[])?;
+    let (_, reports) = run_fit(&args.common, &[], date::today(), 365)?;
     if args.common.json {
         return print_json(&reports, |r| {
             serde_json::json!({
@@ -74,7 +82,13 @@ pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
 }
 
 pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
-    let (machine, reports) = run_fit(&args.common, &args.holdout)?;
+    let day = match &args.date {
+        None => date::today(),
+        Some(text) => date::parse(text).ok_or_else(|| {
+            InputError::whole(Path::new("--date"), format!("`{text}`"), "a day as YYYY-MM-DD")
+        })?,
+    };
+    let (machine, reports) = run_fit(&args.common, &args.holdout, day, i64::from(args.valid_days))?;
     machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
     if args.common.json {
         return print_json(&reports, |r| serde_json::to_value(r).unwrap_or_default());
@@ -118,7 +132,9 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 fn run_fit(
     common: &Common,
     holdout: &[PathBuf],
-) -> anyhow::Result<(rtec_model::machine::Machine, Vec<Report>)> {
+    date: i64,
+    valid_days: i64,
+) -> anyhow::Result<(Machine, Vec<Report>)> {
     let read =
         |paths: &[PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, InputError>>();
     let (train, holdout) = (read(&common.records)?, read(holdout)?);
@@ -129,6 +145,8 @@ fn run_fit(
         folds: usize::from(common.folds),
         lag: !common.no_lag,
         square: !common.no_square,
+        date,
+        valid_days,
     };
     let (machine, reports) =
         fit::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;

@@ -1,9 +1,12 @@
 //! `rtecctl part errors`: probed points to part errors, `error.cor` and whiskers.
 
+use super::features::Units;
+use super::points::positive;
 use super::{print, usage, write_all};
+use rtec_model::machine::Machine;
 use rtec_part::errors::{Nominal, Probed, Report, error_cor};
 use rtec_part::fit::Zx;
-use rtec_part::sheet::Sheet;
+use rtec_part::path::read_expected;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -25,9 +28,21 @@ pub(crate) struct Args {
     /// Nominal inclination of a taper to the part's axis, in degrees
     #[arg(long, allow_negative_numbers = true)]
     taper_deg: Option<f64>,
-    /// What the machine was off at each point, by the geometric-thermal model: a CSV `error_z_um,error_x_um`
+    /// Take out what this machine's model predicts at each point; the temperatures are the record's columns T0, T1, …
     #[arg(long)]
-    geometric_thermal: Option<PathBuf>,
+    machine: Option<PathBuf>,
+    /// Machine position at the part's zero, in mm, for the model
+    #[arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 2, allow_negative_numbers = true)]
+    origin_mm: Option<Vec<f64>>,
+    /// The expected trips: every point must be near its own
+    #[arg(long, value_name = "PROBPATH.CDL")]
+    expected: Option<PathBuf>,
+    /// Unit of the expected trips
+    #[arg(long, value_enum, default_value_t = Units::Mm)]
+    path_units: Units,
+    /// How near a trip must be to its expected place, in mm
+    #[arg(long, default_value_t = 1.0)]
+    trip_window_mm: f64,
     /// Write error.cor, whisker.svg and whisker.dxf into this folder
     #[arg(long)]
     out: Option<PathBuf>,
@@ -56,12 +71,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(usage("--tip-mm", format!("{}", args.tip_mm), "a radius in mm, 0 or more"));
     }
     let mut probed = Probed::read(&args.points)?;
-    if let Some(file) = &args.geometric_thermal {
-        let sheet = Sheet::read(file, &["error_z_um", "error_x_um"], |_| false)?;
-        let z = sheet.numbers("error_z_um")?;
-        let error_um: Vec<Zx> =
-            z.into_iter().zip(sheet.numbers("error_x_um")?).map(|(z, x)| Zx::new(z, x)).collect();
-        probed.correct_geometric_thermal(file, &error_um)?;
+    if let Some(file) = &args.expected {
+        let expected = read_expected(file, args.path_units.unit())?;
+        probed.check_expected(&expected, positive("--trip-window-mm", args.trip_window_mm)?)?;
+    }
+    if let Some(file) = &args.machine {
+        let origin = match args.origin_mm.as_deref() {
+            Some(&[z, x]) => Zx::new(z, x),
+            _ => Zx::new(0.0, 0.0),
+        };
+        probed.correct_geometric_thermal(&Machine::read(file)?, origin)?;
     }
     let report = probed.errors(nominal, args.tip_mm)?;
     if let Some(folder) = &args.out {

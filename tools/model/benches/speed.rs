@@ -1,0 +1,125 @@
+//! How fast: a model of thirty effects at one instant, a record read, a fit of 78 h of sixteen sensors. Prints, asserts
+//! nothing: `cargo bench -p rtec-model`.
+
+use rtec_model::effect::{Dictionary, Difference, Effect, Need};
+use rtec_model::fit::{self, Options};
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::hint::black_box;
+use std::path::Path;
+use std::time::Instant;
+
+fn axis(name: &str) -> Axis {
+    Axis::new(name).expect("a letter is an axis name")
+}
+
+/// Median of the times of some runs, in nanoseconds.
+fn median_ns(runs: usize, mut run: impl FnMut()) -> f64 {
+    let mut times: Vec<f64> = (0..runs)
+        .map(|_| {
+            let start = Instant::now();
+            run();
+            start.elapsed().as_nanos() as f64
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+/// One effect of every law of the dictionary (thirty).
+fn every_law() -> Vec<Effect> {
+    let d = Dictionary::default();
+    let mut effects = Vec::new();
+    for law in d.laws() {
+        let name = &law.card().name;
+        let name = match law.card().naming {
+            rtec_model::effect::Naming::Plain => name.clone(),
+            rtec_model::effect::Naming::One => format!("{name}.x"),
+            rtec_model::effect::Naming::Two | rtec_model::effect::Naming::Pair => format!("{name}.x.z"),
+            rtec_model::effect::Naming::Three => format!("{name}.x.y.z"),
+            rtec_model::effect::Naming::Channel => format!("{name}.x.load"),
+        };
+        let mut e = d.effect(&name).expect("the dictionary's own names");
+        if e.card().needs.contains(&Need::Delta) {
+            e.delta = Some(Difference::pair("T1", "T2"));
+        }
+        effects.push(e);
+    }
+    effects
+}
+
+fn log(rows: usize, sensors: usize) -> Record {
+    let mut columns = vec![Column {
+        name: "t".into(),
+        role: Role::Time,
+        unit: "s".into(),
+        data: (0..rows).map(|i| 60.0 * i as f64).collect(),
+    }];
+    let warm = |i: usize, tau: f64| {
+        15.0 * (1.0 - (-(i as f64) / tau).exp()) * (1.0 + 0.2 * (i as f64 / 400.0).sin())
+    };
+    for s in 0..sensors {
+        let wobble = |i: usize| 0.02 * ((i * (s + 3)) as f64).sin();
+        let data =
+            (0..rows).map(|i| 20.0 + warm(i, 60.0 + 40.0 * s as f64) * (1.0 - s as f64 / 17.0) + wobble(i));
+        columns.push(Column {
+            name: format!("T{s}"),
+            role: Role::Temperature,
+            unit: "degC".into(),
+            data: data.collect(),
+        });
+    }
+    columns.push(Column {
+        name: "e".into(),
+        role: Role::Error(axis("z")),
+        unit: "um".into(),
+        data: (0..rows).map(|i| 1.3 * warm(i, 320.0) + 0.1 * (i as f64 * 1.7).sin()).collect(),
+    });
+    Record::new(Path::new("log.run.toml"), Kind::Drift, columns).expect("a sound record")
+}
+
+fn main() {
+    let effects = every_law();
+    let layout = Layout {
+        axes: vec![axis("x"), axis("y"), axis("z")],
+        sensors: vec!["T1".into(), "T2".into()],
+        channels: vec!["load".into()],
+    };
+    let mut live = Live::new(&effects, layout).expect("everything is in the layout");
+    let mut t = 0.0_f64;
+    let per_1000 = median_ns(200, || {
+        for _ in 0..1000 {
+            t += 0.01;
+            let axes = [
+                AxisNow::moving(100.0 * t.sin(), t.cos()),
+                AxisNow::moving(t, 1.0),
+                AxisNow::moving(2.0, -1.0),
+            ];
+            live.evaluate(&Frame {
+                t_s: t,
+                axes: &axes,
+                temperatures_degc: &[25.0, 20.0],
+                channels: &[1.0],
+                ..Frame::default()
+            });
+            black_box(live.errors_um());
+        }
+    });
+    println!("live: {} effects in {:.2} µs", effects.len(), per_1000 / 1e6);
+
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    for (rows, sensors) in [(5000, 23), (4681, 16)] {
+        let mut record = log(rows, sensors);
+        record.path = dir.path().join("log.run.toml");
+        record.write().expect("a writable directory");
+        let ns = median_ns(20, || {
+            black_box(Record::read(&record.path).expect("what was written"));
+        });
+        println!("record: {rows} rows x {} columns read in {:.2} ms", sensors + 2, ns / 1e6);
+    }
+    let record = log(4681, 16);
+    let ns = median_ns(5, || {
+        black_box(fit::fit(&[&record], &[], &Options::default()).expect("a record that can be fitted"));
+    });
+    println!("fit: 78 h x 16 sensors with selection and nested cross-validation in {:.3} s", ns / 1e9);
+}

@@ -1,0 +1,229 @@
+//! The test sequence that a machine is characterised with, after WO 97/43703 ("Geometric characterization … three
+//! phases", spindle cycles dry and wet): what to mount where, how to move, what to record.
+
+use serde::Serialize;
+
+/// A linear axis to be characterised.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanAxis {
+    /// Its name.
+    pub name: String,
+    /// Travel from its lowest to its highest position, mm.
+    pub travel_mm: f64,
+}
+
+/// One run of the sequence.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Step {
+    /// Number in the sequence, from 1.
+    pub number: usize,
+    /// Name of the record to take.
+    pub record: String,
+    /// Kind of the record.
+    pub kind: &'static str,
+    /// The state the machine has to be in.
+    pub state: &'static str,
+    /// What to mount where.
+    pub mount: String,
+    /// How to move and what to read.
+    pub run: String,
+    /// The columns to record.
+    pub columns: Vec<String>,
+    /// How it is evaluated.
+    pub evaluate: &'static str,
+    /// About how long it takes, min.
+    pub minutes: f64,
+}
+
+/// Contouring feeds of the patent's table 1, mm/min (10, 50 and 100 in/min).
+pub const FEEDS_MM_PER_MIN: [f64; 3] = [254.0, 1270.0, 2540.0];
+
+const TEMPERATURES: &str = "every temperature sensor";
+
+/// The sequence for these axes and this highest spindle speed. The warm runs come last, each from a machine that has
+/// stood over night where it says *cold*.
+#[must_use]
+pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: f64) -> Vec<Step> {
+    let mut steps = contouring(axes, ball_radius_mm);
+    steps.extend(axes.iter().map(displacement));
+    let errors: Vec<String> = axes.iter().map(|a| format!("error.{}", a.name)).collect();
+    steps.push(Step {
+        number: 0,
+        record: "tool_change".to_owned(),
+        kind: "drift",
+        state: "cold, spindle at rest",
+        mount: "precision ball in the tool holder, displacement gauges on the table along every axis".to_owned(),
+        run: "ten times: read, retract, put the tool into the magazine, move all axes over their travel, fetch it, \
+              return, read"
+            .to_owned(),
+        columns: [words(&["time", "cycle"]), errors.clone()].concat(),
+        evaluate: "repeatability: standard deviation and range per axis",
+        minutes: 30.0,
+    });
+    steps.extend(spindle(&errors, max_rpm));
+    for (i, s) in steps.iter_mut().enumerate() {
+        s.number = i + 1;
+    }
+    steps
+}
+
+fn words(of: &[&str]) -> Vec<String> {
+    of.iter().map(|w| (*w).to_owned()).collect()
+}
+
+/// Circles in every plane, at three feeds, both ways (the patent's table 1).
+fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
+    let mut steps = Vec::new();
+    for (i, a) in axes.iter().enumerate() {
+        for b in &axes[i + 1..] {
+            for feed in FEEDS_MM_PER_MIN {
+                for turn in ["ccw", "cw"] {
+                    let plane = format!("{}-{}", a.name, b.name);
+                    steps.push(Step {
+                        number: 0,
+                        record: format!("ballbar_{}{}_{feed:.0}_{turn}", a.name, b.name),
+                        kind: "ballbar",
+                        state: "cold, spindle at rest",
+                        mount: format!(
+                            "ballbar of {radius_mm} mm between spindle and table in plane {plane}"
+                        ),
+                        run: format!(
+                            "full circle {turn} at {feed:.0} mm/min, half a turn of run-in before and after"
+                        ),
+                        columns: words(&["time", "angle", "error.r", TEMPERATURES]),
+                        evaluate: "ballbar: circularity, reversal, squareness; following error between feeds",
+                        minutes: 2.0 * std::f64::consts::TAU * radius_mm / feed + 2.0,
+                    });
+                }
+            }
+        }
+    }
+    steps
+}
+
+/// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2).
+fn displacement(axis: &PlanAxis) -> Step {
+    let n = &axis.name;
+    // Targets are a tenth of the travel apart, but unequally (as ISO 230-2 asks), so that the screw's period does not
+    // hide behind a pitch that is a whole number of leads.
+    let step = axis.travel_mm / 10.0;
+    let target =
+        |k: i32| f64::from(k) * step + 0.07 * step * f64::from((k * 3) % 5 - 2) * f64::from(k % 10 != 0);
+    let targets: Vec<String> = (0..=10).map(|k| format!("{:.2}", target(k))).collect();
+    let (position, direction, error) =
+        (format!("position.{n}"), format!("direction.{n}"), format!("error.{n}"));
+    Step {
+        number: 0,
+        record: format!("linear_{n}"),
+        kind: "positioning",
+        state: "cold, spindle at rest",
+        mount: format!(
+            "laser interferometer along {n}, reflector in the spindle; a temperature sensor at scale or screw"
+        ),
+        run: format!(
+            "targets {} mm from the lower end, up and down, five cycles, 3 s at rest before each reading",
+            targets.join(" ")
+        ),
+        columns: words(&["time", &position, &direction, "cycle", &error, TEMPERATURES]),
+        evaluate: "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period",
+        minutes: 40.0,
+    }
+}
+
+/// Spindle cycles cold-dry, cold-wet, warm, production, and cooling down.
+fn spindle(errors: &[String], max_rpm: f64) -> Vec<Step> {
+    let full = 0.9 * max_rpm;
+    let cycle = |wet: &str| {
+        format!(
+            "{full:.0} rpm for 3 h, {wet}, gauges read every minute; then 15 min at each of {:.0}, {:.0} and \
+             {full:.0} rpm with 5 min at rest between",
+            0.3 * full,
+            0.6 * full
+        )
+    };
+    let cooling = || "spindle and coolant off, gauges read for 3 h".to_owned();
+    let warm = format!(
+        "speeds in random order between {:.0} and {full:.0} rpm, 10 min each, coolant on",
+        0.2 * full
+    );
+    let production = "a production program without work piece, coolant as programmed, two cycles".to_owned();
+    let runs = [
+        ("spindle_cold_dry", "cold (over night)", cycle("no coolant"), 245.0),
+        ("cool_down_dry", "as the run before left it", cooling(), 180.0),
+        ("spindle_cold_wet", "cold (over night)", cycle("coolant on, aimed as in production"), 245.0),
+        ("spindle_warm", "warm, straight after the run before", warm, 120.0),
+        ("production_cycle", "warm", production, 90.0),
+        ("cool_down", "as the run before left it", cooling(), 180.0),
+    ];
+    let columns =
+        [words(&["time", "spindle_speed", "coolant"]), errors.to_vec(), words(&[TEMPERATURES])].concat();
+    let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| Step {
+        number: 0,
+        record: record.to_owned(),
+        kind: "drift",
+        state,
+        mount:
+            "mandrel in the spindle, five gauges on the table: two radial pairs 100 mm apart and one axial"
+                .to_owned(),
+        run,
+        columns: columns.clone(),
+        evaluate: "iso230-3; model fit, one run held out",
+        minutes,
+    };
+    runs.into_iter().map(step).collect()
+}
+
+/// The sequence as Markdown.
+#[must_use]
+pub fn markdown(machine: &str, steps: &[Step]) -> String {
+    use std::fmt::Write as _;
+    let hours = steps.iter().map(|s| s.minutes).sum::<f64>() / 60.0;
+    let mut out = format!(
+        "# Characterisation of {machine}\n\n{} runs, about {hours:.1} h of machine time.\n",
+        steps.len()
+    );
+    for s in steps {
+        let _ = write!(
+            out,
+            "\n## {}. {}\n\n| | |\n|---|---|\n| state | {} |\n| mount | {} |\n| run | {} |\n| record | kind `{}`: {} |\n\
+             | evaluate | {} |\n| takes | {:.0} min |\n",
+            s.number,
+            s.record,
+            s.state,
+            s.mount,
+            s.run,
+            s.kind,
+            s.columns.join(", "),
+            s.evaluate,
+            s.minutes
+        );
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sequence_holds_what_the_patent_asks_for() {
+        let axes = ["x", "y", "z"].map(|n| PlanAxis { name: n.into(), travel_mm: 500.0 });
+        let steps = sequence(&axes, 6000.0, 150.0);
+        let count = |what: &str| steps.iter().filter(|s| s.record.starts_with(what)).count();
+        // Three planes at three feeds both ways, three lines, tool changes, six spindle runs.
+        assert_eq!([count("ballbar_"), count("linear_"), count("tool_change"), steps.len()], [18, 3, 1, 28]);
+        for want in ["spindle_cold_dry", "spindle_cold_wet", "spindle_warm", "production_cycle", "cool_down"]
+        {
+            assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
+        }
+        assert!(steps.iter().all(|s| crate::record::Kind::parse(s.kind).is_some()));
+        let text = markdown("m", &steps);
+        assert!(text.contains("## 28. cool_down") && text.contains("254 mm/min"));
+        // No two targets a whole number of 5 mm leads apart throughout.
+        assert!(
+            steps.iter().any(|s| s.run.contains("targets") && s.run.contains(".50")),
+            "{}",
+            steps[18].run
+        );
+    }
+}

@@ -1,0 +1,154 @@
+//! `rtecctl characterise record`: temperatures and gauges into a run record, with progress.
+
+use anyhow::Context;
+use rtec_driver::input::InputError;
+use rtec_model::document::{self, Table};
+use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::sensors::{Bank, Config, Feed, Use};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Record temperatures and a gauge feed into a run record
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The run record to write; its CSV stands beside it
+    #[arg(long, value_name = "NAME.run.toml")]
+    out: PathBuf,
+    /// What kind of run it is
+    #[arg(long, default_value = "drift")]
+    kind: String,
+    /// File of [[sensor]] tables
+    #[arg(long, value_name = "FILE")]
+    sensors: Option<PathBuf>,
+    /// Gauges and positions: lines NAME VALUE from host:port or a serial device
+    #[arg(long, value_name = "host:port|/dev/tty…")]
+    feed: Option<String>,
+    /// Columns of the feed with their roles, as gz=error.z,y=position.y
+    #[arg(long, value_delimiter = ',', value_name = "NAME=ROLE")]
+    columns: Vec<String>,
+    /// Time between rows, s
+    #[arg(long, default_value_t = 1.0)]
+    period: f64,
+    /// How long to record, s
+    #[arg(long)]
+    duration: f64,
+    /// Where /sys is found
+    #[arg(long, default_value = "/", hide = true)]
+    root: PathBuf,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let usage =
+        |found: String, expected: &str| InputError::whole(Path::new("characterise record"), found, expected);
+    let kind =
+        Kind::parse(&args.kind).ok_or_else(|| usage(format!("--kind {}", args.kind), "a kind of run"))?;
+    if !(args.period >= 0.001 && args.duration >= args.period && args.duration.is_finite()) {
+        let found = format!("--period {} --duration {}", args.period, args.duration);
+        return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
+    }
+    let mut columns = vec![column("t", Role::Time)];
+    let mut bank = Bank::new(read_sensors(args.sensors.as_deref())?, &args.root)?;
+    columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
+    let gauges = columns.len();
+    for text in &args.columns {
+        let parsed = text.split_once('=').and_then(|(n, r)| Some((n, Role::parse(r)?)));
+        let (name, role) =
+            parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
+        columns.push(column(name, role));
+    }
+    if !columns.iter().any(|c| c.role.is_response()) {
+        return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS").into());
+    }
+    let mut feed = args.feed.as_deref().map(Feed::new);
+    // Rows go into a file of their own as they come: a long run is not lost with the power.
+    let part = args.out.with_extension("csv.part");
+    let mut file = std::fs::File::create(&part).with_context(|| format!("creating {}", part.display()))?;
+    let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
+    writeln!(file, "{}", names.join(","))?;
+    let start = Instant::now();
+    let rows = (args.duration / args.period).floor() as u64 + 1;
+    let mut last: Vec<Option<f64>> = vec![None; columns.len()];
+    let (mut taken, mut told) = (0_u64, 0.0);
+    for row in 0..rows {
+        let due = row as f64 * args.period;
+        wait_until(start, due);
+        let now = start.elapsed().as_secs_f64();
+        bank.poll(now);
+        if let Some(feed) = &mut feed {
+            feed.poll(now);
+            for (value, c) in last[gauges..].iter_mut().zip(&columns[gauges..]) {
+                *value = feed.value(&c.name).ok().or(*value);
+            }
+        }
+        last[0] = Some(now);
+        let mut silent: Vec<String> = Vec::new();
+        for (value, w) in last[1..gauges].iter_mut().zip(bank.sensors()) {
+            *value = w.value_degc();
+            if w.usable(now) != Use::Good {
+                let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
+                silent.push(format!("{} {why}", w.config().name));
+            }
+        }
+        // A row is whole or not there.
+        if let Some(values) = last.iter().copied().collect::<Option<Vec<f64>>>() {
+            let words: Vec<String> = values.iter().map(f64::to_string).collect();
+            writeln!(file, "{}", words.join(",")).with_context(|| format!("writing {}", part.display()))?;
+            for (c, v) in columns.iter_mut().zip(values) {
+                c.data.push(v);
+            }
+            taken += 1;
+        }
+        if now - told >= 2.0 || row + 1 == rows {
+            told = now;
+            let trouble = if silent.is_empty() { String::new() } else { format!("; {}", silent.join(", ")) };
+            eprintln!("{now:.0} of {:.0} s, {taken} rows{trouble}", args.duration);
+        }
+    }
+    if taken == 0 {
+        std::fs::remove_file(&part).ok();
+        let what = feed.map_or("no sensor and no feed".to_owned(), |f| {
+            columns[gauges..]
+                .iter()
+                .find_map(|c| f.value(&c.name).err().map(str::to_owned))
+                .unwrap_or_default()
+        });
+        let found = format!("no complete row in {:.0} s ({what})", args.duration);
+        return Err(crate::Outcome::Unreachable(found).into());
+    }
+    let mut record = Record::new(&args.out, kind, columns)?;
+    record.write().with_context(|| format!("writing {}", args.out.display()))?;
+    std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+fn column(name: &str, role: Role) -> Column {
+    let unit = role.unit().unwrap_or("1").to_owned();
+    Column { name: name.to_owned(), role, unit, data: Vec::new() }
+}
+
+fn wait_until(start: Instant, due_s: f64) {
+    let left = due_s - start.elapsed().as_secs_f64();
+    if left > 0.0 {
+        std::thread::sleep(Duration::from_secs_f64(left));
+    }
+}
+
+fn read_sensors(path: Option<&Path>) -> Result<Vec<Config>, InputError> {
+    let Some(path) = path else { return Ok(Vec::new()) };
+    let text = document::read(path)?;
+    let doc = document::parse(path, &text)?;
+    let root = Table::root(path, &text, &doc);
+    root.only(&["sensor"])?;
+    let tables = root.required("sensor", "[[sensor]] tables")?.tables("[[sensor]] tables")?;
+    let mut found: Vec<Config> = Vec::new();
+    for t in tables {
+        let config = Config::read(t)?;
+        if found.iter().any(|c| c.name == config.name) {
+            return Err(t
+                .required("name", "")?
+                .error(format!("sensor `{}` twice", config.name), "each name once"));
+        }
+        found.push(config);
+    }
+    Ok(found)
+}

@@ -1,0 +1,193 @@
+//! `rtecctl model show` and `compare`: what a model says, and what sets two apart.
+
+use rtec_model::date;
+use rtec_model::effect::Effect;
+use rtec_model::machine::{Listed, Machine};
+use rtec_model::record::Record;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Show a model: effects, parameters, intervals, where they come from, how long they hold
+#[derive(Debug, clap::Args)]
+pub(crate) struct ShowArgs {
+    /// The machine model
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Compare two models, effect by effect, and on a record what they predict
+#[derive(Debug, clap::Args)]
+pub(crate) struct CompareArgs {
+    /// The first model
+    first: PathBuf,
+    /// The second model
+    second: PathBuf,
+    /// Compare their predictions on this record too
+    #[arg(long, value_name = "NAME.run.toml")]
+    record: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
+    let machine = Machine::read(&args.machine)?;
+    for warning in warnings(&machine) {
+        eprintln!("warning: {}: {warning}", args.machine.display());
+    }
+    if args.json {
+        let effects: Vec<Value> = machine.listed().iter().map(effect_json).collect();
+        let fits: Vec<Value> = machine
+            .fits()
+            .iter()
+            .map(|f| {
+                json!({"response": f.response, "date": f.date, "valid_until": f.valid_until, "rms_um": f.rms_um,
+                       "half_width_um": f.half_width_um})
+            })
+            .collect();
+        let document = json!({"name": machine.name(), "effects": effects, "fits": fits});
+        println!("{}", serde_json::to_string_pretty(&document)?);
+        return Ok(());
+    }
+    println!("{}", machine.name());
+    for l in machine.listed() {
+        println!("{}", heading(&l.effect));
+        println!("    {}", l.effect.card().law);
+        for (i, p) in l.effect.card().parameters.iter().enumerate() {
+            let values = l.effect.get(i);
+            let interval = l.provenance.interval.get(&p.name);
+            for (k, v) in values.iter().enumerate() {
+                let within = interval.map_or(String::new(), |i| format!("  [{}, {}]", i[k][0], i[k][1]));
+                println!("    {:14} {v} {}{within}", if k == 0 { p.name.as_str() } else { "" }, p.unit);
+            }
+        }
+        if let Some([lo, hi]) = l.effect.range_k {
+            println!("    fitted on ΔT from {lo:.2} to {hi:.2} K");
+        }
+        if let Some(by) = &l.provenance.added_by {
+            let from: Vec<&str> = l.provenance.from.iter().map(|s| s.file.as_str()).collect();
+            println!("    by {by} {} from {}", l.provenance.date.as_deref().unwrap_or(""), from.join(", "));
+        }
+    }
+    for f in machine.fits() {
+        println!(
+            "{}: fitted {}, good until {}; {:.3} µm RMS on unseen blocks, 95 % within ±{:.3} µm",
+            f.response, f.date, f.valid_until, f.rms_um, f.half_width_um
+        );
+    }
+    Ok(())
+}
+
+/// A name with its sensor.
+fn heading(effect: &Effect) -> String {
+    let delta = effect.delta.as_ref().map_or(String::new(), |d| format!(" ({d})"));
+    format!("{}{delta}", effect.name())
+}
+
+/// Parameters outside what a sound machine shows, fits past their date.
+pub(super) fn warnings(machine: &Machine) -> Vec<String> {
+    let mut found = Vec::new();
+    for e in machine.effects() {
+        for (i, p) in e.card().parameters.iter().enumerate() {
+            let [lo, hi] = p.plausible;
+            if let Some(v) = e.get(i).iter().find(|v| **v < lo || **v > hi) {
+                found.push(format!(
+                    "{}: {} = {v} {} is outside {lo} to {hi}, unlikely",
+                    e.name(),
+                    p.name,
+                    p.unit
+                ));
+            }
+        }
+    }
+    for f in machine.fits() {
+        if date::parse(&f.valid_until).is_some_and(|d| d < date::today()) {
+            found.push(format!("{}: the fit's validity ended on {}", f.response, f.valid_until));
+        }
+    }
+    found
+}
+
+fn effect_json(l: &Listed) -> Value {
+    let parameters: BTreeMap<&str, Value> = l
+        .effect
+        .card()
+        .parameters
+        .iter()
+        .enumerate()
+        .map(|(i, p)| {
+            let value = if p.array { json!(l.effect.get(i)) } else { json!(l.effect.scalar(i)) };
+            let interval = l.provenance.interval.get(&p.name);
+            (p.name.as_str(), json!({"value": value, "unit": p.unit, "interval": interval}))
+        })
+        .collect();
+    json!({
+        "name": l.effect.name(), "law": l.effect.card().law, "delta": l.effect.delta.as_ref().map(ToString::to_string),
+        "parameters": parameters, "range_K": l.effect.range_k, "added_by": l.provenance.added_by,
+        "experiment": l.effect.card().experiment,
+    })
+}
+
+pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
+    let (a, b) = (Machine::read(&args.first)?, Machine::read(&args.second)?);
+    // What is not an identity may differ: effects of one identity are the same effect.
+    let of = |m: &Machine| m.effects().map(|e| (e.identity(), e.clone())).collect::<BTreeMap<_, _>>();
+    let (left, right) = (of(&a), of(&b));
+    let mut rows = Vec::new();
+    for (id, e) in &left {
+        match right.get(id) {
+            None => rows.push(json!({"effect": id, "change": "only in the first"})),
+            Some(f) if f == e => {}
+            Some(f) => {
+                for (i, p) in e.card().parameters.iter().enumerate() {
+                    if e.get(i) != f.get(i) {
+                        rows.push(json!({"effect": id, "change": "parameter", "parameter": p.name,
+                                         "first": e.get(i), "second": f.get(i)}));
+                    }
+                }
+                if e.range_k != f.range_k || e.delta != f.delta {
+                    rows.push(json!({"effect": id, "change": "range or reference"}));
+                }
+            }
+        }
+    }
+    let only_second = right.keys().filter(|id| !left.contains_key(*id));
+    rows.extend(only_second.map(|id| json!({"effect": id, "change": "only in the second"})));
+    let mut predictions = Vec::new();
+    if let Some(path) = &args.record {
+        let record = Record::read(path)?;
+        let (pa, pb) = (a.predict(&record)?, b.predict(&record)?);
+        for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {
+            let rms =
+                |v: &mut dyn Iterator<Item = f64>| (v.map(|d| d * d).sum::<f64>() / x.len() as f64).sqrt();
+            let left = |p: &[f64]| rms(&mut column.data.iter().zip(p).map(|(m, p)| m - p));
+            let apart = x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max);
+            predictions.push(json!({
+                "response": column.role.to_string(), "column": name, "rms_first": left(x), "rms_second": left(y),
+                "rms_apart": rms(&mut x.iter().zip(y).map(|(x, y)| x - y)), "most_apart": apart,
+            }));
+        }
+    }
+    if args.json {
+        let document = json!({"differences": rows, "predictions": predictions});
+        println!("{}", serde_json::to_string_pretty(&document)?);
+        return Ok(());
+    }
+    if rows.is_empty() {
+        println!("the same effects with the same parameters");
+    }
+    for r in &rows {
+        let values =
+            if r["first"].is_null() { String::new() } else { format!(": {} -> {}", r["first"], r["second"]) };
+        let what = r["parameter"].as_str().or(r["change"].as_str()).unwrap_or_default();
+        println!("{:40} {what}{values}", r["effect"].as_str().unwrap_or_default());
+    }
+    for p in &predictions {
+        println!("{}: {p}", args.record.as_ref().map_or(String::new(), |r| r.display().to_string()));
+    }
+    Ok(())
+}

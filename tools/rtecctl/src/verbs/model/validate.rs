@@ -1,0 +1,147 @@
+//! `rtecctl model validate` and `rehearse`: a model on data it has not seen, and on a shift before it is loaded.
+
+use crate::Outcome;
+use anyhow::Context;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Record, write_whole};
+use rtec_model::rehearse;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// Judge a model on records: what is left, how often its interval holds, where it is asked too much
+#[derive(Debug, clap::Args)]
+pub(crate) struct ValidateArgs {
+    /// The machine model
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// Records it has not seen
+    #[arg(long = "record", value_name = "NAME.run.toml", required = true)]
+    records: Vec<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Replay a recorded shift against a new model and show what would change
+#[derive(Debug, clap::Args)]
+pub(crate) struct RehearseArgs {
+    /// The new model
+    #[arg(long, value_name = "FILE")]
+    machine: PathBuf,
+    /// The present model; none where it is left out
+    #[arg(long, value_name = "FILE")]
+    against: Option<PathBuf>,
+    /// The shift: positions and temperatures, no response needed
+    #[arg(long, value_name = "NAME.run.toml")]
+    record: PathBuf,
+    /// Draw both corrections, one file per axis
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
+    let machine = Machine::read(&args.machine)?;
+    let mut found: Vec<Value> = Vec::new();
+    let mut worse: Vec<String> = Vec::new();
+    for path in &args.records {
+        let record = Record::read(path)?;
+        let prediction = machine.predict(&record)?;
+        let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
+        for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
+            let n = column.data.len() as f64;
+            let rms = |v: &mut dyn Iterator<Item = f64>| (v.map(|d| d * d).sum::<f64>() / n).sqrt();
+            let mean = column.data.iter().sum::<f64>() / n;
+            let left: Vec<f64> = column.data.iter().zip(predicted).map(|(m, p)| m - p).collect();
+            let (before, after) = (rms(&mut column.data.iter().copied()), rms(&mut left.iter().copied()));
+            let response = column.role.to_string();
+            let width = machine.half_width_um(&response);
+            let inside = width.map(|w| left.iter().filter(|v| v.abs() <= w).count() as f64 / n);
+            if after >= before && before > 0.0 {
+                worse.push(format!("{}: {response}", path.display()));
+            }
+            found.push(json!({
+                "record": path, "response": response, "rms": after, "rms_without_model": before,
+                "sd": rms(&mut column.data.iter().map(|v| v - mean)), "mean_left": left.iter().sum::<f64>() / n,
+                "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), "half_width_um": width,
+                "coverage": inside, "fitted_on_this_record": seen,
+            }));
+        }
+        for (effect, role) in &prediction.taken_as_zero {
+            eprintln!("warning: {}: no {role}, taken as zero for {effect}", path.display());
+        }
+        for warning in machine.out_of_range(&record) {
+            eprintln!("warning: {}: {warning}", path.display());
+        }
+    }
+    for warning in super::show::warnings(&machine) {
+        eprintln!("warning: {}: {warning}", args.machine.display());
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&json!({ "responses": found, "no_better": worse }))?);
+    } else {
+        for v in &found {
+            let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
+            println!(
+                "{} {}: {} left of {} (SD {}), mean {}, largest {}; interval ±{} holds {}{}",
+                v["record"].as_str().unwrap_or_default(),
+                v["response"].as_str().unwrap_or_default(),
+                f("rms"),
+                f("rms_without_model"),
+                f("sd"),
+                f("mean_left"),
+                f("largest_left"),
+                f("half_width_um"),
+                f("coverage"),
+                if v["fitted_on_this_record"] == true {
+                    "; NOT unseen: the model was fitted on it"
+                } else {
+                    ""
+                },
+            );
+        }
+    }
+    if worse.is_empty() {
+        return Ok(());
+    }
+    Err(Outcome::No(format!("no better than without the model: {}", worse.join(", "))).into())
+}
+
+pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
+    let new = Machine::read(&args.machine)?;
+    let present = match &args.against {
+        Some(path) => Machine::read(path)?,
+        None => Machine::ideal("no model"),
+    };
+    let shift = Record::read_log(&args.record)?;
+    let found = rehearse::rehearse(&present, &new, &shift)?;
+    if let Some(path) = &args.plot {
+        for axis in &found.axes {
+            let path = path.with_extension(format!("{}.svg", axis.axis));
+            let svg = axis.chart().svg(900, 480)?;
+            write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+        }
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&found)?);
+        return Ok(());
+    }
+    for a in &found.axes {
+        println!(
+            "{}: largest correction {:.2} -> {:.2} µm; largest change {:+.2} µm at {:.0} s, RMS {:.2} µm; fastest {:.3} µm/s",
+            a.axis,
+            a.largest_um[0],
+            a.largest_um[1],
+            a.change_um,
+            a.change_at_s,
+            a.change_rms_um,
+            a.fastest_um_per_s
+        );
+    }
+    for (effect, share) in &found.outside {
+        println!("{effect}: outside the range it was fitted on for {:.1} % of the shift", 100.0 * share);
+    }
+    Ok(())
+}

@@ -1,0 +1,138 @@
+//! `rtecctl part`: the contract of `part errors`, exit codes, and all steps one after the other through their files.
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use serde_json::Value;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn part(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .arg("part")
+        .args(arguments)
+        .current_dir(folder)
+        .env("SOURCE_DATE_EPOCH", "709171199")
+        .output()
+        .unwrap()
+}
+
+fn json(folder: &Path, arguments: &[&str]) -> Value {
+    let output = part(folder, arguments);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {said}");
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{arguments:?}: {e}"))
+}
+
+/// A quarter of a nose about Z 127, in mm, as the plainest of drawings.
+fn drawing(radius_mm: f64) -> String {
+    format!(
+        "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1015\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n\
+         0\nARC\n5\n2F\n8\n0\n10\n127.0\n20\n0.0\n30\n0.0\n40\n{radius_mm}\n50\n0.0\n51\n90.0\n0\nENDSEC\n0\nEOF\n"
+    )
+}
+
+#[test]
+fn part_errors_keeps_its_contract() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let mut text = String::from("z_mm,x_mm\n");
+    for k in 0..20 {
+        let angle = std::f64::consts::FRAC_PI_2 * f64::from(k) / 19.0;
+        let r = 38.1 + 2.5 + if (4..8).contains(&k) { 0.02 } else { 0.0 };
+        let _ = writeln!(text, "{:.6},{:.6}", 5.0 + r * angle.cos(), r * angle.sin());
+    }
+    std::fs::write(folder.join("probed.csv"), format!("\u{feff}{}", text.replace('\n', "\r\n"))).unwrap();
+    let arguments = ["errors", "--points", "probed.csv", "--radius-mm", "38.1", "--tip-mm", "2.5", "--json"];
+    let document = json(folder, &arguments);
+    assert!((document["radius_mm"].as_f64().unwrap() - 38.1).abs() < 0.01, "{document}");
+    assert!((document["centre_mm"][0].as_f64().unwrap() - 5.0).abs() < 0.01);
+    assert!(document["sd_after_um"].as_f64().unwrap() < 0.5 * document["sd_before_um"].as_f64().unwrap());
+    let rejected: Vec<u64> =
+        document["rejected"].as_array().unwrap().iter().map(|v| v.as_u64().unwrap()).collect();
+    assert!((4..8).all(|k| rejected.contains(&k)) && !rejected.contains(&0) && !rejected.contains(&19));
+    let errors = document["errors"].as_array().unwrap();
+    assert_eq!(errors.len(), 20);
+    assert!((errors[5]["error_um"].as_f64().unwrap() - 20.0).abs() < 3.0 && errors[5]["angle_rad"].is_f64());
+    assert_eq!(std::fs::read_dir(folder).unwrap().count(), 1, "no file unless --out names a place");
+
+    std::fs::write(folder.join("bad.csv"), "z_mm,x_mm\n1,2\n3,nan\n").unwrap();
+    for (arguments, said) in [
+        (vec!["errors", "--points", "bad.csv", "--radius-mm", "1", "--out", "o"], "bad.csv:3:3"),
+        (vec!["errors", "--points", "none.csv", "--radius-mm", "1", "--out", "o"], "none.csv"),
+        (vec!["errors", "--points", "probed.csv", "--radius-mm=-1", "--out", "o"], "--radius-mm"),
+        (vec!["errors", "--points", "probed.csv", "--out", "o"], "--radius-mm"),
+        (vec!["run", "--design", "z", "--out", "o"], "--design"),
+        (vec!["run", "--bench", "bad.csv", "--out", "o"], "bad.csv:1"),
+    ] {
+        let output = part(folder, &arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+        assert!(stderr.contains(said), "{arguments:?}: {stderr}");
+        assert!(output.stdout.is_empty() && !folder.join("o").exists());
+    }
+}
+
+#[test]
+fn the_steps_follow_each_other_through_their_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let go = |line: &str| json(folder, &line.split_whitespace().chain(["--json"]).collect::<Vec<_>>());
+    std::fs::write(folder.join("semi.dxf"), drawing(38.354)).unwrap();
+    std::fs::write(folder.join("final.dxf"), drawing(38.1)).unwrap();
+
+    let features = go("features semi.dxf");
+    assert_eq!(features["features"][0]["feature"]["kind"], "arc", "{features}");
+    go("finish --radius-mm 38.354 --out semi");
+    let plan = go("points semi.dxf --feature F1:20 --tip-mm 2.5 --out semi");
+    assert!((plan["stand_off_mm"].as_f64().unwrap() - 5.0).abs() < 0.01, "{plan}");
+    go("program --path semi/pathfin.cdl --set part=6304 --out semi");
+    let program = std::fs::read_to_string(folder.join("semi/pt6304s2.dnc")).unwrap();
+    assert!(program.contains("1992-06-21 23:59") && program.contains("TOUCH POINT 20"));
+    let probed = go(
+        "probe --workpiece semi/workpiece.csv --path semi/pathfin.cdl --expected semi/probpath.cdl --out semi",
+    );
+    assert_eq!(probed["trips"].as_array().unwrap().len(), 20);
+    let before = go(
+        "errors --points semi/probed.csv --radius-mm 38.354 --tip-mm 2.5 --expected semi/probpath.cdl --out semi",
+    );
+    let largest = |r: &Value| {
+        r["errors"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|e| e["error_um"].as_f64().unwrap().abs())
+            .fold(0.0, f64::max)
+    };
+    assert!(largest(&before) > 18.0, "the worn tool's bump");
+    let table = go(
+        "table --errors semi/error.cor --centre-z-mm 127 --radius-mm 38.1 --nose-mm 0.794 --g01-um 1.5 --out final",
+    );
+    assert!((90..100).contains(&table["g01_lines"].as_u64().unwrap()), "{}", table["g01_lines"]);
+    let cut = go(
+        "finish --workpiece semi/workpiece.csv --errors semi/error.cor --radius-mm 38.1 --seed 2 --out final",
+    );
+    assert_eq!(cut["mtc_minus_scale"], cut["completed"], "{cut}");
+    assert!(cut["insertions"][0].as_u64().unwrap() >= 10);
+    go("points final.dxf --feature F1:20 --tip-mm 2.5 --out final");
+    go(
+        "probe --workpiece final/workpiece.csv --path final/pathfin.cdl --expected final/probpath.cdl --seed 3 --out final",
+    );
+    let compare = "inspect --before semi/probed.csv --after final/probed.csv --before-radius-mm 38.354 --radius-mm 38.1 \
+                   --tip-mm 2.5";
+    let both = go(&format!("{compare} --limit-um 2 --out report"));
+    assert!(largest(&both["after"]) <= 2.0, "{}", both["decisions"]);
+    assert!(std::fs::read_to_string(folder.join("report/inspection.html")).unwrap().contains("<svg"));
+    assert!(std::fs::read_to_string(folder.join("report/decisions.log")).unwrap().contains("accepted"));
+
+    let arguments: Vec<&str> = compare.split_whitespace().chain(["--limit-um", "0.01"]).collect();
+    assert_eq!(part(folder, &arguments).status.code(), Some(1), "the answer is no");
+    // The part is not where the plan for another says: the first point is named.
+    let output = part(
+        folder,
+        &"probe --workpiece final/workpiece.csv --path semi/pathfin.cdl --expected semi/probpath.cdl --trip-window-mm 0.1 --out x"
+            .split_whitespace()
+            .collect::<Vec<_>>(),
+    );
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("point 1: tripped 0.2"), "{output:?}");
+}
