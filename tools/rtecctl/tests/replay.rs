@@ -189,3 +189,32 @@ fn an_illegal_transition_is_a_latched_fault_not_a_guess() {
     assert_eq!(document["illegal_in"], 1);
     assert_eq!(document["insertions"], 1);
 }
+
+/// NISTIR 4832, Design B: single counts; CMTI (2014), figures 8 and 9: three pulses added, three subtracted.
+#[test]
+fn designs_that_drive_the_signals_themselves_replay_too() {
+    let directory = tempfile::tempdir().unwrap();
+    let (trace, requests) = (directory.path().join("t.csv"), directory.path().join("r.csv"));
+    // 10 kHz encoder frequency, forward.
+    let states = ["0,0", "1,0", "1,1", "0,1"];
+    let rows = (0..4000).map(|n| format!("{},{}\n", n * 25_000, states[n % 4]));
+    std::fs::write(&trace, "t_ns,a,b\n".to_owned() + &rows.collect::<Vec<_>>().concat()).unwrap();
+    std::fs::write(&requests, "t_ns,requested\n20000000,13\n60000000,-12\n").unwrap();
+    for (design, insertions) in [("b", 13 + 25), ("ecc", 2)] {
+        let paths: &[(&str, &Path)] = &[("--trace", &trace), ("--requests", &requests)];
+        let run = rtecctl(&["replay", "--json", "--design", design], paths);
+        assert_eq!(run.status.code(), Some(0), "{design}: {}", text(&run.stderr));
+        let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert_eq!(
+            (&document["counts_in"], &document["completed"]),
+            (&3999.into(), &(-12).into()),
+            "{design}"
+        );
+        assert_eq!(
+            (&document["counts_out"], &document["illegal_out"]),
+            (&3987.into(), &0.into()),
+            "{design}"
+        );
+        assert_eq!(document["insertions"], insertions, "{design}");
+    }
+}
