@@ -164,6 +164,12 @@ impl System {
         Self { root: root.to_owned(), live: false }
     }
 
+    /// How many CPUs are online, whichever of them the calling thread may use; 0 where the kernel does not say.
+    #[must_use]
+    pub fn cpus_online(&self) -> usize {
+        self.read("sys/devices/system/cpu/online").map(|text| cpu_list(&text).len()).unwrap_or(0)
+    }
+
     /// The CPU that suits a polling thread: the first isolated one, else the last one online.
     #[must_use]
     pub fn default_cpu(&self) -> usize {

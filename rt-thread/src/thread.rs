@@ -68,7 +68,7 @@ pub fn spawn<C: Card + Send + 'static>(
     card: C,
     options: Options,
 ) -> Result<Running<C>, SpawnError> {
-    if options.wanted.is_some() && std::thread::available_parallelism().is_ok_and(|n| n.get() == 1) {
+    if options.wanted.is_some() && System::live().cpus_online() == 1 {
         return Err(SpawnError::OneCpu);
     }
     let (control, rt) = link(engine.status());

@@ -370,3 +370,11 @@ fn impossible_wishes_are_reported_not_fatal() {
     .join()
     .unwrap();
 }
+
+#[test]
+fn online_cpus_are_those_of_the_machine_not_of_the_thread() {
+    let root = tempfile::tempdir().unwrap();
+    put(root.path(), "sys/devices/system/cpu/online", "0-2,5\n");
+    assert_eq!(System::at(root.path()).cpus_online(), 4);
+    assert_eq!(System::at(&root.path().join("nowhere")).cpus_online(), 0);
+}
