@@ -18,7 +18,7 @@ pub(crate) struct Args {
     /// What kind of run it is
     #[arg(long, default_value = "drift")]
     kind: String,
-    /// File of [[sensor]] tables
+    /// File of `[[sensor]]` tables
     #[arg(long, value_name = "FILE")]
     sensors: Option<PathBuf>,
     /// Gauges and positions: lines NAME VALUE from host:port or a serial device
