@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
 //! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
-//! | [`bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
+//! | [`mod@bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
 //! | [`path`], [`gcode`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the machine as a card: drives, scales, decoders, probe |
