@@ -131,7 +131,7 @@ impl Engine {
             edge_to_done_ns,
             timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
         };
-        engine.switch_off = engine.line(machine.lines.disable, sample.inputs);
+        engine.switch_off = is_high(machine.lines.disable, sample.inputs);
         Ok(engine)
     }
 
@@ -190,11 +190,6 @@ impl Engine {
     #[must_use]
     pub fn timing(&self) -> Timing {
         self.timing.clone()
-    }
-
-    #[allow(clippy::unused_self)]
-    fn line(&self, bit: Option<u8>, inputs: u64) -> bool {
-        bit.is_some_and(|b| inputs >> b & 1 != 0)
     }
 
     /// One look at the card and everything that follows from it. A card that can wait does so at most until `by_ns`.
@@ -290,7 +285,7 @@ impl Engine {
                 self.wake_ns = self.wake_ns.min(axis.wake_ns);
             }
         }
-        let switch_off = self.line(self.machine.lines.disable, sample.inputs);
+        let switch_off = is_high(self.machine.lines.disable, sample.inputs);
         if switch_off != self.switch_off || faulted != (self.mode == Mode::Fault) || self.hold_out.is_none() {
             self.switch_off = switch_off;
             self.update_mode(card, tell)?;
@@ -546,4 +541,9 @@ impl Engine {
             axes,
         }
     }
+}
+
+/// A line that is wired, and high.
+fn is_high(bit: Option<u8>, inputs: u64) -> bool {
+    bit.is_some_and(|b| inputs >> b & 1 != 0)
 }

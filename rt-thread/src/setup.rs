@@ -167,7 +167,7 @@ impl System {
     /// How many CPUs are online, whichever of them the calling thread may use; 0 where the kernel does not say.
     #[must_use]
     pub fn cpus_online(&self) -> usize {
-        self.read("sys/devices/system/cpu/online").map(|text| cpu_list(&text).len()).unwrap_or(0)
+        self.read("sys/devices/system/cpu/online").map_or(0, |text| cpu_list(&text).len())
     }
 
     /// The CPU that suits a polling thread: the first isolated one, else the last one online.
