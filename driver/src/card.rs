@@ -85,10 +85,63 @@ pub struct Sample {
     pub inputs: u64,
     /// The time of the change itself, ns, on cards that stamp edges; such a card shows one change per look.
     pub edge_ns: Option<u64>,
+    /// No count can have passed unseen since the look before, however long ago that was: edges wait in a queue, or the
+    /// card counts them itself.
+    pub complete: bool,
+    /// A further change is known already and comes with the next look: this is no state to act on.
+    pub more: bool,
+    /// Which of `inputs` are levels of this very moment; a card of queued edges knows the others from before.
+    pub fresh: u64,
+    /// What the card itself found wrong since the look before.
+    pub trouble: Option<Trouble>,
+}
+
+impl Sample {
+    /// A look that reads every line, as a polled card does.
+    #[inline]
+    #[must_use]
+    pub const fn level(t_ns: u64, inputs: u64) -> Self {
+        Self { t_ns, inputs, edge_ns: None, complete: false, more: false, fresh: u64::MAX, trouble: None }
+    }
+
+    /// The same, with the time of its change where the card stamps it.
+    #[inline]
+    #[must_use]
+    pub const fn stamped(t_ns: u64, inputs: u64, edge_ns: Option<u64>) -> Self {
+        Self { edge_ns, ..Self::level(t_ns, inputs) }
+    }
+}
+
+/// What a card found wrong, and on which input lines.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Trouble {
+    /// What.
+    pub kind: TroubleKind,
+    /// Mask of the input lines concerned.
+    pub lines: u64,
+}
+
+/// What a card can find wrong with what it saw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TroubleKind {
+    /// The kernel's numbering of edges jumps: two of them were merged into one.
+    SequenceGap,
+    /// The kernel's queue of edges was full, and the oldest were dropped.
+    QueueOverflow,
+    /// A line is not where its edges have led: one of them was never reported, or reported with the wrong polarity.
+    EdgeMissed,
+    /// The card's own counter says that it has overflowed.
+    CounterOverflow,
+    /// The card's own decoder says that it saw an illegal transition, or disagrees with the lines.
+    CounterError,
 }
 
 /// An I/O card. The engine is generic over it; nothing here may allocate, lock or log.
 pub trait Card {
+    /// The card sleeps until a line changes: the time between two looks says nothing, the age of an edge when it is
+    /// seen says all.
+    const SLEEPS: bool = false;
+
     /// Looks at all lines. The engine has nothing to do before `wake_ns` unless a line changes: a card that can sleep,
     /// or whose time is virtual, may wait until then; a polled card ignores it.
     ///

@@ -6,6 +6,7 @@
 //! | [`card`] | what the engine asks of an I/O card |
 //! | [`clock`] | where a card's time comes from |
 //! | [`profile`] | which register and which bit a line is, as data |
+//! | [`gpio`] | a card of GPIO lines, through the kernel's character device |
 //! | [`mapped`] | a card of memory-mapped registers |
 //! | [`mock`] | a card in the same process |
 //! | [`moving`] | a small moving machine at the other end of the mock card's wires |
@@ -15,6 +16,7 @@
 
 pub mod card;
 pub mod clock;
+pub mod gpio;
 pub mod input;
 pub mod mapped;
 pub mod mock;

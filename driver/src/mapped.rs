@@ -186,7 +186,7 @@ impl<K: Clock> Card for MappedCard<K> {
     #[inline]
     fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
         let inputs = self.gather(&self.inputs) ^ self.input_invert;
-        Ok(Sample { t_ns: self.clock.now_ns(), inputs, edge_ns: None })
+        Ok(Sample::level(self.clock.now_ns(), inputs))
     }
 
     #[inline]
@@ -225,7 +225,7 @@ mod tests {
         let mut card = card.unwrap();
         let outside = Registers::open(file.path(), 16, "outside").unwrap();
         outside.write(0, Width::Bits32, 0x8000_0005);
-        assert_eq!(card.sample(0).unwrap(), Sample { t_ns: 7, inputs: 0x8000_0005, edge_ns: None });
+        assert_eq!(card.sample(0).unwrap(), Sample::level(7, 0x8000_0005));
         card.write(0b11, 0b01).unwrap();
         card.write(0b1000, 0b1000).unwrap();
         assert_eq!(outside.read(4, Width::Bits32), 0b1001);

@@ -54,7 +54,7 @@ impl<W: Wires, K: Clock> Card for MockCard<W, K> {
         let now = self.clock.now_ns();
         self.t_ns += (now - self.seen_ns).min(self.wires.step_limit_ns());
         self.seen_ns = now;
-        Ok(Sample { t_ns: self.t_ns, inputs: self.wires.levels(self.t_ns, self.outputs), edge_ns: None })
+        Ok(Sample::level(self.t_ns, self.wires.levels(self.t_ns, self.outputs)))
     }
 
     #[inline]

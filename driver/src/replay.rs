@@ -154,7 +154,7 @@ impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> 
             None if wake_ns == u64::MAX || self.error.is_some() => return Err(CardError::Ended),
             _ => self.t_ns = self.t_ns.max(wake_ns),
         }
-        Ok(Sample { t_ns: self.t_ns, inputs: u64::from(self.scale.bits()), edge_ns })
+        Ok(Sample::stamped(self.t_ns, u64::from(self.scale.bits()), edge_ns))
     }
 
     #[inline]
@@ -185,9 +185,9 @@ mod tests {
         let mut card =
             ReplayCard::new(Xor, points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();
         assert_eq!(card.sample(u64::MAX).unwrap().edge_ns, Some(20));
-        assert_eq!(card.sample(25).unwrap(), Sample { t_ns: 25, inputs: 1, edge_ns: None });
+        assert_eq!(card.sample(25).unwrap(), Sample::level(25, 1));
         assert_eq!(card.write(1, 1).unwrap(), Some(25));
-        assert_eq!(card.sample(40).unwrap(), Sample { t_ns: 30, inputs: 3, edge_ns: Some(30) });
+        assert_eq!(card.sample(40).unwrap(), Sample::stamped(30, 3, Some(30)));
         assert_eq!(card.sample(u64::MAX), Err(CardError::Ended));
         drop(card);
         assert_eq!(heard, [(10, 0), (20, 1), (25, 0), (30, 2)]);

@@ -80,7 +80,7 @@ impl Card for Steady<'_> {
             self.scale.update(self.scale.state().next(true));
             self.send();
         }
-        Ok(Sample { t_ns: self.t_ns, inputs: u64::from(self.scale.state().bits()), edge_ns: None })
+        Ok(Sample::level(self.t_ns, u64::from(self.scale.state().bits())))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -196,6 +196,8 @@ pub(crate) struct Axis {
     requested: i64,
     insertion: Insertion,
     unsettled: Option<Unsettled>,
+    /// The last inversion is in effect; A' and B' have yet to be looked at.
+    back_due: bool,
     /// The last edge came between these two times.
     last_edge: Option<(u64, u64)>,
     /// Lower bound of the last period, ns; `None` before the second edge.
@@ -251,6 +253,7 @@ impl Axis {
             requested: found.completed,
             insertion: Insertion::Idle,
             unsettled: None,
+            back_due: false,
             last_edge: None,
             period_ns: None,
             next_allowed_ns: found.t_ns,
@@ -424,12 +427,17 @@ impl Axis {
             if u.done_ns.is_none_or(|done| now_ns > done) {
                 self.unsettled = None;
                 self.settle(Some(look.sample.t_ns));
-                if self.real.is_none()
-                    && let Some(back) = self.config.lines.back(look.sample.inputs)
-                    && back != self.wire.mtc
-                {
-                    self.fault(Fault::ReadBackMismatch, tell);
-                }
+                self.back_due = self.real.is_none() && self.config.lines.read_back.is_some();
+            }
+        }
+        if self.back_due
+            && self.unsettled.is_none()
+            && !look.sample.more
+            && look.sample.fresh & self.config.lines.input_mask() == self.config.lines.input_mask()
+        {
+            self.back_due = false;
+            if self.config.lines.back(look.sample.inputs).is_some_and(|back| back != self.wire.mtc) {
+                self.fault(Fault::ReadBackMismatch, tell);
             }
         }
         if let Some(c) = self.capture
@@ -438,7 +446,7 @@ impl Axis {
             self.capture = None;
             tell(EventKind::Trip(c));
         }
-        let toggle = self.act(look, tell);
+        let toggle = if look.sample.more { 0 } else { self.act(look, tell) };
         self.appoint();
         toggle
     }
@@ -458,6 +466,7 @@ impl Axis {
         // Seen late: three counts or more may have passed, and one change may stand for them. Before a second edge
         // the axis is taken to come from rest, as it stood when it was homed.
         if look.sample.edge_ns.is_none()
+            && !look.sample.complete
             && gap_ns > self.gate.need_ns()
             && self.homed
             && self.last_edge.is_some()
@@ -697,7 +706,7 @@ impl Axis {
                 _ => u64::MAX,
             },
         };
-        if self.unsettled.is_some_and(|u| u.done_ns.is_none()) {
+        if self.back_due || self.unsettled.is_some_and(|u| u.done_ns.is_none()) {
             wake = 0;
         }
         if let Some(c) = self.capture {

@@ -6,7 +6,7 @@ use crate::event::{
 };
 use crate::histogram::{Reader, Recorder, histogram};
 use crate::journal::{Journal, Record};
-use rtec_driver::card::{Card, CardError, MachineLines, Sample};
+use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
 
 /// The machine as a whole, beforehand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +37,7 @@ pub enum StartError {
 /// Distributions of the loop's times, for whoever wants to look at any moment.
 #[derive(Debug, Clone)]
 pub struct Timing {
-    /// Between two looks, ns.
+    /// Between two looks, ns; on a card that sleeps, from an edge to the look that shows it.
     pub poll_gap_ns: Reader,
     /// From the look that saw an edge to the look that ordered the last inversion, ns.
     pub edge_to_done_ns: Reader,
@@ -208,14 +208,37 @@ impl Engine {
         let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
         self.polls += 1;
         // The first look comes after the thread's set-up, not after another look.
-        if sample.edge_ns.is_none() && self.polls > 1 {
-            self.poll_gap_ns.record(sample.t_ns - since_ns);
+        match sample.edge_ns {
+            Some(edge_ns) if C::SLEEPS => self.poll_gap_ns.record(sample.t_ns.saturating_sub(edge_ns)),
+            None if !C::SLEEPS && self.polls > 1 => self.poll_gap_ns.record(sample.t_ns - since_ns),
+            _ => {}
+        }
+        if let Some(trouble) = sample.trouble {
+            self.found_by_card(trouble, tell);
         }
         let changed = (sample.inputs ^ self.inputs) & self.watched;
-        if changed == 0 && sample.t_ns < self.wake_ns {
+        if changed == 0 && sample.t_ns < self.wake_ns && sample.trouble.is_none() {
             return Ok(());
         }
         self.work(card, sample, changed, since_ns, tell)
+    }
+
+    /// Latches what the card found, for every axis that it concerns, or for the machine where it concerns none.
+    #[cold]
+    fn found_by_card(&mut self, trouble: Trouble, tell: &mut impl FnMut(Event) -> bool) {
+        let fault = Fault::from(trouble.kind);
+        let mut of_an_axis = false;
+        for n in 0..self.axes.len() {
+            if self.axes[n].lines().input_mask() & trouble.lines != 0 {
+                of_an_axis = true;
+                if self.axes[n].latch(fault) {
+                    self.say(Some(n as u8), EventKind::Fault(fault), tell);
+                }
+            }
+        }
+        if !of_an_axis && self.faults.latch(fault) {
+            self.say(None, EventKind::Fault(fault), tell);
+        }
     }
 
     fn work<C: Card>(
@@ -248,7 +271,7 @@ impl Engine {
                 shadow: self.shadow,
             },
         };
-        let (mut mask, mut value, mut faulted) = (0, 0, false);
+        let (mut mask, mut value, mut faulted) = (0, 0, self.faults.any());
         let mut wrote = [false; MAX_AXES];
         let mut wake_ns = u64::MAX;
         for (n, axis) in self.axes.iter_mut().enumerate() {

@@ -1,5 +1,6 @@
 //! What goes over the link: requests down, events up, and what a status shows. All `Copy`, nothing allocates.
 
+use rtec_driver::card::TroubleKind;
 use serde::{Deserialize, Serialize};
 
 /// Axes that one engine can hold.
@@ -68,11 +69,33 @@ pub enum Fault {
     Card,
     /// The inverters found at the start are not those that the state file remembers.
     InvertersMoved,
+    /// The kernel's numbering of edges jumps: two were merged into one.
+    SequenceGap,
+    /// The kernel's queue of edges was full, and the oldest were dropped.
+    QueueOverflow,
+    /// A line is not where its edges have led.
+    EdgeMissed,
+    /// The card's own counter overflowed.
+    CounterOverflow,
+    /// The card's own decoder saw an illegal transition, or disagrees with the lines.
+    CounterError,
+}
+
+impl From<TroubleKind> for Fault {
+    fn from(kind: TroubleKind) -> Self {
+        match kind {
+            TroubleKind::SequenceGap => Self::SequenceGap,
+            TroubleKind::QueueOverflow => Self::QueueOverflow,
+            TroubleKind::EdgeMissed => Self::EdgeMissed,
+            TroubleKind::CounterOverflow => Self::CounterOverflow,
+            TroubleKind::CounterError => Self::CounterError,
+        }
+    }
 }
 
 impl Fault {
     /// All of them, in the order of their bits.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 14] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
         Self::OrderUnknown,
@@ -82,6 +105,11 @@ impl Fault {
         Self::ReadBackMismatch,
         Self::Card,
         Self::InvertersMoved,
+        Self::SequenceGap,
+        Self::QueueOverflow,
+        Self::EdgeMissed,
+        Self::CounterOverflow,
+        Self::CounterError,
     ];
 
     /// After such a fault the axis's count is in doubt: only homing makes it good.
@@ -93,7 +121,7 @@ impl Fault {
 
 /// A set of faults.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Faults(u16);
+pub struct Faults(u32);
 
 impl Faults {
     /// None latched.

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample, Trouble, TroubleKind};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Event, EventKind, Fault, GateState, Mode, Refusal, Request, Status};
@@ -20,6 +20,8 @@ struct Bench {
     writes: usize,
     broken: bool,
     count: i64,
+    /// What the next looks say beside the levels; `fresh` counts as said only with `says`.
+    says: Option<Sample>,
 }
 
 impl Card for Bench {
@@ -28,7 +30,8 @@ impl Card for Bench {
         if self.broken {
             return Err(CardError::Io { op: "reading the lines", errno: 19 });
         }
-        Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: None })
+        let level = Sample::level(self.t_ns, self.inputs);
+        Ok(self.says.map_or(level, |s| Sample { t_ns: self.t_ns, inputs: self.inputs, ..s }))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -411,4 +414,77 @@ fn a_late_look_before_the_second_edge_is_judged_from_rest() {
         rig.looks(1);
         assert_eq!(rig.faults().contains(&Fault::PollGap), latched, "{late_ns} ns late");
     }
+}
+
+#[test]
+fn what_the_card_finds_is_latched_where_it_belongs() {
+    let trouble =
+        |kind, lines| Some(Sample { trouble: Some(Trouble { kind, lines }), ..Sample::level(0, 0) });
+    for (kind, fault) in [
+        (TroubleKind::SequenceGap, Fault::SequenceGap),
+        (TroubleKind::QueueOverflow, Fault::QueueOverflow),
+        (TroubleKind::EdgeMissed, Fault::EdgeMissed),
+        (TroubleKind::CounterOverflow, Fault::CounterOverflow),
+        (TroubleKind::CounterError, Fault::CounterError),
+    ] {
+        let mut rig = Rig::running(windowed());
+        rig.card.says = trouble(kind, 0b11);
+        rig.looks(2);
+        let status = rig.status();
+        assert_eq!((status.mode, status.axes[0].homed), (Mode::Fault, false), "{fault:?}");
+        assert_eq!(status.axes[0].faults.iter().collect::<Vec<_>>(), [fault]);
+        assert_eq!((rig.faults(), rig.card.outputs & HOLD), (vec![fault], HOLD));
+        // On a line of no axis it is the machine's.
+        let mut rig = Rig::running(windowed());
+        rig.card.says = trouble(kind, PROBE);
+        rig.looks(2);
+        assert_eq!(rig.status().faults.iter().collect::<Vec<_>>(), [fault]);
+        assert_eq!((rig.status().axes[0].faults.any(), rig.status().mode), (false, Mode::Fault));
+    }
+}
+
+#[test]
+fn nothing_is_written_while_a_further_change_is_known() {
+    let mut rig = Rig::running(windowed());
+    rig.step(3);
+    let before = rig.card.writes;
+    rig.correct(2);
+    rig.card.says = Some(Sample { more: true, ..Sample::level(0, 0) });
+    rig.step(1);
+    assert_eq!(rig.card.writes, before);
+    // The last of the queued changes shows where the axis really is: from here on it may be acted on.
+    rig.card.says = None;
+    rig.step(1);
+    assert_eq!((rig.card.writes - before, rig.status().axes[0].completed), (2, 2));
+    assert!(rig.status().balanced() && rig.faults().is_empty());
+}
+
+#[test]
+fn a_card_that_counts_for_itself_may_be_looked_at_late() {
+    let mut rig = Rig::running(windowed());
+    rig.step(3);
+    rig.card.says = Some(Sample { complete: true, ..Sample::level(0, 0) });
+    rig.card.t_ns += 1_000_000_000;
+    rig.step(3);
+    assert!(rig.faults().is_empty() && rig.status().balanced());
+}
+
+#[test]
+fn the_read_back_waits_for_levels_of_this_very_moment() {
+    let lines = AxisLines::standard(0, true);
+    let mut card = Bench::default();
+    let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+    let config = AxisConfig { lines, ..windowed() };
+    let engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
+    let mut rig = Rig { engine, card, events: Vec::new() };
+    rig.engine.start_homed(&mut rig.card, &mut |_| true).unwrap();
+    // A' and B' stay as they were: a gate that does not follow. Nobody can tell before they have been read.
+    rig.card.says = Some(Sample { fresh: 0, ..Sample::level(0, 0) });
+    rig.step(3);
+    rig.correct(2);
+    rig.step(2);
+    assert_eq!((rig.status().axes[0].completed, rig.faults().len()), (2, 0));
+    rig.card.says = None;
+    rig.looks(2);
+    assert_eq!(rig.faults(), [Fault::ReadBackMismatch]);
 }

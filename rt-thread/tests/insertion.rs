@@ -107,13 +107,13 @@ impl<P: Computer> Card for Rig<P> {
             let edge = self.untold.pop_front();
             self.told = edge.map_or(self.told, |e| e.1);
             let (a, b) = state_at(self.told);
-            return Ok(Sample { t_ns: self.t_ns, inputs: u64::from(a | b << 1), edge_ns: edge.map(|e| e.0) });
+            return Ok(Sample::stamped(self.t_ns, u64::from(a | b << 1), edge.map(|e| e.0)));
         }
         // The lines are read somewhere before the end of the look.
         self.run_to(t - gap / 4);
         let (a, b) = state_at(self.scale);
         self.t_ns = t;
-        Ok(Sample { t_ns: t, inputs: u64::from(a | b << 1), edge_ns: None })
+        Ok(Sample::level(t, u64::from(a | b << 1)))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -154,7 +154,7 @@ impl Card for MachineCard {
             self.now_ns = self.now_ns.max(wake_ns);
         }
         let inputs = self.scale.iter().enumerate().map(|(n, s)| u64::from(s.bits()) << (4 * n)).sum();
-        Ok(Sample { t_ns: self.now_ns, inputs, edge_ns })
+        Ok(Sample::stamped(self.now_ns, inputs, edge_ns))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -62,7 +62,7 @@ impl Card for Wires {
             // Gray code, all axes at once: no table, no loop, so that the count is the engine's.
             self.inputs ^= if (self.inputs ^ self.inputs >> 1) & 1 == 0 { 0x111 } else { 0x222 };
         }
-        Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: None })
+        Ok(Sample::level(self.t_ns, self.inputs))
     }
 
     #[inline]

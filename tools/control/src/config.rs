@@ -3,9 +3,11 @@
 //! | table | key | unit | default | meaning |
 //! |---|---|---|---|---|
 //! | `[machine]` | `name` | – | must be there | the machine, as `status` shows it |
-//! | `[card]` | `backend` | – | must be there | `mock`, `mapped` or `replay` |
+//! | `[card]` | `backend` | – | must be there | `mock`, `gpio`, `mapped` or `replay` |
 //! | | `file`, `profile` | – | –, `shared-memory` | `mapped`: the file of registers, and what they mean |
-//! | | `probe`, `disable`, `hold` | line | not wired | `mapped`: the machine's own lines |
+//! | | `mode` | – | `edges` | `gpio`: sleep until an edge comes, or read `levels` as fast as it goes |
+//! | | `chip`, `bias`, `drive` | – | –, as it is, `push-pull` | `gpio`: of every line that does not say otherwise |
+//! | | `probe`, `disable`, `hold` | line | not wired | `gpio`, `mapped`: the machine's own lines |
 //! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
 //! | | `design` | – | `c` | insertion design (NISTIR 4832): `c`, `original`, `a` |
 //! | | `max_correction_counts`, `window_counts` | counts | must be there | largest total; largest believed change |
@@ -17,7 +19,7 @@
 //! | | `rest_policy`, `rest_quiet_ms` | –, ms | `wait` | at rest: `wait` for an edge, or `insert` after a quiet time |
 //! | | `reference_budget_counts` | counts | none | what the MTC tolerates between reference marks, or between two encoders |
 //! | | `home_mm` | mm | 0 | position of the known place where the axis is homed |
-//! | | `lines` | line | – | `mapped`: `a`, `b`, `invert_a`, `invert_b`, `read_back_a`, `read_back_b` |
+//! | | `lines` | line | – | `gpio`, `mapped`: `a`, `b`, `invert_a`, `invert_b`, `read_back_a`, `read_back_b` |
 //! | | `trace` | – | – | `replay`: the recorded trace |
 //! | `[rt]` | `cpu`, `priority` | – | isolated or last, 80 | of the real-time thread |
 //! | | `detect_ns`, `write_ns`, `guard_ns` | ns | 0 (mock, replay) | measured worst latencies and a reserve |
@@ -28,8 +30,9 @@
 //! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
 //! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.
 
-use crate::section::{LineName, Section, Source, nearest};
+use crate::section::{At, BIASES, DRIVES, LineName, Section, Source, nearest};
 use rtec_driver::card::{AxisLines, MachineLines};
+use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::input::InputError;
 use rtec_driver::profile::{Place, Profile};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
@@ -63,6 +66,8 @@ pub struct Config {
 pub enum CardConfig {
     /// Simulated axes in the daemon's own process.
     Mock,
+    /// GPIO lines through the kernel's character device.
+    Gpio(GpioSetup),
     /// A file of registers: shared memory, a PCI BAR, UIO.
     Mapped {
         /// The file.
@@ -83,6 +88,7 @@ impl CardConfig {
     pub const fn backend(&self) -> &'static str {
         match self {
             Self::Mock => "mock",
+            Self::Gpio(_) => "gpio",
             Self::Mapped { .. } => "mapped",
             Self::Replay { .. } => "replay",
         }
@@ -91,7 +97,7 @@ impl CardConfig {
     /// Something outside this process hangs on the lines.
     #[must_use]
     pub const fn is_real(&self) -> bool {
-        matches!(self, Self::Mapped { .. })
+        matches!(self, Self::Gpio(_) | Self::Mapped { .. })
     }
 }
 
@@ -242,19 +248,34 @@ impl Config {
     }
 }
 
+impl Card {
+    /// Something outside this process hangs on the lines.
+    fn is_real(&self) -> bool {
+        matches!(self.kind, Some(Kind::Gpio | Kind::Mapped))
+    }
+}
+
 /// What `[card]` says; `None` fields were reported.
 struct Card {
     kind: Option<Kind>,
     file: Option<PathBuf>,
     profile: Option<Profile>,
+    gpio: Gpio,
     lines: MachineLines,
     /// Who has taken which line: direction, bit.
     taken: BTreeMap<(bool, u8), String>,
 }
 
+/// GPIO lines as they are read, and what holds for those that say no more.
+struct Gpio {
+    setup: GpioSetup,
+    default: GpioLine,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Mock,
+    Gpio,
     Mapped,
     Replay,
     /// Named in the contract, made in another version.
@@ -292,7 +313,7 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
     };
 
     let mut card = read_card(source, &mut root);
-    if card.kind == Some(Kind::Mapped) && !rt.latency_measured {
+    if card.is_real() && !rt.latency_measured {
         notes.push(
             "[rt] has no detect_ns and write_ns: corrections cannot be enabled on this card before \
              `rtecctl selftest latency` has measured them and they stand here"
@@ -335,6 +356,7 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
     };
     let kind = match card.kind? {
         Kind::Mock => CardConfig::Mock,
+        Kind::Gpio => CardConfig::Gpio(card.gpio.setup),
         Kind::Mapped => CardConfig::Mapped { file: card.file?, profile: card.profile? },
         Kind::Replay => CardConfig::Replay { traces },
         Kind::Later(_) => return None,
@@ -344,16 +366,16 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
 
 fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
     let mut section = root.table(source, "card", "[card]");
-    let meaning = "\"mock\" or \"mapped\" or \"replay\"";
+    let meaning = "\"mock\" or \"gpio\" or \"mapped\" or \"replay\"";
     let kind = section.choice(
         source,
         "backend",
-        3,
+        4,
         &[
             ("mock", Kind::Mock),
+            ("gpio", Kind::Gpio),
             ("mapped", Kind::Mapped),
             ("replay", Kind::Replay),
-            ("gpio", Kind::Later("gpio")),
             ("port", Kind::Later("port")),
         ],
     );
@@ -362,6 +384,16 @@ fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
         kind: kind.map(|k| k.value),
         file: None,
         profile: None,
+        gpio: Gpio {
+            setup: GpioSetup { inputs: Vec::new(), outputs: Vec::new(), events: true },
+            default: GpioLine {
+                chip: None,
+                line: LineId::Offset(0),
+                active_low: false,
+                bias: None,
+                drive: None,
+            },
+        },
         lines: MachineLines::standard(),
         taken: BTreeMap::new(),
     };
@@ -376,12 +408,17 @@ fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
                 Some(at) if at.value == "shared-memory" => Some(Profile::shared_memory()),
                 Some(at) => load_profile(source, &directory.join(at.value), at.offset),
             };
-            let mut wire = |key, output| wire(source, &mut section, &mut card, key, output, "the machine");
-            card.lines = MachineLines {
-                probe: wire("probe", false),
-                disable: wire("disable", false),
-                hold: wire("hold", true),
-            };
+            card.lines = machine_lines(source, &mut section, &mut card);
+            section.finish(source);
+        }
+        Some((Kind::Gpio, _)) => {
+            let mode = section.choice(source, "mode", 2, &[("edges", true), ("levels", false)]);
+            card.gpio.setup.events = mode.is_none_or(|m| m.value);
+            let chip = section.string(source, "chip", "a chip's name, path or label, as \"gpiochip0\"");
+            card.gpio.default.chip = chip.map(|c| c.value.to_owned());
+            card.gpio.default.bias = section.choice(source, "bias", 3, &BIASES).map(|b| b.value);
+            card.gpio.default.drive = section.choice(source, "drive", 3, &DRIVES).map(|d| d.value);
+            card.lines = machine_lines(source, &mut section, &mut card);
             section.finish(source);
         }
         Some((Kind::Later(name), offset)) => {
@@ -407,6 +444,45 @@ fn load_profile(source: &mut Source<'_>, path: &Path, offset: usize) -> Option<P
     Profile::parse(path, &text).map_err(|finding| source.findings.push(finding)).ok()
 }
 
+/// The lines that belong to no axis.
+fn machine_lines(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
+    let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
+    MachineLines { probe: wire("probe", false), disable: wire("disable", false), hold: wire("hold", true) }
+}
+
+/// The bit of a GPIO line: the next that is free.
+fn wire_gpio(
+    source: &mut Source<'_>,
+    section: &mut Section<'_>,
+    gpio: &mut Gpio,
+    key: &'static str,
+    output: bool,
+    (group, owner): (u8, &str),
+) -> Option<u8> {
+    let At { value: line, offset } = section.gpio_line(source, key, &gpio.default)?;
+    if line.chip.is_none() && matches!(line.line, LineId::Offset(_)) {
+        let expected = "a name, or a chip too: chip = \"gpiochip0\" in [card], or in the line's own table";
+        source.finding(offset, format!("{key} = {} on no chip", line.line), expected);
+        return None;
+    }
+    let setup = &mut gpio.setup;
+    let known = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
+    if known.into_iter().any(|l| l.line == line.line && l.chip == line.chip) {
+        let found = format!("{key} of {owner} on line {}, which is wired already", line.line);
+        source.finding(offset, found, "a line of its own");
+        return None;
+    }
+    // A' and B' are looked at when an inversion is in effect; their edges are of no use.
+    let edges = !key.starts_with("read_back");
+    let bit = if output { setup.outputs.len() } else { setup.inputs.len() } as u8;
+    if output {
+        setup.outputs.push(GpioOutput { line, bit });
+    } else {
+        setup.inputs.push(GpioInput { line, bit, group, edges });
+    }
+    Some(bit)
+}
+
 /// The bit of one line, checked against the profile and against who has it already.
 fn wire(
     source: &mut Source<'_>,
@@ -414,8 +490,11 @@ fn wire(
     card: &mut Card,
     key: &'static str,
     output: bool,
-    owner: &str,
+    (group, owner): (u8, &str),
 ) -> Option<u8> {
+    if card.kind == Some(Kind::Gpio) {
+        return wire_gpio(source, section, &mut card.gpio, key, output, (group, owner));
+    }
     let at = section.line(source, key)?;
     let profile = card.profile.as_ref()?;
     let direction = if output { "an output" } else { "an input" };
@@ -462,7 +541,7 @@ fn read_lines(
     card: &mut Card,
     owner: &str,
 ) -> Option<AxisLines> {
-    if card.kind != Some(Kind::Mapped) {
+    if !card.is_real() {
         if card.kind.is_some_and(|k| !matches!(k, Kind::Later(_))) && section.has("lines") {
             let expected = "no lines: the mock and the replay have theirs in fixed places";
             source.finding(section.offset, format!("lines of {owner}"), expected);
@@ -476,7 +555,7 @@ fn read_lines(
     }
     let mut lines = section.table(source, "lines", "lines");
     let mut place = |source: &mut Source<'_>, key, output, needed| {
-        let bit = wire(source, &mut lines, card, key, output, owner);
+        let bit = wire(source, &mut lines, card, key, output, (n, owner));
         if needed { lines.required(source, key, "the line it is wired to", bit) } else { bit }
     };
     let a = place(source, "a", false, true);
@@ -544,7 +623,7 @@ fn read_axis(
     if let (Some(_), Some(at)) = (accel_mm, accel_counts) {
         source.finding(at.offset, "max_accel_mm_s2 and max_accel_counts_s2", "one of the two");
     }
-    if card.kind == Some(Kind::Mapped) && !s.has("max_accel_mm_s2") && !s.has("max_accel_counts_s2") {
+    if card.is_real() && !s.has("max_accel_mm_s2") && !s.has("max_accel_counts_s2") {
         s.missing(
             source,
             "max_accel_mm_s2",

@@ -336,6 +336,23 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
         Fault::InvertersMoved => {
             "the inverters are not where the state file left them: the MTC's count is uncertain; clear, home again"
         }
+        Fault::SequenceGap => {
+            "the kernel merged two edges into one (its sequence numbers jump): the axis is too fast for these GPIO lines, \
+             or their interrupt thread is kept waiting (`rtecctl platform`); clear, home again"
+        }
+        Fault::QueueOverflow => {
+            "edges came faster than they were taken from the kernel's queue, which dropped the oldest: see \
+             `rtecctl platform`, clear, home again"
+        }
+        Fault::EdgeMissed => {
+            "a line is not where its edges have led: an edge was never reported, or with the wrong polarity; check the \
+             signal and the axis's speed, clear, home again"
+        }
+        Fault::CounterOverflow => "the card's own counter overflowed: clear, home again",
+        Fault::CounterError => {
+            "the card's own decoder saw an illegal transition, or disagrees with its lines: check the scale and its \
+             cable, clear, home again"
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Strict reading of a TOML table: each key is asked for once, what nobody asked for is a finding.
 
+use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
 use rtec_driver::input::InputError;
 use std::fmt::Display;
 use std::ops::{Range, RangeInclusive};
@@ -200,6 +201,43 @@ impl<'a> Section<'a> {
         })
     }
 
+    /// A GPIO line: its name, its number, or a table that says more. What the table leaves out is in `card`.
+    pub(crate) fn gpio_line(
+        &mut self,
+        source: &mut Source<'_>,
+        key: &'static str,
+        card: &GpioLine,
+    ) -> Option<At<GpioLine>> {
+        let expected = "the name of a line or its number, or { line = …, chip = \"gpiochip0\", active_low = true, \
+                        bias = \"pull-up\" | \"pull-down\" | \"disabled\", drive = \"push-pull\" | \"open-drain\" | \
+                        \"open-source\" }";
+        let line_of = |value: &DeValue<'_>| match value {
+            DeValue::String(name) if !name.trim().is_empty() => Some(LineId::Name(name.to_string())),
+            DeValue::Integer(n) => u32::from_str_radix(n.as_str(), n.radix()).ok().map(LineId::Offset),
+            _ => None,
+        };
+        self.value(source, key, expected, |value| {
+            let mut line = card.clone();
+            let DeValue::Table(table) = value else {
+                line.line = line_of(value)?;
+                return Some(line);
+            };
+            line.line = line_of(table.get("line")?.get_ref())?;
+            for (key, value) in table {
+                let value = value.get_ref();
+                match key.get_ref().as_ref() {
+                    "line" => {}
+                    "chip" => line.chip = Some(value.as_str()?.to_owned()),
+                    "active_low" => line.active_low = value.as_bool()?,
+                    "bias" => line.bias = Some(word(value.as_str()?, &BIASES)?),
+                    "drive" => line.drive = Some(word(value.as_str()?, &DRIVES)?),
+                    _ => return None,
+                }
+            }
+            Some(line)
+        })
+    }
+
     /// Says that a key must be there.
     pub(crate) fn missing(&self, source: &mut Source<'_>, key: &str, meaning: &str) {
         let found = format!("no {key} in {}", self.title);
@@ -243,6 +281,17 @@ pub(crate) enum LineName<'a> {
     Name(&'a str),
     /// A bit of the card's input or output word.
     Bit(u8),
+}
+
+/// What `bias` can be.
+pub(crate) const BIASES: [(&str, Bias); 3] =
+    [("pull-up", Bias::PullUp), ("pull-down", Bias::PullDown), ("disabled", Bias::Disabled)];
+/// What `drive` can be.
+pub(crate) const DRIVES: [(&str, Drive); 3] =
+    [("push-pull", Drive::PushPull), ("open-drain", Drive::OpenDrain), ("open-source", Drive::OpenSource)];
+
+fn word<T: Copy>(found: &str, words: &[(&str, T)]) -> Option<T> {
+    words.iter().find(|(name, _)| *name == found).map(|(_, value)| *value)
 }
 
 fn number(value: &DeValue<'_>) -> Option<f64> {

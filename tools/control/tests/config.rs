@@ -1,6 +1,7 @@
 //! What a person sees who made a mistake in rtec.toml. `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
 use rtec_control::config::{CardConfig, Config, EMBEDDED};
+use rtec_driver::gpio::{Bias, Drive, LineId};
 use rtec_rt::axis::{Design, RestPolicy};
 use std::path::Path;
 
@@ -99,4 +100,42 @@ fn a_card_without_measured_latency_is_noted() {
     let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
     assert!(!config.rt.latency_measured);
     assert!(config.notes.iter().any(|n| n.contains("selftest latency")), "{:?}", config.notes);
+}
+
+const LINES: &str = r#"
+[machine]
+name = "lathe"
+[card]
+backend = "gpio"
+chip = "gpiochip0"
+bias = "pull-down"
+probe = { line = 4, active_low = true, bias = "disabled" }
+hold = "HOLD"
+[[axis]]
+name = "x"
+count_um = 1
+travel_mm = 400
+max_correction_counts = 1000
+window_counts = 50
+min_separation_ns = 1000
+max_accel_mm_s2 = 1000
+lines = { a = "X_A", b = 1, invert_a = { line = 2, chip = "gpiochip1", drive = "open-drain" }, invert_b = 3 }
+"#;
+
+#[test]
+fn gpio_lines_are_named_or_numbered_and_inherit_what_the_card_says() {
+    let config = Config::parse(Path::new("rtec.toml"), LINES).unwrap();
+    let CardConfig::Gpio(setup) = &config.card else { panic!("{:?}", config.card) };
+    assert!(setup.events && config.card.is_real() && config.notes.len() == 1);
+    // A and B are one request, the machine's own lines another.
+    let (a, b, probe) = (&setup.inputs[1], &setup.inputs[2], &setup.inputs[0]);
+    assert!(a.group == b.group && a.group != probe.group);
+    assert_eq!(a.line.line, LineId::Name("X_A".into()));
+    assert_eq!((a.line.chip.as_deref(), a.line.bias), (Some("gpiochip0"), Some(Bias::PullDown)));
+    assert_eq!((probe.line.active_low, probe.line.bias), (true, Some(Bias::Disabled)));
+    let invert_a = &setup.outputs[1].line;
+    assert_eq!((invert_a.chip.as_deref(), invert_a.drive), (Some("gpiochip1"), Some(Drive::OpenDrain)));
+    let lines = config.axes[0].engine.lines;
+    assert_eq!((lines.a, lines.b, lines.invert_a, lines.invert_b), (1, 2, 1, 2));
+    assert_eq!((config.lines.probe, config.lines.hold), (Some(0), Some(0)));
 }

@@ -452,7 +452,7 @@ impl Card for Lathe<'_> {
         let [z, x] = [0, 1].map(|i| u64::from(self.slides[i].scale.bits()));
         let inputs = z | x << 4 | u64::from(self.tripped) << PROBE_LINE;
         self.look_ns = look_ns;
-        Ok(Sample { t_ns: look_ns.ceil() as u64, inputs, edge_ns: None })
+        Ok(Sample::level(look_ns.ceil() as u64, inputs))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -5,12 +5,14 @@ use nix::sys::statfs::{SYSFS_MAGIC, statfs};
 use rtec_control::config::Config;
 use rtec_driver::card::AxisLines;
 use rtec_driver::clock::Monotonic;
+use rtec_driver::gpio::{GpioCard, GpioSetup};
 use rtec_driver::input::InputError;
 use rtec_driver::mapped::MappedCard;
 use rtec_driver::mock::{MockCard, Wires};
 use rtec_driver::moving::{Motion, MovingAxes, Truth};
 use rtec_driver::profile::Profile;
 use rtec_driver::trace::{TracePoint, TraceReader};
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -129,6 +131,11 @@ pub(crate) fn replay(
         axes.push(Recorded { lines: axis.engine.lines, points, at: 0 });
     }
     Ok(MockCard::new(Recordings { axes, start_ns: None, now_ns: 0 }, Monotonic))
+}
+
+/// GPIO lines; `kept` are the output requests of the process before.
+pub(crate) fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>, Failure> {
+    GpioCard::open(setup, kept, Monotonic).map_err(|e| Failure::Unreachable(e.to_string()))
 }
 
 /// A file of registers.

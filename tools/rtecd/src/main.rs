@@ -113,6 +113,9 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             let card = cards::replay(&config, &traces)?;
             work(card, config, false, &listener, &signals, log)
         }
+        CardConfig::Gpio(setup) => {
+            work(cards::gpio(&setup, Vec::new())?, config, true, &listener, &signals, log)
+        }
         CardConfig::Mapped { file, profile } => {
             let _card_lock = lock(&file, "card")?;
             let card = cards::mapped(&file, &profile)?;
@@ -171,7 +174,7 @@ fn work<C: Card + Send + 'static>(
 ) -> anyhow::Result<()> {
     // The outputs of a mock card end with its process: there is nothing to be taken over.
     let journal = match config.card {
-        CardConfig::Mapped { .. } => {
+        CardConfig::Gpio(_) | CardConfig::Mapped { .. } => {
             let file = config.control.state_path();
             let opened = Journal::open(&file).with_context(|| format!("state file {}", file.display()))?;
             Some(opened)

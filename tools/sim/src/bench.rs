@@ -270,7 +270,7 @@ impl<G: Gates> Card for Rig<'_, G> {
         // A circuit, and a computer that waits for the edge, know its time.
         let waits = self.computer.is_none_or(|c| c.looks.is_empty() && !self.passes);
         let edge_ns = (waits && self.next > 0 && self.edges[self.next - 1].0 == look_ns).then_some(look_ns);
-        Ok(Sample { t_ns: look_ns, inputs: u64::from(self.seen.bits()), edge_ns })
+        Ok(Sample::stamped(look_ns, u64::from(self.seen.bits()), edge_ns))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -516,11 +516,11 @@ impl Card for Machine {
                     self.show(which);
                 }
                 self.find_next();
-                return Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: Some(self.t_ns) });
+                return Ok(Sample::stamped(self.t_ns, self.inputs, Some(self.t_ns)));
             }
             if wake_ns <= self.step_end_ns {
                 self.t_ns = self.t_ns.max(wake_ns);
-                return Ok(Sample { t_ns: self.t_ns, inputs: self.inputs, edge_ns: None });
+                return Ok(Sample::level(self.t_ns, self.inputs));
             }
             self.t_ns = self.step_end_ns;
             self.step(wake_ns);
