@@ -85,9 +85,9 @@ pub struct Sample {
     pub inputs: u64,
     /// The time of the change itself, ns, on cards that stamp edges; such a card shows one change per look.
     pub edge_ns: Option<u64>,
-    /// No count can have passed unseen since the look before, however long ago that was: edges wait in a queue, or the
-    /// card counts them itself.
-    pub complete: bool,
+    /// Lines on which no count can have passed unseen since the look before, however long ago that was: their edges wait
+    /// in a queue, or the card counts them itself.
+    pub complete: u64,
     /// A further change is known already and comes with the next look: this is no state to act on.
     pub more: bool,
     /// Which of `inputs` are levels of this very moment; a card of queued edges knows the others from before.
@@ -101,7 +101,7 @@ impl Sample {
     #[inline]
     #[must_use]
     pub const fn level(t_ns: u64, inputs: u64) -> Self {
-        Self { t_ns, inputs, edge_ns: None, complete: false, more: false, fresh: u64::MAX, trouble: None }
+        Self { t_ns, inputs, edge_ns: None, complete: 0, more: false, fresh: u64::MAX, trouble: None }
     }
 
     /// The same, with the time of its change where the card stamps it.

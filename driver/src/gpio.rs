@@ -528,7 +528,7 @@ impl<K: Clock> GpioCard<K> {
             }
         }
         let t_ns = self.clock.now_ns();
-        Ok(Sample { complete: true, more, fresh, trouble, ..Sample::level(t_ns, self.levels) })
+        Ok(Sample { complete: u64::MAX, more, fresh, trouble, ..Sample::level(t_ns, self.levels) })
     }
 }
 
@@ -561,7 +561,7 @@ impl<K: Clock> Card for GpioCard<K> {
         let trouble = trouble.map(|kind| Trouble { kind, lines: r.mask });
         let more = self.inputs.iter().any(|r| r.more || r.head().is_some());
         let sample = Sample::stamped(self.clock.now_ns(), self.levels, edge_ns);
-        Ok(Sample { complete: true, more, fresh: 0, trouble, ..sample })
+        Ok(Sample { complete: u64::MAX, more, fresh: 0, trouble, ..sample })
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -7,7 +7,10 @@
 //! | [`clock`] | where a card's time comes from |
 //! | [`profile`] | which register and which bit a line is, as data |
 //! | [`gpio`] | a card of GPIO lines, through the kernel's character device |
-//! | [`mapped`] | a card of memory-mapped registers |
+//! | [`registers`] | a card of registers, and of the card's own counters, however they are reached |
+//! | [`mapped`] | registers that are memory: a file, a PCI BAR, UIO |
+//! | [`pci`] | a card on the PCI bus: found, enabled, checked |
+//! | [`port`] | registers that are I/O ports: parallel port, 8255 cards |
 //! | [`mock`] | a card in the same process |
 //! | [`moving`] | a small moving machine at the other end of the mock card's wires |
 //! | [`replay`] | a recorded trace on a virtual clock |
@@ -21,7 +24,10 @@ pub mod input;
 pub mod mapped;
 pub mod mock;
 pub mod moving;
+pub mod pci;
+pub mod port;
 pub mod profile;
 pub mod quadrature;
+pub mod registers;
 pub mod replay;
 pub mod trace;

@@ -1,12 +1,14 @@
-//! A card whose registers are memory: any file that can be mapped (shared memory, a PCI BAR, UIO).
+//! Registers that are memory: any file that can be mapped (shared memory, a PCI BAR in sysfs, UIO).
 
-use crate::card::{Card, CardError, Sample};
+use crate::card::CardError;
 use crate::clock::Clock;
-use crate::profile::{Profile, Register, Width};
+use crate::profile::{Profile, Width};
+use crate::registers::{Bus, RegisterCard, SetUpError};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::ffi::c_void;
 use std::fs::File;
 use std::num::NonZeroUsize;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
 
@@ -38,28 +40,64 @@ pub enum MapError {
         /// The profile's name.
         profile: String,
     },
+    /// A device that says nowhere how long it is.
+    #[error(
+        "{}: found a device of no known size, expected a file of registers, a PCI resource in sysfs, or a UIO device \
+         with maps", path.display()
+    )]
+    NoSize {
+        /// The device.
+        path: PathBuf,
+    },
+    /// The card is not what the profile describes.
+    #[error(transparent)]
+    SetUp(#[from] SetUpError),
 }
 
 /// A mapped file of registers. Accesses are volatile, of the register's own width, aligned and inside the file.
 #[derive(Debug)]
 pub struct Registers {
     base: NonNull<c_void>,
+    /// Where the registers begin, from the start of the mapping, and how long they are.
+    start: usize,
     len: usize,
+}
+
+/// The UIO device `name`'s map: its number (the first that is long enough), where the registers begin in its first page,
+/// and its size.
+fn uio_map(name: &str, len: usize) -> Option<(usize, usize, u64)> {
+    let number = |map: usize, file: &str| {
+        let text = std::fs::read_to_string(format!("/sys/class/uio/{name}/maps/map{map}/{file}")).ok()?;
+        u64::from_str_radix(text.trim().trim_start_matches("0x"), 16).ok()
+    };
+    let maps = (0..5).filter_map(|map| Some((map, number(map, "offset")? as usize, number(map, "size")?)));
+    let maps: Vec<_> = maps.collect();
+    maps.iter().find(|(_, _, size)| *size >= len as u64).or(maps.first()).copied()
 }
 
 // SAFETY: the mapping belongs to this value alone and is released only when it is dropped, whichever thread holds it.
 unsafe impl Send for Registers {}
 
 impl Registers {
-    /// Maps the first `len` bytes of `path`, shared, for reading and writing.
+    /// Maps the first `len` bytes of `path`, shared, uncached where that is the device's choice, for reading and writing.
+    /// Of a UIO device it is the first map that is long enough.
     ///
     /// # Errors
     /// When the file cannot be opened or mapped, or is shorter than `len` bytes.
     pub fn open(path: &Path, len: usize, profile: &str) -> Result<Self, MapError> {
         let io = |op| move |source| MapError::Io { op, path: path.to_owned(), source };
-        let file = File::options().read(true).write(true).open(path).map_err(io("opening"))?;
-        let found = file.metadata().map_err(io("measuring"))?.len();
-        let size = NonZeroUsize::new(len).filter(|_| found >= len as u64);
+        let file = File::options().read(true).write(true).custom_flags(libc::O_SYNC).open(path);
+        let file = file.map_err(io("opening"))?;
+        let metadata = file.metadata().map_err(io("measuring"))?;
+        let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+        let (map, start, found) = if !metadata.file_type().is_char_device() {
+            (0, 0, metadata.len())
+        } else if let Some(map) = uio_map(name, len) {
+            map
+        } else {
+            return Err(MapError::NoSize { path: path.to_owned() });
+        };
+        let size = NonZeroUsize::new(start + len).filter(|_| len > 0 && found >= len as u64);
         let Some(size) = size else {
             return Err(MapError::TooSmall {
                 path: path.to_owned(),
@@ -68,12 +106,16 @@ impl Registers {
                 profile: profile.to_owned(),
             });
         };
+        // Of a UIO device the offset is the map's number in pages (the kernel's UIO howto, mmap).
+        // SAFETY: sysconf only reads a constant of the system.
+        let page = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
+        let at = map as i64 * page;
         // SAFETY: a new shared mapping at an address of the kernel's choice disturbs no other memory of the process.
         let base = unsafe {
-            mmap(None, size, ProtFlags::PROT_READ | ProtFlags::PROT_WRITE, MapFlags::MAP_SHARED, &file, 0)
+            mmap(None, size, ProtFlags::PROT_READ | ProtFlags::PROT_WRITE, MapFlags::MAP_SHARED, &file, at)
         };
         let base = base.map_err(|e| io("mapping")(std::io::Error::from_raw_os_error(e as i32)))?;
-        Ok(Self { base, len })
+        Ok(Self { base, start, len })
     }
 
     #[inline]
@@ -82,7 +124,7 @@ impl Registers {
             offset + size_of::<T>() <= self.len && offset.is_multiple_of(size_of::<T>()),
             "register outside the mapping"
         );
-        self.base.as_ptr().wrapping_byte_add(offset).cast()
+        self.base.as_ptr().wrapping_byte_add(self.start + offset).cast()
     }
 
     /// Reads a register of 8, 16 or 32 bits at a byte offset.
@@ -122,94 +164,41 @@ impl Registers {
 impl Drop for Registers {
     fn drop(&mut self) {
         // SAFETY: base and length are those of the mapping made in `open`, and nothing refers to it any more.
-        let _ = unsafe { munmap(self.base, self.len) };
+        let _ = unsafe { munmap(self.base, self.start + self.len) };
     }
 }
 
-/// One register's part of the 64-bit word that the engine sees.
-#[derive(Debug, Clone, Copy)]
-struct Part {
-    offset: usize,
-    width: Width,
-    shift: u32,
+impl Bus for Registers {
+    #[inline]
+    fn read(&self, offset: usize, width: Width) -> Result<u32, CardError> {
+        Ok(Registers::read(self, offset, width))
+    }
+
+    #[inline]
+    fn write(&self, offset: usize, width: Width, value: u32) -> Result<(), CardError> {
+        Registers::write(self, offset, width, value);
+        Ok(())
+    }
 }
 
-/// A card of mapped registers.
-#[derive(Debug)]
-pub struct MappedCard<K> {
-    registers: Registers,
-    inputs: Box<[Part]>,
-    outputs: Box<[Part]>,
-    input_invert: u64,
-    output_invert: u64,
-    /// The output registers as last written, so that a masked write needs no read over the bus.
-    written: u64,
-    clock: K,
-}
+/// A card of memory-mapped registers.
+pub type MappedCard<K> = RegisterCard<Registers, K>;
 
 impl<K: Clock> MappedCard<K> {
-    /// Maps `path` as the profile says. No register is written; the outputs are taken over as they stand.
+    /// Maps `path` as the profile says. No register is written but those that the profile sets up after a reset; the
+    /// outputs are taken over as they stand.
     ///
     /// # Errors
-    /// As [`Registers::open`].
+    /// As [`Registers::open`] and [`RegisterCard::new`].
     pub fn open(path: &Path, profile: &Profile, clock: K) -> Result<Self, MapError> {
-        let registers = Registers::open(path, profile.size(), &profile.name)?;
-        let parts = |registers: &[Register]| {
-            let mut shift = 0;
-            let mut parts = Vec::new();
-            for r in registers {
-                parts.push(Part { offset: r.offset, width: r.width, shift });
-                shift += r.width.bits();
-            }
-            parts.into_boxed_slice()
-        };
-        let mut card = Self {
-            registers,
-            inputs: parts(&profile.inputs),
-            outputs: parts(&profile.outputs),
-            input_invert: profile.input_invert,
-            output_invert: profile.output_invert,
-            written: 0,
-            clock,
-        };
-        card.written = card.gather(&card.outputs);
-        Ok(card)
-    }
-
-    #[inline]
-    fn gather(&self, parts: &[Part]) -> u64 {
-        parts.iter().fold(0, |word, p| word | u64::from(self.registers.read(p.offset, p.width)) << p.shift)
-    }
-}
-
-impl<K: Clock> Card for MappedCard<K> {
-    #[inline]
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
-        let inputs = self.gather(&self.inputs) ^ self.input_invert;
-        Ok(Sample::level(self.clock.now_ns(), inputs))
-    }
-
-    #[inline]
-    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
-        let raw = self.written & !mask | (value ^ self.output_invert) & mask;
-        let changed = raw ^ self.written;
-        self.written = raw;
-        for p in &self.outputs {
-            if changed >> p.shift & p.width.mask() != 0 {
-                self.registers.write(p.offset, p.width, (raw >> p.shift & p.width.mask()) as u32);
-            }
-        }
-        Ok(None)
-    }
-
-    fn outputs(&mut self) -> Result<u64, CardError> {
-        Ok(self.gather(&self.outputs) ^ self.output_invert)
+        Ok(Self::new(Registers::open(path, profile.size(), &profile.name)?, profile, clock)?)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::card::{Card, Sample};
     use crate::clock::Virtual;
 
     fn card(bytes: usize) -> (tempfile::NamedTempFile, Result<MappedCard<Virtual>, MapError>) {
@@ -246,6 +235,12 @@ mod tests {
         let (_file, card) = card(7);
         let text = card.unwrap_err().to_string();
         assert!(text.contains("found 7 bytes, expected at least 8"), "{text}");
+    }
+
+    #[test]
+    fn a_device_without_a_size_is_refused() {
+        let card = MappedCard::open(Path::new("/dev/null"), &Profile::shared_memory(), Virtual::default());
+        assert!(matches!(card.unwrap_err(), MapError::NoSize { .. }));
     }
 
     #[test]

@@ -466,7 +466,7 @@ impl Axis {
         // Seen late: three counts or more may have passed, and one change may stand for them. Before a second edge
         // the axis is taken to come from rest, as it stood when it was homed.
         if look.sample.edge_ns.is_none()
-            && !look.sample.complete
+            && look.sample.complete >> self.config.lines.a & 1 == 0
             && gap_ns > self.gate.need_ns()
             && self.homed
             && self.last_edge.is_some()

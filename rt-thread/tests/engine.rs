@@ -463,7 +463,7 @@ fn nothing_is_written_while_a_further_change_is_known() {
 fn a_card_that_counts_for_itself_may_be_looked_at_late() {
     let mut rig = Rig::running(windowed());
     rig.step(3);
-    rig.card.says = Some(Sample { complete: true, ..Sample::level(0, 0) });
+    rig.card.says = Some(Sample { complete: 0b11, ..Sample::level(0, 0) });
     rig.card.t_ns += 1_000_000_000;
     rig.step(3);
     assert!(rig.faults().is_empty() && rig.status().balanced());

@@ -3,11 +3,14 @@
 //! | table | key | unit | default | meaning |
 //! |---|---|---|---|---|
 //! | `[machine]` | `name` | – | must be there | the machine, as `status` shows it |
-//! | `[card]` | `backend` | – | must be there | `mock`, `gpio`, `mapped` or `replay` |
-//! | | `file`, `profile` | – | –, `shared-memory` | `mapped`: the file of registers, and what they mean |
+//! | `[card]` | `backend` | – | must be there | `mock`, `gpio`, `mapped`, `port` or `replay` |
+//! | | `file` | – | – | `mapped`: the file of registers (shared memory, `/dev/uioN`) |
+//! | | `pci`, `bar` | – | the profile's | `mapped`, `port`: the card, as `vendor:device` or by its address, and which BAR |
+//! | | `parport`, `io` | – | – | `port`: a parallel port through `ppdev`, or the first of its I/O ports |
+//! | | `profile` | – | `shared-memory`, `parallel-port` | `mapped`, `port`: what the registers mean; `rtecctl card list` |
 //! | | `mode` | – | `edges` | `gpio`: sleep until an edge comes, or read `levels` as fast as it goes |
 //! | | `chip`, `bias`, `drive` | – | –, as it is, `push-pull` | `gpio`: of every line that does not say otherwise |
-//! | | `probe`, `disable`, `hold` | line | not wired | `gpio`, `mapped`: the machine's own lines |
+//! | | `probe`, `disable`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
 //! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
 //! | | `design` | – | `c` | insertion design (NISTIR 4832): `c`, `original`, `a` |
 //! | | `max_correction_counts`, `window_counts` | counts | must be there | largest total; largest believed change |
@@ -19,7 +22,7 @@
 //! | | `rest_policy`, `rest_quiet_ms` | –, ms | `wait` | at rest: `wait` for an edge, or `insert` after a quiet time |
 //! | | `reference_budget_counts` | counts | none | what the MTC tolerates between reference marks, or between two encoders |
 //! | | `home_mm` | mm | 0 | position of the known place where the axis is homed |
-//! | | `lines` | line | – | `gpio`, `mapped`: `a`, `b`, `invert_a`, `invert_b`, `read_back_a`, `read_back_b` |
+//! | | `lines` | line | – | `gpio`, `mapped`, `port`: `a`, `b`, `invert_a`, `invert_b`, `read_back_a`, `read_back_b` |
 //! | | `trace` | – | – | `replay`: the recorded trace |
 //! | `[rt]` | `cpu`, `priority` | – | isolated or last, 80 | of the real-time thread |
 //! | | `detect_ns`, `write_ns`, `guard_ns` | ns | 0 (mock, replay) | measured worst latencies and a reserve |
@@ -34,7 +37,8 @@ use crate::section::{At, BIASES, DRIVES, LineName, Section, Source, nearest};
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::input::InputError;
-use rtec_driver::profile::{Place, Profile};
+use rtec_driver::pci::PciId;
+use rtec_driver::profile::{Place, Profile, SHIPPED, Space, Width};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::event::MAX_AXES;
 use std::collections::BTreeMap;
@@ -68,11 +72,18 @@ pub enum CardConfig {
     Mock,
     /// GPIO lines through the kernel's character device.
     Gpio(GpioSetup),
-    /// A file of registers: shared memory, a PCI BAR, UIO.
+    /// Mapped registers.
     Mapped {
-        /// The file.
-        file: PathBuf,
-        /// What its registers are.
+        /// Where they are.
+        place: MappedPlace,
+        /// What they are.
+        profile: Profile,
+    },
+    /// Registers that are I/O ports.
+    Port {
+        /// Where they are.
+        place: PortPlace,
+        /// What they are.
         profile: Profile,
     },
     /// Recorded traces in real time, one per axis.
@@ -80,6 +91,26 @@ pub enum CardConfig {
         /// The trace of each axis.
         traces: Vec<PathBuf>,
     },
+}
+
+/// Where mapped registers are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum MappedPlace {
+    /// A file: shared memory, a UIO device, a resource in sysfs.
+    File(PathBuf),
+    /// A BAR of a PCI card.
+    Pci(PciId, u8),
+}
+
+/// Where I/O ports are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PortPlace {
+    /// A parallel port's device.
+    Parport(PathBuf),
+    /// The first port.
+    Io(u16),
+    /// A BAR of a PCI card.
+    Pci(PciId, u8),
 }
 
 impl CardConfig {
@@ -90,6 +121,7 @@ impl CardConfig {
             Self::Mock => "mock",
             Self::Gpio(_) => "gpio",
             Self::Mapped { .. } => "mapped",
+            Self::Port { .. } => "port",
             Self::Replay { .. } => "replay",
         }
     }
@@ -97,7 +129,7 @@ impl CardConfig {
     /// Something outside this process hangs on the lines.
     #[must_use]
     pub const fn is_real(&self) -> bool {
-        matches!(self, Self::Gpio(_) | Self::Mapped { .. })
+        matches!(self, Self::Gpio(_) | Self::Mapped { .. } | Self::Port { .. })
     }
 }
 
@@ -251,14 +283,15 @@ impl Config {
 impl Card {
     /// Something outside this process hangs on the lines.
     fn is_real(&self) -> bool {
-        matches!(self.kind, Some(Kind::Gpio | Kind::Mapped))
+        matches!(self.kind, Some(Kind::Gpio | Kind::Mapped | Kind::Port))
     }
 }
 
 /// What `[card]` says; `None` fields were reported.
 struct Card {
     kind: Option<Kind>,
-    file: Option<PathBuf>,
+    mapped: Option<MappedPlace>,
+    port: Option<PortPlace>,
     profile: Option<Profile>,
     gpio: Gpio,
     lines: MachineLines,
@@ -277,9 +310,8 @@ enum Kind {
     Mock,
     Gpio,
     Mapped,
+    Port,
     Replay,
-    /// Named in the contract, made in another version.
-    Later(&'static str),
 }
 
 /// The file's whole content; findings are in the source, `None` where there is no way on.
@@ -357,32 +389,33 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
     let kind = match card.kind? {
         Kind::Mock => CardConfig::Mock,
         Kind::Gpio => CardConfig::Gpio(card.gpio.setup),
-        Kind::Mapped => CardConfig::Mapped { file: card.file?, profile: card.profile? },
+        Kind::Mapped => CardConfig::Mapped { place: card.mapped?, profile: card.profile? },
+        Kind::Port => CardConfig::Port { place: card.port?, profile: card.profile? },
         Kind::Replay => CardConfig::Replay { traces },
-        Kind::Later(_) => return None,
     };
     Some(Config { machine: name?.value.to_owned(), card: kind, lines: card.lines, axes, rt, control, notes })
 }
 
 fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
     let mut section = root.table(source, "card", "[card]");
-    let meaning = "\"mock\" or \"gpio\" or \"mapped\" or \"replay\"";
+    let meaning = "\"mock\" or \"gpio\" or \"mapped\" or \"port\" or \"replay\"";
     let kind = section.choice(
         source,
         "backend",
-        4,
+        5,
         &[
             ("mock", Kind::Mock),
             ("gpio", Kind::Gpio),
             ("mapped", Kind::Mapped),
+            ("port", Kind::Port),
             ("replay", Kind::Replay),
-            ("port", Kind::Later("port")),
         ],
     );
     let kind = section.required(source, "backend", meaning, kind);
     let mut card = Card {
         kind: kind.map(|k| k.value),
-        file: None,
+        mapped: None,
+        port: None,
         profile: None,
         gpio: Gpio {
             setup: GpioSetup { inputs: Vec::new(), outputs: Vec::new(), events: true },
@@ -397,21 +430,13 @@ fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
         lines: MachineLines::standard(),
         taken: BTreeMap::new(),
     };
-    match kind.map(|k| (k.value, k.offset)) {
-        Some((Kind::Mapped, _)) => {
-            let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
-            let meaning = "the path of the file of registers";
-            let file = section.string(source, "file", meaning);
-            card.file = section.required(source, "file", meaning, file).map(|f| directory.join(f.value));
-            card.profile = match section.string(source, "profile", "\"shared-memory\" or a profile's path") {
-                None => Some(Profile::shared_memory()),
-                Some(at) if at.value == "shared-memory" => Some(Profile::shared_memory()),
-                Some(at) => load_profile(source, &directory.join(at.value), at.offset),
-            };
+    match kind.map(|k| k.value) {
+        Some(kind @ (Kind::Mapped | Kind::Port)) => {
+            read_registers(source, &mut section, &mut card, kind == Kind::Port);
             card.lines = machine_lines(source, &mut section, &mut card);
             section.finish(source);
         }
-        Some((Kind::Gpio, _)) => {
+        Some(Kind::Gpio) => {
             let mode = section.choice(source, "mode", 2, &[("edges", true), ("levels", false)]);
             card.gpio.setup.events = mode.is_none_or(|m| m.value);
             let chip = section.string(source, "chip", "a chip's name, path or label, as \"gpiochip0\"");
@@ -421,23 +446,110 @@ fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
             card.lines = machine_lines(source, &mut section, &mut card);
             section.finish(source);
         }
-        Some((Kind::Later(name), offset)) => {
-            let found = format!("backend = \"{name}\"");
-            source.finding(offset, found, format!("{meaning}: this version has no {name} card"));
-        }
         // Without a backend nobody knows which keys belong to it.
         None => {}
-        Some((Kind::Mock | Kind::Replay, _)) => section.finish(source),
+        Some(Kind::Mock | Kind::Replay) => section.finish(source),
     }
     card
 }
 
-fn load_profile(source: &mut Source<'_>, path: &Path, offset: usize) -> Option<Profile> {
+/// Where the registers are, and what they mean.
+fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut Card, port: bool) {
+    let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
+    let profile = section.string(source, "profile", "a profile's name or path");
+    let default = if port { "parallel-port" } else { "shared-memory" };
+    card.profile = match profile {
+        None => Profile::shipped(default),
+        Some(at) => Profile::shipped(at.value)
+            .or_else(|| load_profile(source, &directory.join(at.value), at.value, at.offset)),
+    };
+    let pci_at = section.string(source, "pci", "a card as \"1af4:1110\", or its address \"0000:00:04.0\"");
+    let pci = pci_at.and_then(|at| {
+        let id = PciId::parse(at.value);
+        if id.is_none() {
+            let expected =
+                "vendor:device as \"1af4:1110\", or an address as \"0000:00:04.0\": lspci -nD shows both";
+            source.finding(at.offset, format!("pci = \"{}\"", at.value), expected);
+        }
+        id
+    });
+    let bar = section.integer(source, "bar", 0..=5);
+    // A card is looked for on the bus only when somebody has named it, or its profile.
+    let place = card.profile.as_ref().filter(|_| profile.is_some()).and_then(|p| p.pci);
+    let bar_of = bar.map(|b| b.value as u8).or(place.map(|p| p.bar));
+    let mut places = usize::from(pci_at.is_some());
+    let path = |at: At<&str>| directory.join(at.value);
+    if port {
+        let parport = section.string(source, "parport", "a parallel port, as \"/dev/parport0\"");
+        let io = section.integer(source, "io", 0..=0xffff);
+        places += usize::from(parport.is_some()) + usize::from(io.is_some());
+        card.port = parport.map(|at| PortPlace::Parport(path(at)));
+        card.port = card.port.take().or(io.map(|io| PortPlace::Io(io.value as u16)));
+        if let (Some(at), Some(profile)) = (parport, &card.profile)
+            && profile.registers().any(|r| r.offset > 2 || r.width != Width::Bits8)
+        {
+            let found = format!("profile \"{}\" at {}", profile.name, at.value);
+            let expected =
+                "the registers of a parallel port (data, status, control); io or pci for other cards";
+            source.finding(at.offset, found, expected);
+        }
+    } else {
+        let file = section.string(source, "file", "the path of the file of registers");
+        places += usize::from(file.is_some());
+        card.mapped = file.map(|at| MappedPlace::File(path(at)));
+    }
+    let space = if port { Space::Io } else { Space::Memory };
+    if let Some(place) = place.filter(|p| p.space != space) {
+        let name = card.profile.as_ref().map_or("", |p| &p.name);
+        let (found, backend) = match place.space {
+            Space::Io => ("I/O ports", "port"),
+            Space::Memory => ("mapped registers", "mapped"),
+        };
+        let found = format!("profile \"{name}\" of {found}");
+        source.finding(
+            profile.map_or(section.offset, |p| p.offset),
+            found,
+            format!("backend = \"{backend}\""),
+        );
+    }
+    let of_profile = place.map(|p| PciId::Card(p.id.0, p.id.1)).filter(|_| places == 0);
+    if let Some(id) = pci.or(of_profile) {
+        match bar_of {
+            Some(bar) if port => card.port = Some(PortPlace::Pci(id, bar)),
+            Some(bar) => card.mapped = Some(MappedPlace::Pci(id, bar)),
+            None => section.missing(source, "bar", "which base address register, 0 to 5"),
+        }
+    } else if places == 0 && card.profile.is_some() {
+        let (key, meaning) = if port {
+            (
+                "parport, io or pci",
+                "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"",
+            )
+        } else {
+            ("file or pci", "where the registers are: a path, or a card's \"vendor:device\"")
+        };
+        section.missing(source, key, meaning);
+    }
+    if places > 1 {
+        let found = if port { "more than one of parport, io and pci" } else { "file and pci" };
+        source.finding(section.offset, found, "one place where the registers are");
+    }
+    let no_pci = pci_at.is_none() && (places > 0 || place.is_none());
+    if let Some(at) = bar.filter(|_| no_pci) {
+        source.finding(at.offset, "bar without pci", "pci = \"vendor:device\" beside it");
+    }
+}
+
+fn load_profile(source: &mut Source<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
     let text = match std::fs::read_to_string(path) {
         Ok(text) => text,
         Err(error) => {
+            let shipped = SHIPPED.map(|(name, _)| name);
+            let hint =
+                nearest(named, &shipped).map_or(String::new(), |near| format!("; did you mean \"{near}\"?"));
             let found = format!("profile {}: {error}", path.display());
-            source.finding(offset, found, "\"shared-memory\" or the path of a card profile");
+            let expected = format!("the path of a card profile, or one of {}{hint}", shipped.join(", "));
+            source.finding(offset, found, expected);
             return None;
         }
     };
@@ -542,7 +654,7 @@ fn read_lines(
     owner: &str,
 ) -> Option<AxisLines> {
     if !card.is_real() {
-        if card.kind.is_some_and(|k| !matches!(k, Kind::Later(_))) && section.has("lines") {
+        if card.kind.is_some() && section.has("lines") {
             let expected = "no lines: the mock and the replay have theirs in fixed places";
             source.finding(section.offset, format!("lines of {owner}"), expected);
         }
@@ -685,7 +797,7 @@ fn read_axis(
         source.finding(max.offset, found, "a correction smaller than the travel");
     }
     let offset = s.offset;
-    if card.kind.is_none_or(|k| matches!(k, Kind::Later(_))) {
+    if card.kind.is_none() {
         // Without a card nobody knows whether these belong here.
         let _ = (s.has("lines"), s.has("trace"));
     }

@@ -1,6 +1,6 @@
 //! What a person sees who made a mistake in rtec.toml. `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
-use rtec_control::config::{CardConfig, Config, EMBEDDED};
+use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace};
 use rtec_driver::gpio::{Bias, Drive, LineId};
 use rtec_rt::axis::{Design, RestPolicy};
 use std::path::Path;
@@ -91,7 +91,9 @@ fn values_arrive_where_they_belong() {
     assert_eq!(config.control.socket, Path::new("/etc/rtec/run/s"));
     assert_eq!(config.control.state_path(), Path::new("/etc/rtec/run/state"));
     assert_eq!((config.rt.cpu, config.rt.priority, config.rt.latency_measured), (Some(3), 90, true));
-    assert!(matches!(&config.card, CardConfig::Mapped { file, .. } if file == Path::new("/etc/rtec/regs")));
+    assert!(
+        matches!(&config.card, CardConfig::Mapped { place: MappedPlace::File(file), .. } if file == Path::new("/etc/rtec/regs"))
+    );
 }
 
 #[test]
@@ -138,4 +140,77 @@ fn gpio_lines_are_named_or_numbered_and_inherit_what_the_card_says() {
     let lines = config.axes[0].engine.lines;
     assert_eq!((lines.a, lines.b, lines.invert_a, lines.invert_b), (1, 2, 1, 2));
     assert_eq!((config.lines.probe, config.lines.hold), (Some(0), Some(0)));
+}
+
+/// The card that a `[card]` table names.
+fn card_of(card: &str) -> Result<CardConfig, String> {
+    let axis =
+        LINES.split("[[axis]]").nth(1).and_then(|axes| axes.split("lines =").next()).unwrap_or_default();
+    let lines = "lines = { a = 3, b = 4, invert_a = 0, invert_b = 1 }";
+    let text = format!("[machine]\nname = \"lathe\"\n[card]\n{card}\n[[axis]]{axis}{lines}");
+    Config::parse(Path::new("rtec.toml"), &text).map(|c| c.card).map_err(|e| e.to_string())
+}
+
+#[test]
+fn registers_are_where_the_file_or_else_the_profile_says() {
+    let place = |card: &str| match card_of(card) {
+        Ok(CardConfig::Mapped { place: MappedPlace::Pci(id, bar), .. }) => {
+            format!("memory of {id}, BAR {bar}")
+        }
+        Ok(CardConfig::Mapped { place: MappedPlace::File(file), .. }) => format!("file {}", file.display()),
+        Ok(CardConfig::Port { place: PortPlace::Pci(id, bar), .. }) => format!("ports of {id}, BAR {bar}"),
+        Ok(CardConfig::Port { place: PortPlace::Parport(file), .. }) => format!("parport {}", file.display()),
+        Ok(CardConfig::Port { place: PortPlace::Io(base), .. }) => format!("ports {base:#x}"),
+        other => format!("{other:?}"),
+    };
+    let mapped = |rest: &str| place(&format!("backend = \"mapped\"\n{rest}"));
+    let port = |rest: &str| place(&format!("backend = \"port\"\n{rest}"));
+    assert_eq!(mapped("profile = \"shared-memory\""), "memory of 1af4:1110, BAR 2");
+    assert_eq!(mapped("file = \"/dev/uio0\""), "file /dev/uio0");
+    assert_eq!(mapped("pci = \"0000:00:04.0\"\nbar = 0"), "memory of 0000:00:04.0, BAR 0");
+    assert_eq!(port("parport = \"/dev/parport0\""), "parport /dev/parport0");
+    assert_eq!(port("io = 0x378"), "ports 0x378");
+    assert_eq!(port("profile = \"8255-pci\""), "ports of 144a:7224, BAR 2");
+    assert_eq!(port("profile = \"8255-pci\"\npci = \"1307:0028\""), "ports of 1307:0028, BAR 2");
+}
+
+#[test]
+fn a_place_that_cannot_be_is_explained() {
+    for (card, wants) in [
+        (
+            "backend = \"port\"",
+            "no parport, io or pci in [card], expected parport, io or pci: where the ports are",
+        ),
+        (
+            "backend = \"mapped\"\nprofile = \"counter-card\"",
+            "no file or pci in [card], expected file or pci: where",
+        ),
+        ("backend = \"mapped\"\nprofile = \"8255-pci\"", "of I/O ports, expected backend = \"port\""),
+        (
+            "backend = \"port\"\nprofile = \"shared-memory\"",
+            "of mapped registers, expected backend = \"mapped\"",
+        ),
+        ("backend = \"mapped\"\nprofile = \"shard-memory\"", "did you mean \"shared-memory\"?"),
+        (
+            "backend = \"mapped\"\npci = \"1af4\"",
+            "found pci = \"1af4\", expected vendor:device as \"1af4:1110\"",
+        ),
+        ("backend = \"mapped\"\npci = \"1af4:1110\"\nfile = \"x\"", "found file and pci, expected one place"),
+        ("backend = \"mapped\"\nfile = \"x\"\nbar = 2", "found bar without pci"),
+        (
+            "backend = \"port\"\nio = 0x378\nparport = \"/dev/parport0\"",
+            "more than one of parport, io and pci",
+        ),
+        (
+            "backend = \"port\"\nprofile = \"8255-pci\"\nparport = \"/dev/parport0\"",
+            "expected the registers of a parallel port (data, status, control)",
+        ),
+        (
+            "backend = \"port\"\npci = \"1307:0028\"",
+            "no bar in [card], expected bar: which base address register",
+        ),
+    ] {
+        let found = card_of(card).unwrap_err();
+        assert!(found.contains(wants), "{found}\n  wants {wants}");
+    }
 }

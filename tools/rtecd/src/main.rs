@@ -19,7 +19,7 @@ use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
-use rtec_control::config::{CardConfig, Config, Findings};
+use rtec_control::config::{CardConfig, Config, Findings, PortPlace};
 use rtec_driver::card::Card;
 use rtec_driver::input::InputError;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
@@ -116,7 +116,18 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
         CardConfig::Gpio(setup) => {
             work(cards::gpio(&setup, Vec::new())?, config, true, &listener, &signals, log)
         }
-        CardConfig::Mapped { file, profile } => {
+        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
+            work(cards::parport(&file, &profile)?, config, true, &listener, &signals, log)
+        }
+        CardConfig::Port { place: PortPlace::Io(base), profile } => {
+            work(cards::ports(base, &profile)?, config, true, &listener, &signals, log)
+        }
+        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
+            let base = cards::io_bar(&id, bar, &profile)?;
+            work(cards::ports(base, &profile)?, config, true, &listener, &signals, log)
+        }
+        CardConfig::Mapped { place, profile } => {
+            let file = cards::register_file(&place, &profile)?;
             let _card_lock = lock(&file, "card")?;
             let card = cards::mapped(&file, &profile)?;
             let real = cards::drives_a_machine(&file)?;
@@ -174,7 +185,7 @@ fn work<C: Card + Send + 'static>(
 ) -> anyhow::Result<()> {
     // The outputs of a mock card end with its process: there is nothing to be taken over.
     let journal = match config.card {
-        CardConfig::Gpio(_) | CardConfig::Mapped { .. } => {
+        CardConfig::Gpio(_) | CardConfig::Mapped { .. } | CardConfig::Port { .. } => {
             let file = config.control.state_path();
             let opened = Journal::open(&file).with_context(|| format!("state file {}", file.display()))?;
             Some(opened)

@@ -1,0 +1,308 @@
+//! A function on the PCI bus, through sysfs: found, enabled, its BAR and its command register checked.
+
+use std::fmt;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::profile::Space;
+
+/// Where the kernel shows the bus.
+const SYSFS: &str = "/sys/bus/pci/devices";
+/// Flags of a resource, from the kernel's ioport.h.
+const RESOURCE_IO: u64 = 0x100;
+const RESOURCE_MEM: u64 = 0x200;
+
+/// Which function is meant.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PciId {
+    /// Vendor and device; there must be one.
+    Card(u16, u16),
+    /// Its place on the bus, `0000:00:04.0`.
+    Address(String),
+}
+
+impl PciId {
+    /// `1af4:1110` or `0000:00:04.0`.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        if let Some((vendor, device)) = crate::profile::pci_id(text) {
+            return Some(Self::Card(vendor, device));
+        }
+        let (bus, function) = text.rsplit_once('.')?;
+        let parts: Vec<&str> = bus.split(':').collect();
+        let hex = |s: &str, digits| s.len() == digits && s.bytes().all(|b| b.is_ascii_hexdigit());
+        let [domain, bus, device] = parts[..] else { return None };
+        let is =
+            hex(domain, 4) && hex(bus, 2) && hex(device, 2) && matches!(function.as_bytes(), [b'0'..=b'7']);
+        is.then(|| Self::Address(text.to_ascii_lowercase()))
+    }
+}
+
+impl fmt::Display for PciId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Card(vendor, device) => write!(f, "{vendor:04x}:{device:04x}"),
+            Self::Address(address) => f.write_str(address),
+        }
+    }
+}
+
+/// What is wrong with a function, or that it is not there.
+#[derive(Debug, thiserror::Error)]
+pub enum PciError {
+    /// It is not on the bus.
+    #[error("no PCI card {0}: `rtecctl card list` shows which cards are there")]
+    Absent(PciId),
+    /// There is more than one.
+    #[error("{} PCI cards {id}, at {}: name one by its address", addresses.len(), addresses.join(" and "))]
+    Several {
+        /// What was looked for.
+        id: PciId,
+        /// Where they are.
+        addresses: Vec<String>,
+    },
+    /// The BAR is not what the profile says.
+    #[error("PCI card {address}, BAR {bar}: found {found}, expected {expected}")]
+    Bar {
+        /// The card's place.
+        address: String,
+        /// The BAR.
+        bar: u8,
+        /// What it is.
+        found: String,
+        /// What it should be.
+        expected: String,
+    },
+    /// The card's command register keeps it from answering.
+    #[error(
+        "PCI card {address}: command register {command:#06x} leaves {space} access off although the card is enabled: a \
+         kernel driver may hold it (unbind it), or the firmware gave it no addresses"
+    )]
+    Off {
+        /// The card's place.
+        address: String,
+        /// The command register.
+        command: u16,
+        /// `memory` or `I/O`.
+        space: &'static str,
+    },
+    /// The system refused.
+    #[error("{op} {}: {source}", path.display())]
+    Io {
+        /// What was tried.
+        op: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+/// A base address register.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Bar {
+    /// First address.
+    pub start: u64,
+    /// Size, bytes.
+    pub size: u64,
+    /// What lies behind it.
+    pub space: Space,
+    /// The file in sysfs that can be mapped.
+    pub file: PathBuf,
+}
+
+/// A function on the bus.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Function {
+    /// Its place, `0000:00:04.0`.
+    pub address: String,
+    /// Vendor and device.
+    pub id: (u16, u16),
+    directory: PathBuf,
+}
+
+/// Everything on the bus, in the order of its addresses. A machine without one has nothing on it.
+#[must_use]
+pub fn functions() -> Vec<Function> {
+    functions_in(Path::new(SYSFS))
+}
+
+fn functions_in(sysfs: &Path) -> Vec<Function> {
+    let number = |path: PathBuf| {
+        let text = fs::read_to_string(path).ok()?;
+        u16::from_str_radix(text.trim().trim_start_matches("0x"), 16).ok()
+    };
+    let entries = fs::read_dir(sysfs).into_iter().flatten().flatten();
+    let mut all: Vec<_> = entries
+        .filter_map(|entry| {
+            let directory = entry.path();
+            let id = (number(directory.join("vendor"))?, number(directory.join("device"))?);
+            Some(Function { address: entry.file_name().into_string().ok()?, id, directory })
+        })
+        .collect();
+    all.sort_by(|a, b| a.address.cmp(&b.address));
+    all
+}
+
+/// The function that is meant.
+///
+/// # Errors
+/// When it is not there, or there is more than one.
+pub fn find(which: &PciId) -> Result<Function, PciError> {
+    choose(functions(), which)
+}
+
+fn choose(all: Vec<Function>, which: &PciId) -> Result<Function, PciError> {
+    let is = |f: &Function| match which {
+        PciId::Card(vendor, device) => f.id == (*vendor, *device),
+        PciId::Address(address) => f.address == *address,
+    };
+    let mut found: Vec<_> = all.into_iter().filter(is).collect();
+    if found.len() > 1 {
+        let addresses = found.into_iter().map(|f| f.address).collect();
+        return Err(PciError::Several { id: which.clone(), addresses });
+    }
+    found.pop().ok_or_else(|| PciError::Absent(which.clone()))
+}
+
+impl Function {
+    /// One of its BARs.
+    ///
+    /// # Errors
+    /// When sysfs cannot be read, or the card has no such BAR.
+    pub fn bar(&self, bar: u8) -> Result<Bar, PciError> {
+        let path = self.directory.join("resource");
+        let text = fs::read_to_string(&path);
+        let text = text.map_err(|source| PciError::Io { op: "reading", path, source })?;
+        let line = text.lines().nth(usize::from(bar)).unwrap_or_default();
+        let words: Vec<u64> = line
+            .split_whitespace()
+            .filter_map(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok())
+            .collect();
+        let space = match words[..] {
+            [_, _, flags] if flags & RESOURCE_IO != 0 => Some(Space::Io),
+            [_, _, flags] if flags & RESOURCE_MEM != 0 => Some(Space::Memory),
+            _ => None,
+        };
+        let (Some(space), [start, end, _]) = (space, &words[..]) else {
+            return Err(self.wrong_bar(
+                bar,
+                "none".to_owned(),
+                "a BAR that the firmware gave an address".to_owned(),
+            ));
+        };
+        let file = self.directory.join(format!("resource{bar}"));
+        Ok(Bar { start: *start, size: end - start + 1, space, file })
+    }
+
+    /// Enables the card and checks that the BAR is in `space`, has `size` bytes, and is switched on.
+    ///
+    /// # Errors
+    /// When it is not so, or the system refuses.
+    pub fn prepare(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+        let found = self.bar(bar)?;
+        let shown = |space, size| match space {
+            Space::Memory => format!("{size} bytes of memory"),
+            Space::Io => format!("{size} I/O ports"),
+        };
+        if found.space != space || found.size < size as u64 {
+            return Err(self.wrong_bar(
+                bar,
+                shown(found.space, found.size),
+                format!("at least {}", shown(space, size as u64)),
+            ));
+        }
+        let enable = self.directory.join("enable");
+        let io = |op, path: &Path| {
+            let path = path.to_owned();
+            move |source| PciError::Io { op, path, source }
+        };
+        let state = fs::read_to_string(&enable).map_err(io("reading", &enable))?;
+        if state.trim() == "0" {
+            fs::write(&enable, "1").map_err(io("enabling the card by", &enable))?;
+        }
+        let config = self.directory.join("config");
+        let bytes = fs::read(&config).map_err(io("reading", &config))?;
+        // PCI Local Bus Specification 3.0, 6.2.2: bit 0 of the command register lets it answer to I/O, bit 1 to memory.
+        let command = bytes.get(4..6).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
+        let (bit, name) = match space {
+            Space::Io => (0, "I/O"),
+            Space::Memory => (1, "memory"),
+        };
+        if command >> bit & 1 == 0 {
+            return Err(PciError::Off { address: self.address.clone(), command, space: name });
+        }
+        Ok(found)
+    }
+
+    fn wrong_bar(&self, bar: u8, found: String, expected: String) -> PciError {
+        PciError::Bar { address: self.address.clone(), bar, found, expected }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A bus with two cards: `04.0` with memory at BAR 2 and I/O at BAR 0, disabled until `enable` is written.
+    fn bus(command: u8) -> tempfile::TempDir {
+        let sysfs = tempfile::tempdir().unwrap();
+        for (address, device) in
+            [("0000:00:04.0", "0x1110"), ("0000:00:05.0", "0x1110"), ("0000:00:06.0", "0x1000")]
+        {
+            let card = sysfs.path().join(address);
+            fs::create_dir(&card).unwrap();
+            fs::write(card.join("vendor"), "0x1af4\n").unwrap();
+            fs::write(card.join("device"), device).unwrap();
+            fs::write(card.join("enable"), "0\n").unwrap();
+            let none = "0x0000000000000000 0x0000000000000000 0x0000000000000000\n";
+            let io = "0x000000000000c000 0x000000000000c01f 0x0000000000040101\n";
+            let memory = "0x00000000fea00000 0x00000000feafffff 0x000000000014220c\n";
+            fs::write(card.join("resource"), [io, none, memory, none].concat()).unwrap();
+            fs::write(card.join("config"), [0xf4, 0x1a, 0x10, 0x11, command, 0, 0, 0]).unwrap();
+        }
+        sysfs
+    }
+
+    #[test]
+    fn identities_are_those_of_lspci() {
+        assert_eq!(PciId::parse("1af4:1110"), Some(PciId::Card(0x1af4, 0x1110)));
+        assert_eq!(PciId::parse("0000:00:1F.3"), Some(PciId::Address("0000:00:1f.3".into())));
+        for wrong in ["", "1af4", "1af4:11", "00:04.0", "0000:00:04.8", "0x1af4:0x1110", "1af4:1110:0"] {
+            assert_eq!(PciId::parse(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_card_is_found_by_identity_or_address() {
+        let sysfs = bus(2);
+        let find = |id: &str| choose(functions_in(sysfs.path()), &PciId::parse(id).unwrap());
+        assert_eq!(find("1af4:1000").unwrap().address, "0000:00:06.0");
+        assert_eq!(find("0000:00:05.0").unwrap().id, (0x1af4, 0x1110));
+        assert!(
+            find("1af4:1110").unwrap_err().to_string().contains("2 PCI cards 1af4:1110, at 0000:00:04.0 and")
+        );
+        assert!(find("8086:0000").unwrap_err().to_string().contains("no PCI card 8086:0000"));
+    }
+
+    #[test]
+    fn a_card_is_enabled_and_its_bar_and_command_register_checked() {
+        let sysfs = bus(2);
+        let card = &functions_in(sysfs.path())[0];
+        let bar = card.prepare(2, Space::Memory, 8).unwrap();
+        assert_eq!((bar.start, bar.size), (0xfea0_0000, 1 << 20));
+        assert_eq!(bar.file, sysfs.path().join("0000:00:04.0/resource2"));
+        assert_eq!(fs::read_to_string(sysfs.path().join("0000:00:04.0/enable")).unwrap(), "1");
+        for (bar, space, size, wants) in [
+            (2, Space::Io, 4, "BAR 2: found 1048576 bytes of memory, expected at least 4 I/O ports"),
+            (0, Space::Io, 64, "BAR 0: found 32 I/O ports, expected at least 64 I/O ports"),
+            (1, Space::Io, 4, "BAR 1: found none"),
+            (7, Space::Io, 4, "BAR 7: found none"),
+            (0, Space::Io, 4, "command register 0x0002 leaves I/O access off"),
+        ] {
+            let found = card.prepare(bar, space, size).unwrap_err().to_string();
+            assert!(found.contains(wants), "{found}\n  wants {wants}");
+        }
+    }
+}

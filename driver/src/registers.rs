@@ -1,0 +1,423 @@
+//! A card of registers, however they are reached: memory, port I/O, or a driver's calls.
+
+use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
+use crate::clock::Clock;
+use crate::profile::{Counter, Flag, Order, Profile, Register, SetUp, Width};
+
+/// How registers are read and written. An implementation that cannot fail costs nothing.
+pub trait Bus {
+    /// Reads a register at a byte offset.
+    ///
+    /// # Errors
+    /// When the card does not answer.
+    fn read(&self, offset: usize, width: Width) -> Result<u32, CardError>;
+
+    /// Writes a register at a byte offset.
+    ///
+    /// # Errors
+    /// When the card does not answer.
+    fn write(&self, offset: usize, width: Width, value: u32) -> Result<(), CardError>;
+}
+
+/// Why a card cannot be used as its profile says.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SetUpError {
+    /// A register cannot be read or written.
+    #[error(transparent)]
+    Card(#[from] CardError),
+    /// A register that must hold a value holds neither that nor what it holds after a reset.
+    #[error(
+        "register {offset:#x} reads {found:#x}, expected {value:#x} (set up) or {after_reset:#x} (after a reset): is this \
+         the card of profile \"{profile}\"? Nothing was written"
+    )]
+    Unexpected {
+        /// Byte offset of the register.
+        offset: usize,
+        /// What it reads.
+        found: u32,
+        /// What it reads when set up.
+        value: u32,
+        /// What it reads after a reset.
+        after_reset: u32,
+        /// The profile's name.
+        profile: String,
+    },
+    /// A register did not take its value.
+    #[error("register {offset:#x} reads {found:#x} after {value:#x} was written to it")]
+    NotTaken {
+        /// Byte offset of the register.
+        offset: usize,
+        /// What it reads.
+        found: u32,
+        /// What was written.
+        value: u32,
+    },
+}
+
+/// One register's part of the 64-bit word that the engine sees.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    offset: usize,
+    width: Width,
+    shift: u32,
+}
+
+/// A jump of more counts than this between two looks is no motion.
+const MAX_JUMP_COUNTS: i64 = 1 << 16;
+/// States of a scale in the order of its counts.
+const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
+
+/// A counter of the card's own. It is shown to the engine as the states that it stands for, one count per look, so that
+/// the ledger runs on the card's count and no two counts fall into one look.
+#[derive(Debug)]
+struct Counting {
+    counter: Counter,
+    /// As last read.
+    raw: u32,
+    /// A and B as last read.
+    lines: u64,
+    /// Where the counter is, and what has been shown of it.
+    target: i64,
+    shown: i64,
+    /// State at a count that is divisible by four, as an index into [`CYCLE`].
+    phase: i64,
+}
+
+impl Counting {
+    /// A and B in an input word, bit 0 and bit 1.
+    fn lines_of(&self, inputs: u64) -> u64 {
+        let (a, b) = self.counter.lines;
+        inputs >> a & 1 | (inputs >> b & 1) << 1
+    }
+
+    fn mask(&self) -> u64 {
+        1 << self.counter.lines.0 | 1 << self.counter.lines.1
+    }
+
+    /// Puts the state that stands for the count into an input word, polarity taken out.
+    fn show(&self, inputs: u64) -> u64 {
+        let state = CYCLE[(self.shown + self.phase).rem_euclid(4) as usize];
+        let (a, b) = self.counter.lines;
+        inputs & !self.mask() | (state & 1) << a | (state >> 1) << b
+    }
+
+    /// Agrees the count with the lines as they are.
+    fn align(&mut self, lines: u64) {
+        let index = CYCLE.iter().position(|s| *s == lines).unwrap_or(0) as i64;
+        self.phase = (index - self.target).rem_euclid(4);
+        self.shown = self.target;
+        self.lines = lines;
+    }
+
+    /// Takes a reading of lines and count, and of the flags.
+    fn take(&mut self, inputs: u64, raw: u32, overflow: bool, error: bool) -> Option<TroubleKind> {
+        let bits = self.counter.count.width.bits();
+        let delta = i64::from((raw.wrapping_sub(self.raw) << (32 - bits)) as i32 >> (32 - bits));
+        let lines = self.lines_of(inputs);
+        let still = delta == 0 && lines == self.lines;
+        self.raw = raw;
+        self.target += delta;
+        self.lines = lines;
+        if delta.abs() > MAX_JUMP_COUNTS {
+            self.align(lines);
+            return Some(TroubleKind::CounterError);
+        }
+        // Lines and count are two readings: they need agree only when neither has changed since the look before.
+        if still && CYCLE[(self.target + self.phase).rem_euclid(4) as usize] != lines {
+            self.align(lines);
+            return Some(TroubleKind::CounterError);
+        }
+        if overflow {
+            return Some(TroubleKind::CounterOverflow);
+        }
+        error.then_some(TroubleKind::CounterError)
+    }
+}
+
+/// A card of registers.
+#[derive(Debug)]
+pub struct RegisterCard<B, K> {
+    bus: B,
+    inputs: Box<[Part]>,
+    outputs: Box<[Part]>,
+    counters: Box<[Counting]>,
+    input_invert: u64,
+    output_invert: u64,
+    /// The output registers as last written, so that a masked write needs no read over the bus, and none that changes
+    /// nothing is made.
+    written: u64,
+    /// Input lines as last read, of a card with counters.
+    levels: u64,
+    clock: K,
+}
+
+impl<B: Bus, K: Clock> RegisterCard<B, K> {
+    /// A card as it stands: no register is written but those that the profile sets up after a reset.
+    ///
+    /// # Errors
+    /// When a register cannot be read, or is not what the profile says.
+    pub fn new(bus: B, profile: &Profile, clock: K) -> Result<Self, SetUpError> {
+        for SetUp { order: Order { register: Register { offset, width }, value }, after_reset } in
+            &profile.setup
+        {
+            let (offset, width, value, after_reset) = (*offset, *width, *value, *after_reset);
+            let found = bus.read(offset, width)?;
+            if found == value {
+                continue;
+            }
+            if found != after_reset {
+                let profile = profile.name.clone();
+                return Err(SetUpError::Unexpected { offset, found, value, after_reset, profile });
+            }
+            bus.write(offset, width, value)?;
+            let found = bus.read(offset, width)?;
+            if found != value {
+                return Err(SetUpError::NotTaken { offset, found, value });
+            }
+        }
+        let parts = |registers: &[Register]| {
+            let mut shift = 0;
+            let mut parts = Vec::new();
+            for r in registers {
+                parts.push(Part { offset: r.offset, width: r.width, shift });
+                shift += r.width.bits();
+            }
+            parts.into_boxed_slice()
+        };
+        let start = |c: &Counter| Counting { counter: *c, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+        let mut card = Self {
+            bus,
+            inputs: parts(&profile.inputs),
+            outputs: parts(&profile.outputs),
+            counters: profile.counters.iter().map(start).collect(),
+            input_invert: profile.input_invert,
+            output_invert: profile.output_invert,
+            written: 0,
+            levels: 0,
+            clock,
+        };
+        card.written = card.gather(&card.outputs)?;
+        for n in 0..card.counters.len() {
+            let raw = card.count_of(n)?;
+            card.counters[n].raw = raw;
+            let levels = card.levels_now()?;
+            let lines = card.counters[n].lines_of(levels);
+            card.counters[n].align(lines);
+        }
+        card.levels = card.levels_now()?;
+        Ok(card)
+    }
+
+    #[inline]
+    fn gather(&self, parts: &[Part]) -> Result<u64, CardError> {
+        let mut word = 0;
+        for p in parts {
+            word |= u64::from(self.bus.read(p.offset, p.width)?) << p.shift;
+        }
+        Ok(word)
+    }
+
+    #[inline]
+    fn levels_now(&self) -> Result<u64, CardError> {
+        Ok(self.gather(&self.inputs)? ^ self.input_invert)
+    }
+
+    fn order(&self, order: Option<Order>) -> Result<(), CardError> {
+        order.map_or(Ok(()), |o| self.bus.write(o.register.offset, o.register.width, o.value))
+    }
+
+    fn flag(&self, flag: Option<Flag>) -> Result<bool, CardError> {
+        flag.map_or(Ok(false), |f| Ok(self.bus.read(f.register.offset, f.register.width)? >> f.bit & 1 != 0))
+    }
+
+    /// The count of a counter, latched where it can be.
+    fn count_of(&self, n: usize) -> Result<u32, CardError> {
+        let counter = &self.counters[n].counter;
+        self.order(counter.latch)?;
+        self.bus.read(counter.count.offset, counter.count.width)
+    }
+
+    /// A look at a card with counters: one count of each at a time, so that the engine follows the card's count through
+    /// every state.
+    fn sample_counted(&mut self) -> Result<Sample, CardError> {
+        let mut trouble = None;
+        if self.counters.iter().all(|c| c.shown == c.target) {
+            self.levels = self.levels_now()?;
+            for n in 0..self.counters.len() {
+                let raw = self.count_of(n)?;
+                let Counter { overflow, error, clear, .. } = self.counters[n].counter;
+                let (overflow, error) = (self.flag(overflow)?, self.flag(error)?);
+                if overflow || error {
+                    self.order(clear)?;
+                }
+                if let Some(kind) = self.counters[n].take(self.levels, raw, overflow, error) {
+                    trouble = Some(Trouble { kind, lines: self.counters[n].mask() });
+                }
+            }
+        }
+        let (mut inputs, mut counted, mut more) = (self.levels, 0, false);
+        for c in &mut self.counters {
+            c.shown += (c.target - c.shown).signum();
+            inputs = c.show(inputs);
+            counted |= c.mask();
+            more |= c.shown != c.target;
+        }
+        let sample = Sample::level(self.clock.now_ns(), inputs);
+        Ok(Sample { complete: counted, more, trouble, ..sample })
+    }
+}
+
+impl<B: Bus, K: Clock> Card for RegisterCard<B, K> {
+    #[inline]
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        if !self.counters.is_empty() {
+            return self.sample_counted();
+        }
+        let inputs = self.levels_now()?;
+        Ok(Sample::level(self.clock.now_ns(), inputs))
+    }
+
+    #[inline]
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        let raw = self.written & !mask | (value ^ self.output_invert) & mask;
+        let changed = raw ^ self.written;
+        self.written = raw;
+        for p in &self.outputs {
+            if changed >> p.shift & p.width.mask() != 0 {
+                self.bus.write(p.offset, p.width, (raw >> p.shift & p.width.mask()) as u32)?;
+            }
+        }
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.gather(&self.outputs)? ^ self.output_invert)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::Virtual;
+    use crate::quadrature::{Decoder, State};
+    use std::cell::RefCell;
+    use std::path::Path;
+    use std::rc::Rc;
+
+    /// Registers that a test reads and turns; and what was written to which offset.
+    type Memory = (Vec<u32>, Vec<(usize, u32)>);
+
+    #[derive(Debug, Clone, Default)]
+    struct Bench(Rc<RefCell<Memory>>);
+
+    impl Bench {
+        fn set(&self, offset: usize, value: u32) {
+            self.0.borrow_mut().0[offset / 4] = value;
+        }
+
+        fn written(&self) -> Vec<(usize, u32)> {
+            std::mem::take(&mut self.0.borrow_mut().1)
+        }
+    }
+
+    impl Bus for Bench {
+        fn read(&self, offset: usize, _width: Width) -> Result<u32, CardError> {
+            Ok(self.0.borrow().0[offset / 4])
+        }
+
+        fn write(&self, offset: usize, _width: Width, value: u32) -> Result<(), CardError> {
+            let mut bench = self.0.borrow_mut();
+            bench.1.push((offset, value));
+            bench.0[offset / 4] = value;
+            Ok(())
+        }
+    }
+
+    const STATES: [u32; 4] = [0, 1, 3, 2];
+
+    fn counter_card() -> (Bench, RegisterCard<Bench, Virtual>) {
+        let bench = Bench::default();
+        bench.0.borrow_mut().0 = vec![0; 8];
+        // The scale stands in the third state of its cycle, the counter anywhere.
+        bench.set(0, STATES[2]);
+        bench.set(12, 0xffff_fff0);
+        let profile = Profile::shipped("counter-card").unwrap();
+        let card = RegisterCard::new(bench.clone(), &profile, Virtual::default()).unwrap();
+        (bench, card)
+    }
+
+    #[test]
+    fn the_cards_count_is_shown_state_by_state_through_its_wrap() {
+        let (bench, mut card) = counter_card();
+        let mut decoder = Decoder::new(State::from_bits(card.sample(0).unwrap().inputs as u8));
+        let mut count = 0_i64;
+        for jump in [1, 5, 17, -3, -40, 2] {
+            count += jump;
+            bench.set(0, STATES[(2 + count).rem_euclid(4) as usize]);
+            bench.set(12, 0xffff_fff0_u32.wrapping_add(count as u32));
+            for left in (0..jump.abs()).rev() {
+                let sample = card.sample(0).unwrap();
+                assert_eq!((sample.more, sample.complete & 3, sample.trouble), (left > 0, 3, None));
+                assert_eq!(decoder.update(State::from_bits(sample.inputs as u8)), Some(jump.signum() as i8));
+            }
+            assert_eq!(decoder.count(), count);
+        }
+        assert!(bench.written().contains(&(8, 1)), "the count is latched before it is read");
+    }
+
+    #[test]
+    fn the_cards_flags_are_reported_and_cleared() {
+        let (bench, mut card) = counter_card();
+        for (flags, kind) in [(1, TroubleKind::CounterOverflow), (2, TroubleKind::CounterError)] {
+            bench.set(20, flags);
+            bench.written();
+            let trouble = card.sample(0).unwrap().trouble.unwrap();
+            assert_eq!((trouble.kind, trouble.lines), (kind, 0b11));
+            assert!(bench.written().contains(&(20, 3)));
+            bench.set(20, 0);
+            assert_eq!(card.sample(0).unwrap().trouble, None);
+        }
+        bench.set(20, 4);
+        assert_eq!(card.sample(0).unwrap().trouble.unwrap().lines, 0b1100);
+    }
+
+    #[test]
+    fn a_count_that_the_lines_contradict_is_reported_once_both_stand_still() {
+        let (bench, mut card) = counter_card();
+        bench.set(0, STATES[3]);
+        assert_eq!(card.sample(0).unwrap().trouble, None, "the lines were read before the count");
+        assert_eq!(card.sample(0).unwrap().trouble.unwrap().kind, TroubleKind::CounterError);
+        assert_eq!(card.sample(0).unwrap().trouble, None, "agreed anew");
+        bench.set(12, 0x1000_0000);
+        assert_eq!(card.sample(0).unwrap().trouble.unwrap().kind, TroubleKind::CounterError, "no motion");
+    }
+
+    #[test]
+    fn a_write_that_changes_nothing_is_not_made() {
+        let (bench, mut card) = counter_card();
+        bench.written();
+        card.write(0b11, 0b01).unwrap();
+        card.write(0b01, 0b01).unwrap();
+        card.write(0b10, 0b00).unwrap();
+        assert_eq!(bench.written(), [(4, 0b01)]);
+    }
+
+    #[test]
+    fn setting_up_is_done_once_and_only_on_the_card_that_was_meant() {
+        let text = "name='c'\ninputs=[{register=0,width=32}]\noutputs=[{register=4,width=32}]\n[lines]\n\
+                    [[setup]]\nregister=12\nwidth=32\nvalue=0x92\nafter_reset=0x9b\n";
+        let profile = Profile::parse(Path::new("c.toml"), text).unwrap();
+        let bench = Bench::default();
+        bench.0.borrow_mut().0 = vec![0; 8];
+        let open = || RegisterCard::new(bench.clone(), &profile, Virtual::default());
+        bench.set(12, 0x9b);
+        open().unwrap();
+        assert_eq!(bench.written(), [(12, 0x92)]);
+        open().unwrap();
+        assert_eq!(bench.written(), []);
+        bench.set(12, 0xff);
+        let error = open().unwrap_err().to_string();
+        assert!(error.starts_with("register 0xc reads 0xff, expected 0x92 (set up) or 0x9b"), "{error}");
+        assert_eq!(bench.written(), []);
+    }
+}
