@@ -29,6 +29,11 @@
 //! | `[control]` | `socket`, `group` | – | see [`default_directory`] | the control socket and who may use it |
 //! | | `state_file` | – | beside the socket | what a restart takes over |
 //! | | `stale_ms` | ms | 500 | silence of the control side after which no insertion begins |
+//! | `[model]` | `file` | – | none | the machine model that shall run, once `rtecctl model load` has taken it |
+//! | | `period_ms` | ms | 10 | how often it is evaluated, 10 to 20 |
+//! | | `ramp_um_s` | µm/s | 5 | how fast a correction goes to a new place that no motion of the axis asks for |
+//! | | `log_s` | s | 5 | how often temperatures are logged (beside the state file), for lags after a restart |
+//! | `[[sensor]]` | | | | a temperature, see [`rtec_model::sensors`] |
 //!
 //! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
 //! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.
@@ -39,6 +44,7 @@ use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::input::InputError;
 use rtec_driver::pci::PciId;
 use rtec_driver::profile::{Place, Profile, SHIPPED, Space, Width};
+use rtec_model::{document, sensors};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::event::MAX_AXES;
 use std::collections::BTreeMap;
@@ -61,6 +67,10 @@ pub struct Config {
     pub rt: RtConfig,
     /// The control socket.
     pub control: ControlConfig,
+    /// The machine model.
+    pub model: ModelConfig,
+    /// The temperature sensors.
+    pub sensors: Vec<sensors::Config>,
     /// What is allowed but worth knowing.
     pub notes: Vec<String>,
 }
@@ -172,6 +182,19 @@ pub struct ControlConfig {
     pub state_file: Option<PathBuf>,
     /// Silence of the control side after which no insertion begins, ms.
     pub stale_ms: u64,
+}
+
+/// The machine model, live.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelConfig {
+    /// The model that shall run; none where the file names none.
+    pub file: Option<PathBuf>,
+    /// How often it is evaluated, ms.
+    pub period_ms: u64,
+    /// How fast a correction goes to a new place that no motion of the axis asks for, µm/s.
+    pub ramp_um_s: f64,
+    /// How often temperatures are logged, s.
+    pub log_s: f64,
 }
 
 impl ControlConfig {
@@ -377,6 +400,8 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
     let state_file = control_table.string(source, "state_file", "the path of the state file");
     let stale_ms = control_table.integer(source, "stale_ms", 10..=60_000);
     control_table.finish(source);
+    let model = read_model(source, &mut root);
+    let sensors = if root.has("sensor") { read_sensors(source) } else { Vec::new() };
     root.finish(source);
 
     let relative = |path: &str| source.file.parent().unwrap_or(Path::new("")).join(path);
@@ -393,7 +418,49 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
         Kind::Port => CardConfig::Port { place: card.port?, profile: card.profile? },
         Kind::Replay => CardConfig::Replay { traces },
     };
-    Some(Config { machine: name?.value.to_owned(), card: kind, lines: card.lines, axes, rt, control, notes })
+    Some(Config {
+        machine: name?.value.to_owned(),
+        card: kind,
+        lines: card.lines,
+        axes,
+        rt,
+        control,
+        model,
+        sensors,
+        notes,
+    })
+}
+
+fn read_model(source: &mut Source<'_>, root: &mut Section<'_>) -> ModelConfig {
+    let mut table = root.table(source, "model", "[model]");
+    let file = table.string(source, "file", "the path of the machine model");
+    let period_ms = table.integer(source, "period_ms", 10..=20);
+    let ramp_um_s = table.positive(source, "ramp_um_s", 1000.0);
+    let log_s = table.positive(source, "log_s", 60.0);
+    table.finish(source);
+    ModelConfig {
+        file: file.map(|f| source.file.parent().unwrap_or(Path::new("")).join(f.value)),
+        period_ms: period_ms.map_or(10, |p| p.value as u64),
+        ramp_um_s: ramp_um_s.map_or(5.0, |r| r.value),
+        log_s: log_s.map_or(5.0, |l| l.value),
+    }
+}
+
+/// The `[[sensor]]` tables, as the model's library reads them; recordings to replay are beside the configuration.
+fn read_sensors(source: &mut Source<'_>) -> Vec<sensors::Config> {
+    let (file, text) = (source.file, source.text);
+    let found = document::parse(file, text)
+        .and_then(|document| sensors::read_tables(&document::Table::root(file, text, &document)));
+    let mut all = found.unwrap_or_else(|finding| {
+        source.findings.push(finding);
+        Vec::new()
+    });
+    for sensor in &mut all {
+        if let sensors::Source::Csv { record, .. } = &mut sensor.source {
+            *record = file.parent().unwrap_or(Path::new("")).join(&*record);
+        }
+    }
+    all
 }
 
 fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {

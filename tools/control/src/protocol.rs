@@ -14,6 +14,9 @@
 //! | `enable` | `accept_jump` |
 //! | `correct` | `axis`, `total_counts`, `large` |
 //! | `probe`, `hold` | `on` |
+//! | `model_load` | `file`, `take`: the hash that was shown; without it what would change is shown |
+//! | `model_unload` | – |
+//! | `explain` | `axis`; all without it |
 //!
 //! `watch` turns the connection into a stream of `event` answers until it is closed.
 
@@ -69,6 +72,23 @@ pub enum Request {
     Clear {},
     /// Send every event from now on.
     Watch {},
+    /// A machine model: what it would change now, or take it.
+    ModelLoad {
+        /// The file, absolute; that of the configuration without it.
+        #[serde(default)]
+        file: Option<String>,
+        /// Take it, if its hash is still this one.
+        #[serde(default)]
+        take: Option<String>,
+    },
+    /// No model from now on.
+    ModelUnload {},
+    /// What each axis's correction is made of.
+    Explain {
+        /// Its name; all axes without it.
+        #[serde(default)]
+        axis: Option<String>,
+    },
 }
 
 impl Request {
@@ -116,7 +136,116 @@ pub enum Response {
         text: String,
     },
     /// Something happened (after `watch`).
-    Event(Happened),
+    Event(Box<Happened>),
+    /// What a model would change.
+    ModelPreview(Box<ModelPreview>),
+    /// What corrections are made of.
+    Explained {
+        /// The axes asked for.
+        axes: Vec<Explained>,
+    },
+}
+
+/// What a model would change now.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelPreview {
+    /// Its name.
+    pub name: String,
+    /// Its file.
+    pub file: String,
+    /// Its hash: what is taken must have the same.
+    pub sha256: String,
+    /// What its fits say about themselves: response, dates, uncertainty.
+    pub fits: Vec<String>,
+    /// What to know before taking it.
+    pub warnings: Vec<String>,
+    /// Per axis.
+    pub axes: Vec<Change>,
+}
+
+/// What changes on an axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// The axis.
+    pub axis: String,
+    /// Its total now, counts.
+    pub now_counts: i64,
+    /// The same, µm.
+    pub now_um: f64,
+    /// Its total with the new model, counts.
+    pub then_counts: i64,
+    /// The same, µm.
+    pub then_um: f64,
+    /// Why it would not follow the model yet.
+    pub holds: Option<String>,
+}
+
+/// What an axis's correction is made of. Errors that are taken out, µm: the axis moves by the opposite.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Explained {
+    /// The axis.
+    pub axis: String,
+    /// The total, counts.
+    pub requested: i64,
+    /// The same, µm: the sum of the parts.
+    pub total_um: f64,
+    /// The parts.
+    pub parts: Vec<Part>,
+    /// Why it does not follow the model; none where it does.
+    pub holds: Option<String>,
+}
+
+/// One part of a correction.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Part {
+    /// An effect's name; or `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go),
+    /// `rounding` (to the design's increment).
+    pub name: String,
+    /// Its share, µm.
+    pub um: f64,
+    /// The sensors it reads.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Reading>,
+    /// How far the temperature difference is outside the range it was fitted on, K.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outside_k: Option<f64>,
+    /// What is left of it for that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weight: Option<f64>,
+}
+
+/// A sensor now.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reading {
+    /// Its name.
+    pub sensor: String,
+    /// Where it sits.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub place: String,
+    /// Its last good value, °C.
+    pub degc: Option<f64>,
+    /// The age of that, s.
+    pub age_s: Option<f64>,
+    /// `good`, `frozen` (the last good value stands in) or `hold`.
+    pub state: String,
+    /// What is wrong with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<String>,
+}
+
+/// The model that runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Model {
+    /// Its name.
+    pub name: String,
+    /// Its file.
+    pub file: String,
+    /// Its hash.
+    pub sha256: String,
+    /// What its fits say about themselves.
+    pub fits: Vec<String>,
+    /// What to know now: past its date, outside the range it was fitted on, at a limit.
+    pub notes: Vec<String>,
 }
 
 /// How far an axis moves when corrections are enabled now.
@@ -149,7 +278,7 @@ pub struct Happened {
 }
 
 /// A captured position.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trip {
     /// Position, interpolated between the neighbouring edges, counts.
     pub position_counts: f64,
@@ -157,6 +286,16 @@ pub struct Trip {
     pub position_mm: f64,
     /// Half the width of what it may be, counts.
     pub uncertainty_counts: f64,
+    /// What the machine model says of the axis at this place, µm: to be added to the position, which is not corrected
+    /// while probing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_um: Option<f64>,
+    /// The position with that taken in, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corrected_mm: Option<f64>,
+    /// Temperatures at that time, in the order of the status's sensors, °C; null where none is known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub degc: Vec<Option<f64>>,
 }
 
 /// The state of the corrector.
@@ -178,6 +317,12 @@ pub struct Status {
     pub why_not: Vec<String>,
     /// The real-time thread.
     pub rt: Rt,
+    /// The model that runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<Model>,
+    /// The temperature sensors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Reading>,
     /// The axes.
     pub axes: Vec<Axis>,
 }
@@ -388,7 +533,14 @@ impl Happened {
             EventKind::Trip(capture) => {
                 let (position_counts, uncertainty_counts) = capture.position_counts();
                 let position_mm = position_counts * axis.map_or(0.0, |(_, um)| um) / 1000.0;
-                trip = Some(Trip { position_counts, position_mm, uncertainty_counts });
+                trip = Some(Trip {
+                    position_counts,
+                    position_mm,
+                    uncertainty_counts,
+                    error_um: None,
+                    corrected_mm: None,
+                    degc: Vec::new(),
+                });
                 ("trip", format!("probe tripped at {position_counts:.3} ± {uncertainty_counts:.3} counts"))
             }
             EventKind::Bounce => {

@@ -79,6 +79,11 @@ pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Matrix4<f
 }
 
 impl Chain {
+    /// The temperature differences that its components read.
+    pub fn deltas(&self) -> impl Iterator<Item = &Difference> {
+        self.joints.iter().flat_map(|j| &j.components).filter_map(|c| c.delta.as_ref())
+    }
+
     /// Error of the tool point in the frame of the work, µm (x, y, z of the machine), at axis positions (mm) and
     /// temperature differences (K) that the two functions look up. Allocates nothing.
     pub fn error_um(
@@ -170,15 +175,9 @@ impl Chain {
                 let role = Role::Position(axis.clone());
                 record.data(&role).ok_or_else(|| missing(role.to_string()))?;
             }
-            for d in joint.components.iter().filter_map(|c| c.delta.as_ref()) {
-                let minus = match &d.against {
-                    Against::Sensor(m) => Some(m),
-                    _ => None,
-                };
-                for s in std::iter::once(&d.sensor).chain(minus) {
-                    record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
-                }
-            }
+        }
+        for s in self.deltas().flat_map(Difference::sensors) {
+            record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
         }
         for (row, o) in out.iter_mut().enumerate() {
             let at = |data: Option<&[f64]>| data.map_or(0.0, |d| d[row]);

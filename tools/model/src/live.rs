@@ -5,6 +5,9 @@
 //! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades: what the held
 //! part leaves out, u = |gain|·excess, is weighed against the model's own uncertainty h (half width of its prediction
 //! interval), weight = 1/(1 + (u/h)²). It is one at the bound, so nothing jumps.
+//!
+//! An axis whose sensors are lost is held: its temperature differences and lags stand as they were, what depends on
+//! position goes on.
 
 use crate::chain::Chain;
 use crate::effect::{
@@ -69,6 +72,14 @@ pub struct Frame<'a> {
     pub angle_rad: f64,
     /// The machine is probing: effects of the probe act.
     pub probing: bool,
+    /// Per axis of the layout: its thermal state stands still. Empty where none is held.
+    pub held: &'a [bool],
+}
+
+impl Frame<'_> {
+    fn holds(&self, axis: Option<usize>) -> bool {
+        axis.and_then(|a| self.held.get(a)).is_some_and(|h| *h)
+    }
 }
 
 /// An effect with everything it reads looked up.
@@ -87,6 +98,8 @@ struct Item {
     components: usize,
     state: State,
     half_width_um: f64,
+    /// ΔT and time of the last instant at which it was not held.
+    thermal: (f64, f64),
     /// What each component is worth now.
     now: [f64; 2],
     /// How far ΔT is outside the range it was fitted on, K, and what is left of the effect for it.
@@ -113,6 +126,8 @@ struct LiveChain {
     chain: Chain,
     /// Places of the axes x, y, z.
     out: [Option<usize>; 3],
+    /// Temperatures of the last instant at which none of its axes was held.
+    degc: Vec<f64>,
     now_um: [f64; 3],
 }
 
@@ -149,19 +164,18 @@ impl Live {
                     let has = layout.axes.iter().map(Axis::as_str).collect::<Vec<_>>().join(", ");
                     return Err(missing(format!("position.{axis}"), has));
                 }
-                for d in joint.components.iter().filter_map(|c| c.delta.as_ref()) {
-                    let minus = match &d.against {
-                        Against::Sensor(m) => Some(m),
-                        _ => None,
-                    };
-                    let mut read = std::iter::once(&d.sensor).chain(minus);
-                    if let Some(s) = read.find(|s| !layout.sensors.contains(s)) {
-                        return Err(missing(format!("temperature.{s}"), layout.sensors.join(", ")));
-                    }
-                }
+            }
+            let mut read = chain.deltas().flat_map(Difference::sensors);
+            if let Some(s) = read.find(|s| !layout.sensors.iter().any(|n| n == s)) {
+                return Err(missing(format!("temperature.{s}"), layout.sensors.join(", ")));
             }
             let out = ["x", "y", "z"].map(|n| layout.axes.iter().position(|a| a.as_str() == n));
-            live.chain = Some(LiveChain { chain: chain.clone(), out, now_um: [0.0; 3] });
+            live.chain = Some(LiveChain {
+                chain: chain.clone(),
+                out,
+                degc: vec![STANDARD_DEGC; live.layout.sensors.len()],
+                now_um: [0.0; 3],
+            });
         }
         Ok(live)
     }
@@ -208,6 +222,7 @@ impl Live {
                 components: if effect.card().naming == Naming::Pair { 2 } else { 1 },
                 state: State::default(),
                 half_width_um: DEFAULT_HALF_WIDTH_UM,
+                thermal: (0.0, 0.0),
                 now: [0.0; 2],
                 outside_k: 0.0,
                 weight: 1.0,
@@ -250,12 +265,16 @@ impl Live {
         for item in &mut self.items {
             let at = |n: usize| item.axes[n].map_or(AxisNow::default(), |a| frame.axes[a]);
             let first = at(0);
-            let delta_k = item.sensor.map_or(0.0, |s| {
-                let from = item.minus.map_or(item.reference, |m| frame.temperatures_degc[m]);
-                frame.temperatures_degc[s] - from
-            });
+            let (mut delta_k, mut t_s) = (0.0, frame.t_s);
+            if let Some(s) = item.sensor {
+                if !item.axes.iter().any(|a| frame.holds(*a)) {
+                    let from = item.minus.map_or(item.reference, |m| frame.temperatures_degc[m]);
+                    item.thermal = (frame.temperatures_degc[s] - from, frame.t_s);
+                }
+                (delta_k, t_s) = item.thermal;
+            }
             let input = Input {
-                t_s: frame.t_s,
+                t_s,
                 p_mm: [first.position_mm, at(1).position_mm, at(2).position_mm],
                 dir: first.direction,
                 v_mm_s: first.velocity_mm_s,
@@ -294,7 +313,10 @@ impl Live {
                 |names: &[String], name: &str| names.iter().position(|n| n == name).unwrap_or_default();
             let position =
                 |a: &Axis| layout.axes.iter().position(|b| b == a).map_or(0.0, |i| frame.axes[i].position_mm);
-            let degc = |name: &str| frame.temperatures_degc[place(&layout.sensors, name)];
+            if !live.out.iter().any(|a| frame.holds(*a)) {
+                live.degc.copy_from_slice(&frame.temperatures_degc[..layout.sensors.len()]);
+            }
+            let degc = |name: &str| live.degc[place(&layout.sensors, name)];
             let delta = |d: &Difference| {
                 degc(&d.sensor)
                     - match &d.against {

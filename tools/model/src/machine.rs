@@ -1,10 +1,12 @@
 //! `machine.toml`: a named list of effects, read strictly; written so that nothing the user wrote is lost.
 
 use crate::chain::Chain;
+use crate::date;
 use crate::document::{self, Table};
 use crate::effect::{Against, Dictionary, Difference, Effect, Need, Parameter, ValueError};
-use crate::record::{Record, write_whole};
+use crate::record::{Record, hex, write_whole};
 use rtec_driver::input::InputError;
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Value, value};
@@ -70,6 +72,7 @@ pub struct FitNote {
 pub struct Machine {
     /// The file, as the user named it.
     pub path: PathBuf,
+    sha256: String,
     name: String,
     listed: Vec<Listed>,
     fits: Vec<FitNote>,
@@ -86,6 +89,7 @@ impl Machine {
         doc["name"] = value(name);
         Self {
             path: PathBuf::from("machine.toml"),
+            sha256: String::new(),
             name: name.to_owned(),
             listed: Vec::new(),
             fits: Vec::new(),
@@ -117,15 +121,24 @@ impl Machine {
         if let Some(note) = root.get("note") {
             note.str("free text")?;
         }
-        let beside = |file: &str| path.parent().unwrap_or(Path::new("")).join(file);
+        let mut hash = Sha256::new_with_prefix(text);
+        // The files it names are part of it.
+        let mut beside = |file: &str| {
+            let path = path.parent().unwrap_or(Path::new("")).join(file);
+            document::read(&path).map(|text| {
+                hash.update(&text);
+                path
+            })
+        };
         let mut dictionary = Dictionary::default();
         if let Some(own) = root.get("dictionary") {
-            dictionary.read_own(&beside(own.str("a file of the project's own laws")?))?;
+            dictionary.read_own(&beside(own.str("a file of the project's own laws")?)?)?;
         }
         let chain = match root.get("chain") {
-            Some(e) => Some(Chain::read(&beside(e.str("a file with a kinematic chain")?))?),
+            Some(e) => Some(Chain::read(&beside(e.str("a file with a kinematic chain")?)?)?),
             None => None,
         };
+        let sha256 = hex(&hash.finalize());
         let fits = root.get("fit").map(|e| e.tables("[[fit]] tables")).transpose()?.unwrap_or_default();
         let fits = fits.into_iter().map(read_fit).collect::<Result<Vec<_>, _>>()?;
         let mut listed: Vec<Listed> = Vec::new();
@@ -142,7 +155,13 @@ impl Machine {
         }
         let name = name.to_owned();
         let doc = doc.into_mut();
-        Ok(Self { path: path.to_owned(), name, listed, fits, chain, dictionary, doc })
+        Ok(Self { path: path.to_owned(), sha256, name, listed, fits, chain, dictionary, doc })
+    }
+
+    /// SHA-256 of the file as it was read, with the dictionary and the chain that it names behind it.
+    #[must_use]
+    pub fn sha256(&self) -> &str {
+        &self.sha256
     }
 
     /// The machine's name.
@@ -325,6 +344,60 @@ impl Machine {
 }
 
 impl Machine {
+    /// What to know before trusting it on a day (days since 1970-01-01): parameters outside what a sound machine
+    /// shows, fits past their date.
+    #[must_use]
+    pub fn doubts(&self, today: i64) -> Vec<String> {
+        let mut found = Vec::new();
+        for e in self.effects() {
+            for (i, p) in e.card().parameters.iter().enumerate() {
+                let [lo, hi] = p.plausible;
+                if let Some(v) = e.get(i).iter().find(|v| **v < lo || **v > hi) {
+                    found.push(format!(
+                        "{}: {} = {v} {} is outside {lo} to {hi}, unlikely",
+                        e.name(),
+                        p.name,
+                        p.unit
+                    ));
+                }
+            }
+        }
+        for f in self.fits() {
+            if date::parse(&f.valid_until).is_some_and(|d| d < today) {
+                found.push(format!("{}: the fit's validity ended on {}", f.response, f.valid_until));
+            }
+        }
+        found
+    }
+
+    /// Records it was fitted on that stand beside it and are no longer what they were.
+    #[must_use]
+    pub fn changed_sources(&self) -> Vec<String> {
+        let fits = self.fits.iter().flat_map(|f| &f.from);
+        let mut found = Vec::new();
+        for source in fits.chain(self.listed.iter().flat_map(|l| &l.provenance.from)) {
+            let path = self.path.parent().unwrap_or(Path::new("")).join(&source.file);
+            if let Ok(bytes) = std::fs::read(path)
+                && hex(&Sha256::digest(bytes)) != source.sha256
+            {
+                found.push(format!("{} has changed since the model was fitted on it", source.file));
+            }
+        }
+        found.dedup();
+        found
+    }
+
+    /// The sensors that its effects and its chain read.
+    #[must_use]
+    pub fn sensors(&self) -> Vec<String> {
+        let chain = self.chain.iter().flat_map(Chain::deltas);
+        let deltas = self.effects().filter_map(|e| e.delta.as_ref()).chain(chain);
+        let mut names: Vec<String> = deltas.flat_map(Difference::sensors).map(str::to_owned).collect();
+        names.sort();
+        names.dedup();
+        names
+    }
+
     /// Where a record asks the model beyond the range it was fitted on, effect by effect: the differences are held
     /// at the bound there.
     #[must_use]

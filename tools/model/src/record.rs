@@ -541,7 +541,7 @@ fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, &'st
     }
 }
 
-fn hex(bytes: &[u8]) -> String {
+pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut s, b| {
         let _ = write!(s, "{b:02x}");
         s

@@ -84,6 +84,7 @@ pub fn frames(record: &Record, layout: &Layout, mut each: impl FnMut(usize, &Fra
             coolant: at(&Role::Coolant).unwrap_or(0.0),
             angle_rad: at(&Role::Angle).unwrap_or(0.0),
             probing: record.kind == crate::record::Kind::Probing,
+            held: &[],
         };
         each(row, &frame);
     }

@@ -10,7 +10,7 @@
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
 use crate::document::Table;
-use crate::record::Record;
+use crate::record::{Record, Role};
 use rtec_driver::input::InputError;
 use std::collections::BTreeMap;
 use std::fs;
@@ -18,6 +18,7 @@ use std::io::{self, Read};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Where a sensor's values come from.
@@ -43,13 +44,15 @@ pub struct Config {
     pub name: String,
     /// Where it sits on the machine, for people.
     pub place: String,
+    /// What it reads: a temperature, or what else an effect may ask for (spindle speed, coolant, load, channel).
+    pub role: Role,
     /// Where its values come from.
     pub source: Source,
     /// Time between readings, s.
     pub period_s: f64,
-    /// What it can plausibly read, °C.
-    pub range_degc: [f64; 2],
-    /// The fastest change that can be real, K/min.
+    /// What it can plausibly read, °C (or its role's unit).
+    pub range: [f64; 2],
+    /// The fastest change that can be real, K/min; infinite for what is no temperature.
     pub max_rate_k_per_min: f64,
     /// Without a reading for so long it is silent, s.
     pub timeout_s: f64,
@@ -68,8 +71,10 @@ impl Config {
         let common = [
             "name",
             "place",
+            "role",
             "source",
             "period_s",
+            "range",
             "range_degC",
             "max_rate_K_per_min",
             "timeout_s",
@@ -109,20 +114,43 @@ impl Config {
             }
         };
         let period_s = number("period_s", 1.0)?;
+        let role = match t.get("role") {
+            None => Role::Temperature,
+            Some(e) => {
+                let form = "temperature, spindle_speed, coolant, load.AXIS or channel";
+                Role::parse(e.str(form)?).filter(is_sensed).ok_or_else(|| e.error(e.text(), form))?
+            }
+        };
+        let warm = role == Role::Temperature;
+        for key in if warm { &["range"][..] } else { &["range_degC", "max_rate_K_per_min"] } {
+            if let Some(e) = t.get(key) {
+                return Err(e.unknown_key(if warm {
+                    "range_degC"
+                } else {
+                    "range, as it is no temperature"
+                }));
+            }
+        }
+        let limits = if warm { [-20.0, 120.0] } else { [-1e9, 1e9] };
         Ok(Self {
             place: t.get("place").map_or(Ok(""), |e| e.str("a place"))?.to_owned(),
-            range_degc: t
-                .get("range_degC")
-                .map_or(Ok([-20.0, 120.0]), |e| e.pair("[lowest, highest] in degC"))?,
-            max_rate_k_per_min: number("max_rate_K_per_min", 10.0)?,
+            range: t
+                .get(if warm { "range_degC" } else { "range" })
+                .map_or(Ok(limits), |e| e.pair("[lowest, highest]"))?,
+            max_rate_k_per_min: if warm { number("max_rate_K_per_min", 10.0)? } else { f64::INFINITY },
             timeout_s: number("timeout_s", 5.0 * period_s)?,
             stuck_s: t.get("stuck_s").map_or(Ok(0.0), |e| e.number("seconds"))?,
             freeze_s: number("freeze_s", 60.0)?,
             name,
+            role,
             source,
             period_s,
         })
     }
+}
+
+fn is_sensed(role: &Role) -> bool {
+    matches!(role, Role::Temperature | Role::SpindleSpeed | Role::Coolant | Role::Load(_) | Role::Channel)
 }
 
 /// What is wrong with a sensor.
@@ -142,9 +170,9 @@ impl std::fmt::Display for Fault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Silent(why) => write!(f, "silent ({why})"),
-            Self::Implausible(v) => write!(f, "implausible: {v} °C"),
+            Self::Implausible(v) => write!(f, "implausible: {v}"),
             Self::Jump(a, b) => write!(f, "jump from {a:.2} to {b:.2} °C"),
-            Self::Stuck(v) => write!(f, "stuck at {v} °C"),
+            Self::Stuck(v) => write!(f, "stuck at {v}"),
         }
     }
 }
@@ -163,7 +191,7 @@ pub enum Use {
 /// One sensor under watch.
 #[derive(Debug, Clone)]
 pub struct Watch {
-    config: Config,
+    config: Arc<Config>,
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
     heard: Option<f64>,
@@ -175,7 +203,14 @@ impl Watch {
     /// A sensor that has not been read yet.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, good: None, raw: None, heard: None, fault: None, due: f64::NEG_INFINITY }
+        Self {
+            config: Arc::new(config),
+            good: None,
+            raw: None,
+            heard: None,
+            fault: None,
+            due: f64::NEG_INFINITY,
+        }
     }
 
     /// Its configuration.
@@ -204,7 +239,7 @@ impl Watch {
                 0.0
             }
         };
-        let [lo, hi] = self.config.range_degc;
+        let [lo, hi] = self.config.range;
         self.fault = if !value.is_finite() || value < lo || value > hi {
             Some(Fault::Implausible(value))
         } else if self.config.stuck_s > 0.0 && since_same > self.config.stuck_s {
@@ -388,13 +423,20 @@ impl Bank {
                     feeds.push(Feed::new(from));
                 }
                 Source::Csv { record, .. } if !replays.contains_key(record) => {
-                    replays.insert(record.clone(), Record::read(record)?);
+                    replays.insert(record.clone(), Record::read_log(record)?);
                 }
                 _ => {}
             }
         }
         let sensors = configs.into_iter().map(Watch::new).collect();
         Ok(Self { root: root.to_owned(), sensors, feeds, replays, replay_start: None })
+    }
+
+    /// The longest time after which something may be due, s.
+    #[must_use]
+    pub fn pause_s(&self) -> f64 {
+        let shortest = self.sensors.iter().map(|w| w.config.period_s).fold(1.0, f64::min);
+        if self.feeds.is_empty() { shortest / 2.0 } else { shortest.min(0.1) / 2.0 }
     }
 
     /// The sensors.
@@ -500,8 +542,8 @@ fn one_wire(root: &Path, id: &str) -> Result<f64, String> {
 
 /// The row that was last at a time since the replay's start; after the last row the sensor is silent.
 fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
-    let data =
-        record.temperature(column).ok_or_else(|| format!("no temperature {column} in the recording"))?;
+    let data = record.columns.iter().find(|c| c.name == column).map(|c| &c.data);
+    let data = data.ok_or_else(|| format!("no column {column} in the recording"))?;
     let t = record.time_s();
     let after = t.partition_point(|v| *v - t[0] <= t_s);
     let step = if t.len() > 1 { (t[t.len() - 1] - t[0]) / (t.len() - 1) as f64 } else { 0.0 };
@@ -511,21 +553,22 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
     Ok(data[after.max(1) - 1])
 }
 
-/// The sensors that a model reads.
-#[must_use]
-pub fn read_by<'e>(effects: impl IntoIterator<Item = &'e crate::effect::Effect>) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for e in effects {
-        if let Some(d) = &e.delta {
-            names.push(d.sensor.clone());
-            if let crate::effect::Against::Sensor(m) = &d.against {
-                names.push(m.clone());
-            }
+/// Reads the `[[sensor]]` tables of a file.
+///
+/// # Errors
+/// The first finding, with line and column.
+pub fn read_tables(root: &Table<'_>) -> Result<Vec<Config>, InputError> {
+    let mut found: Vec<Config> = Vec::new();
+    let tables = root.get("sensor").map(|e| e.tables("[[sensor]] tables")).transpose()?;
+    for t in tables.unwrap_or_default() {
+        let config = Config::read(t)?;
+        if found.iter().any(|c| c.name == config.name) {
+            let found = format!("sensor `{}` twice", config.name);
+            return Err(t.required("name", "")?.error(found, "each name once"));
         }
+        found.push(config);
     }
-    names.sort();
-    names.dedup();
-    names
+    Ok(found)
 }
 
 #[cfg(test)]
@@ -540,7 +583,8 @@ mod tests {
             place: String::new(),
             source,
             period_s: 1.0,
-            range_degc: [0.0, 80.0],
+            role: Role::Temperature,
+            range: [0.0, 80.0],
             max_rate_k_per_min: 6.0,
             timeout_s: 3.0,
             stuck_s: 20.0,

@@ -46,8 +46,9 @@ impl Daemon {
         let response = client.ask(request).map_err(unreachable)?;
         if self.json {
             match &response {
-                // The contract has the status bare.
+                // Documents stand bare.
                 Response::Status(status) => println!("{}", serde_json::to_string(status)?),
+                Response::Explained { axes } => println!("{}", serde_json::json!({ "axes": axes })),
                 other => println!("{}", serde_json::to_string(other)?),
             }
         }

@@ -26,6 +26,7 @@ enum Verb {
     Status(verbs::status::Args),
     Home(verbs::home::Args),
     Enable(verbs::enable::Args),
+    Explain(verbs::explain::Args),
     Disable(verbs::disable::Args),
     Shadow(verbs::shadow::Args),
     Correct(verbs::correct::Args),
@@ -70,6 +71,7 @@ fn main() -> ExitCode {
         Verb::Status(args) => verbs::status::run(&args),
         Verb::Home(args) => verbs::home::run(&args),
         Verb::Enable(args) => verbs::enable::run(&args),
+        Verb::Explain(args) => verbs::explain::run(&args),
         Verb::Disable(args) => verbs::disable::run(&args),
         Verb::Shadow(args) => verbs::shadow::run(&args),
         Verb::Correct(args) => verbs::correct::run(&args),
@@ -106,4 +108,16 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         }
     }
     1
+}
+
+/// Compares a text with a golden file of `tests/golden`; `RTEC_BLESS=1` writes it anew.
+#[cfg(test)]
+#[track_caller]
+pub(crate) fn golden(name: &str, text: &str) {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    if std::env::var_os("RTEC_BLESS").is_some() {
+        std::fs::create_dir_all(path.parent().unwrap_or(&path)).unwrap();
+        std::fs::write(&path, text).unwrap();
+    }
+    assert_eq!(text, std::fs::read_to_string(&path).unwrap_or_default(), "{}", path.display());
 }

@@ -3,14 +3,18 @@
 //! | file | what |
 //! |---|---|
 //! | `cards` | the card that the configuration names |
+//! | `live` | what is known of the machine, as requested totals |
+//! | `temperatures` | the sensors' threads, and their log |
 //! | `session` | requests of the protocol, carried out on the link |
 //! | `server` | the control socket and its clients |
 //! | `log` | standard error, fit for the journal |
 
 mod cards;
+mod live;
 mod log;
 mod server;
 mod session;
+mod temperatures;
 
 use anyhow::Context;
 use clap::Parser;
@@ -32,6 +36,7 @@ use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use temperatures::Temperatures;
 
 /// Where an installed machine's configuration is.
 const INSTALLED: &str = "/etc/rtec/rtec.toml";
@@ -183,6 +188,9 @@ fn work<C: Card + Send + 'static>(
     signals: &SignalFd,
     log: &mut Log,
 ) -> anyhow::Result<()> {
+    let directory = config.control.state_path();
+    let directory = directory.parent().unwrap_or(Path::new(""));
+    let temperatures = Temperatures::start(&config.sensors, directory, config.model.log_s)?;
     // The outputs of a mock card end with its process: there is nothing to be taken over.
     let journal = match config.card {
         CardConfig::Gpio(_) | CardConfig::Mapped { .. } | CardConfig::Port { .. } => {
@@ -247,7 +255,8 @@ fn work<C: Card + Send + 'static>(
         missing: running.report.take(),
         timing: running.timing.clone(),
     };
-    let mut session = Session::new(config, set_up);
+    let mut session = Session::new(config, set_up, temperatures);
+    session.take_up_model(log);
     let served = server::serve(listener, signals, &mut session, &mut running.control, log);
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);

@@ -237,6 +237,7 @@ pub(crate) fn serve(
             accept(listener, &mut clients, log);
         }
         session.drain(control, log);
+        session.tick(control, log);
         if control.ended() && !told_end {
             told_end = true;
             log.say(
@@ -246,7 +247,7 @@ pub(crate) fn serve(
         }
         for happened in session.take_happened() {
             for client in clients.iter_mut().filter(|c| c.watching) {
-                client.put(&Response::Event(happened.clone()));
+                client.put(&Response::Event(Box::new(happened.clone())));
             }
         }
         clients.iter_mut().for_each(Client::write);

@@ -1,15 +1,22 @@
 //! Requests of the protocol, carried out on the link to the real-time thread.
 
+use crate::live::{Corrector, reading};
 use crate::log::{Level, Log};
+use crate::temperatures::Temperatures;
 use rtec_control::config::{Axis as AxisConfig, Config};
 use rtec_control::protocol::{
-    Axis, Distribution, Happened, Jump, Request, Response, Rt, Status, explain_fault, explain_refusal, word,
+    Axis, Distribution, Happened, Jump, ModelPreview, Request, Response, Rt, Status, explain_fault,
+    explain_refusal, word,
 };
+use rtec_driver::input::InputError;
+use rtec_model::machine::Machine;
+use rtec_model::record::write_whole;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{self, Event, EventKind, Mode, Refusal};
 use rtec_rt::histogram::Reader;
-use rtec_rt::link::ControlEnd;
+use rtec_rt::link::{ControlEnd, REQUESTS};
 use rtec_rt::setup::{Report, Wanted};
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// The real-time thread takes a request within a millisecond or two; one that takes longer than this does not run.
@@ -31,13 +38,33 @@ pub(crate) struct Session {
     set_up: SetUp,
     started: Instant,
     patience: Duration,
+    temperatures: Temperatures,
+    corrector: Corrector,
+    /// When the corrector looks again.
+    due: Instant,
+    /// The model's file is not what was taken last.
+    model_refused: Option<String>,
     /// What happened since the server last asked.
     happened: Vec<Happened>,
 }
 
+/// Which model was taken last: a file of this name beside the state file. Only that one runs after a restart.
+const TAKEN: &str = "model.taken";
+
 impl Session {
-    pub(crate) fn new(config: Config, set_up: SetUp) -> Self {
-        Self { config, set_up, started: Instant::now(), patience: PATIENCE, happened: Vec::new() }
+    pub(crate) fn new(config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
+        let corrector = Corrector::new(&config, temperatures.now_s());
+        Self {
+            config,
+            set_up,
+            started: Instant::now(),
+            patience: PATIENCE,
+            temperatures,
+            corrector,
+            due: Instant::now(),
+            model_refused: None,
+            happened: Vec::new(),
+        }
     }
 
     pub(crate) fn axes(&self) -> &[AxisConfig] {
@@ -46,7 +73,69 @@ impl Session {
 
     /// How often the real-time thread must hear from us.
     pub(crate) fn beat_every(&self) -> Duration {
-        Duration::from_millis((self.config.control.stale_ms / 4).clamp(1, 20))
+        let stale = Duration::from_millis((self.config.control.stale_ms / 4).clamp(1, 20));
+        stale.min(Duration::from_millis(self.config.model.period_ms))
+    }
+
+    /// Where the temperatures' log and the name of the taken model are: beside the state file.
+    fn directory(&self) -> PathBuf {
+        self.config.control.state_path().parent().unwrap_or(Path::new("")).to_owned()
+    }
+
+    /// The model that was taken last runs on after a restart, unless its file has changed.
+    pub(crate) fn take_up_model(&mut self, log: &mut Log) {
+        let taken = std::fs::read_to_string(self.directory().join(TAKEN)).unwrap_or_default();
+        let wanted = self.config.model.file.clone();
+        let mut lines = taken.lines();
+        let (sha256, file) = (lines.next().unwrap_or_default(), lines.next().map(PathBuf::from));
+        let Some(file) = wanted.clone().or_else(|| file.clone()) else { return };
+        let why = match Machine::read(&file) {
+            Err(error) => error.to_string(),
+            Ok(machine) if machine.sha256() == sha256 => match self.load(machine) {
+                Ok(()) => return log.say(Level::Notice, &format!("machine model {}", file.display())),
+                Err(error) => error.to_string(),
+            },
+            Ok(_) if sha256.is_empty() => {
+                format!("the model {} has not been taken yet: `rtecctl model load`", file.display())
+            }
+            Ok(_) => format!(
+                "the model {} is not the one that was taken (its hash is another): `rtecctl model load` shows what it \
+                 changes",
+                file.display()
+            ),
+        };
+        log.say(Level::Warning, &format!("no machine model: {why}"));
+        self.model_refused = Some(why);
+    }
+
+    fn load(&mut self, machine: Machine) -> Result<(), InputError> {
+        self.temperatures.look();
+        let (directory, now_s) = (self.directory(), self.temperatures.now_s());
+        self.corrector.load(machine, self.temperatures.sensors(), &directory, now_s)?;
+        self.model_refused = None;
+        Ok(())
+    }
+
+    /// Lets the corrector look, where it is due, and sends what it asks for.
+    pub(crate) fn tick(&mut self, control: &mut ControlEnd, log: &mut Log) {
+        let now = Instant::now();
+        if now < self.due {
+            return;
+        }
+        let period = Duration::from_millis(self.config.model.period_ms);
+        self.due = (self.due + period).max(now);
+        self.temperatures.look();
+        let status = control.status();
+        let (now_s, sensors) = (self.temperatures.now_s(), self.temperatures.sensors());
+        let totals = self.corrector.tick(now_s, &status, sensors);
+        for (axis, total) in totals.into_iter().enumerate() {
+            let Some(total_counts) = total else { continue };
+            let request = event::Request::Correct { axis: axis as u8, total_counts, large: false };
+            if let Err(full) = control.send(request) {
+                // It is a total: the next one makes it good.
+                return log.event(Level::Warning, "ring_full", &full.to_string());
+            }
+        }
     }
 
     /// Takes what has happened since the last time.
@@ -63,7 +152,16 @@ impl Session {
 
     fn note(&mut self, event: &Event, log: &mut Log) {
         let axis = event.axis.and_then(|n| self.config.axes.get(usize::from(n)));
-        let happened = Happened::of(event, axis.map(|a| (a.name.as_str(), a.count_um)));
+        let mut happened = Happened::of(event, axis.map(|a| (a.name.as_str(), a.count_um)));
+        if let Some(n) = event.axis.map(usize::from) {
+            if event.kind == EventKind::Homed {
+                self.corrector.homed(n);
+            }
+            if let (EventKind::Trip(capture), Some(trip)) = (event.kind, &mut happened.trip) {
+                let t_ns = u64::midpoint(capture.trip_ns.0, capture.trip_ns.1);
+                self.corrector.at_trip(n, t_ns, trip, self.temperatures.sensors());
+            }
+        }
         let level = match event.kind {
             EventKind::Fault(_) => Level::Error,
             EventKind::Refused { .. } | EventKind::Warning { .. } | EventKind::ControlStale(_) => {
@@ -92,8 +190,18 @@ impl Session {
             text: text.to_owned(),
             jumps: Vec::new(),
         };
-        control.send(request).map_err(|full| dead("ring_full", &full.to_string()))?;
         let deadline = Instant::now() + self.patience;
+        // What the corrector has sent is not answered to somebody else.
+        while control.pending() > 0
+            && control.pending() < REQUESTS
+            && Instant::now() < deadline
+            && !control.ended()
+        {
+            control.beat();
+            std::thread::sleep(Duration::from_micros(200));
+        }
+        self.drain(control, log);
+        control.send(request).map_err(|full| dead("ring_full", &full.to_string()))?;
         let mut events = Vec::new();
         // It is taken when the ring is empty, and worked off when a status is there that is newer than one read after
         // that. Its events come before that status.
@@ -173,14 +281,18 @@ impl Session {
                 }
                 (event::Request::Enable, Response::Done { jumps })
             }
-            Request::Correct { axis, total_counts, large } => match self.number(axis) {
-                Ok(n) => plain(event::Request::Correct {
-                    axis: n as u8,
-                    total_counts: *total_counts,
-                    large: *large,
-                }),
-                Err(bad) => return bad,
-            },
+            Request::Correct { axis, total_counts, large } => {
+                let done = self.correct(axis, *total_counts, *large, control, log);
+                return done.unwrap_or_else(|e| e);
+            }
+            Request::ModelLoad { file, take } => {
+                let done = self.model_load(file.as_deref(), take.as_deref(), control, log);
+                return done.unwrap_or_else(|e| e);
+            }
+            Request::ModelUnload {} => return self.model_unload(log),
+            Request::Explain { axis } => {
+                return self.explain(axis.as_deref(), control).unwrap_or_else(|e| e);
+            }
             Request::Disable {} => plain(event::Request::Disable),
             Request::Shadow {} => plain(event::Request::Shadow),
             Request::Probe { on } => plain(event::Request::Probe(*on)),
@@ -203,6 +315,91 @@ impl Session {
             }
             Response::Bad { text }
         })
+    }
+
+    /// The operator's total, beside what the other sources ask for.
+    fn correct(
+        &mut self,
+        axis: &str,
+        operator_counts: i64,
+        large: bool,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Response, Response> {
+        let n = self.number(axis)?;
+        let on = matches!(control.status().mode, Mode::Run | Mode::Shadow);
+        let total_counts =
+            if on { self.corrector.with_operator(n, operator_counts) } else { operator_counts };
+        self.carry_out(event::Request::Correct { axis: n as u8, total_counts, large }, control, log)?;
+        if on {
+            self.corrector.operator_is(n, operator_counts);
+        }
+        Ok(Response::Done { jumps: Vec::new() })
+    }
+
+    /// Shows what a model would change, or takes the one that was shown.
+    fn model_load(
+        &mut self,
+        file: Option<&str>,
+        take: Option<&str>,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Response, Response> {
+        let file = file.map(PathBuf::from).or_else(|| self.config.model.file.clone()).ok_or_else(|| {
+            Response::Bad {
+                text: "found no file; expected one, or [model] file in the configuration".to_owned(),
+            }
+        })?;
+        let bad = |e: InputError| Response::Bad { text: e.to_string() };
+        let machine = Machine::read(&file).map_err(bad)?;
+        let sha256 = machine.sha256().to_owned();
+        let Some(shown) = take else {
+            self.temperatures.look();
+            let (now_s, directory) = (self.temperatures.now_s(), self.directory());
+            let mut warnings = machine.changed_sources();
+            let status = control.status();
+            let watches = self.temperatures.sensors();
+            let preview =
+                self.corrector.preview(machine, watches, &directory, now_s, &status).map_err(bad)?;
+            warnings.extend(preview.warnings);
+            return Ok(Response::ModelPreview(Box::new(ModelPreview { warnings, ..preview })));
+        };
+        if shown != sha256 {
+            let text = format!("{} has changed since it was shown: nothing is taken", file.display());
+            return Err(Response::Refused { why: "changed".to_owned(), text, jumps: Vec::new() });
+        }
+        self.load(machine).map_err(bad)?;
+        let text = format!("{sha256}\n{}\n", file.display());
+        self.remember(&text, log);
+        log.say(Level::Notice, &format!("machine model {} taken, SHA-256 {sha256}", file.display()));
+        Ok(Response::Done { jumps: Vec::new() })
+    }
+
+    fn remember(&self, text: &str, log: &mut Log) {
+        let path = self.directory().join(TAKEN);
+        if let Err(error) = write_whole(&path, text.as_bytes()) {
+            let text = format!("{}: {error}: a restart will not know which model was taken", path.display());
+            log.say(Level::Warning, &text);
+        }
+    }
+
+    fn model_unload(&mut self, log: &mut Log) -> Response {
+        if !self.corrector.unload() {
+            let text = "no model is loaded".to_owned();
+            return Response::Refused { why: "no_model".to_owned(), text, jumps: Vec::new() };
+        }
+        self.remember("", log);
+        log.say(Level::Notice, "machine model unloaded");
+        Response::Done { jumps: Vec::new() }
+    }
+
+    fn explain(&mut self, axis: Option<&str>, control: &mut ControlEnd) -> Result<Response, Response> {
+        let only = axis.map(|name| self.number(name)).transpose()?;
+        let (status, now_s) = (control.status(), self.temperatures.now_s());
+        let sensors = self.temperatures.sensors();
+        let wanted = (0..self.config.axes.len()).filter(|n| only.is_none_or(|o| o == *n));
+        let axes = wanted.map(|n| self.corrector.explain(n, &status.axes[n], sensors, now_s)).collect();
+        Ok(Response::Explained { axes })
     }
 
     /// Homes one axis or all: the counter is set, read back here, and only the expected value completes it.
@@ -240,16 +437,14 @@ impl Session {
 
     /// What enabling would insert, axis by axis.
     fn jumps(&self, status: &event::Status) -> Vec<Jump> {
-        let both = self.config.axes.iter().zip(status.axes());
-        both.filter(|(_, s)| s.requested != s.in_effect)
-            .map(|(axis, s)| {
-                let counts = s.requested - s.in_effect;
-                Jump {
-                    axis: axis.name.clone(),
-                    counts,
-                    um: counts as f64 * axis.count_um,
-                    window_counts: axis.engine.window_counts,
-                }
+        let all = self.config.axes.iter().zip(status.axes()).enumerate();
+        all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect))
+            .filter(|(_, counts)| *counts != 0)
+            .map(|(axis, counts)| Jump {
+                axis: axis.name.clone(),
+                counts,
+                um: counts as f64 * axis.count_um,
+                window_counts: axis.engine.window_counts,
             })
             .collect()
     }
@@ -320,6 +515,13 @@ impl Session {
             faults: now.faults.iter().collect(),
             why_not: self.why_not(&now, alive, may_arm),
             rt,
+            model: self.corrector.shown(),
+            sensors: self
+                .temperatures
+                .sensors()
+                .iter()
+                .map(|w| reading(w, self.temperatures.now_s()))
+                .collect(),
             axes: axes.collect(),
         }
     }
@@ -365,6 +567,8 @@ impl Session {
             Mode::Fault => why.push("when mended: `rtecctl clear`".to_owned()),
             Mode::Run => {}
         }
+        why.extend(self.model_refused.iter().cloned());
+        why.extend(self.corrector.holding());
         why
     }
 }
@@ -406,7 +610,9 @@ mod tests {
 
     fn session(engine: &Engine) -> Session {
         let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
-        Session::new(Config::embedded(), set_up)
+        let config = Config::embedded();
+        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
+        Session::new(config, set_up, temperatures)
     }
 
     /// A real-time thread that takes nothing: the request is answered, and when the ring is full that is said.

@@ -454,6 +454,7 @@ impl Sim {
             coolant: f64::from(u8::from(self.machine.coolant())),
             angle_rad: self.probe_angle_rad,
             probing: false,
+            held: &[],
         };
         self.truth.evaluate(&frame);
         let mut offset = [0.0; AXES];
@@ -505,6 +506,7 @@ impl Sim {
             coolant: f64::from(u8::from(self.machine.coolant())),
             angle_rad,
             probing: false,
+            held: &[],
         });
         let mut errors = [0.0; AXES];
         errors.copy_from_slice(&known.errors_um()[..AXES]);

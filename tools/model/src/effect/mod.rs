@@ -338,6 +338,15 @@ pub struct Difference {
 }
 
 impl Difference {
+    /// The sensors it reads: one or two.
+    pub fn sensors(&self) -> impl Iterator<Item = &str> {
+        let minus = match &self.against {
+            Against::Sensor(minus) => Some(minus.as_str()),
+            _ => None,
+        };
+        std::iter::once(self.sensor.as_str()).chain(minus)
+    }
+
     /// Sensor minus sensor.
     #[must_use]
     pub fn pair(sensor: &str, minus: &str) -> Self {

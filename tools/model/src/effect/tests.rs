@@ -424,6 +424,7 @@ fn live_is_the_batch_row_by_row() {
             coolant: col("wet", row),
             angle_rad: col("angle", row),
             probing: true,
+            held: &[],
         });
         assert!(near(live.errors_um()[0], want[0]), "row {row}");
         assert!(near(live.errors_um()[1], want[1]), "row {row}");

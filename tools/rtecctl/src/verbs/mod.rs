@@ -9,6 +9,7 @@ pub(crate) mod demo;
 pub(crate) mod designs;
 pub(crate) mod disable;
 pub(crate) mod enable;
+pub(crate) mod explain;
 pub(crate) mod hold;
 pub(crate) mod home;
 pub(crate) mod man;

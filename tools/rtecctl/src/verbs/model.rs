@@ -2,11 +2,12 @@
 
 mod export;
 mod fit;
+mod load;
 mod predict;
 mod show;
 mod validate;
 
-/// Work with machine models: choose sensors, fit, predict, judge, rehearse, show, compare, export
+/// Work with machine models: choose sensors, fit, predict, judge, rehearse, load, show, compare, export
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -18,10 +19,12 @@ enum Verb {
     Compare(show::CompareArgs),
     Export(export::Args),
     Fit(fit::FitArgs),
+    Load(load::LoadArgs),
     Predict(predict::Args),
     Rehearse(validate::RehearseArgs),
     SelectSensors(fit::SelectArgs),
     Show(show::ShowArgs),
+    Unload(load::UnloadArgs),
     Validate(validate::ValidateArgs),
 }
 
@@ -30,10 +33,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Verb::Compare(args) => show::compare(args),
         Verb::Export(args) => export::run(args),
         Verb::Fit(args) => fit::run(args),
+        Verb::Load(args) => load::load(args),
         Verb::Predict(args) => predict::run(args),
         Verb::Rehearse(args) => validate::rehearse(args),
         Verb::SelectSensors(args) => fit::select(args),
         Verb::Show(args) => show::show(args),
+        Verb::Unload(args) => load::unload(args),
         Verb::Validate(args) => validate::validate(args),
     }
 }

@@ -44,7 +44,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     check(args.daemon.connect()?.ask(&Request::Probe { on: true }).map_err(unreachable)?)?;
     let mut captured = Vec::new();
     if !args.daemon.json {
-        println!("{:>16} {:<8} {:>14} {:>14} {:>10}", "t/ns", "axis", "position/mm", "counts", "±");
+        println!(
+            "{:>16} {:<8} {:>14} {:>14} {:>10} {:>14}",
+            "t/ns", "axis", "position/mm", "counts", "±", "by model/mm"
+        );
     }
     while args.captures.is_none_or(|n| (captured.len() as u64) < n) {
         let Response::Event(happened) = check(watch.answer().map_err(unreachable)?)? else { continue };
@@ -73,11 +76,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 fn show(happened: &Happened, json: bool) {
     let (Some(trip), false) = (&happened.trip, json) else { return };
     println!(
-        "{:>16} {:<8} {:>14.6} {:>14.3} {:>10.3}",
+        "{:>16} {:<8} {:>14.6} {:>14.3} {:>10.3} {:>14}",
         happened.t_ns,
         happened.axis.as_deref().unwrap_or("-"),
         trip.position_mm,
         trip.position_counts,
-        trip.uncertainty_counts
+        trip.uncertainty_counts,
+        trip.corrected_mm.map_or("-".to_owned(), |mm| format!("{mm:.6}"))
     );
 }

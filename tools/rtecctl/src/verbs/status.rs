@@ -113,6 +113,22 @@ fn table(s: &Status) -> String {
     for missing in &s.rt.missing {
         let _ = writeln!(text, "missing: {missing}");
     }
+    if let Some(m) = &s.model {
+        let _ = writeln!(text, "model \"{}\", {}", m.name, m.file);
+        for line in m.fits.iter().chain(&m.notes) {
+            let _ = writeln!(text, "  {line}");
+        }
+    }
+    if !s.sensors.is_empty() {
+        let good = s.sensors.iter().filter(|r| r.state == "good").count();
+        let _ = writeln!(text, "sensors: {good} of {} good", s.sensors.len());
+        for r in s.sensors.iter().filter(|r| r.state != "good") {
+            let value = r.degc.map_or("never read".to_owned(), |v| format!("last good value {v:.2} °C"));
+            let age = r.age_s.map_or(String::new(), |a| format!(" of {a:.0} s ago"));
+            let fault = r.fault.as_ref().map_or(String::new(), |f| format!(": {f}"));
+            let _ = writeln!(text, "  {} {}{fault}; {value}{age}", r.sensor, r.state);
+        }
+    }
     for why in &s.why_not {
         let _ = writeln!(text, "not correcting: {why}");
     }

@@ -4,7 +4,7 @@ use anyhow::Context;
 use rtec_driver::input::InputError;
 use rtec_model::document::{self, Table};
 use rtec_model::record::{Column, Kind, Record, Role};
-use rtec_model::sensors::{Bank, Config, Feed, Use};
+use rtec_model::sensors::{self, Bank, Config, Feed, Use};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -139,16 +139,6 @@ fn read_sensors(path: Option<&Path>) -> Result<Vec<Config>, InputError> {
     let doc = document::parse(path, &text)?;
     let root = Table::root(path, &text, &doc);
     root.only(&["sensor"])?;
-    let tables = root.required("sensor", "[[sensor]] tables")?.tables("[[sensor]] tables")?;
-    let mut found: Vec<Config> = Vec::new();
-    for t in tables {
-        let config = Config::read(t)?;
-        if found.iter().any(|c| c.name == config.name) {
-            return Err(t
-                .required("name", "")?
-                .error(format!("sensor `{}` twice", config.name), "each name once"));
-        }
-        found.push(config);
-    }
-    Ok(found)
+    root.required("sensor", "[[sensor]] tables")?;
+    sensors::read_tables(&root)
 }

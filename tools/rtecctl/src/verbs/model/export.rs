@@ -5,7 +5,6 @@ use rtec_driver::input::InputError;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, write_whole};
-use rtec_model::sensors;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -65,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             usage(format!("{points} points"), "at most 256, as LinuxCNC takes; a larger --step").into()
         );
     }
-    let names = sensors::read_by(machine.effects());
+    let names = machine.sensors();
     let mut degc = vec![20.0; names.len()];
     for given in &args.temperatures {
         let parsed = given.split_once('=').and_then(|(n, v)| Some((n, v.parse::<f64>().ok()?)));

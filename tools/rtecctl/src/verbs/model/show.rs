@@ -36,7 +36,7 @@ pub(crate) struct CompareArgs {
 
 pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
-    for warning in warnings(&machine) {
+    for warning in machine.doubts(date::today()) {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
     if args.json {
@@ -86,30 +86,6 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
 fn heading(effect: &Effect) -> String {
     let delta = effect.delta.as_ref().map_or(String::new(), |d| format!(" ({d})"));
     format!("{}{delta}", effect.name())
-}
-
-/// Parameters outside what a sound machine shows, fits past their date.
-pub(super) fn warnings(machine: &Machine) -> Vec<String> {
-    let mut found = Vec::new();
-    for e in machine.effects() {
-        for (i, p) in e.card().parameters.iter().enumerate() {
-            let [lo, hi] = p.plausible;
-            if let Some(v) = e.get(i).iter().find(|v| **v < lo || **v > hi) {
-                found.push(format!(
-                    "{}: {} = {v} {} is outside {lo} to {hi}, unlikely",
-                    e.name(),
-                    p.name,
-                    p.unit
-                ));
-            }
-        }
-    }
-    for f in machine.fits() {
-        if date::parse(&f.valid_until).is_some_and(|d| d < date::today()) {
-            found.push(format!("{}: the fit's validity ended on {}", f.response, f.valid_until));
-        }
-    }
-    found
 }
 
 fn effect_json(l: &Listed) -> Value {

@@ -2,6 +2,7 @@
 
 use crate::Outcome;
 use anyhow::Context;
+use rtec_model::date;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, write_whole};
 use rtec_model::rehearse;
@@ -76,7 +77,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
             eprintln!("warning: {}: {warning}", path.display());
         }
     }
-    for warning in super::show::warnings(&machine) {
+    for warning in machine.doubts(date::today()) {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
     if args.json {

@@ -1,0 +1,106 @@
+//! `rtecctl explain`: what each axis's correction is made of.
+
+use crate::daemon::Daemon;
+use rtec_control::protocol::{Explained, Part, Reading, Request, Response};
+use std::fmt::Write as _;
+
+/// Split each axis's correction now into its effects, with sensor values and their age
+///
+/// Values are the errors that are taken out, µm; the axis is moved by their opposite. They sum to the correction.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The axis [default: all]
+    axis: Option<String>,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let response = args.daemon.ask(&Request::Explain { axis: args.axis.clone() })?;
+    if let Response::Explained { axes } = response
+        && !args.daemon.json
+    {
+        print!("{}", table(&axes));
+    }
+    Ok(())
+}
+
+fn table(axes: &[Explained]) -> String {
+    let mut text = String::new();
+    for Explained { axis, requested, total_um, parts, holds } in axes {
+        // Writing to a String does not fail.
+        let _ = writeln!(text, "axis {axis}: {total_um:+.3} µm, {requested:+} counts");
+        for Part { name, um, sensors, outside_k, weight } in parts {
+            let sensors: Vec<String> = sensors.iter().map(shown).collect();
+            let mut note = sensors.join(", ");
+            if let (Some(k), Some(w)) = (outside_k, weight) {
+                let _ = write!(note, "; {k:.1} K outside its range, {:.0} % left", 100.0 * w);
+            }
+            let _ = writeln!(text, "{}", format!("  {um:>+10.3}  {name:<24} {note}").trim_end());
+        }
+        if let Some(why) = holds {
+            let _ = writeln!(text, "  holds: {why}");
+        }
+    }
+    text
+}
+
+fn shown(r: &Reading) -> String {
+    let value = match (r.degc, r.age_s) {
+        (Some(degc), Some(age_s)) => format!("{degc:.2} °C, {age_s:.1} s old"),
+        _ => "never read".to_owned(),
+    };
+    let state = if r.state == "good" { String::new() } else { format!(", {}", r.state) };
+    let place = if r.place.is_empty() { String::new() } else { format!(" ({})", r.place) };
+    format!("{}{place} {value}{state}", r.sensor)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_sensors_and_why_it_holds() {
+        let reading = |name: &str, place: &str, degc, state: &str| Reading {
+            sensor: name.into(),
+            place: place.into(),
+            degc,
+            age_s: degc.map(|_| 0.4),
+            state: state.into(),
+            fault: None,
+        };
+        let part = |name: &str, um, sensors, outside: Option<(f64, f64)>| Part {
+            name: name.into(),
+            um,
+            sensors,
+            outside_k: outside.map(|o| o.0),
+            weight: outside.map(|o| o.1),
+        };
+        let pair = vec![
+            reading("T8", "front bearing", Some(31.52), "good"),
+            reading("T18", "", Some(21.0), "frozen"),
+        ];
+        let axes = [
+            Explained {
+                axis: "x".into(),
+                requested: -14,
+                total_um: -14.0,
+                parts: vec![
+                    part("scale.x", -4.25, Vec::new(), None),
+                    part("thermal_growth.x", -10.5, pair, Some((2.0, 0.4))),
+                    part("operator", 1.0, Vec::new(), None),
+                    part("rounding", -0.25, Vec::new(), None),
+                ],
+                holds: None,
+            },
+            Explained {
+                axis: "z".into(),
+                requested: 0,
+                total_um: 0.0,
+                parts: vec![part("thermal_growth.z", 0.0, vec![reading("T9", "", None, "hold")], None)],
+                holds: Some("sensor T9: silent (no such device)".into()),
+            },
+        ];
+        crate::golden("explain.txt", &table(&axes));
+    }
+}

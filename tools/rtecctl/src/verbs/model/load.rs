@@ -1,0 +1,128 @@
+//! `rtecctl model load` and `unload`: which machine model the daemon runs.
+
+use crate::Outcome;
+use crate::daemon::{Daemon, check, unreachable};
+use rtec_control::protocol::{Change, ModelPreview, Request, Response};
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write as _};
+use std::path::PathBuf;
+
+/// Show what a model changes right now, and have the daemon take it
+///
+/// A changed file takes effect only through this. Corrections go to their new place in a ramp.
+#[derive(Debug, clap::Args)]
+pub(crate) struct LoadArgs {
+    /// The machine model [default: `[model] file` of the daemon's configuration]
+    #[arg(value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// Take it without asking
+    #[arg(long)]
+    yes: bool,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+/// Run without a model: corrections go back in a ramp
+#[derive(Debug, clap::Args)]
+pub(crate) struct UnloadArgs {
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
+    // The daemon has a directory of its own.
+    let absolute = args.file.as_ref().map(|f| f.canonicalize().unwrap_or_else(|_| f.clone()));
+    let file = absolute.map(|f| f.display().to_string());
+    let mut client = args.daemon.connect()?;
+    let shown = client.ask(&Request::ModelLoad { file: file.clone(), take: None }).map_err(unreachable)?;
+    let Response::ModelPreview(preview) = check(shown)? else {
+        return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
+    };
+    let take = Request::ModelLoad { file, take: Some(preview.sha256.clone()) };
+    if args.daemon.json {
+        println!("{}", serde_json::to_string(&*preview)?);
+    } else {
+        print!("{}", table(&preview));
+    }
+    if !args.yes && !agreed()? {
+        return Err(Outcome::No("not taken; the daemon goes on as before".to_owned()).into());
+    }
+    check(client.ask(&take).map_err(unreachable)?)?;
+    if !args.daemon.json {
+        println!("taken");
+    }
+    Ok(())
+}
+
+pub(crate) fn unload(args: &UnloadArgs) -> anyhow::Result<()> {
+    args.daemon.order(&Request::ModelUnload {}, "model unloaded; corrections go back in a ramp")
+}
+
+/// Asks the person; nobody there is a no.
+fn agreed() -> anyhow::Result<bool> {
+    if !std::io::stdin().is_terminal() {
+        eprintln!("nobody to ask: --yes takes it");
+        return Ok(false);
+    }
+    eprint!("take it? [y/N] ");
+    std::io::stderr().flush()?;
+    let mut answer = String::new();
+    std::io::stdin().read_line(&mut answer)?;
+    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
+}
+
+fn table(p: &ModelPreview) -> String {
+    let mut text = format!("model \"{}\", {}\nSHA-256 {}\n", p.name, p.file, p.sha256);
+    for fit in &p.fits {
+        // Writing to a String does not fail.
+        let _ = writeln!(text, "{fit}");
+    }
+    for warning in &p.warnings {
+        let _ = writeln!(text, "warning: {warning}");
+    }
+    let _ = writeln!(
+        text,
+        "{:<8} {:>10} {:>12} {:>10} {:>12} {:>12}",
+        "axis", "now/counts", "now/µm", "then/counts", "then/µm", "change/µm"
+    );
+    for Change { axis, now_counts, now_um, then_counts, then_um, holds } in &p.axes {
+        let _ = writeln!(
+            text,
+            "{axis:<8} {now_counts:>10} {now_um:>12.3} {then_counts:>11} {then_um:>12.3} {:>12.3}",
+            then_um - now_um
+        );
+        if let Some(why) = holds {
+            let _ = writeln!(text, "{axis:<8} holds: {why}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_changes_is_shown_per_axis_in_counts_and_micrometres() {
+        let change = |axis: &str, now, then, then_um, holds: Option<&str>| Change {
+            axis: axis.into(),
+            now_counts: now,
+            now_um: now as f64 * 0.5,
+            then_counts: then,
+            then_um,
+            holds: holds.map(str::to_owned),
+        };
+        let preview = ModelPreview {
+            name: "lathe 7".into(),
+            file: "/etc/rtec/machine.toml".into(),
+            sha256: "12ab".into(),
+            fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
+            warnings: vec!["error.x: the fit's validity ended on 2026-01-01".into()],
+            axes: vec![
+                change("x", 0, -24, -12.2, None),
+                change("z", 10, 10, 5.1, Some("sensor T3: not read yet")),
+            ],
+        };
+        crate::golden("model_load.txt", &table(&preview));
+    }
+}
