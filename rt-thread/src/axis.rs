@@ -236,6 +236,15 @@ const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 impl Axis {
     /// `None` where the configuration leaves no time for an insertion at any speed.
     pub(crate) fn new(config: AxisConfig, found: Found) -> Option<Self> {
+        // Left between two inversions, the MTC counts mirrored: the pair is finished as soon as its separation allows,
+        // towards zero. What the scale did meanwhile is unknown: that is latched.
+        let half = matches!(found.inverters, 1 | 2);
+        let add = found.completed < 0;
+        let total = found.completed + if half { if add { 1 } else { -1 } } else { 0 };
+        let mut faults = Faults::NONE;
+        if half {
+            faults.latch(Fault::Interrupted);
+        }
         let interval = config.design.increment_counts() as f64 / config.max_rate_counts_s * 1e9;
         Some(Self {
             config,
@@ -247,11 +256,17 @@ impl Axis {
                 inverters: found.inverters,
                 mtc: found.scale.inverted(found.inverters),
                 mtc_count: found.completed,
-                completed: found.completed,
+                // As it was before the insertion that will have made the total.
+                completed: if half { 2 * found.completed - total } else { total },
             },
             real: None,
-            requested: found.completed,
-            insertion: Insertion::Idle,
+            requested: total,
+            insertion: if half {
+                let (effective_ns, seen_ns) = (Some(found.t_ns), found.t_ns);
+                Insertion::Half { add, pairs: 1, effective_ns, edges: 0, seen_ns }
+            } else {
+                Insertion::Idle
+            },
             unsettled: None,
             back_due: false,
             last_edge: None,
@@ -261,7 +276,7 @@ impl Axis {
             doubts: 0,
             homing: None,
             homed: false,
-            faults: Faults::NONE,
+            faults,
             capture: None,
             last_boundary: 0,
             wake_ns: found.t_ns,
@@ -290,10 +305,12 @@ impl Axis {
         matches!(self.insertion, Insertion::Idle | Insertion::Opened { .. })
     }
 
-    /// The real inverters and completed total: what a restart must know.
+    /// The real inverters and what is in the MTC's count: what a restart must know. The completed total; between the two
+    /// inversions of a pair, when the inverters differ, the odd number that stands there.
     pub(crate) fn in_effect(&self) -> (u8, i64) {
         let wire = self.real.unwrap_or(self.wire);
-        (wire.inverters, wire.completed)
+        let half = matches!(wire.inverters, 1 | 2);
+        (wire.inverters, if half { wire.mtc_count - self.scale.count() } else { wire.completed })
     }
 
     fn pending(&self) -> i64 {

@@ -29,7 +29,7 @@ pub enum StartError {
     /// The axis's acceleration limit, hysteresis, separation and latency leave no time for an insertion.
     #[error("axis {0}: no speed leaves time for an insertion; lower max_accel or the time it needs")]
     NoGate(usize),
-    /// The two inverters of an axis are not equal: it was left in the middle of an insertion.
+    /// The two inverters of an axis are not equal, and what was completed says nothing of an insertion under way.
     #[error("axis {0}: its two inverters are not equal")]
     HalfInverted(usize),
 }
@@ -72,7 +72,10 @@ pub struct Engine {
 
 impl Engine {
     /// An engine on a card as it stands: inverters are taken over, `completed` gives each axis's total from before
-    /// (zero at a first start). Nothing is written; corrections are off.
+    /// (zero at a first start), as [`Engine::in_effect`] told it. Nothing is written; corrections are off.
+    ///
+    /// An axis that was left between two inversions is latched as [`Fault::Interrupted`]; the second one follows from
+    /// [`Engine::poll`].
     ///
     /// # Errors
     /// When the card cannot be read, or an axis cannot be corrected as configured.
@@ -91,15 +94,13 @@ impl Engine {
         let mut all = Vec::with_capacity(axes.len());
         for (n, config) in axes.iter().enumerate() {
             let inverters = config.lines.inverters(outputs);
-            if inverters == 1 || inverters == 2 {
+            let completed = completed.get(n).copied().unwrap_or(0);
+            // Every insertion is an even number of counts: halfway through, and only there, the total is odd.
+            if matches!(inverters, 1 | 2) != (completed % 2 != 0) {
                 return Err(StartError::HalfInverted(n));
             }
-            let found = Found {
-                scale: config.lines.scale(sample.inputs),
-                inverters,
-                completed: completed.get(n).copied().unwrap_or(0),
-                t_ns: sample.t_ns,
-            };
+            let scale = config.lines.scale(sample.inputs);
+            let found = Found { scale, inverters, completed, t_ns: sample.t_ns };
             all.push(Axis::new(*config, found).ok_or(StartError::NoGate(n))?);
             watched |= config.lines.input_mask();
         }
@@ -533,7 +534,8 @@ impl Engine {
         self.mode
     }
 
-    /// Real inverters (bit 0 A, bit 1 B) and completed total of an axis: what a restart must know.
+    /// Real inverters (bit 0 A, bit 1 B) of an axis and what is in the MTC's count, an odd number halfway through an
+    /// insertion: what a restart must know.
     #[must_use]
     pub fn in_effect(&self, axis: usize) -> Option<(u8, i64)> {
         self.axes.get(axis).map(Axis::in_effect)

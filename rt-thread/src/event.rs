@@ -79,6 +79,8 @@ pub enum Fault {
     CounterOverflow,
     /// The card's own decoder saw an illegal transition, or disagrees with the lines.
     CounterError,
+    /// The process before this one ended between the two inversions of an insertion.
+    Interrupted,
 }
 
 impl From<TroubleKind> for Fault {
@@ -95,7 +97,7 @@ impl From<TroubleKind> for Fault {
 
 impl Fault {
     /// All of them, in the order of their bits.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
         Self::OrderUnknown,
@@ -110,6 +112,7 @@ impl Fault {
         Self::EdgeMissed,
         Self::CounterOverflow,
         Self::CounterError,
+        Self::Interrupted,
     ];
 
     /// After such a fault the axis's count is in doubt: only homing makes it good.
@@ -364,9 +367,9 @@ impl Status {
         &self.axes[..usize::from(self.axes_used)]
     }
 
-    /// Every axis's ledger balances.
+    /// Every axis's ledger balances; that of an axis in the middle of an insertion is made up when it is done.
     #[must_use]
     pub fn balanced(&self) -> bool {
-        self.axes().iter().all(|a| a.mtc_minus_scale == a.in_effect)
+        self.axes().iter().all(|a| a.gate == GateState::Inserting || a.mtc_minus_scale == a.in_effect)
     }
 }

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample, Trouble, TroubleKind};
+use rtec_driver::quadrature::Decoder;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Event, EventKind, Fault, GateState, Mode, Refusal, Request, Status};
@@ -318,11 +319,61 @@ fn read_back_that_does_not_follow_is_latched() {
 }
 
 #[test]
-fn an_axis_found_in_the_middle_of_an_insertion_is_not_started() {
+fn unequal_inverters_that_no_insertion_explains_are_not_started() {
     let mut card = Bench { outputs: 1, ..Bench::default() };
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let started = Engine::new(&mut card, &[AxisConfig::default()], machine, &[]);
     assert_eq!(started.err(), Some(StartError::HalfInverted(0)));
+}
+
+/// Dies between the two inversions of an insertion: in every state, upwards and downwards, with the inverters off and
+/// on before it. The successor finishes it, the MTC counts as the scale does again, and the fault is latched.
+#[test]
+fn an_insertion_cut_in_two_is_finished_by_the_next_engine_and_latched() {
+    for case in 0..16_i64 {
+        let (start, sign, before) = (2 + case % 4, if case & 4 == 0 { 2 } else { -2 }, case >> 3);
+        let mut rig = Rig::running(AxisConfig::default());
+        rig.step(start);
+        let lines = AxisLines::standard(0, false);
+        let at_mtc = |card: &Bench| lines.scale(card.inputs).inverted(lines.inverters(card.outputs));
+        let mut total = 0;
+        if before == 1 {
+            rig.correct(2);
+            rig.step(1);
+            total = 2;
+        }
+        assert_eq!(rig.status().axes[0].completed, total);
+        let mut mtc = Decoder::new(at_mtc(&rig.card));
+        let scale = rig.card.count;
+        rig.correct(total + sign);
+        rig.card.count += 1;
+        rig.card.inputs = [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
+        mtc.update(at_mtc(&rig.card));
+        for _ in 0..100 {
+            if lines.inverters(rig.card.outputs).is_multiple_of(3) {
+                rig.looks(1);
+            }
+        }
+        mtc.update(at_mtc(&rig.card));
+        let (inverters, odd) = rig.engine.in_effect(0).unwrap();
+        assert_eq!((inverters, odd), (lines.inverters(rig.card.outputs), total + sign / 2));
+
+        // Another process, on the same card.
+        let Rig { mut card, .. } = rig;
+        let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+        let mut engine = Engine::new(&mut card, &[AxisConfig::default()], machine, &[odd]).unwrap();
+        for _ in 0..50 {
+            engine.poll(&mut card, u64::MAX, &mut |_| true).unwrap();
+            mtc.update(at_mtc(&card));
+        }
+        let status = engine.status();
+        assert!(engine.at_rest() && lines.inverters(card.outputs).is_multiple_of(3));
+        assert_eq!((status.mode, card.outputs & HOLD), (Mode::Fault, HOLD));
+        assert_eq!(status.axes[0].faults.iter().collect::<Vec<_>>(), [Fault::Interrupted]);
+        let offset = total + mtc.count() - (card.count - scale);
+        assert_eq!((mtc.illegal(), offset), (0, status.axes[0].completed), "{start} {sign} {before}");
+        assert!(status.balanced() && offset % 2 == 0 && (offset - odd).abs() == 1);
+    }
 }
 
 #[test]

@@ -478,6 +478,10 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
             "A' and B' are not what the inverters should make of A and B: check the gates, home again"
         }
         Fault::Card => "the card could not be read or written: see the log, then restart the daemon",
+        Fault::Interrupted => {
+            "the daemon before this one ended in the middle of an insertion; it has been finished, but the MTC counted \
+             mirrored meanwhile: clear, home again"
+        }
         Fault::InvertersMoved => {
             "the inverters are not where the state file left them: the MTC's count is uncertain; clear, home again"
         }
