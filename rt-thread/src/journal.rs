@@ -7,6 +7,7 @@
 //! the inverters are.
 
 use crate::event::MAX_AXES;
+use nix::fcntl::posix_fallocate;
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::fs::File;
 use std::io;
@@ -27,7 +28,7 @@ const BYTES: NonZeroUsize = NonZeroUsize::new(WORDS * 8).unwrap();
 pub struct Record {
     /// Bit 0: A inverted, bit 1: B inverted.
     pub inverters: u8,
-    /// Completed total, counts.
+    /// What is in the MTC's count, counts: the completed total, or an odd number halfway through an insertion.
     pub completed: i64,
 }
 
@@ -60,14 +61,14 @@ impl Journal {
     pub fn open(path: &Path) -> io::Result<(Self, [[Option<Record>; 2]; MAX_AXES])> {
         let file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
         let len = file.metadata()?.len();
-        if len == 0 {
-            file.set_len(BYTES.get() as u64)?;
-        } else if len != BYTES.get() as u64 {
+        if len != 0 && len != BYTES.get() as u64 {
             return Err(io::Error::new(
                 io::ErrorKind::InvalidData,
                 format!("{}: found {len} bytes, expected {BYTES}; is this another file?", path.display()),
             ));
         }
+        // Its blocks are taken now: with a disk that is full by then, the first store to the mapping would kill us.
+        posix_fallocate(&file, 0, BYTES.get() as i64)?;
         // SAFETY: a new shared mapping at an address of the kernel's choice disturbs no other memory of the process.
         let base = unsafe {
             mmap(None, BYTES, ProtFlags::PROT_READ | ProtFlags::PROT_WRITE, MapFlags::MAP_SHARED, &file, 0)
