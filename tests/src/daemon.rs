@@ -192,17 +192,37 @@ pub fn user(socket: &Path, args: &[&str]) -> Output {
 /// What the machine and its controller at the end of a shared-memory card show.
 #[derive(Debug, Default)]
 pub struct Seen {
-    /// Counts of the scale.
-    pub scale: AtomicI64,
-    /// Counts of the controller.
-    pub mtc: AtomicI64,
+    /// The controller's count minus the scale's.
+    pub offset: AtomicI64,
     /// Illegal transitions that the controller has seen.
     pub illegal: AtomicU64,
     /// Outputs of the card.
     pub outputs: AtomicU64,
+    /// Looks that the machine has taken at its lines.
+    pub looks: AtomicU64,
 }
 
-/// One axis at the end of a shared-memory card: it goes to and fro while it is let.
+/// The card's lines as the machine sees them: one axis, A and B in bits 0 and 1 of the inputs, their inverters in bits 0
+/// and 1 of the outputs.
+pub trait Lines: Send {
+    /// The outputs.
+    fn outputs(&mut self) -> u64;
+    /// Sets A (bit 0) and B (bit 1).
+    fn show(&mut self, scale: State);
+}
+
+/// Shared memory as the profile of that name has it.
+impl Lines for Registers {
+    fn outputs(&mut self) -> u64 {
+        u64::from(self.read(4, Width::Bits32))
+    }
+
+    fn show(&mut self, scale: State) {
+        self.write(0, Width::Bits32, u32::from(scale.bits()));
+    }
+}
+
+/// One axis at the end of a card: it goes to and fro while it is let.
 #[derive(Debug)]
 pub struct Machine {
     /// What it shows.
@@ -232,7 +252,12 @@ impl Machine {
     pub fn start(card: &Path) -> Self {
         let made = std::fs::File::create(card).and_then(|f| f.set_len(4096));
         assert!(made.is_ok(), "{made:?}");
-        let registers = Registers::open(card, 8, "machine").unwrap_or_else(|e| panic!("{e}"));
+        Self::on(Registers::open(card, 8, "machine").unwrap_or_else(|e| panic!("{e}")))
+    }
+
+    /// Starts the machine on a card's lines, at rest.
+    #[must_use]
+    pub fn on(mut card: impl Lines + 'static) -> Self {
         let seen = Arc::new(Seen::default());
         let [moving, glitch, stop] = [(); 3].map(|()| Arc::new(AtomicBool::new(false)));
         let (show, go, both, end) =
@@ -243,7 +268,7 @@ impl Machine {
             let mut mtc = Decoder::new(State::default());
             let mut edge = Instant::now();
             while !end.load(Ordering::Relaxed) {
-                let outputs = u64::from(registers.read(4, Width::Bits32));
+                let outputs = card.outputs();
                 mtc.update(state.inverted(lines.inverters(outputs)));
                 if both.swap(false, Ordering::Relaxed) {
                     state = state.inverted(3);
@@ -253,12 +278,12 @@ impl Machine {
                     state = state.next(up);
                     scale += if up { 1 } else { -1 };
                 }
-                registers.write(0, Width::Bits32, u32::from(state.bits()));
+                card.show(state);
                 mtc.update(state.inverted(lines.inverters(outputs)));
-                show.scale.store(scale, Ordering::Relaxed);
-                show.mtc.store(mtc.count(), Ordering::Relaxed);
+                show.offset.store(mtc.count() - scale, Ordering::Relaxed);
                 show.illegal.store(mtc.illegal(), Ordering::Relaxed);
                 show.outputs.store(outputs, Ordering::Relaxed);
+                show.looks.fetch_add(1, Ordering::Release);
                 std::thread::sleep(Duration::from_micros(100));
             }
         });
@@ -275,10 +300,34 @@ impl Machine {
         self.glitch.store(true, Ordering::Relaxed);
     }
 
-    /// The controller's count minus the scale's. Stop the axis first, or the two are of different moments.
+    /// The controller's count minus the scale's.
     #[must_use]
     pub fn offset(&self) -> i64 {
-        self.seen.mtc.load(Ordering::Relaxed) - self.seen.scale.load(Ordering::Relaxed)
+        self.seen.offset.load(Ordering::Relaxed)
+    }
+
+    /// Illegal transitions that the controller has seen.
+    #[must_use]
+    pub fn illegal(&self) -> u64 {
+        self.seen.illegal.load(Ordering::Relaxed)
+    }
+
+    /// Waits until the machine has looked at its lines once from beginning to end.
+    pub fn look_twice(&self) {
+        let from = self.seen.looks.load(Ordering::Acquire);
+        until("the machine looks", || self.seen.looks.load(Ordering::Acquire) >= from + 2);
+    }
+
+    /// Both inverters of the axis are on.
+    #[must_use]
+    pub fn inverted(&self) -> bool {
+        self.seen.outputs.load(Ordering::Relaxed) & 3 == 3
+    }
+
+    /// One inverter of the axis is on and the other is not: an insertion is under way.
+    #[must_use]
+    pub fn halfway(&self) -> bool {
+        matches!(self.seen.outputs.load(Ordering::Relaxed) & 3, 1 | 2)
     }
 }
 

@@ -7,6 +7,7 @@
 //! | [`ledger`] | what a corrected trace must count, from the scale's trace and the order of the inversions |
 //! | [`workload`] | three axes on a card in memory: what benchmarks time |
 //! | [`machine`] | a two-axis machine with a known error, driven by LinuxCNC, corrected by the engine |
+//! | [`supervisor`] | a service manager that keeps file descriptors, and the trial that kills `rtecd` |
 //! | [`planted`] | corrected traces made without the engine, right ones and wrong ones: the judges' own test |
 
 pub mod daemon;
@@ -14,6 +15,7 @@ pub mod judge;
 pub mod ledger;
 pub mod machine;
 pub mod planted;
+pub mod supervisor;
 pub mod workload;
 
 use std::path::{Path, PathBuf};

@@ -1,7 +1,11 @@
 //! Standard error, fit for the journal: one line per message, with systemd's level prefix where it listens, and never a
-//! flood.
+//! flood. What standard error does not take at once is left out: the control loop never waits for a reader, and a full
+//! disk is no reason to die.
 
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::collections::BTreeMap;
+use std::io::Write;
+use std::os::fd::AsFd;
 use std::time::{Duration, Instant};
 
 /// Levels of syslog(3).
@@ -35,15 +39,21 @@ impl Log {
     }
 
     pub(crate) fn say(&self, level: Level, text: &str) {
-        if self.journal {
-            eprintln!("<{}>{text}", level as u8);
+        let line = if self.journal {
+            format!("<{}>{text}\n", level as u8)
         } else {
             let word = match level {
                 Level::Error => "error: ",
                 Level::Warning => "warning: ",
                 Level::Notice | Level::Info => "",
             };
-            eprintln!("rtecd: {word}{text}");
+            format!("rtecd: {word}{text}\n")
+        };
+        let mut stderr = std::io::stderr();
+        // A pipe that says it can be written takes a line whole, without waiting (pipe(7)).
+        let mut ready = [PollFd::new(stderr.as_fd(), PollFlags::POLLOUT)];
+        if poll(&mut ready, PollTimeout::ZERO).is_ok_and(|n| n > 0) {
+            let _ = stderr.write_all(line.as_bytes()); // there is nowhere to say that it failed
         }
     }
 

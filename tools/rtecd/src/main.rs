@@ -7,11 +7,13 @@
 //! | `temperatures` | the sensors' threads, and their log |
 //! | `session` | requests of the protocol, carried out on the link |
 //! | `server` | the control socket and its clients |
+//! | `manager` | the service manager: ready, watchdog, the store for file descriptors |
 //! | `log` | standard error, fit for the journal |
 
 mod cards;
 mod live;
 mod log;
+mod manager;
 mod server;
 mod session;
 mod temperatures;
@@ -19,6 +21,7 @@ mod temperatures;
 use anyhow::Context;
 use clap::Parser;
 use log::{Level, Log};
+use manager::Manager;
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
 use nix::sys::signal::{SigSet, Signal};
@@ -34,8 +37,10 @@ use rtec_rt::thread::{Options, spawn};
 use session::Session;
 use std::fs::File;
 use std::io::{Read, Seek, Write};
+use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 use temperatures::Temperatures;
 
 /// Where an installed machine's configuration is.
@@ -92,6 +97,7 @@ fn exit_code(error: &anyhow::Error) -> u8 {
 }
 
 fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
+    let mut manager = Manager::from_environment()?;
     let installed = Path::new(INSTALLED);
     let mut config = match &args.config {
         Some(file) => Config::load(file)?,
@@ -112,31 +118,47 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
 
     let (listener, _lock) = server::listen(&config.control)?;
     let socket = config.control.socket.clone();
+    let kept = manager.take_back("outputs-");
+    for name in manager.left_over() {
+        log.say(Level::Warning, &format!("stored descriptor {name}: nobody has a use for it; it stays open"));
+    }
+    let outside = Outside { listener: &listener, signals: &signals, manager: &mut manager };
     let done = match config.card.clone() {
-        CardConfig::Mock => work(cards::mock(&config), config, false, &listener, &signals, log),
+        CardConfig::Mock => work(cards::mock(&config), config, false, outside, log),
         CardConfig::Replay { traces } => {
             let card = cards::replay(&config, &traces)?;
-            work(card, config, false, &listener, &signals, log)
+            work(card, config, false, outside, log)
         }
         CardConfig::Gpio(setup) => {
-            work(cards::gpio(&setup, Vec::new())?, config, true, &listener, &signals, log)
+            let card = cards::gpio(&setup, kept)?;
+            // Before anything is inverted: from here on the lines outlive this process.
+            for (name, fd) in card.kept() {
+                if !outside.manager.keep(&name, fd)? {
+                    let text = format!(
+                        "{name}: no service manager keeps the lines; when this process dies they may fall, both \
+                         inverters at once"
+                    );
+                    log.say(Level::Warning, &text);
+                }
+            }
+            work(card, config, true, outside, log)
         }
         CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            work(cards::parport(&file, &profile)?, config, true, &listener, &signals, log)
+            work(cards::parport(&file, &profile)?, config, true, outside, log)
         }
         CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            work(cards::ports(base, &profile)?, config, true, &listener, &signals, log)
+            work(cards::ports(base, &profile)?, config, true, outside, log)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
             let base = cards::io_bar(&id, bar, &profile)?;
-            work(cards::ports(base, &profile)?, config, true, &listener, &signals, log)
+            work(cards::ports(base, &profile)?, config, true, outside, log)
         }
         CardConfig::Mapped { place, profile } => {
             let file = cards::register_file(&place, &profile)?;
             let _card_lock = lock(&file, "card")?;
             let card = cards::mapped(&file, &profile)?;
             let real = cards::drives_a_machine(&file)?;
-            work(card, config, real, &listener, &signals, log)
+            work(card, config, real, outside, log)
         }
     };
     // The lock is still held: nobody else can have a socket of this name.
@@ -179,13 +201,19 @@ fn lock_beside(socket: &Path) -> anyhow::Result<Flock<File>> {
     Ok(held)
 }
 
+/// Whom the daemon listens to and tells: clients, signals, the service manager.
+struct Outside<'a> {
+    listener: &'a UnixListener,
+    signals: &'a SignalFd,
+    manager: &'a mut Manager,
+}
+
 /// Runs the engine on `card` until a signal ends it.
 fn work<C: Card + Send + 'static>(
     mut card: C,
     config: Config,
     real: bool,
-    listener: &std::os::unix::net::UnixListener,
-    signals: &SignalFd,
+    outside: Outside<'_>,
     log: &mut Log,
 ) -> anyhow::Result<()> {
     let directory = config.control.state_path();
@@ -207,14 +235,20 @@ fn work<C: Card + Send + 'static>(
         Ok(engine) => engine,
         Err(StartError::HalfInverted(n)) => {
             let why = format!(
-                "axis {}: its two inverters are not equal: it was left in the middle of an insertion. Nothing is \
-                 written; switch the MTC off, set both inverters equal, start again and home",
+                "axis {}: its two inverters are not equal, and the state file knows of no insertion that was under way. \
+                 Nothing is written; switch the MTC off, set both inverters equal, start again and home",
                 config.axes[n].name
             );
             return Err(Failure::Fault(why).into());
         }
         Err(error) => return Err(Failure::Unreachable(error.to_string()).into()),
     };
+    for (axis, _) in config.axes.iter().zip(&completed).filter(|(_, total)| *total % 2 != 0) {
+        log.say(
+            Level::Error,
+            &format!("axis {}: left in the middle of an insertion; it is finished now", axis.name),
+        );
+    }
     for n in moved {
         log.say(
             Level::Error,
@@ -257,7 +291,13 @@ fn work<C: Card + Send + 'static>(
     };
     let mut session = Session::new(config, set_up, temperatures);
     session.take_up_model(log);
-    let served = server::serve(listener, signals, &mut session, &mut running.control, log);
+    // The status that the link began with is older than the first look.
+    while running.control.status().polls == 0 && !running.control.ended() {
+        running.control.beat();
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    outside.manager.ready()?;
+    let served = server::serve(outside, &mut session, &mut running.control, log);
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);
     for (axis, status) in session.axes().iter().zip(ended.status.axes()) {

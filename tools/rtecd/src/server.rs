@@ -2,11 +2,10 @@
 
 use crate::log::{Level, Log};
 use crate::session::Session;
-use crate::{Failure, lock_beside};
+use crate::{Failure, Outside, lock_beside};
 use anyhow::Context;
 use nix::fcntl::Flock;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::sys::signalfd::SignalFd;
 use nix::sys::stat::{Mode, umask};
 use nix::unistd::{Group, chown};
 use rtec_control::config::ControlConfig;
@@ -187,18 +186,20 @@ impl Client {
 
 /// Serves until a signal comes.
 pub(crate) fn serve(
-    listener: &UnixListener,
-    signals: &SignalFd,
+    outside: Outside<'_>,
     session: &mut Session,
     control: &mut ControlEnd,
     log: &mut Log,
 ) -> anyhow::Result<()> {
+    let Outside { listener, signals, manager } = outside;
     let mut clients: Vec<Client> = Vec::new();
     let every = session.beat_every();
     let timeout = PollTimeout::try_from(every).unwrap_or(PollTimeout::from(10_u8));
     let mut told_end = false;
     loop {
         control.beat();
+        let status = control.status();
+        manager.turn(status.polls, || session.in_short(&status));
         // Lines left over from the last turn must not wait for the next one to arrive.
         let waiting = clients.iter().any(|c| c.reads() && c.inbox.contains(&b'\n'));
         let ready = {
@@ -216,6 +217,7 @@ pub(crate) fn serve(
         if ready[0].contains(PollFlags::POLLIN)
             && let Some(signal) = signals.read_signal().context("reading signals")?
         {
+            manager.stopping();
             log.say(Level::Notice, &format!("signal {}: parking", signal.ssi_signo));
             return Ok(());
         }

@@ -463,6 +463,21 @@ impl Session {
         })
     }
 
+    /// The state in a line, for the service manager.
+    pub(crate) fn in_short(&self, now: &event::Status) -> String {
+        let mut text = format!("mode {}", word(now.mode));
+        for fault in now.faults.iter() {
+            text = format!("{text}, {}", word(fault));
+        }
+        for (axis, s) in self.config.axes.iter().zip(now.axes()) {
+            text = format!("{text}; {} {:+}", axis.name, s.in_effect);
+            for fault in s.faults.iter() {
+                text = format!("{text} {}", word(fault));
+            }
+        }
+        text
+    }
+
     fn status(&self, control: &mut ControlEnd) -> Status {
         let now = control.status();
         let alive = !control.ended();

@@ -1,0 +1,183 @@
+//! The service manager: what it is told (`sd_notify(3)`), and the store in which file descriptors outlive this process.
+//!
+//! | message | when |
+//! |---|---|
+//! | `READY=1` | the engine looks at the card, and its set-up has been read back and reported |
+//! | `STATUS=` | the mode and each axis's completed total, at most once a second |
+//! | `WATCHDOG=1` | from the control loop, and only while the real-time thread gets on |
+//! | `STOPPING=1` | a signal has come: parking |
+//! | `FDSTORE=1` | a descriptor whose closing would let output lines go; it comes back at the next start |
+//!
+//! Without a service manager nothing is told and nothing comes back.
+
+use anyhow::Context;
+use nix::sys::socket::{ControlMessage, MsgFlags, UnixAddr, sendmsg};
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
+use std::io::IoSlice;
+use std::os::fd::{AsRawFd, BorrowedFd, FromRawFd, OwnedFd, RawFd};
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::time::{Duration, Instant};
+
+/// The first descriptor that is passed (`sd_listen_fds(3)`).
+const FIRST: RawFd = 3;
+/// Nobody reads the status more often.
+const STATUS_EVERY: Duration = Duration::from_secs(1);
+
+/// The service manager, or nobody.
+pub(crate) struct Manager {
+    socket: Option<UnixDatagram>,
+    /// How often it wants to hear of us.
+    watchdog_every: Option<Duration>,
+    fed: Instant,
+    /// Looks at the card when the watchdog was fed last.
+    polls: u64,
+    told: Instant,
+    status: String,
+    /// What came back from the store and was not taken yet, by name.
+    stored: BTreeMap<String, OwnedFd>,
+    /// The names of what came back: it is in the store still.
+    in_store: BTreeSet<String>,
+}
+
+impl Manager {
+    /// Reads what the environment says. To be called first: the descriptors that were passed become ours here.
+    ///
+    /// # Errors
+    /// An environment that cannot be meant; a notification socket that is not there.
+    pub(crate) fn from_environment() -> anyhow::Result<Self> {
+        let number = |name: &str| -> anyhow::Result<Option<u64>> {
+            let Some(text) = std::env::var_os(name) else { return Ok(None) };
+            let number = text.to_str().and_then(|t| t.parse().ok());
+            Ok(Some(number.with_context(|| format!("found {name}={}, expected a number", text.display()))?))
+        };
+        let me = u64::from(std::process::id());
+        let count = if number("LISTEN_PID")? == Some(me) { number("LISTEN_FDS")?.unwrap_or(0) } else { 0 };
+        let names = std::env::var("LISTEN_FDNAMES").unwrap_or_default();
+        let mut names = names.split(':');
+        let mut stored = BTreeMap::new();
+        for n in 0..RawFd::try_from(count).context("LISTEN_FDS")? {
+            let fd = take(FIRST + n).with_context(|| format!("descriptor {} of LISTEN_FDS", FIRST + n))?;
+            stored.insert(names.next().unwrap_or("unknown").to_owned(), fd);
+        }
+        let for_us = number("WATCHDOG_PID")?.is_none_or(|pid| pid == me);
+        // Half the time is what sd_watchdog_enabled(3) advises.
+        let watchdog = number("WATCHDOG_USEC")?.filter(|_| for_us);
+        let socket = std::env::var_os("NOTIFY_SOCKET").map(|path| connect(&path)).transpose()?;
+        let now = Instant::now();
+        Ok(Self {
+            socket,
+            watchdog_every: watchdog.map(|us| Duration::from_micros(us / 2)),
+            fed: now,
+            polls: 0,
+            told: now,
+            status: String::new(),
+            in_store: stored.keys().cloned().collect(),
+            stored,
+        })
+    }
+
+    /// The descriptors that were stored under names with this beginning before this process began.
+    pub(crate) fn take_back(&mut self, beginning: &str) -> Vec<OwnedFd> {
+        let (taken, left) =
+            std::mem::take(&mut self.stored).into_iter().partition(|(name, _)| name.starts_with(beginning));
+        self.stored = left;
+        BTreeMap::into_values(taken).collect()
+    }
+
+    /// What came back and was not taken: it stays open, so that the lines behind it stay as they are.
+    pub(crate) fn left_over(&self) -> impl Iterator<Item = &str> {
+        self.stored.keys().map(String::as_str)
+    }
+
+    /// Keeps a descriptor beyond our own end; one that came back from the store is still in it. `false` without a service
+    /// manager: then nobody keeps it.
+    ///
+    /// # Errors
+    /// When it could not be handed over.
+    pub(crate) fn keep(&self, name: &str, fd: BorrowedFd<'_>) -> anyhow::Result<bool> {
+        if self.in_store.contains(name) {
+            return Ok(true);
+        }
+        let message = format!("FDSTORE=1\nFDNAME={name}\n");
+        self.send(&message, Some(fd), MsgFlags::empty()).with_context(|| format!("storing descriptor {name}"))
+    }
+
+    /// The engine runs, and what its set-up lacks has been reported.
+    ///
+    /// # Errors
+    /// When it could not be told.
+    pub(crate) fn ready(&self) -> anyhow::Result<()> {
+        self.send("READY=1\n", None, MsgFlags::empty()).context("telling the service manager")?;
+        Ok(())
+    }
+
+    /// A signal has come.
+    pub(crate) fn stopping(&self) {
+        // Whoever sent the signal knows.
+        let _ = self.send("STOPPING=1\nSTATUS=parking\n", None, MsgFlags::MSG_DONTWAIT);
+    }
+
+    /// One turn of the control loop: `polls` looks at the card so far, and the status in words. Never waits: what the
+    /// service manager does not take now it gets at a later turn.
+    pub(crate) fn turn(&mut self, polls: u64, status: impl FnOnce() -> String) {
+        if self.socket.is_none() {
+            return;
+        }
+        let now = Instant::now();
+        if self.watchdog_every.is_some_and(|every| now - self.fed >= every) && polls != self.polls {
+            if matches!(self.send("WATCHDOG=1\n", None, MsgFlags::MSG_DONTWAIT), Ok(true)) {
+                self.fed = now;
+            }
+            self.polls = polls;
+        }
+        if now - self.told >= STATUS_EVERY || self.status.is_empty() {
+            self.told = now;
+            let status = status();
+            if status != self.status
+                && matches!(self.send(&format!("STATUS={status}\n"), None, MsgFlags::MSG_DONTWAIT), Ok(true))
+            {
+                self.status = status;
+            }
+        }
+    }
+
+    fn send(&self, message: &str, fd: Option<BorrowedFd<'_>>, flags: MsgFlags) -> nix::Result<bool> {
+        let Some(socket) = &self.socket else { return Ok(false) };
+        let raw = fd.map(|fd| [fd.as_raw_fd()]);
+        let rights: Vec<ControlMessage<'_>> = raw.iter().map(|fds| ControlMessage::ScmRights(fds)).collect();
+        let text = [IoSlice::new(message.as_bytes())];
+        sendmsg::<UnixAddr>(socket.as_raw_fd(), &text, &rights, flags | MsgFlags::MSG_NOSIGNAL, None)?;
+        Ok(true)
+    }
+}
+
+/// Makes a descriptor that was passed at the start our own, closed at every `exec`.
+fn take(fd: RawFd) -> nix::Result<OwnedFd> {
+    use nix::fcntl::{FcntlArg, FdFlag, fcntl};
+    // SAFETY: whoever set LISTEN_PID to us opened it for us and for nobody else here, and it is taken once; should it
+    // not be open after all, the call below says so.
+    let fd = unsafe { OwnedFd::from_raw_fd(fd) };
+    match fcntl(&fd, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)) {
+        Ok(_) => Ok(fd),
+        Err(error) => {
+            // Not open: it must not be closed either.
+            std::mem::forget(fd);
+            Err(error)
+        }
+    }
+}
+
+fn connect(path: &OsStr) -> anyhow::Result<UnixDatagram> {
+    let name = path.as_bytes();
+    let address = match name.strip_prefix(b"@") {
+        Some(name) => SocketAddr::from_abstract_name(name),
+        None => SocketAddr::from_pathname(path),
+    };
+    let socket = UnixDatagram::unbound()?;
+    let connected = address.and_then(|address| socket.connect_addr(&address));
+    connected.with_context(|| format!("reaching the service manager at NOTIFY_SOCKET={}", path.display()))?;
+    Ok(socket)
+}
