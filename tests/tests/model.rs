@@ -1,0 +1,232 @@
+//! The machine model in a real `rtecd`: taken, explained, carried over a restart, refused when it has changed.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use rtec_tests::daemon::{Daemon, until};
+use serde_json::Value;
+use std::io::Write;
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+/// Each daemon keeps a CPU busy: one at a time.
+fn alone() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}
+
+/// Two sensors at the end of a line: T1 reads what it is set to, T2 20 °C.
+struct Sensors {
+    address: String,
+    t1: Arc<AtomicU64>,
+    silent: Arc<AtomicBool>,
+}
+
+impl Sensors {
+    fn start(t1: f64) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        let sensors = Self { address, t1: Arc::new(AtomicU64::new(t1.to_bits())), silent: Arc::default() };
+        let (t1, silent) = (Arc::clone(&sensors.t1), Arc::clone(&sensors.silent));
+        std::thread::spawn(move || {
+            for peer in listener.incoming().map_while(Result::ok) {
+                let (t1, silent) = (Arc::clone(&t1), Arc::clone(&silent));
+                std::thread::spawn(move || tell(&peer, &t1, &silent));
+            }
+        });
+        sensors
+    }
+
+    fn set(&self, t1: f64) {
+        self.t1.store(t1.to_bits(), Ordering::Relaxed);
+    }
+}
+
+fn tell(mut peer: &TcpStream, t1: &AtomicU64, silent: &AtomicBool) {
+    loop {
+        let said = format!("T1 {}\nT2 20\n", f64::from_bits(t1.load(Ordering::Relaxed)));
+        if !silent.load(Ordering::Relaxed) && peer.write_all(said.as_bytes()).is_err() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+fn set_up(directory: &Path, sensors: &Sensors, model: &str) -> std::path::PathBuf {
+    std::fs::write(directory.join("machine.toml"), format!("name = \"bench\"\n{model}")).unwrap();
+    let sensor = |n: &str| {
+        format!(
+            "[[sensor]]\nname = '{n}'\nplace = 'spindle'\nsource = 'line'\nfrom = '{}'\nperiod_s = 0.2\ntimeout_s = 1\n\
+             freeze_s = 2\nmax_rate_K_per_min = 10000\n",
+            sensors.address
+        )
+    };
+    let axis = |n: &str| {
+        format!(
+            "[[axis]]\nname = '{n}'\ncount_um = 1.0\ntravel_mm = 40\nmax_correction_counts = 1000\nwindow_counts = 50\n\
+             min_separation_ns = 500\nmax_accel_mm_s2 = 1000\n"
+        )
+    };
+    let text = format!(
+        "[machine]\nname = 'bench'\n[card]\nbackend = 'mock'\n{}{}[model]\nfile = 'machine.toml'\nramp_um_s = 200\nlog_s = 0.2\n{}{}",
+        axis("x"),
+        axis("z"),
+        sensor("T1"),
+        sensor("T2")
+    );
+    let file = directory.join("rtec.toml");
+    std::fs::write(&file, text).unwrap();
+    file
+}
+
+fn explained(daemon: &Daemon, axis: &str) -> Value {
+    let text = daemon.expect(0, &["explain", axis, "--json"]);
+    serde_json::from_str::<Value>(&text).unwrap()["axes"][0].clone()
+}
+
+/// What an effect is worth now, µm.
+fn part_um(daemon: &Daemon, axis: &str, name: &str) -> Option<f64> {
+    let found = explained(daemon, axis);
+    let part = found["parts"].as_array().unwrap().iter().find(|p| p["name"] == name)?;
+    part["um"].as_f64()
+}
+
+const GROWTH: &str =
+    "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T1\"\nminus = \"T2\"\num_per_K = 10.0\n";
+
+#[test]
+fn a_model_is_shown_taken_explained_held_and_unloaded() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let sensors = Sensors::start(23.0);
+    let scale = "[[effect]]\nname = \"scale.x\"\nppm = 1000.0\n";
+    let file = set_up(directory.path(), &sensors, &[GROWTH, scale].concat());
+    let daemon = Daemon::start(&directory.path().join("s"), Some(&file));
+    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["enable"]);
+    let text = daemon.expect(0, &["status"]);
+    assert!(text.contains("not correcting: the model") && text.contains("has not been taken yet"), "{text}");
+    until("both sensors", || daemon.expect(0, &["status"]).contains("sensors: 2 of 2 good"));
+
+    // Shown, and not taken without a yes; a file that is none is an input error; nothing has moved.
+    let text = daemon.expect(1, &["model", "load"]);
+    assert!(
+        text.contains("not taken")
+            && text.contains("z                 0        0.000          30       30.000"),
+        "{text}"
+    );
+    assert!(
+        daemon
+            .expect(2, &["model", "load", "/nonexistent", "--yes"])
+            .contains("expected a file that can be read")
+    );
+    let bad = directory.path().join("bad.toml");
+    std::fs::write(
+        &bad,
+        "name = \"b\"\n[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T9\"\num_per_K = 1\n",
+    )
+    .unwrap();
+    assert!(
+        daemon
+            .expect(2, &["model", "load", bad.to_str().unwrap(), "--yes"])
+            .contains("temperature T9 is read")
+    );
+    assert_eq!(daemon.status()["axes"][1]["requested"], 0);
+
+    daemon.expect(0, &["model", "load", "--yes"]);
+    until("the growth is corrected", || daemon.status()["axes"][1]["completed"] == 30);
+    let z = explained(&daemon, "z");
+    let parts = z["parts"].as_array().unwrap();
+    let sum: f64 = parts.iter().map(|p| p["um"].as_f64().unwrap()).sum();
+    assert!((sum - z["total_um"].as_f64().unwrap()).abs() < 1e-9 && z["requested"] == 30, "{z}");
+    assert_eq!(
+        (&parts[0]["name"], &parts[0]["sensors"][0]["degc"]),
+        (&"thermal_growth.z".into(), &23.0.into())
+    );
+    assert!(parts[0]["sensors"][0]["age_s"].as_f64().unwrap() < 2.0, "{z}");
+    // X moves: its correction follows it.
+    until("the scale error is followed", || daemon.status()["axes"][0]["requested"].as_i64().unwrap() >= 6);
+    let status = daemon.status();
+    assert!(
+        status["why_not"].as_array().unwrap().is_empty() && status["model"]["name"] == "bench",
+        "{status}"
+    );
+    assert_eq!(status["sensors"][0]["place"], "spindle");
+
+    // Probing: not corrected, but told.
+    let probed = daemon.user(&["probe", "on", "--captures", "2", "--json"]);
+    let captures: Value = serde_json::from_slice(&probed.stdout).unwrap();
+    for capture in captures["captures"].as_array().unwrap() {
+        let trip = &capture["trip"];
+        let um = |key: &str| trip[key].as_f64().unwrap();
+        let wanted = if capture["axis"] == "z" { 30.0 } else { um("position_mm") };
+        assert!((um("error_um") - wanted).abs() < 1e-6, "{capture}");
+        assert!((um("corrected_mm") - um("position_mm") - um("error_um") / 1000.0).abs() < 1e-9);
+        assert_eq!(trip["degc"][0], 23.0);
+    }
+
+    // Silent sensors: the last good value stands in, then thermal corrections hold, and it is said.
+    sensors.silent.store(true, Ordering::Relaxed);
+    until("holding", || {
+        daemon.expect(0, &["status"]).contains("axis z: thermal corrections hold: sensor T1: silent")
+    });
+    assert_eq!(daemon.status()["axes"][1]["requested"], 30);
+    sensors.silent.store(false, Ordering::Relaxed);
+    sensors.set(25.0);
+    until("it is back", || daemon.status()["axes"][1]["completed"] == 50);
+
+    daemon.expect(0, &["model", "unload"]);
+    daemon.expect(1, &["model", "unload"]);
+    until("nothing is asked for", || daemon.status()["axes"][1]["completed"] == 0);
+    let status = daemon.status();
+    assert_eq!((&status["balanced"], status["model"].is_null()), (&true.into(), true));
+}
+
+/// The heat inside is known again after a restart, from the log: the same correction as without one. And a file that
+/// has changed meanwhile is not run.
+#[test]
+fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let sensors = Sensors::start(20.0);
+    let lag = GROWTH.replace("growth", "lag") + "tau_s = 40.0\n";
+    let file = set_up(directory.path(), &sensors, &lag);
+    let socket = directory.path().join("s");
+    let ready = |daemon: &Daemon| {
+        daemon.expect(0, &["home"]);
+        daemon.expect(0, &["enable"]);
+        until("the sensors", || daemon.expect(0, &["status"]).contains("sensors: 2 of 2 good"));
+    };
+    let daemon = Daemon::start(&socket, Some(&file));
+    ready(&daemon);
+    daemon.expect(0, &["model", "load", "--yes"]);
+    sensors.set(30.0);
+    // Cold at its start, so known from there: after warming by 10 K it goes towards 100 µm, late.
+    until("half way", || part_um(&daemon, "z", "thermal_lag.z").is_some_and(|um| um > 40.0));
+    let before = part_um(&daemon, "z", "thermal_lag.z").unwrap();
+    assert!(before < 90.0, "{before}");
+    let (code, log) = daemon.end("KILL");
+    assert_eq!(code, None, "{log}");
+
+    let daemon = Daemon::start(&socket, Some(&file));
+    ready(&daemon);
+    let after = part_um(&daemon, "z", "thermal_lag.z").unwrap();
+    // Meanwhile it has gone on, as the machine has; an amnesiac would say 100 at once, or 0.
+    assert!(after >= before - 2.0 && after < 99.0, "{before} before, {after} after the restart");
+    assert!(daemon.status()["why_not"].as_array().unwrap().is_empty(), "{}", daemon.status());
+    let (_, log) = daemon.end("TERM");
+    assert!(log.contains("machine model"), "{log}");
+
+    let path = directory.path().join("machine.toml");
+    let changed = std::fs::read_to_string(&path).unwrap().replace("10.0", "11.0");
+    std::fs::write(&path, changed).unwrap();
+    let daemon = Daemon::start(&socket, Some(&file));
+    let text = daemon.expect(0, &["status"]);
+    assert!(text.contains("is not the one that was taken (its hash is another)"), "{text}");
+    assert!(daemon.status()["model"].is_null());
+    ready(&daemon);
+    daemon.expect(0, &["model", "load", "--yes"]);
+    assert!(part_um(&daemon, "z", "thermal_lag.z").is_some());
+}
