@@ -16,15 +16,31 @@ pub struct Motion {
     pub feed_counts_s: f64,
     /// Pause at either end, s.
     pub dwell_s: f64,
+    /// The controller closes its loop on what it is sent; if not, on an encoder of its own.
+    pub on_feedback: bool,
 }
 
 /// What the outside may know of an axis at any time. Written by the card's thread, read by anyone.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Truth {
     commanded: AtomicU64,
     position: AtomicU64,
     mtc_count: AtomicI64,
     illegal: AtomicU64,
+    /// Where it shall go, counts; no number while it runs its cycle. Written by the operator, read by the card's thread.
+    jog: AtomicU64,
+}
+
+impl Default for Truth {
+    fn default() -> Self {
+        Self {
+            commanded: AtomicU64::default(),
+            position: AtomicU64::default(),
+            mtc_count: AtomicI64::default(),
+            illegal: AtomicU64::default(),
+            jog: AtomicU64::new(f64::NAN.to_bits()),
+        }
+    }
 }
 
 impl Truth {
@@ -41,6 +57,11 @@ impl Truth {
     /// What the controller has counted, decoded from A' and B' on its own.
     pub fn mtc_counts(&self) -> i64 {
         self.mtc_count.load(Ordering::Relaxed)
+    }
+
+    /// Leaves the cycle and goes to a commanded place, counts, at the motion's feed; stays there.
+    pub fn jog_to(&self, commanded_counts: f64) {
+        self.jog.store(commanded_counts.to_bits(), Ordering::Relaxed);
     }
 
     /// Illegal transitions that the controller has seen.
@@ -69,6 +90,8 @@ struct MovingAxis {
     lines: AxisLines,
     motion: Motion,
     x: f64,
+    /// Commanded place while it is jogged.
+    jogged: Option<f64>,
     scale: i64,
     mtc: Decoder,
     truth: Arc<Truth>,
@@ -120,6 +143,7 @@ impl MovingAxes {
                 lines,
                 motion,
                 x: 0.5,
+                jogged: None,
                 scale: 0,
                 mtc: Decoder::new(State::default()),
                 truth: Arc::default(),
@@ -135,8 +159,18 @@ impl MovingAxes {
 impl MovingAxis {
     /// Moves for `dt_s` towards where the controller, by its own count, believes it should be.
     fn run(&mut self, t_s: Option<f64>, dt_s: f64) {
-        let (wanted, feed) = t_s.map_or((0.0, 0.0), |t| self.motion.at(t));
-        let believed = self.x - 0.5 + (self.mtc.count() - self.scale) as f64;
+        let goal = f64::from_bits(self.truth.jog.load(Ordering::Relaxed));
+        let (wanted, feed) = if goal.is_nan() {
+            t_s.map_or((0.0, 0.0), |t| self.motion.at(t))
+        } else {
+            let from = self.jogged.unwrap_or_else(|| self.truth.commanded_counts());
+            let step = self.motion.feed_counts_s * dt_s;
+            let to = from + (goal - from).clamp(-step, step);
+            self.jogged = Some(to);
+            (to, (to - from) / dt_s)
+        };
+        let inserted = if self.motion.on_feedback { self.mtc.count() - self.scale } else { 0 };
+        let believed = self.x - 0.5 + inserted as f64;
         self.x += (feed + GAIN_PER_S * (wanted - believed)) * dt_s;
         if self.x >= (self.scale + 1) as f64 + HYSTERESIS_COUNTS / 2.0 {
             self.scale += 1;
@@ -208,7 +242,8 @@ mod tests {
 
     #[test]
     fn an_inserted_pair_moves_the_axis_back_by_two_counts() {
-        let motion = Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 10.0 };
+        let motion =
+            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 10.0, on_feedback: true };
         let (mut axes, operator) = MovingAxes::new(&[(LINES, motion)]);
         operator.cycle_start();
         let truth = &operator.truth;
@@ -226,8 +261,25 @@ mod tests {
     }
 
     #[test]
+    fn a_jog_leaves_the_cycle_and_stays() {
+        let motion =
+            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
+        let (mut axes, operator) = MovingAxes::new(&[(LINES, motion)]);
+        operator.cycle_start();
+        axes.levels(1, 0);
+        run(&mut axes, 1, 50_000_000, 0);
+        operator.truth[0].jog_to(-700.0);
+        run(&mut axes, 50_000_000, 1_000_000_000, 0);
+        let at = operator.truth[0].position_counts();
+        assert!(
+            (at + 700.0).abs() < 1.0 && (operator.truth[0].commanded_counts() + 700.0).abs() < 1e-9,
+            "{at}"
+        );
+    }
+
+    #[test]
     fn read_back_shows_what_the_controller_gets() {
-        let motion = Motion { stroke_counts: 1.0, feed_counts_s: 1.0, dwell_s: 1.0 };
+        let motion = Motion { stroke_counts: 1.0, feed_counts_s: 1.0, dwell_s: 1.0, on_feedback: true };
         let (mut axes, _) = MovingAxes::new(&[(LINES, motion)]);
         assert_eq!(axes.levels(1, 0) & 0b1100, 0);
         assert_eq!(axes.levels(1, 0b01) & 0b1100, 0b0100);

@@ -57,7 +57,7 @@ impl rtec_driver::clock::Clock for Ticking {
 /// Moving axes, requests, refusals, faults, probing, journal and link: everything the thread's loop does.
 #[test]
 fn the_loop_neither_allocates_nor_releases() {
-    let motion = Motion { stroke_counts: 500.0, feed_counts_s: 20_000.0, dwell_s: 0.001 };
+    let motion = Motion { stroke_counts: 500.0, feed_counts_s: 20_000.0, dwell_s: 0.001, on_feedback: true };
     let lines = [0, 1, 2].map(|n| AxisLines::standard(n, true));
     let (axes, operator) = MovingAxes::new(&lines.map(|l| (l, motion)));
     let mut card = MockCard::new(axes, Ticking(Virtual::default()));

@@ -23,6 +23,7 @@
 //! | | `reference_budget_counts` | counts | none | what the MTC tolerates between reference marks, or between two encoders |
 //! | | `home_mm` | mm | 0 | position of the known place where the axis is homed |
 //! | | `lines` | line | – | `gpio`, `mapped`, `port`: `a`, `b`, `invert_a`, `invert_b`, `read_back_a`, `read_back_b` |
+//! | | `simulated` | – | as configured | `mock`: what the machine is really like: `count_um` (negative: it counts backwards), `compensates_ppm`, `feedback = "ignored"` |
 //! | | `trace` | – | – | `replay`: the recorded trace |
 //! | `[rt]` | `cpu`, `priority` | – | isolated or last, 80 | of the real-time thread |
 //! | | `detect_ns`, `write_ns`, `guard_ns` | ns | 0 (mock, replay) | measured worst latencies and a reserve |
@@ -158,6 +159,19 @@ pub struct Axis {
     pub reference_budget_counts: Option<i64>,
     /// What the engine needs to know.
     pub engine: AxisConfig,
+    /// The mock card: what the simulated machine is really like.
+    pub simulated: Simulated,
+}
+
+/// A simulated axis that may differ from what its configuration says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Simulated {
+    /// What a count is really worth, µm; negative where it counts backwards.
+    pub count_um: f64,
+    /// What its controller compensates by itself.
+    pub compensates_ppm: f64,
+    /// Its controller does not use the feedback that it is sent.
+    pub ignores: bool,
 }
 
 /// The real-time thread.
@@ -846,6 +860,7 @@ fn read_axis(
         }
         _ => {}
     }
+    let simulated = read_simulated(source, &mut s, card.kind);
     let budget = s.integer(source, "reference_budget_counts", 1..=1_000_000_000);
     let home_mm = s.signed(source, "home_mm", 1e6);
     let lines = read_lines(source, &mut s, n, card, &owner);
@@ -918,6 +933,37 @@ fn read_axis(
         home_counts: (home_mm.map_or(0.0, |h| h.value) * 1000.0 / count_um).round() as i64,
         reference_budget_counts: budget.map(|b| b.value),
         engine,
+        simulated: Simulated { count_um: simulated.count_um.unwrap_or(count_um), ..simulated.rest },
     };
     Some((axis, trace))
+}
+
+/// What `simulated` says; as configured where it says nothing.
+struct ReadSimulated {
+    count_um: Option<f64>,
+    rest: Simulated,
+}
+
+fn read_simulated(source: &mut Source<'_>, s: &mut Section<'_>, kind: Option<Kind>) -> ReadSimulated {
+    let mut found = ReadSimulated {
+        count_um: None,
+        rest: Simulated { count_um: 1.0, compensates_ppm: 0.0, ignores: false },
+    };
+    if !s.has("simulated") {
+        return found;
+    }
+    let mut table = s.table(source, "simulated", "simulated");
+    if kind != Some(Kind::Mock) {
+        source.finding(
+            table.offset,
+            "simulated",
+            "backend = \"mock\": no other card has a simulated machine",
+        );
+    }
+    found.count_um = table.signed(source, "count_um", 1000.0).map(|c| c.value).filter(|c| *c != 0.0);
+    found.rest.compensates_ppm = table.signed(source, "compensates_ppm", 1e5).map_or(0.0, |p| p.value);
+    let ignores = table.choice(source, "feedback", 2, &[("used", false), ("ignored", true)]);
+    found.rest.ignores = ignores.is_some_and(|i| i.value);
+    table.finish(source);
+    found
 }

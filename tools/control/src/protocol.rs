@@ -16,6 +16,7 @@
 //! | `probe`, `hold` | `on` |
 //! | `model_load` | `file`, `take`: the hash that was shown; without it what would change is shown |
 //! | `model_unload` | – |
+//! | `jog` | `axis`, `display_mm`: a simulated axis only |
 //! | `explain` | `axis`; all without it |
 //!
 //! `watch` turns the connection into a stream of `event` answers until it is closed.
@@ -27,7 +28,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_LINE: usize = 4096;
 
 /// What a client asks for.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Request {
     /// Everything at this moment.
@@ -83,6 +84,14 @@ pub enum Request {
     },
     /// No model from now on.
     ModelUnload {},
+    /// A simulated axis: jog it, and read it.
+    Jog {
+        /// Its name.
+        axis: String,
+        /// Where to, as the controller displays it, mm; only read without it.
+        #[serde(default)]
+        display_mm: Option<f64>,
+    },
     /// What each axis's correction is made of.
     Explain {
         /// Its name; all axes without it.
@@ -139,6 +148,13 @@ pub enum Response {
     Event(Box<Happened>),
     /// What a model would change.
     ModelPreview(Box<ModelPreview>),
+    /// Where a simulated axis stands.
+    Stands {
+        /// What its controller displays, mm.
+        display_mm: f64,
+        /// What an indicator at the axis shows, mm.
+        indicator_mm: f64,
+    },
     /// What corrections are made of.
     Explained {
         /// The axes asked for.

@@ -19,6 +19,7 @@ pub(crate) struct Cli {
 enum Verb {
     Demo(verbs::demo::Args),
     Characterise(verbs::characterise::Args),
+    Commission(verbs::commission::Args),
     Completions(verbs::completions::Args),
     Config(verbs::config::Args),
     Designs(verbs::designs::Args),
@@ -64,6 +65,7 @@ fn main() -> ExitCode {
     let done = match Cli::parse().verb {
         Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Characterise(args) => verbs::characterise::run(&args),
+        Verb::Commission(args) => verbs::commission::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),
         Verb::Config(args) => verbs::config::run(&args),
         Verb::Designs(args) => verbs::designs::run(&args),

@@ -2,7 +2,7 @@
 
 use crate::Failure;
 use nix::sys::statfs::{SYSFS_MAGIC, statfs};
-use rtec_control::config::{Config, MappedPlace};
+use rtec_control::config::{Config, MappedPlace, Simulated};
 use rtec_driver::card::AxisLines;
 use rtec_driver::clock::Monotonic;
 use rtec_driver::gpio::{GpioCard, GpioSetup};
@@ -46,8 +46,30 @@ impl Wires for MockMachine {
     }
 }
 
+/// Who stands at the simulated machine: jogs its axes, and reads display and indicator.
+pub(crate) struct Stand {
+    axes: Vec<(Arc<Truth>, Simulated)>,
+}
+
+impl Stand {
+    /// Sends an axis to a place of the controller's display, mm.
+    pub(crate) fn jog_to(&self, n: usize, display_mm: f64) {
+        let (truth, simulated) = &self.axes[n];
+        let own = 1.0 + simulated.compensates_ppm * 1e-6;
+        truth.jog_to(display_mm * 1000.0 / simulated.count_um * own);
+    }
+
+    /// What the controller's display and an indicator at the axis show, mm.
+    pub(crate) fn read_mm(&self, n: usize) -> (f64, f64) {
+        let (truth, simulated) = &self.axes[n];
+        let mm = |counts: f64| counts * simulated.count_um / 1000.0;
+        let own = 1.0 + simulated.compensates_ppm * 1e-6;
+        (mm(truth.commanded_counts()) / own, mm(truth.position_counts()))
+    }
+}
+
 /// Axes that go to and fro over a quarter of their travel.
-pub(crate) fn mock(config: &Config) -> MockCard<MockMachine, Monotonic> {
+pub(crate) fn mock(config: &Config) -> (MockCard<MockMachine, Monotonic>, Stand) {
     let motions: Vec<_> = config
         .axes
         .iter()
@@ -56,19 +78,22 @@ pub(crate) fn mock(config: &Config) -> MockCard<MockMachine, Monotonic> {
                 stroke_counts: (axis.travel_mm / 4.0 * 1000.0 / axis.count_um).max(1.0),
                 feed_counts_s: (FEED_MM_S * 1000.0 / axis.count_um).min(FEED_COUNTS_S),
                 dwell_s: 0.2,
+                on_feedback: !axis.simulated.ignores,
             };
             (axis.engine.lines, motion)
         })
         .collect();
     let (axes, operator) = MovingAxes::new(&motions);
     operator.cycle_start();
+    let both = operator.truth.iter().cloned().zip(config.axes.iter().map(|a| a.simulated));
+    let stand = Stand { axes: both.collect() };
     let machine = MockMachine {
         axes,
         first: operator.truth.into_iter().next(),
         probe: config.lines.probe.map_or(0, |bit| 1 << bit),
         probe_at_counts: motions.first().map_or(0.0, |(_, m)| m.stroke_counts / 2.0),
     };
-    MockCard::new(machine, Monotonic)
+    (MockCard::new(machine, Monotonic), stand)
 }
 
 /// One recorded axis.

@@ -124,10 +124,13 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     }
     let outside = Outside { listener: &listener, signals: &signals, manager: &mut manager };
     let done = match config.card.clone() {
-        CardConfig::Mock => work(cards::mock(&config), config, false, outside, log),
+        CardConfig::Mock => {
+            let (card, stand) = cards::mock(&config);
+            work(card, config, Kind::Simulated(stand), outside, log)
+        }
         CardConfig::Replay { traces } => {
             let card = cards::replay(&config, &traces)?;
-            work(card, config, false, outside, log)
+            work(card, config, Kind::Harmless, outside, log)
         }
         CardConfig::Gpio(setup) => {
             let card = cards::gpio(&setup, kept)?;
@@ -141,29 +144,39 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
                     log.say(Level::Warning, &text);
                 }
             }
-            work(card, config, true, outside, log)
+            work(card, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            work(cards::parport(&file, &profile)?, config, true, outside, log)
+            work(cards::parport(&file, &profile)?, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            work(cards::ports(base, &profile)?, config, true, outside, log)
+            work(cards::ports(base, &profile)?, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
             let base = cards::io_bar(&id, bar, &profile)?;
-            work(cards::ports(base, &profile)?, config, true, outside, log)
+            work(cards::ports(base, &profile)?, config, Kind::Real, outside, log)
         }
         CardConfig::Mapped { place, profile } => {
             let file = cards::register_file(&place, &profile)?;
             let _card_lock = lock(&file, "card")?;
             let card = cards::mapped(&file, &profile)?;
             let real = cards::drives_a_machine(&file)?;
-            work(card, config, real, outside, log)
+            work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside, log)
         }
     };
     // The lock is still held: nobody else can have a socket of this name.
     let _ = std::fs::remove_file(&socket);
     done
+}
+
+/// What hangs on a card.
+enum Kind {
+    /// A machine.
+    Real,
+    /// Another program, or a recording.
+    Harmless,
+    /// A simulated machine, and who stands at it.
+    Simulated(cards::Stand),
 }
 
 /// Takes a file for this process alone.
@@ -212,10 +225,11 @@ struct Outside<'a> {
 fn work<C: Card + Send + 'static>(
     mut card: C,
     config: Config,
-    real: bool,
+    kind: Kind,
     outside: Outside<'_>,
     log: &mut Log,
 ) -> anyhow::Result<()> {
+    let real = matches!(kind, Kind::Real);
     let directory = config.control.state_path();
     let directory = directory.parent().unwrap_or(Path::new(""));
     let temperatures = Temperatures::start(&config.sensors, directory, config.model.log_s)?;
@@ -291,6 +305,9 @@ fn work<C: Card + Send + 'static>(
     };
     let mut session = Session::new(config, set_up, temperatures);
     session.take_up_model(log);
+    if let Kind::Simulated(stand) = kind {
+        session.stand_at(stand);
+    }
     // The status that the link began with is older than the first look.
     while running.control.status().polls == 0 && !running.control.ended() {
         running.control.beat();

@@ -1,5 +1,6 @@
 //! Requests of the protocol, carried out on the link to the real-time thread.
 
+use crate::cards::Stand;
 use crate::live::{Corrector, reading};
 use crate::log::{Level, Log};
 use crate::temperatures::Temperatures;
@@ -42,6 +43,8 @@ pub(crate) struct Session {
     corrector: Corrector,
     /// When the corrector looks again.
     due: Instant,
+    /// Who stands at the machine, where it is a simulated one.
+    stand: Option<Stand>,
     /// The model's file is not what was taken last.
     model_refused: Option<String>,
     /// What happened since the server last asked.
@@ -62,6 +65,7 @@ impl Session {
             temperatures,
             corrector,
             due: Instant::now(),
+            stand: None,
             model_refused: None,
             happened: Vec::new(),
         }
@@ -75,6 +79,11 @@ impl Session {
     pub(crate) fn beat_every(&self) -> Duration {
         let stale = Duration::from_millis((self.config.control.stale_ms / 4).clamp(1, 20));
         stale.min(Duration::from_millis(self.config.model.period_ms))
+    }
+
+    /// The machine is simulated: it can be jogged from here.
+    pub(crate) fn stand_at(&mut self, stand: Stand) {
+        self.stand = Some(stand);
     }
 
     /// Where the temperatures' log and the name of the taken model are: beside the state file.
@@ -289,6 +298,9 @@ impl Session {
                 let done = self.model_load(file.as_deref(), take.as_deref(), control, log);
                 return done.unwrap_or_else(|e| e);
             }
+            Request::Jog { axis, display_mm } => {
+                return self.jog(axis, *display_mm).unwrap_or_else(|e| e);
+            }
             Request::ModelUnload {} => return self.model_unload(log),
             Request::Explain { axis } => {
                 return self.explain(axis.as_deref(), control).unwrap_or_else(|e| e);
@@ -391,6 +403,25 @@ impl Session {
         self.remember("", log);
         log.say(Level::Notice, "machine model unloaded");
         Response::Done { jumps: Vec::new() }
+    }
+
+    /// Jogs a simulated axis, and tells what display and indicator show.
+    fn jog(&self, axis: &str, display_mm: Option<f64>) -> Result<Response, Response> {
+        let n = self.number(axis)?;
+        let Some(stand) = &self.stand else {
+            let text = "only a simulated machine can be jogged from here".to_owned();
+            return Err(Response::Refused { why: "not_simulated".to_owned(), text, jumps: Vec::new() });
+        };
+        if let Some(mm) = display_mm {
+            let travel_mm = self.config.axes[n].travel_mm;
+            if mm.abs() > travel_mm {
+                let text = format!("found {mm} mm, expected a place within the travel of {travel_mm} mm");
+                return Err(Response::Bad { text });
+            }
+            stand.jog_to(n, mm);
+        }
+        let (display_mm, indicator_mm) = stand.read_mm(n);
+        Ok(Response::Stands { display_mm, indicator_mm })
     }
 
     fn explain(&mut self, axis: Option<&str>, control: &mut ControlEnd) -> Result<Response, Response> {

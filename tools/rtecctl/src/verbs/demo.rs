@@ -67,6 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         stroke_counts: STROKE_MM * 1000.0 / COUNT_UM,
         feed_counts_s: FEED_MM_S * 1000.0 / COUNT_UM,
         dwell_s: 0.2,
+        on_feedback: true,
     };
     let (axes, operator) = MovingAxes::new(&[(lines, motion)]);
     let mut card = MockCard::new(axes, Monotonic);

@@ -2,6 +2,7 @@
 
 pub(crate) mod characterise;
 pub(crate) mod clear;
+pub(crate) mod commission;
 pub(crate) mod completions;
 pub(crate) mod config;
 pub(crate) mod correct;

@@ -1,0 +1,417 @@
+//! `rtecctl commission`: proves by a guided jog that sign and unit of an axis are right, and that the controller is not
+//! already compensating.
+//!
+//! Three numbers are compared: what the controller displays, what an indicator at the axis shows, and what the scale
+//! counts. Indicator against scale: sign and unit. Display against feedback: what the controller compensates by itself.
+//! Then counts are inserted and the axis is jogged back to where it was: as displayed it stands where it stood, on its
+//! scale it must stand away by exactly the inserted total.
+
+use crate::Outcome;
+use crate::daemon::{Daemon, check, unreachable};
+use rtec_control::client::Client;
+use rtec_control::protocol::{Axis, Request, Response, Status};
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+/// Prove sign and unit of an axis, and that its controller does not compensate already, by a guided jog
+///
+/// Put an indicator at the axis. A simulated axis (mock card) is jogged and read by itself.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The axis
+    axis: String,
+    /// How far to jog with the indicator, mm; negative to the other side
+    #[arg(long, default_value_t = 10.0, allow_negative_numbers = true)]
+    jog_mm: f64,
+    /// How far to jog without it, mm: display against scale
+    #[arg(long, default_value_t = 50.0, allow_negative_numbers = true)]
+    far_mm: f64,
+    /// Total to insert, counts; within the belief window
+    #[arg(long, default_value_t = 20)]
+    counts: i64,
+    /// How well display and indicator can be read, µm
+    #[arg(long, default_value_t = 5.0)]
+    tolerance_um: f64,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+/// Indicator and scale may differ by this share before it is a matter of the unit: no machine errs by a hundredth.
+const UNIT: f64 = 0.01;
+/// The scale is at rest when it has not changed for so long.
+const REST: Duration = Duration::from_millis(300);
+/// An axis that is not at rest after this is not jogged, it is running.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The axis at rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Place {
+    display_mm: f64,
+    indicator_mm: f64,
+    scale_counts: i64,
+    /// What the controller's count differs by from the scale's, counts.
+    in_effect: i64,
+    /// What a count is worth as configured, µm.
+    count_um: f64,
+}
+
+impl Place {
+    fn scale_mm(&self) -> f64 {
+        self.scale_counts as f64 * self.count_um / 1000.0
+    }
+
+    /// What the controller is fed.
+    fn fed_mm(&self) -> f64 {
+        (self.scale_counts + self.in_effect) as f64 * self.count_um / 1000.0
+    }
+}
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+struct Finding {
+    /// `right`, `wrong_sign`, `wrong_unit`, `controller_compensates`, `controller_ignores`, `wrong_insertion`
+    verdict: &'static str,
+    text: String,
+}
+
+impl Finding {
+    fn new(verdict: &'static str, text: String) -> Option<Self> {
+        Some(Self { verdict, text })
+    }
+}
+
+/// Sign and unit, from a jog with the indicator.
+fn judge_jog(a: &Place, b: &Place, tolerance_um: f64) -> Option<Finding> {
+    let scale = b.scale_mm() - a.scale_mm();
+    let indicator = b.indicator_mm - a.indicator_mm;
+    let display = b.display_mm - a.display_mm;
+    let moved = |mm: f64| mm.abs() * 1000.0 > 10.0 * tolerance_um;
+    if !moved(display) || !moved(indicator) {
+        let text = format!(
+            "the display moved by {display:+.4} mm and the indicator by {indicator:+.4} mm: too little to tell anything"
+        );
+        return Finding::new("not_jogged", text);
+    }
+    if !moved(scale) {
+        let text = format!(
+            "the axis moved by {indicator:+.4} mm and its scale by {scale:+.4} mm: another scale is wired here"
+        );
+        return Finding::new("wrong_scale", text);
+    }
+    if scale * indicator < 0.0 {
+        let text = format!(
+            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: swap A and B of this axis (or the \
+             indicator's direction, if it counts backwards)"
+        );
+        return Finding::new("wrong_sign", text);
+    }
+    if (scale / indicator - 1.0).abs() > UNIT && (scale - indicator).abs() * 1000.0 > 2.0 * tolerance_um {
+        let right = a.count_um * indicator / scale;
+        let text = format!(
+            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: count_um = {} should be about {right:.4}",
+            a.count_um
+        );
+        return Finding::new("wrong_unit", text);
+    }
+    None
+}
+
+/// What the controller compensates by itself, µm over the way: feedback against display.
+fn own_um(a: &Place, b: &Place) -> f64 {
+    1000.0 * ((b.fed_mm() - a.fed_mm()) - (b.display_mm - a.display_mm))
+}
+
+/// What inserting did to the scale at the same displayed place.
+fn judge_insertion(before: &Place, after: &Place, inserted: i64) -> Option<Finding> {
+    let moved = after.scale_counts - before.scale_counts;
+    // A servo comes to rest within a count or two.
+    let near = |counts: i64| (moved - counts).abs() <= 2;
+    if near(-inserted) {
+        None
+    } else if near(0) {
+        let text = format!(
+            "{inserted:+} counts were inserted and the axis did not move: the controller closes its loop on another encoder, \
+             or A' and B' do not reach it"
+        );
+        Finding::new("controller_ignores", text)
+    } else if near(inserted) {
+        let text = format!(
+            "{inserted:+} counts moved the axis by {moved:+}: the wrong way; check A' and B' at the controller"
+        );
+        Finding::new("wrong_insertion", text)
+    } else {
+        let text = format!(
+            "{inserted:+} counts moved the axis by {moved:+} counts on its scale, expected {:+}",
+            -inserted
+        );
+        Finding::new("wrong_insertion", text)
+    }
+}
+
+struct Guide<'a> {
+    client: Client,
+    args: &'a Args,
+    simulated: bool,
+}
+
+impl Guide<'_> {
+    fn ask(&mut self, request: &Request) -> anyhow::Result<Response> {
+        check(self.client.ask(request).map_err(unreachable)?)
+    }
+
+    fn status(&mut self) -> anyhow::Result<(Box<Status>, Axis)> {
+        let Response::Status(status) = self.ask(&Request::Status {})? else {
+            return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
+        };
+        let name = &self.args.axis;
+        let axis = status.axes.iter().find(|a| a.name == *name).cloned().ok_or_else(|| {
+            let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
+            Outcome::Bad(format!("found axis {name:?}, expected one of {}", names.join(", ")))
+        })?;
+        Ok((status, axis))
+    }
+
+    /// Waits until the axis stands and nothing more is to be inserted.
+    fn at_rest(&mut self) -> anyhow::Result<Axis> {
+        let begun = Instant::now();
+        let (mut last, mut since) = (None, Instant::now());
+        loop {
+            let (status, axis) = self.status()?;
+            if status.mode != "run" {
+                return Err(Outcome::No(format!("the mode is {} now", status.mode)).into());
+            }
+            if last != Some(axis.position_counts) {
+                (last, since) = (Some(axis.position_counts), Instant::now());
+            }
+            if since.elapsed() > REST {
+                return Ok(axis);
+            }
+            if begun.elapsed() > PATIENCE {
+                return Err(Outcome::No("the axis does not come to rest".to_owned()).into());
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    fn stands(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
+        let request = Request::Jog { axis: self.args.axis.clone(), display_mm };
+        match self.ask(&request)? {
+            Response::Stands { display_mm, indicator_mm } => Ok((display_mm, indicator_mm)),
+            _ => Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into()),
+        }
+    }
+
+    /// Sends the axis to a place of the display (none: where it stands), and reads everything there.
+    fn go(&mut self, to_mm: Option<f64>) -> anyhow::Result<Place> {
+        let name = self.args.axis.clone();
+        let (display_mm, indicator_mm) = if self.simulated {
+            let to_mm = to_mm.map_or_else(|| self.stands(None).map(|s| s.0.round()), Ok)?;
+            eprintln!("jogging {name} to {to_mm:.4} mm");
+            self.stands(Some(to_mm))?;
+            // On its way, first; then at rest where it shall be.
+            while (self.stands(None)?.0 - to_mm).abs() > 1e-6 {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            self.at_rest()?;
+            self.stands(None)?
+        } else {
+            match to_mm {
+                Some(mm) => eprint!("jog {name} to {mm:.4} mm on the display, always from the same side. "),
+                None => eprint!("let {name} stand, with an indicator at it. "),
+            }
+            eprint!("Enter display and indicator, mm: ");
+            std::io::stderr().flush()?;
+            two_numbers(&mut std::io::stdin().lock())?
+        };
+        let axis = self.at_rest()?;
+        let count_um = 1000.0 * axis.position_mm / axis.position_counts as f64;
+        Ok(Place {
+            display_mm,
+            indicator_mm,
+            scale_counts: axis.position_counts,
+            in_effect: axis.in_effect,
+            count_um: if count_um.is_finite() { count_um } else { f64::NAN },
+        })
+    }
+
+    fn insert(&mut self, total_counts: i64) -> anyhow::Result<()> {
+        let request = Request::Correct { axis: self.args.axis.clone(), total_counts, large: false };
+        self.ask(&request).map(drop)
+    }
+
+    /// Everything, in order.
+    fn prove(&mut self, figures: &mut serde_json::Map<String, serde_json::Value>) -> anyhow::Result<Finding> {
+        let (args, tolerance_um) = (self.args, self.args.tolerance_um);
+        let note = |f: &mut serde_json::Map<String, serde_json::Value>, key: &str, v: f64| {
+            f.insert(key.to_owned(), serde_json::json!((v * 1e4).round() / 1e4));
+        };
+        let start = self.go(None)?;
+        let there = self.go(Some(start.display_mm + args.jog_mm))?;
+        // Either of them may stand at zero, where position and counts say nothing of the unit.
+        let count_um = if there.count_um.is_nan() { start.count_um } else { there.count_um };
+        let [start, there] = [start, there].map(|p| Place { count_um, ..p });
+        note(figures, "display_mm", there.display_mm - start.display_mm);
+        note(figures, "indicator_mm", there.indicator_mm - start.indicator_mm);
+        note(figures, "scale_mm", there.scale_mm() - start.scale_mm());
+        if let Some(finding) = judge_jog(&start, &there, tolerance_um) {
+            return Ok(finding);
+        }
+        let far = Place { count_um, ..self.go(Some(start.display_mm + args.far_mm))? };
+        let own = own_um(&start, &far);
+        note(figures, "controller_compensates_um", own);
+        if own.abs() > tolerance_um {
+            let (way, display) = (args.far_mm, far.display_mm - start.display_mm);
+            let text = format!(
+                "over {way} mm the display moved by {display:+.4} mm and the feedback by {:+.4} mm: the controller compensates \
+                 {own:+.1} µm by itself; switch its own table off, or leave these effects out of the model",
+                far.fed_mm() - start.fed_mm()
+            );
+            return Ok(Finding { verdict: "controller_compensates", text });
+        }
+        let before = self.go(Some(start.display_mm))?;
+        eprintln!("inserting {:+} counts", args.counts);
+        self.insert(args.counts)?;
+        // Away and back: without an edge an axis at rest gives no chance to insert.
+        let inserted =
+            self.go(Some(start.display_mm + args.jog_mm)).and_then(|_| self.go(Some(start.display_mm)));
+        // Taken back whatever was found.
+        self.insert(0)?;
+        let after = inserted?;
+        let total = after.in_effect - before.in_effect;
+        figures.insert("inserted_counts".to_owned(), total.into());
+        figures.insert("scale_moved_counts".to_owned(), (after.scale_counts - before.scale_counts).into());
+        if total == 0 {
+            let text = "nothing was inserted: see the gate in `rtecctl status`".to_owned();
+            return Ok(Finding { verdict: "not_inserted", text });
+        }
+        if let Some(finding) = judge_insertion(&before, &after, total) {
+            return Ok(finding);
+        }
+        self.go(Some(start.display_mm + args.jog_mm))?;
+        let back = self.go(Some(start.display_mm))?;
+        if let Some(finding) = judge_insertion(&after, &back, back.in_effect - after.in_effect) {
+            return Ok(finding);
+        }
+        let text = format!(
+            "sign and unit are right; {total:+} counts moved the axis by {:+}, and it came back; the controller does not \
+             compensate by itself",
+            after.scale_counts - before.scale_counts
+        );
+        Ok(Finding { verdict: "right", text })
+    }
+}
+
+/// Two numbers of a line; anything else is asked for again, the end of the input is an end.
+fn two_numbers(from: &mut impl std::io::BufRead) -> anyhow::Result<(f64, f64)> {
+    loop {
+        let mut line = String::new();
+        if from.read_line(&mut line)? == 0 {
+            return Err(Outcome::No("nobody answers; nothing is proved".to_owned()).into());
+        }
+        let words: Vec<&str> = line.split_whitespace().collect();
+        if let [a, b] = words[..]
+            && let (Ok(a), Ok(b)) = (a.parse::<f64>(), b.parse::<f64>())
+            && a.is_finite()
+            && b.is_finite()
+        {
+            return Ok((a, b));
+        }
+        eprint!("found {:?}, expected two numbers, as 10.000 9.998: ", line.trim());
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let small = args.jog_mm.abs() * 1000.0 <= 10.0 * args.tolerance_um;
+    if small || !args.jog_mm.is_finite() || !args.far_mm.is_finite() || args.counts == 0 {
+        let found = format!("--jog-mm {} --far-mm {} --counts {}", args.jog_mm, args.far_mm, args.counts);
+        let text = format!(
+            "found {found}, expected a jog beyond ten times the tolerance, and counts that are not 0"
+        );
+        return Err(Outcome::Bad(text).into());
+    }
+    let mut guide = Guide { client: args.daemon.connect()?, args, simulated: false };
+    let (status, axis) = guide.status()?;
+    if status.mode == "fault" {
+        return Err(Outcome::Fault(status.why_not.join("; ")).into());
+    }
+    if status.mode != "run" || !axis.homed {
+        return Err(Outcome::No(format!("corrections are not on: {}", status.why_not.join("; "))).into());
+    }
+    if axis.requested != axis.completed || axis.requested != 0 && status.model.is_none() {
+        let text = format!(
+            "axis {}: {:+} counts are requested already: `rtecctl correct {} 0`",
+            axis.name, axis.requested, axis.name
+        );
+        return Err(Outcome::No(text).into());
+    }
+    if status.model.is_some() {
+        let text = "a model is running, which moves the axis too: `rtecctl model unload` first".to_owned();
+        return Err(Outcome::No(text).into());
+    }
+    guide.simulated = status.rt.card == "mock";
+    let mut figures = serde_json::Map::new();
+    let found = guide.prove(&mut figures)?;
+    if args.daemon.json {
+        figures.insert("axis".to_owned(), args.axis.clone().into());
+        figures.insert("verdict".to_owned(), found.verdict.into());
+        figures.insert("text".to_owned(), found.text.clone().into());
+        println!("{}", serde_json::Value::Object(figures));
+    } else {
+        for (key, value) in &figures {
+            println!("{key:28} {value}");
+        }
+        println!("axis {}: {}", args.axis, found.text);
+    }
+    if found.verdict == "right" {
+        return Ok(());
+    }
+    Err(Outcome::No(format!("axis {}: {}", args.axis, found.verdict.replace('_', " "))).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(display_mm: f64, indicator_mm: f64, scale_counts: i64) -> Place {
+        Place { display_mm, indicator_mm, scale_counts, in_effect: 0, count_um: 0.5 }
+    }
+
+    fn verdict(b: Place) -> Option<&'static str> {
+        judge_jog(&at(0.0, 0.0, 0), &b, 5.0).map(|f| f.verdict)
+    }
+
+    #[test]
+    fn a_jog_names_sign_and_unit() {
+        assert_eq!(verdict(at(10.0, 10.004, 20_003)), None);
+        assert_eq!(verdict(at(-10.0, -9.998, -19_990)), None);
+        assert_eq!(verdict(at(10.0, 10.0, -20_000)), Some("wrong_sign"));
+        assert_eq!(verdict(at(10.0, 10.0, 40_000)), Some("wrong_unit"));
+        assert_eq!(verdict(at(10.0, 10.0, 20_600)), Some("wrong_unit"));
+        assert_eq!(verdict(at(10.0, 0.01, 20_000)), Some("not_jogged"));
+        assert_eq!(verdict(at(10.0, 10.0, 3)), Some("wrong_scale"));
+    }
+
+    #[test]
+    fn what_the_controller_adds_is_display_against_feedback_corrections_and_all() {
+        let (a, b) = (at(0.0, 0.0, 0), Place { in_effect: -20, ..at(50.0, 50.0, 100_044) });
+        assert!((own_um(&a, &b) - 12.0).abs() < 1e-9, "{}", own_um(&a, &b));
+    }
+
+    #[test]
+    fn inserted_counts_move_the_axis_by_their_opposite() {
+        let judge =
+            |moved: i64| judge_insertion(&at(0.0, 0.0, 7), &at(0.0, 0.0, 7 + moved), 20).map(|f| f.verdict);
+        assert_eq!((judge(-20), judge(-19)), (None, None));
+        assert_eq!(
+            (judge(0), judge(20), judge(-10)),
+            (Some("controller_ignores"), Some("wrong_insertion"), Some("wrong_insertion"))
+        );
+    }
+
+    #[test]
+    fn answers_are_asked_for_until_they_are_two_numbers() {
+        let mut lines = "ten\n10.0\n10.0 nan\n 10.000 9.998 \n".as_bytes();
+        assert_eq!(two_numbers(&mut lines).unwrap(), (10.0, 9.998));
+        assert!(two_numbers(&mut "".as_bytes()).is_err());
+    }
+}
