@@ -267,7 +267,8 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
             "terms = [{ p = 1, dT = 0, value = 2.5 }]: coefficient (µm or µrad) of (p/100 mm)^p · ΔT^dT";
         let mut terms = Vec::new();
         for term in c.required("terms", form)?.tables(form)? {
-            term.only(&["p", "dT", "value"])?;
+            term.only(&["p", "dT", "value", "interval"])?;
+            term.get("interval").map(|e| e.pair("a pair [low, high]")).transpose()?;
             let power = |key: &str| match term.get(key) {
                 None => Ok(0),
                 Some(e) => match e.number("a whole power from 0 to 8")? {

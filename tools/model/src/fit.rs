@@ -6,15 +6,21 @@
 //! judged by blocked cross-validation in time, never by the fit itself: sixteen sensors that warm together fit any
 //! stretch of the past in hundreds of ways. Where cross-validation cannot choose either, physics does: heat flows
 //! from its source outwards and growth follows, so the difference that leads the growth most (that needs the longest
-//! lag) is nearest to the cause, and one that runs beside it is not; and a difference to the environment keeps the
-//! sign of its own correlation.
+//! lag) is nearest to the cause, and one that runs beside it is not; the first difference has the sign of the hottest
+//! body's, any difference to the environment keeps the sign of its own correlation, and no gain is beyond what the
+//! dictionary holds plausible.
+//!
+//! The 95 % interval of a row is √(h² + x²): h from what the blocks left, and x for what the fit cannot know there: a
+//! difference beyond the range it was fitted on (held at the bound, so that gain · excess is left out), any difference,
+//! chosen or not, beyond the range it was seen in, and, just after a start, how far the lagged difference was from
+//! equilibrium (fading with its lag).
 
 use crate::date;
 use crate::effect::{Against, Dictionary, Difference, Effect, ValueError};
 use crate::iso230::correlation;
-use crate::machine::{FitNote, Machine, Provenance, Source};
+use crate::machine::{FitNote, Machine, Provenance, Source, Validity};
 use crate::plot::{Chart, Series, Style};
-use crate::record::{Axis, Record, Role};
+use crate::record::{Axis, Column, Record, Role};
 use nalgebra::{DMatrix, DVector};
 use rtec_driver::input::InputError;
 use serde::Serialize;
@@ -31,9 +37,19 @@ pub const ROUNDS: usize = 5;
 const BINS: usize = 512;
 /// Lags tried, from one minute on, each this much longer than the one before.
 const LAG_STEP: f64 = 1.15;
+/// Of the lags, those that the screening of candidates looks at: every so many.
+const SCREEN_LAGS: usize = 4;
+/// Candidates that pass the screening of a round.
+const SCREENED: usize = 12;
+/// Sensors that a model may read, the environment's among them ("the final number may generally be only 4 or 5").
+const SENSORS: usize = 5;
+/// A difference may be believed so far beyond what was seen, as a share of its range; further out it is held.
+const BEYOND: f64 = 0.1;
+/// Half width of a 95 % interval in standard deviations.
+const NORMAL_95: f64 = 1.96;
 
 /// What to fit and how.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Options {
     /// Differences to choose from; empty for all sensors. A sensor without `minus` is taken against the environment.
     pub sensors: Vec<Difference>,
@@ -45,6 +61,8 @@ pub struct Options {
     pub lag: bool,
     /// Offer squares.
     pub square: bool,
+    /// What is known already: its effects are kept, and the rest is fitted.
+    pub base: Option<Machine>,
     /// The date that the model will carry, days since 1970-01-01.
     pub date: i64,
     /// Days that it may be used for without being looked at again.
@@ -59,9 +77,31 @@ impl Default for Options {
             folds: 10,
             lag: true,
             square: true,
+            base: None,
             date: 0,
             valid_days: 365,
         }
+    }
+}
+
+impl Options {
+    /// Differences that the base has an effect of on this response already: sensor and the one taken off.
+    fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
+        let own = |e: &&Effect| ["thermal_growth", "thermal_lag"].contains(&e.card().name.as_str());
+        let of = |e: &Effect| {
+            let d = e.delta.as_ref().filter(|_| e.axes().first() == response.axis())?;
+            let minus = match &d.against {
+                Against::Sensor(m) => Some(m.clone()),
+                _ => None,
+            };
+            Some((d.sensor.clone(), minus))
+        };
+        self.base.iter().flat_map(Machine::effects).filter(own).filter_map(of).collect()
+    }
+
+    /// The base has an effect of this name.
+    fn base_has(&self, name: &str) -> bool {
+        self.base.as_ref().is_some_and(|m| m.effects().any(|e| e.name() == name))
     }
 }
 
@@ -140,7 +180,7 @@ pub struct Fitted {
 }
 
 impl Fitted {
-    fn of(effect: &Effect, interval: &Intervals) -> Self {
+    pub(crate) fn of(effect: &Effect, interval: &Intervals) -> Self {
         let minus = effect.delta.as_ref().and_then(|d| match &d.against {
             Against::Sensor(m) => Some(m.clone()),
             _ => None,
@@ -175,12 +215,14 @@ pub struct Rms {
 /// The 95 % prediction interval.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Interval {
-    /// Half width, µm.
+    /// Half width where the model knows most, µm; wider after a start and beyond the range of the fit.
     pub half_width_um: f64,
     /// Share of the rows inside, each block judged by the others' width.
     pub coverage_folds: f64,
     /// Share of the rows inside on every hold-out.
     pub coverage_holdout: Vec<f64>,
+    /// Mean half width over the rows of every hold-out, µm.
+    pub mean_half_width_holdout_um: Vec<f64>,
 }
 
 /// The same structure fitted on dry and on wet rows alone, as the patent compares them.
@@ -190,6 +232,10 @@ pub struct DryWet {
     pub dry: BTreeMap<String, f64>,
     /// The same wet.
     pub wet: BTreeMap<String, f64>,
+    /// Range of the growth on the dry rows, µm.
+    pub growth_dry_um: f64,
+    /// The same on the wet rows.
+    pub growth_wet_um: f64,
     /// RMS of the dry model on the wet rows, µm: what it costs to model dry and cut wet.
     pub dry_model_on_wet_rms_um: f64,
     /// RMS of the wet model on the wet rows, µm.
@@ -245,8 +291,12 @@ enum Term {
 struct Problem {
     sensors: Vec<String>,
     environment: Option<usize>,
-    /// Offered: (sensor, minus), the singles first.
+    /// Offered: (sensor, minus).
     offered: Vec<(usize, Option<usize>)>,
+    /// Pairs offered beside them from the second term on.
+    pairs: Vec<(usize, Option<usize>)>,
+    /// Largest gains that are plausible, µm/K and µm/K².
+    plausible: [f64; 2],
     explicit: bool,
     taus: Vec<f64>,
     /// Per sensor and lag: one value per bin.
@@ -381,6 +431,24 @@ impl Problem {
             offered =
                 (0..sensors.len()).filter(|s| Some(*s) != environment).map(|s| (s, environment)).collect();
         }
+        let known = options.base_differences(response);
+        let is_new = |(s, m): &(usize, Option<usize>)| {
+            let m = m.map(|m| sensors[m].as_str());
+            !known.iter().any(|k| (k.0.as_str(), k.1.as_deref()) == (sensors[*s].as_str(), m))
+        };
+        offered.retain(is_new);
+        let mut pairs = Vec::new();
+        if !explicit {
+            let others: Vec<usize> = (0..sensors.len()).filter(|s| Some(*s) != environment).collect();
+            for (i, a) in others.iter().enumerate() {
+                pairs.extend(others[i + 1..].iter().map(|b| (*a, Some(*b))));
+            }
+            pairs.retain(is_new);
+        }
+        let plausible = Dictionary::default().effect("thermal_growth.x").map_or([f64::INFINITY; 2], |e| {
+            let bound = |i: usize| e.card().parameters[i].plausible[1];
+            [bound(0), bound(1)]
+        });
         let rows: usize = records.iter().map(|r| r.rows()).sum();
         if rows < 4 * options.folds || options.folds < 3 {
             let expected = format!("at least {} (four per fold, three folds)", 4 * options.folds.max(3));
@@ -417,22 +485,26 @@ impl Problem {
             .collect();
         let everywhere = |role: &Role| records.iter().all(|r| r.column(role).is_some());
         let varies = |v: &Vec<f64>| v.iter().any(|x| (x - v[0]).abs() > 1e-9);
-        let optional = |role: Role, of: fn(f64) -> f64| {
+        let optional = |role: Role, effect: &str, of: fn(f64) -> f64| {
             let all = everywhere(&role).then(|| average(&|n| column(n, &role).into_iter().map(of).collect()));
-            all.filter(|v| varies(v) && !explicit)
+            let axis = response.axis().map_or("", Axis::as_str);
+            let known = options.base_has(&format!("{effect}.{axis}"));
+            all.filter(|v| varies(v) && !explicit && !known)
         };
         let fold = (0..bins.len()).map(|i| i * options.folds / bins.len()).collect();
         Ok(Self {
             y: average(&|n| column(n, response)),
             weight: bins.iter().map(|(_, b)| b.len() as f64).collect(),
-            coolant: optional(Role::Coolant, |v| f64::from(v > 0.5)),
-            speed: optional(Role::SpindleSpeed, |v| v / 1000.0),
+            coolant: optional(Role::Coolant, "coolant", |v| f64::from(v > 0.5)),
+            speed: optional(Role::SpindleSpeed, "spindle_speed", |v| v / 1000.0),
             fold,
             folds: options.folds,
             square: options.square,
             sensors,
             environment,
             offered,
+            pairs,
+            plausible,
             explicit,
             taus,
             binned,
@@ -526,14 +598,102 @@ impl Problem {
     }
 
     /// Differences to the environment keep the sign of their own correlation: the sign is known, and a fit that
-    /// turns it round lives on collinearity.
-    fn signs_hold(&self, judged: &Judged, folds: &[usize]) -> bool {
+    /// turns it round lives on collinearity, as one with gains beyond reason does.
+    fn physical(&self, judged: &Judged, folds: &[usize]) -> bool {
         judged.terms.iter().zip(&judged.coefficients[1..]).all(|(t, c)| match t {
-            Term::Thermal { minus, square: false, .. } if *minus == self.environment => {
-                self.gamma(*t, folds) * c >= 0.0
+            Term::Thermal { square: true, .. } => c.abs() <= self.plausible[1],
+            Term::Thermal { minus, .. } => {
+                c.abs() <= self.plausible[0]
+                    && (*minus != self.environment || self.gamma(*t, folds) * c >= 0.0)
             }
             _ => true,
         })
+    }
+
+    /// Of the offered, those whose growth goes the way that the hottest body's does: heat comes from there. Where
+    /// that body says nothing, all.
+    fn from_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
+        let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
+        let warmth = |j: &Judged| {
+            let Some((sensor, minus)) = pair_of(j.terms[0]) else { return 0.0 };
+            let u = self.column(Term::Thermal { sensor, minus, lag: 0, square: false });
+            rows.iter().map(|i| u[*i]).sum::<f64>() / rows.len() as f64
+        };
+        let hottest = singles.iter().max_by(|a, b| warmth(a).total_cmp(&warmth(b)));
+        let way = hottest.map_or(0.0, |j| self.gamma(j.terms[0], folds));
+        if self.explicit || way.abs() < 0.5 {
+            return singles;
+        }
+        singles.into_iter().filter(|j| j.coefficients[1] * way > 0.0).collect()
+    }
+
+    /// The candidates that explain most of what these terms leave, whatever their lag.
+    fn screen(
+        &self,
+        terms: &[Term],
+        candidates: &[(usize, Option<usize>)],
+        folds: &[usize],
+    ) -> Vec<(usize, Option<usize>)> {
+        let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
+        let pick = |v: &[f64]| rows.iter().map(|i| v[*i]).collect::<Vec<f64>>();
+        let weight = pick(&self.weight);
+        let dot =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).zip(&weight).map(|((a, b), w)| w * a * b).sum::<f64>();
+        // An orthonormal basis of the constant and the terms; what is left of a column beside it.
+        let mut basis: Vec<Vec<f64>> = Vec::new();
+        let beside = |basis: &[Vec<f64>], mut v: Vec<f64>| {
+            for q in basis {
+                let c = dot(q, &v);
+                v.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
+            }
+            v
+        };
+        let mut columns = vec![vec![1.0; rows.len()]];
+        columns.extend(terms.iter().map(|t| pick(&self.column(*t))));
+        for c in columns {
+            let c = beside(&basis, c);
+            let norm = dot(&c, &c).sqrt();
+            if norm > 0.0 {
+                basis.push(c.into_iter().map(|v| v / norm).collect());
+            }
+        }
+        let left = beside(&basis, pick(&self.y));
+        let score = |(sensor, minus): (usize, Option<usize>)| {
+            let lags = (0..self.taus.len()).step_by(SCREEN_LAGS);
+            let of = lags.map(|lag| {
+                let column = pick(&self.column(Term::Thermal { sensor, minus, lag, square: false }));
+                let d = beside(&basis, column);
+                let (own, with) = (dot(&d, &d), dot(&d, &left));
+                if own > 1e-12 { with * with / own } else { 0.0 }
+            });
+            of.fold(0.0, f64::max)
+        };
+        let mut scored: Vec<_> = candidates.iter().map(|c| (*c, score(*c))).collect();
+        scored.sort_by(|a, b| b.1.total_cmp(&a.1));
+        scored.into_iter().take(SCREENED).map(|(c, _)| c).collect()
+    }
+
+    /// Sensors that these terms read.
+    fn sensor_count(terms: &[Term]) -> usize {
+        let mut read: Vec<usize> =
+            terms.iter().filter_map(|t| pair_of(*t)).flat_map(|(s, m)| [Some(s), m]).flatten().collect();
+        read.sort_unstable();
+        read.dedup();
+        read.len()
+    }
+
+    /// The lags once more, each with the others held, now that all terms are there.
+    fn retune(&self, mut now: Judged, folds: &[usize]) -> Judged {
+        for k in 0..now.terms.len() {
+            let Term::Thermal { lag: 1.., square: false, .. } = now.terms[k] else { continue };
+            let fits =
+                (1..self.taus.len()).filter_map(|lag| self.judge(&relagged(&now.terms, k, lag), folds));
+            let best = fits.filter(|j| self.physical(j, folds)).min_by(|a, b| a.rms().total_cmp(&b.rms()));
+            if let Some(best) = best.filter(|b| b.rms() < now.rms()) {
+                now = best;
+            }
+        }
+        now
     }
 
     /// The best lag of a difference beside the terms that are there; no lag unless it earns its place.
@@ -553,7 +713,7 @@ impl Problem {
             columns.push(self.column(term));
             let judged = self.judge_columns(&[terms, &[term]].concat(), &columns, folds);
             columns.pop();
-            judged.filter(|j| self.signs_hold(j, folds))
+            judged.filter(|j| self.physical(j, folds))
         };
         let without = at(0);
         let with = (1..self.taus.len()).filter_map(&mut at).min_by(|a, b| a.rms().total_cmp(&b.rms()));
@@ -568,9 +728,10 @@ impl Problem {
         let mut singles: Vec<Judged> =
             self.offered.iter().filter_map(|(s, m)| self.best_lag(&[], *s, *m, folds)).collect();
         singles.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
-        let best = singles.first()?.clone();
+        let sources = self.from_the_source(singles.clone(), folds);
+        let best = sources.first()?.clone();
         // What the data cannot tell from the best; of these the one nearest to the source of heat.
-        let mut tied: Vec<Judged> = singles.iter().filter(|j| !best.beats(j)).cloned().collect();
+        let mut tied: Vec<Judged> = sources.into_iter().filter(|j| !best.beats(j)).collect();
         let lag = |j: &Judged| match j.terms[0] {
             Term::Thermal { lag, .. } => lag,
             _ => 0,
@@ -595,11 +756,16 @@ impl Problem {
         let mut rounds = vec![now.clone()];
         let mut candidates: Vec<(usize, Option<usize>)> =
             kept.iter().filter_map(|j| pair_of(j.terms[0])).collect();
-        let pairs = self.pairs_of(&candidates);
-        candidates.extend(&pairs);
+        candidates.extend(&self.pairs);
         while rounds.len() < ROUNDS {
+            let few = |(s, m): &(usize, Option<usize>)| {
+                let term = Term::Thermal { sensor: *s, minus: *m, lag: 0, square: false };
+                Self::sensor_count(&[now.terms.as_slice(), &[term]].concat()) <= SENSORS
+            };
+            let offered: Vec<_> = candidates.iter().copied().filter(few).collect();
+            let screened = self.screen(&now.terms, &offered, folds);
             let mut next: Vec<Judged> =
-                candidates.iter().filter_map(|(s, m)| self.best_lag(&now.terms, *s, *m, folds)).collect();
+                screened.iter().filter_map(|(s, m)| self.best_lag(&now.terms, *s, *m, folds)).collect();
             let mut extra: Vec<Term> = Vec::new();
             if self.coolant.is_some() {
                 extra.push(Term::Coolant);
@@ -613,9 +779,10 @@ impl Problem {
             extra.retain(|t| !now.terms.contains(t));
             next.extend(extra.into_iter().filter_map(|t| {
                 let judged = self.judge(&[now.terms.as_slice(), &[t]].concat(), folds)?;
-                self.signs_hold(&judged, folds).then_some(judged)
+                self.physical(&judged, folds).then_some(judged)
             }));
             let Some(best) = next.into_iter().min_by(|a, b| a.rms().total_cmp(&b.rms())) else { break };
+            let best = self.retune(best, folds);
             // The patent's rule asks R; the blocks must agree.
             if best.r - now.r <= R_GAIN * now.r || !best.beats(&now) {
                 break;
@@ -623,19 +790,32 @@ impl Problem {
             now = best;
             rounds.push(now.clone());
         }
-        Some(Selection { structure: now, rounds, kept, dropped, tied, pairs })
-    }
-
-    /// Pairs among the kept sensors (not with the environment: those are the singles).
-    fn pairs_of(&self, singles: &[(usize, Option<usize>)]) -> Vec<(usize, Option<usize>)> {
-        if self.explicit {
-            return Vec::new();
+        // Each term was the best beside those before it: is another one better beside all? (Not of a single term: that
+        // one was physics' choice.)
+        let mut swapped = now.terms.len() > 1;
+        for _ in 0..ROUNDS {
+            if !std::mem::take(&mut swapped) {
+                break;
+            }
+            for k in 0..now.terms.len() {
+                if pair_of(now.terms[k]).is_none()
+                    || squared(now.terms[k]).is_none_or(|q| now.terms.contains(&q))
+                {
+                    continue;
+                }
+                let mut rest = now.terms.clone();
+                rest.remove(k);
+                let screened = self.screen(&rest, &candidates, folds);
+                let fits = screened.iter().filter_map(|(s, m)| self.best_lag(&rest, *s, *m, folds));
+                let few = fits.filter(|j| Self::sensor_count(&j.terms) <= SENSORS);
+                let best = few.min_by(|a, b| a.rms().total_cmp(&b.rms()));
+                if let Some(best) = best.filter(|b| b.beats(&now)) {
+                    now = self.retune(best, folds);
+                    swapped = true;
+                }
+            }
         }
-        let mut pairs = Vec::new();
-        for (i, (a, _)) in singles.iter().enumerate() {
-            pairs.extend(singles[i + 1..].iter().map(|(b, _)| (*a, Some(*b))));
-        }
-        pairs
+        Some(Selection { structure: now, rounds, kept, dropped, tied })
     }
 
     fn name(&self, term: Term) -> String {
@@ -684,6 +864,18 @@ fn squared(term: Term) -> Option<Term> {
     }
 }
 
+/// The same terms with another lag of the k-th; the square of the same difference shares it.
+fn relagged(terms: &[Term], k: usize, other: usize) -> Vec<Term> {
+    let Term::Thermal { sensor: s, minus: m, lag: l, .. } = terms[k] else { return terms.to_vec() };
+    let of = |t: &Term| match *t {
+        Term::Thermal { sensor, minus, lag, square } if (sensor, minus, lag) == (s, m, l) => {
+            Term::Thermal { sensor, minus, lag: other, square }
+        }
+        t => t,
+    };
+    terms.iter().map(of).collect()
+}
+
 struct Selection {
     structure: Judged,
     rounds: Vec<Judged>,
@@ -691,7 +883,6 @@ struct Selection {
     /// Sensor, α, and the kept one (by number) it is redundant with.
     dropped: Vec<(Judged, f64, usize)>,
     tied: Vec<Judged>,
-    pairs: Vec<(usize, Option<usize>)>,
 }
 
 impl Selection {
@@ -746,6 +937,20 @@ struct Rows {
     columns: Vec<Vec<f64>>,
     y: Vec<f64>,
     fold: Vec<usize>,
+    /// Time since the start of the row's record, s.
+    elapsed_s: Vec<f64>,
+}
+
+/// What a fit knows of one difference, and so where it knows less.
+struct Guard {
+    /// Places of the difference among the columns, and of its square.
+    term: usize,
+    square: Option<usize>,
+    /// Beyond this the difference is held, K.
+    range_k: [f64; 2],
+    /// How far the lagged difference used to be from the difference itself, RMS, K: what is not known at a start.
+    start_k: f64,
+    tau_s: f64,
 }
 
 impl Rows {
@@ -756,16 +961,63 @@ impl Rows {
         response: &Role,
     ) -> Result<Self, InputError> {
         let mut columns = vec![Vec::new(); terms.len()];
-        let mut y = Vec::new();
+        let (mut y, mut elapsed_s) = (Vec::new(), Vec::new());
         for r in records {
             for (all, own) in columns.iter_mut().zip(full_columns(problem, terms, r)?) {
                 all.extend(own);
             }
             y.extend_from_slice(r.data(response).unwrap_or_default());
+            elapsed_s.extend(r.time_s().iter().map(|t| t - r.time_s()[0]));
         }
         let n = y.len();
         let fold = (0..n).map(|i| i * problem.folds / n).collect();
-        Ok(Self { columns, y, fold })
+        Ok(Self { columns, y, fold, elapsed_s })
+    }
+
+    /// What a fit on the rows that `take` chooses knows of its differences; `plain` has the same terms without lag.
+    fn guards(
+        &self,
+        problem: &Problem,
+        terms: &[Term],
+        plain: &Self,
+        take: &dyn Fn(usize) -> bool,
+    ) -> Vec<Guard> {
+        let mut found = Vec::new();
+        for (k, term) in terms.iter().enumerate() {
+            let Term::Thermal { sensor, minus, lag, square: false } = *term else { continue };
+            let square = terms.iter().position(|t| *t == Term::Thermal { sensor, minus, lag, square: true });
+            let (mut lo, mut hi, mut late, mut n) = (f64::INFINITY, f64::NEG_INFINITY, 0.0, 0.0);
+            for i in (0..self.y.len()).filter(|i| take(*i)) {
+                let v = self.columns[k][i];
+                (lo, hi) = (lo.min(v), hi.max(v));
+                late += (v - plain.columns[k][i]).powi(2);
+                n += 1.0;
+            }
+            let margin = BEYOND * (hi - lo);
+            found.push(Guard {
+                term: k,
+                square,
+                range_k: [lo - margin, hi + margin],
+                start_k: (late / f64::max(n, 1.0)).sqrt(),
+                tau_s: problem.taus[lag],
+            });
+        }
+        found
+    }
+
+    /// What the model says of a row with its differences held in their ranges, and x of its interval.
+    fn held(&self, c: &[f64], guards: &[Guard], i: usize) -> (f64, f64) {
+        let mut says = c[0] + self.columns.iter().zip(&c[1..]).map(|(u, c)| c * u[i]).sum::<f64>();
+        let mut x2 = 0.0;
+        for g in guards {
+            let asked = self.columns[g.term][i];
+            let held = asked.clamp(g.range_k[0], g.range_k[1]);
+            let gain = c[g.term + 1];
+            let bend = g.square.map_or(0.0, |k| c[k + 1]);
+            says += gain * (held - asked) + bend * (held * held - asked * asked);
+            x2 += unknown_um(gain, bend, asked, held, g.start_k, g.tau_s, self.elapsed_s[i]).powi(2);
+        }
+        (says, x2.sqrt())
     }
 
     /// Least squares on the rows that `take` chooses: constant, then one coefficient per column.
@@ -796,6 +1048,22 @@ impl Rows {
     }
 }
 
+/// What an effect of a temperature difference may be off by at a row, µm, beyond what the fit itself leaves: the slope at
+/// the bound times what was asked beyond it, and, `elapsed_s` after a start, its part of an unknown state of the lag.
+pub(crate) fn unknown_um(
+    gain: f64,
+    bend: f64,
+    asked_k: f64,
+    held_k: f64,
+    start_k: f64,
+    tau_s: f64,
+    elapsed_s: f64,
+) -> f64 {
+    let slope = gain.abs().max((gain + 2.0 * bend * held_k).abs());
+    let start = if tau_s > 0.0 { NORMAL_95 * start_k * (-elapsed_s / tau_s).exp() } else { 0.0 };
+    slope * (asked_k - held_k).hypot(start)
+}
+
 fn rms(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let n = values.clone().count().max(1) as f64;
     (values.map(|v| v * v).sum::<f64>() / n).sqrt()
@@ -822,7 +1090,19 @@ pub fn fit(
     options: &Options,
 ) -> Result<(Machine, Vec<Report>), InputError> {
     let name = train[0].path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let mut machine = Machine::ideal(name.strip_suffix(".run.toml").unwrap_or(&name));
+    let ideal = || Machine::ideal(name.strip_suffix(".run.toml").unwrap_or(&name));
+    let mut machine = options.base.clone().unwrap_or_else(ideal);
+    // What the base explains is taken off first.
+    let beyond = |records: &[&Record]| {
+        let of = |r: &&Record| match &options.base {
+            Some(base) => base.beyond(r),
+            None => Ok((*r).clone()),
+        };
+        records.iter().map(of).collect::<Result<Vec<Record>, InputError>>()
+    };
+    let (own_train, own_holdout) = (beyond(train)?, beyond(holdout)?);
+    let train: &[&Record] = &own_train.iter().collect::<Vec<_>>();
+    let holdout: &[&Record] = &own_holdout.iter().collect::<Vec<_>>();
     let mut reports = Vec::new();
     let responses: Vec<Role> =
         train[0].responses().map(|c| c.role.clone()).filter(|r| matches!(r, Role::Error(_))).collect();
@@ -835,6 +1115,59 @@ pub fn fit(
     Ok((machine, reports))
 }
 
+/// Every offered difference as measured, chosen or not: where one leaves the range that the fit has seen, the machine is
+/// in a state that the fit does not know, whatever the chosen ones say.
+struct Watched {
+    rows: Rows,
+    offered: Vec<Term>,
+}
+
+impl Watched {
+    fn new(problem: &Problem, train: &[&Record], response: &Role) -> Result<Self, InputError> {
+        let plain = |(sensor, minus): &(usize, Option<usize>)| Term::Thermal {
+            sensor: *sensor,
+            minus: *minus,
+            lag: 0,
+            square: false,
+        };
+        let offered: Vec<Term> = problem.offered.iter().map(plain).collect();
+        Ok(Self { rows: Rows::new(problem, &offered, train, response)?, offered })
+    }
+
+    /// The range of each on the rows that `take` chooses, and how much the response moved with its movement: the ratio
+    /// of their standard deviations, which noise does not make smaller as it does a slope.
+    fn ranges(&self, problem: &Problem, take: &dyn Fn(usize) -> bool) -> Vec<Validity> {
+        let rows: Vec<usize> = (0..self.rows.y.len()).filter(|i| take(*i)).collect();
+        let sd = |v: &[f64]| {
+            let m = rows.iter().map(|i| v[*i]).sum::<f64>() / rows.len() as f64;
+            (rows.iter().map(|i| (v[*i] - m).powi(2)).sum::<f64>() / rows.len() as f64).sqrt()
+        };
+        let y = sd(&self.rows.y);
+        let of = |(term, u): (&Term, &Vec<f64>)| {
+            let Term::Thermal { sensor, minus, .. } = *term else {
+                unreachable!("only differences are watched")
+            };
+            let (lo, hi) = rows
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), i| (l.min(u[*i]), h.max(u[*i])));
+            let margin = BEYOND * (hi - lo);
+            let name = &problem.sensors[sensor];
+            let difference = match minus {
+                Some(m) => Difference::pair(name, &problem.sensors[m]),
+                None => Difference::single(name),
+            };
+            let um_per_k = (y / sd(u).max(1e-9)).min(problem.plausible[0]);
+            Validity { difference, range_k: [lo - margin, hi + margin], um_per_k }
+        };
+        self.offered.iter().zip(&self.rows.columns).map(of).collect()
+    }
+
+    /// What being outside may cost at a row, µm.
+    fn outside_um(&self, ranges: &[Validity], i: usize) -> f64 {
+        ranges.iter().zip(&self.rows.columns).map(|(r, u)| r.outside_um(u[i])).fold(0.0, f64::max)
+    }
+}
+
 /// What nested blocks say: structure and parameters chosen without the block they are judged on.
 struct Nested {
     folds: Vec<f64>,
@@ -844,28 +1177,47 @@ struct Nested {
 
 fn nested(problem: &Problem, train: &[&Record], response: &Role) -> Result<Option<Nested>, InputError> {
     let mut folds = Vec::new();
-    let mut residuals: Vec<Vec<f64>> = Vec::new();
+    // Per fold: what is left of every row, and x of its interval.
+    let mut left: Vec<Vec<(f64, f64)>> = Vec::new();
+    let watched = Watched::new(problem, train, response)?;
     for f in 0..problem.folds {
         let others: Vec<usize> = (0..problem.folds).filter(|o| *o != f).collect();
         let Some(inner) = problem.select(&others) else { return Ok(None) };
-        let rows = Rows::new(problem, &inner.structure.terms, train, response)?;
+        let terms = &inner.structure.terms;
+        let rows = Rows::new(problem, terms, train, response)?;
+        let plain = Rows::new(problem, &unlagged(terms), train, response)?;
         let Some(c) = rows.solve(&|i| rows.fold[i] != f) else { return Ok(None) };
-        let own = (0..rows.y.len()).filter(|i| rows.fold[*i] == f);
-        let left: Vec<f64> = own.map(|i| rows.residual(&c, i)).collect();
-        folds.push(rms(left.iter().copied()));
-        residuals.push(left);
+        let guards = rows.guards(problem, terms, &plain, &|i| rows.fold[i] != f);
+        let ranges = watched.ranges(problem, &|i| rows.fold[i] != f);
+        let own = (0..rows.y.len()).filter(|i| rows.fold[*i] == f).map(|i| {
+            let (says, x) = rows.held(&c, &guards, i);
+            (rows.y[i] - says, x.hypot(watched.outside_um(&ranges, i)))
+        });
+        let own: Vec<(f64, f64)> = own.collect();
+        folds.push(rms(own.iter().map(|l| l.0)));
+        left.push(own);
     }
+    // h so that 95 % of the rows lie within √(h² + x²).
     let width_without = |f: Option<usize>| {
-        let others = residuals.iter().enumerate().filter(|(g, _)| Some(*g) != f).flat_map(|(_, r)| r);
-        quantile(others.map(|r| r.abs()).collect(), 0.95)
+        let others = left.iter().enumerate().filter(|(g, _)| Some(*g) != f).flat_map(|(_, r)| r);
+        quantile(others.map(|(r, x)| (r * r - x * x).max(0.0).sqrt()).collect(), 0.95)
     };
-    let inside = |(f, r): (usize, &Vec<f64>)| {
-        let width = width_without(Some(f));
-        r.iter().filter(|v| v.abs() <= width).count()
+    let inside = |(f, own): (usize, &Vec<(f64, f64)>)| {
+        let h = width_without(Some(f));
+        own.iter().filter(|(r, x)| r.abs() <= h.hypot(*x)).count()
     };
-    let all: usize = residuals.iter().map(Vec::len).sum();
-    let coverage = residuals.iter().enumerate().map(inside).sum::<usize>() as f64 / all as f64;
+    let all: usize = left.iter().map(Vec::len).sum();
+    let coverage = left.iter().enumerate().map(inside).sum::<usize>() as f64 / all as f64;
     Ok(Some(Nested { folds, half_width_um: width_without(None), coverage }))
+}
+
+/// The same terms without their lags.
+fn unlagged(terms: &[Term]) -> Vec<Term> {
+    let of = |t: &Term| match *t {
+        Term::Thermal { sensor, minus, square, .. } => Term::Thermal { sensor, minus, lag: 0, square },
+        t => t,
+    };
+    terms.iter().map(of).collect()
 }
 
 /// How a fitted model does on records it has not seen.
@@ -873,15 +1225,11 @@ fn nested(problem: &Problem, train: &[&Record], response: &Role) -> Result<Optio
 struct Later {
     rms: Vec<f64>,
     coverage: Vec<f64>,
+    width_um: Vec<f64>,
     warnings: Vec<String>,
 }
 
-fn judge_holdouts(
-    machine: &Machine,
-    holdout: &[&Record],
-    response: &Role,
-    half_width_um: f64,
-) -> Result<Later, InputError> {
+fn judge_holdouts(machine: &Machine, holdout: &[&Record], response: &Role) -> Result<Later, InputError> {
     let mut later = Later::default();
     for r in holdout {
         let Some(y) = r.data(response) else {
@@ -894,7 +1242,9 @@ fn judge_holdouts(
         let place = r.responses().position(|c| c.role == *response).unwrap_or_default();
         let predicted = &machine.predict(r)?.columns[place].1;
         let left = y.iter().zip(predicted).map(|(y, p)| y - p);
-        let inside = left.clone().filter(|v| v.abs() <= half_width_um).count();
+        let widths = machine.half_widths_um(r, response).unwrap_or_default();
+        let inside = left.clone().zip(&widths).filter(|(v, w)| v.abs() <= **w).count();
+        later.width_um.push(mean(&widths));
         later.coverage.push(inside as f64 / y.len() as f64);
         later.rms.push(rms(left));
         later
@@ -922,31 +1272,51 @@ fn fit_response(
 
     let blocks = nested(&problem, train, response)?.ok_or_else(nothing)?;
     let intervals = jackknife(&problem, &chosen.structure, &rows, &coefficients);
-    let effects = effects(&problem, &terms, &coefficients, &intervals, &rows, response)
+    let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
+    let guards = rows.guards(&problem, &terms, &plain, &|_| true);
+    let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
         .map_err(|e| whole(&e.to_string(), "parameters within the law's limits"))?;
     let mut fitted = Vec::new();
     let mut own = Machine::ideal("fit");
     for (effect, interval) in effects {
         fitted.push(Fitted::of(&effect, &interval));
         let from = train.iter().map(|r| Source::of(r)).collect();
-        let provenance = Provenance { added_by: Some("model fit".to_owned()), date: None, from, interval };
+        let provenance = Provenance {
+            added_by: Some("model fit".to_owned()),
+            date: Some(date::format(options.date)),
+            from,
+            interval,
+        };
         let twice = |e: ValueError| whole(&e.to_string(), "each effect once");
         own.push(effect.clone(), provenance.clone()).map_err(twice)?;
-        machine.push(effect, provenance).map_err(twice)?;
+        // An offset of the base and the fit's constant are one offset.
+        let place = machine.effects().position(|e| e.card().name == "offset" && e.name() == effect.name());
+        match place {
+            Some(n) => {
+                let base = machine.listed()[n].effect.scalar(0);
+                let [lo, hi] = provenance.interval.get("um").map_or([0.0; 2], |i| i[0]);
+                let interval = [[base + lo, base + hi]];
+                machine.set(n, "um", &[base + effect.scalar(0)], Some(&interval)).map_err(twice)?;
+            }
+            None => machine.push(effect, provenance).map_err(twice)?,
+        }
     }
-    machine.note_fit(FitNote {
+    let note = FitNote {
         response: response.to_string(),
         date: date::format(options.date),
         valid_until: date::format(options.date + options.valid_days),
         rms_um: mean(&blocks.folds),
         half_width_um: blocks.half_width_um.max(1e-9),
+        valid: Watched::new(&problem, train, response)?.ranges(&problem, &|_| true),
         from: train.iter().map(|r| Source::of(r)).collect(),
-    });
-    let later = judge_holdouts(&own, holdout, response, blocks.half_width_um)?;
+    };
+    own.note_fit(note.clone());
+    machine.note_fit(note);
+    let later = judge_holdouts(&own, holdout, response)?;
     let mut warnings = later.warnings;
     let ranked = |j: &Judged| problem.ranked(j, &all);
     let kept: Vec<Ranked> = chosen.kept.iter().map(ranked).collect();
-    let mut pairs: Vec<Ranked> = chosen
+    let mut pairs: Vec<Ranked> = problem
         .pairs
         .iter()
         .filter_map(|(s, m)| problem.best_lag(&[], *s, *m, &all))
@@ -1001,6 +1371,7 @@ fn fit_response(
             half_width_um: blocks.half_width_um,
             coverage_folds: blocks.coverage,
             coverage_holdout: later.coverage,
+            mean_half_width_holdout_um: later.width_um,
         },
         dry_wet: dry_wet(&problem, &terms, train, &rows),
         warnings,
@@ -1068,15 +1439,18 @@ struct Jackknife {
     tau_s: BTreeMap<usize, [f64; 2]>,
 }
 
+/// The 95 % interval of a value from what it is with each block left out.
+pub(crate) fn jackknife_interval(value: f64, parts: &[f64]) -> [f64; 2] {
+    let m = mean(parts);
+    let n = parts.len() as f64;
+    let t = StudentsT::new(0.0, 1.0, (n - 1.0).max(1.0)).map_or(2.26, |d| d.inverse_cdf(0.975));
+    let se = ((n - 1.0) / n * parts.iter().map(|p| (p - m).powi(2)).sum::<f64>()).sqrt();
+    [value - t * se, value + t * se]
+}
+
 fn jackknife(problem: &Problem, structure: &Judged, rows: &Rows, full: &[f64]) -> Jackknife {
     let folds = problem.folds;
-    let t = StudentsT::new(0.0, 1.0, folds as f64 - 1.0).map_or(2.26, |d| d.inverse_cdf(0.975));
-    let spread = |value: f64, parts: &[f64]| {
-        let m = mean(parts);
-        let n = parts.len() as f64;
-        let se = ((n - 1.0) / n * parts.iter().map(|p| (p - m).powi(2)).sum::<f64>()).sqrt();
-        [value - t * se, value + t * se]
-    };
+    let spread = jackknife_interval;
     let parts: Vec<Vec<f64>> = (0..folds).filter_map(|f| rows.solve(&|i| rows.fold[i] != f)).collect();
     let coefficients =
         (0..full.len()).map(|k| spread(full[k], &parts.iter().map(|p| p[k]).collect::<Vec<f64>>())).collect();
@@ -1086,22 +1460,11 @@ fn jackknife(problem: &Problem, structure: &Judged, rows: &Rows, full: &[f64]) -
         if lag == 0 {
             continue;
         }
-        let with = |other: usize| {
-            let terms = structure.terms.iter().map(|t| match (*t, *term) {
-                // The square of the same difference shares its lag.
-                (
-                    Term::Thermal { sensor, minus, lag: own, square },
-                    Term::Thermal { sensor: s, minus: m, lag: l, .. },
-                ) if (sensor, minus, own) == (s, m, l) => Term::Thermal { sensor, minus, lag: other, square },
-                (t, _) => t,
-            });
-            terms.collect::<Vec<Term>>()
-        };
         let parts: Vec<f64> = (0..folds)
             .filter_map(|f| {
                 let others: Vec<usize> = (0..folds).filter(|o| *o != f).collect();
-                let fits =
-                    (1..problem.taus.len()).filter_map(|l| Some((l, problem.judge(&with(l), &others)?.r)));
+                let fits = (1..problem.taus.len())
+                    .filter_map(|l| Some((l, problem.judge(&relagged(&structure.terms, k, l), &others)?.r)));
                 fits.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(l, _)| problem.taus[l].ln())
             })
             .collect();
@@ -1114,7 +1477,7 @@ fn jackknife(problem: &Problem, structure: &Judged, rows: &Rows, full: &[f64]) -
     Jackknife { coefficients, tau_s }
 }
 
-type Intervals = BTreeMap<String, Vec<[f64; 2]>>;
+pub(crate) type Intervals = BTreeMap<String, Vec<[f64; 2]>>;
 
 /// The structure as effects of the dictionary, each with its intervals and the range it was fitted on.
 fn effects(
@@ -1122,7 +1485,7 @@ fn effects(
     terms: &[Term],
     coefficients: &[f64],
     jackknife: &Jackknife,
-    rows: &Rows,
+    guards: &[Guard],
     response: &Role,
 ) -> Result<Vec<(Effect, Intervals)>, ValueError> {
     let dictionary = Dictionary::default();
@@ -1171,12 +1534,9 @@ fn effects(
                         intervals.insert("tau_s".to_owned(), one(*i));
                     }
                 }
-                if !square {
-                    // A tenth beyond what was seen may be believed; further out ΔT is held.
-                    let u = &rows.columns[k];
-                    let (lo, hi) = u.iter().fold((u[0], u[0]), |(l, h), v| (l.min(*v), h.max(*v)));
-                    let margin = 0.1 * (hi - lo);
-                    e.range_k = Some([lo - margin, hi + margin]);
+                if let Some(g) = guards.iter().find(|g| g.term == k) {
+                    e.range_k = Some(g.range_k);
+                    e.start_k = (lag > 0).then_some(g.start_k);
                 }
                 found.push((e, intervals));
             }
@@ -1198,15 +1558,47 @@ fn dry_wet(problem: &Problem, terms: &[Term], train: &[&Record], rows: &Rows) ->
         columns: thermal.iter().map(|k| rows.columns[*k].clone()).collect(),
         y: rows.y.clone(),
         fold: rows.fold.clone(),
+        elapsed_s: Vec::new(),
     };
     let (dry_fit, wet_fit) = (own.solve(&|i| !wet[i])?, own.solve(&|i| wet[i])?);
     let named = |c: &[f64]| thermal.iter().zip(&c[1..]).map(|(k, c)| (problem.name(terms[*k]), *c)).collect();
+    let growth = |w: bool| {
+        let own = own.y.iter().zip(&wet).filter(|(_, is)| **is == w).map(|(y, _)| *y);
+        own.clone().fold(f64::MIN, f64::max) - own.fold(f64::MAX, f64::min)
+    };
     Some(DryWet {
+        growth_dry_um: growth(false),
+        growth_wet_um: growth(true),
         dry: named(&dry_fit),
         wet: named(&wet_fit),
         dry_model_on_wet_rms_um: own.rms(&dry_fit, &|i| wet[i]),
         wet_model_on_wet_rms_um: own.rms(&wet_fit, &|i| wet[i]),
     })
+}
+
+/// Measured and predicted response of a record over time, with the 95 % interval where there is one (the patent's
+/// figure 18).
+#[must_use]
+pub fn prediction_chart(
+    record: &Record,
+    response: &Column,
+    predicted: &[f64],
+    half_widths_um: Option<&[f64]>,
+) -> Chart {
+    let over_time = |v: &mut dyn Iterator<Item = f64>| {
+        record.time_s().iter().map(|t| t / 60.0).zip(v).collect::<Vec<(f64, f64)>>()
+    };
+    let title = format!("{}: {} measured and predicted", record.file, response.role);
+    let mut chart = Chart::new(&title, "time, min", "error, µm")
+        .with(Series::new("measured", Style::Dots, over_time(&mut response.data.iter().copied())))
+        .with(Series::new("predicted", Style::Line, over_time(&mut predicted.iter().copied())));
+    if let Some(widths) = half_widths_um {
+        for (name, sign) in [("95 %, low", -1.0), ("95 %, high", 1.0)] {
+            let bound = &mut predicted.iter().zip(widths).map(|(p, w)| p + sign * w);
+            chart = chart.with(Series::new(name, Style::Line, over_time(bound)));
+        }
+    }
+    chart
 }
 
 impl Report {

@@ -4,7 +4,7 @@ use crate::chain::Chain;
 use crate::date;
 use crate::document::{self, Table};
 use crate::effect::{Against, Dictionary, Difference, Effect, Need, Parameter, ValueError};
-use crate::record::{Record, hex, write_whole};
+use crate::record::{Record, Role, hex, write_whole};
 use rtec_driver::input::InputError;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -50,6 +50,25 @@ pub struct Listed {
     pub provenance: Provenance,
 }
 
+/// The range of a temperature difference in which a fit is valid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Validity {
+    /// The difference, one that the model reads or not.
+    pub difference: Difference,
+    /// From where to where it was seen, K.
+    pub range_k: [f64; 2],
+    /// How much the response moved with it, µm/K.
+    pub um_per_k: f64,
+}
+
+impl Validity {
+    /// What being so far outside may cost, µm.
+    #[must_use]
+    pub fn outside_um(&self, delta_k: f64) -> f64 {
+        self.um_per_k * (delta_k - self.range_k[1]).max(self.range_k[0] - delta_k).max(0.0)
+    }
+}
+
 /// What a fit says about itself: which response, when, on what, how good, how long it may be trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitNote {
@@ -63,6 +82,8 @@ pub struct FitNote {
     pub rms_um: f64,
     /// Half width of the 95 % prediction interval, µm.
     pub half_width_um: f64,
+    /// Where it is valid: outside of these, the interval is wider.
+    pub valid: Vec<Validity>,
     /// The records.
     pub from: Vec<Source>,
 }
@@ -199,7 +220,58 @@ impl Machine {
         self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
     }
 
-    /// Adds what a fit says about itself.
+    /// Half width of the 95 % prediction interval at every row of a record, µm, where a fit of the response has said
+    /// it: wider just after the record's start, by what is not known of the lags, and where a difference is held at
+    /// the bound of the range it was fitted on.
+    #[must_use]
+    pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
+        let h = self.half_width_um(&response.to_string())?;
+        let mut squares = vec![h * h; record.rows()];
+        let t = record.time_s();
+        let valid = self.fits.iter().filter(|f| f.response == response.to_string()).flat_map(|f| &f.valid);
+        let mut outside = vec![0.0_f64; record.rows()];
+        for v in valid {
+            // A sensor that the model does not read may be missing here.
+            let Some(u) = record.temperature(&v.difference.sensor) else { continue };
+            let minus = |row: usize| match &v.difference.against {
+                Against::Sensor(m) => record.temperature(m).map(|m| m[row]),
+                Against::Reference(degc) => Some(*degc),
+                Against::Standard => Some(crate::effect::STANDARD_DEGC),
+            };
+            for (row, (o, u)) in outside.iter_mut().zip(u).enumerate() {
+                *o = minus(row).map_or(*o, |m| o.max(v.outside_um(u - m)));
+            }
+        }
+        squares.iter_mut().zip(&outside).for_each(|(s, o)| *s += o * o);
+        for effect in self.effects().filter(|e| e.axes().first() == response.axis()) {
+            let (Some(range), Some(asked)) = (effect.range_k, differences(effect, record)) else { continue };
+            let of = |name: &str| effect.value(name).map_or(0.0, |v| v[0]);
+            let (gain, bend, tau_s) = (of("um_per_K"), of("um_per_K2"), of("tau_s"));
+            for (row, (square, asked)) in squares.iter_mut().zip(&asked).enumerate() {
+                let held = asked.clamp(range[0], range[1]);
+                let (start_k, elapsed_s) = (effect.start_k.unwrap_or(0.0), t[row] - t[0]);
+                *square +=
+                    crate::fit::unknown_um(gain, bend, *asked, held, start_k, tau_s, elapsed_s).powi(2);
+            }
+        }
+        Some(squares.into_iter().map(f64::sqrt).collect())
+    }
+
+    /// The record with its errors less what this machine predicts of them.
+    ///
+    /// # Errors
+    /// As [`Machine::predict`].
+    pub fn beyond(&self, record: &Record) -> Result<Record, InputError> {
+        let mut left = record.clone();
+        let predicted = self.predict(record)?.columns;
+        let responses = left.columns.iter_mut().filter(|c| c.role.is_response());
+        for (column, (_, says)) in responses.zip(predicted) {
+            column.data.iter_mut().zip(says).for_each(|(e, p)| *e -= p);
+        }
+        Ok(left)
+    }
+
+    /// Adds what a fit says about itself; it stands for what an earlier fit of the same response said.
     pub fn note_fit(&mut self, note: FitNote) {
         let mut t = toml_edit::Table::new();
         t["response"] = value(&note.response);
@@ -207,13 +279,40 @@ impl Machine {
         t["valid_until"] = value(&note.valid_until);
         t["rms_um"] = value(note.rms_um);
         t["half_width_um"] = value(note.half_width_um);
+        let valid = |v: &Validity| {
+            let mut t = InlineTable::new();
+            t.insert("sensor", v.difference.sensor.as_str().into());
+            match &v.difference.against {
+                Against::Sensor(m) => drop(t.insert("minus", m.as_str().into())),
+                Against::Reference(degc) => drop(t.insert("reference_degC", (*degc).into())),
+                Against::Standard => {}
+            }
+            t.insert("range_K", Value::from(v.range_k.into_iter().collect::<Array>()));
+            t.insert("um_per_K", v.um_per_k.into());
+            t
+        };
+        if !note.valid.is_empty() {
+            let mut valid: Array = note.valid.iter().map(valid).collect();
+            valid.iter_mut().for_each(|v| v.decor_mut().set_prefix("\n    "));
+            valid.set_trailing("\n");
+            valid.set_trailing_comma(true);
+            t["valid"] = value(valid);
+        }
         t["from"] = sources(&note.from);
         let item =
             self.doc.entry("fit").or_insert_with(|| Item::ArrayOfTables(toml_edit::ArrayOfTables::new()));
         if let Some(list) = item.as_array_of_tables_mut() {
+            list.retain(|t| t.get("response").and_then(Item::as_str) != Some(&note.response));
             list.push(t);
         }
+        self.fits.retain(|f| f.response != note.response);
         self.fits.push(note);
+    }
+
+    /// It refers to files beside it: a chain, a dictionary.
+    #[must_use]
+    pub fn refers_to_files(&self) -> bool {
+        ["chain", "dictionary"].iter().any(|key| self.doc.get(key).is_some())
     }
 
     /// The dictionary it was read with.
@@ -404,23 +503,11 @@ impl Machine {
     pub fn out_of_range(&self, record: &Record) -> Vec<String> {
         let mut found = Vec::new();
         for effect in self.effects() {
-            let (Some([lo, hi]), Some(delta), Ok(bound)) =
-                (effect.range_k, &effect.delta, effect.bind(record))
-            else {
-                continue;
-            };
-            let mut free = effect.clone();
-            free.range_k = None;
-            let n = effect.coefficient_count();
-            let mut basis = vec![0.0; n * bound.rows()];
-            bound.basis(&free, 0, &mut basis);
-            // The first basis column of growth and lag is the (lagged) difference itself.
-            if effect.card().naming != crate::effect::Naming::One || n != 2 {
-                continue;
-            }
-            let outside = basis[..bound.rows()].iter().filter(|d| **d < lo || **d > hi).count();
+            let (Some([lo, hi]), Some(delta)) = (effect.range_k, &effect.delta) else { continue };
+            let Some(asked) = differences(effect, record) else { continue };
+            let outside = asked.iter().filter(|d| **d < lo || **d > hi).count();
             if outside > 0 {
-                let share = 100.0 * outside as f64 / bound.rows() as f64;
+                let share = 100.0 * outside as f64 / record.rows() as f64;
                 found.push(format!(
                     "{} {delta}: {share:.1} % of the rows outside {lo:.2} to {hi:.2} K, held at the bound",
                     effect.name()
@@ -429,6 +516,23 @@ impl Machine {
         }
         found
     }
+}
+
+/// The (lagged) temperature difference that growth or lag asks for at every row, not held at any bound; `None` where the
+/// record lacks it, and for other laws.
+fn differences(effect: &Effect, record: &Record) -> Option<Vec<f64>> {
+    let n = effect.coefficient_count();
+    if effect.delta.is_none() || effect.card().naming != crate::effect::Naming::One || n != 2 {
+        return None;
+    }
+    let bound = effect.bind(record).ok()?;
+    let mut free = effect.clone();
+    free.range_k = None;
+    let mut basis = vec![0.0; n * bound.rows()];
+    bound.basis(&free, 0, &mut basis);
+    // The first basis column of growth and lag is the (lagged) difference itself.
+    basis.truncate(bound.rows());
+    Some(basis)
 }
 
 /// What a model says about a record.
@@ -452,26 +556,22 @@ fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, Inpu
     known.extend(parameters.iter().map(|p| p.name.as_str()));
     if thermal {
         known.extend(["sensor", "minus", "reference_degC", "range_K"]);
+        if parameters.iter().any(|p| p.name == "tau_s") {
+            known.push("start_K");
+        }
     }
     known.extend(PROVENANCE);
     table.only(&known)?;
 
     if thermal {
-        let sensor =
-            table.required("sensor", "the sensor's name, as sensor = \"T8\"")?.str("a sensor's name")?;
-        let minus = table.get("minus");
-        let reference = table.get("reference_degC");
-        let against = match (minus, reference) {
-            (Some(_), Some(r)) => {
-                return Err(r.key_error("`minus` and `reference_degC` both", "one of the two, or neither"));
-            }
-            (Some(m), None) => Against::Sensor(m.str("a sensor's name")?.to_owned()),
-            (None, Some(r)) => Against::Reference(r.number("a temperature in degC")?),
-            (None, None) => Against::Standard,
-        };
-        effect.delta = Some(Difference { sensor: sensor.to_owned(), against });
+        effect.delta = Some(read_difference(table)?);
         let range = "a pair [lowest, highest] of temperature differences in K";
         effect.range_k = table.get("range_K").map(|r| r.pair(range)).transpose()?;
+        let start = |e: document::Entry<'_>| match e.number("K, not below zero")? {
+            v if v >= 0.0 => Ok(v),
+            v => Err(e.error(v.to_string(), "K, not below zero")),
+        };
+        effect.start_k = table.get("start_K").map(start).transpose()?;
     }
 
     let mut values: Vec<f64> = Vec::new();
@@ -520,8 +620,33 @@ fn read_sources(table: Table<'_>) -> Result<Vec<Source>, InputError> {
     tables.into_iter().map(read).collect()
 }
 
+const VALID: &str = "{ sensor = \"…\", minus = \"…\", range_K = [low, high], um_per_K = … }";
+
+fn read_validity(t: Table<'_>) -> Result<Validity, InputError> {
+    t.only(&["sensor", "minus", "reference_degC", "range_K", "um_per_K"])?;
+    Ok(Validity {
+        difference: read_difference(t)?,
+        range_k: t.required("range_K", VALID)?.pair("a pair [lowest, highest] in K")?,
+        um_per_k: t.required("um_per_K", VALID)?.number("µm/K")?,
+    })
+}
+
+/// `sensor` with `minus`, with `reference_degC`, or alone.
+fn read_difference(table: Table<'_>) -> Result<Difference, InputError> {
+    let sensor = table.required("sensor", "the sensor's name, as sensor = \"T8\"")?.str("a sensor's name")?;
+    let against = match (table.get("minus"), table.get("reference_degC")) {
+        (Some(_), Some(r)) => {
+            return Err(r.key_error("`minus` and `reference_degC` both", "one of the two, or neither"));
+        }
+        (Some(m), None) => Against::Sensor(m.str("a sensor's name")?.to_owned()),
+        (None, Some(r)) => Against::Reference(r.number("a temperature in degC")?),
+        (None, None) => Against::Standard,
+    };
+    Ok(Difference { sensor: sensor.to_owned(), against })
+}
+
 fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
-    t.only(&["response", "date", "valid_until", "rms_um", "half_width_um", "from"])?;
+    t.only(&["response", "date", "valid_until", "rms_um", "half_width_um", "valid", "from"])?;
     let text = |key: &str| Ok::<_, InputError>(t.required(key, "text")?.text());
     Ok(FitNote {
         response: text("response")?,
@@ -529,6 +654,10 @@ fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
         valid_until: text("valid_until")?,
         rms_um: t.required("rms_um", "µm")?.number("µm")?,
         half_width_um: t.required("half_width_um", "µm")?.positive("µm, above zero")?,
+        valid: match t.get("valid") {
+            Some(e) => e.tables(VALID)?.into_iter().map(read_validity).collect::<Result<_, _>>()?,
+            None => Vec::new(),
+        },
         from: read_sources(t)?,
     })
 }
@@ -607,6 +736,9 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
     }
     if let Some([lo, hi]) = effect.range_k {
         t["range_K"] = value([lo, hi].into_iter().collect::<Array>());
+    }
+    if let Some(k) = effect.start_k {
+        t["start_K"] = value(k);
     }
     if let Some(by) = &provenance.added_by {
         t["added_by"] = value(by);
@@ -769,6 +901,10 @@ mod tests {
             valid_until: "2027-05-01".into(),
             rms_um: 0.4,
             half_width_um: 0.8,
+            valid: vec![
+                Validity { difference: Difference::pair("T8", "T18"), range_k: [0.5, 9.0], um_per_k: 3.0 },
+                Validity { difference: Difference::single("T9"), range_k: [-1.0, 2.0], um_per_k: 1.0 },
+            ],
             from: vec![Source { file: "a.csv".into(), sha256: "00".into() }],
         });
         let again = Machine::parse(&dir.path().join("m.toml"), &m.to_text()).unwrap();

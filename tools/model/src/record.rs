@@ -1,5 +1,6 @@
 //! Run records: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
 
+use crate::date;
 use crate::document::{self, Table};
 use rtec_driver::input::InputError;
 use sha2::{Digest, Sha256};
@@ -241,6 +242,8 @@ pub struct Record {
     pub kind: Kind,
     /// What one count is worth, µm.
     pub count_um: Option<f64>,
+    /// The day of the run, as ISO 8601.
+    pub date: Option<String>,
     /// Free text about the run.
     pub note: Option<String>,
     /// The listed columns, in the CSV's order.
@@ -293,6 +296,7 @@ impl Record {
             sha256: String::new(),
             kind,
             count_um: None,
+            date: None,
             note: None,
             columns,
             time_s,
@@ -336,6 +340,7 @@ impl Record {
             sha256: hex(&Sha256::digest(&bytes)),
             kind: sidecar.kind,
             count_um: sidecar.count_um,
+            date: sidecar.date,
             note: sidecar.note,
             columns,
             time_s,
@@ -473,6 +478,9 @@ impl Record {
         if let Some(um) = self.count_um {
             doc["count_um"] = toml_edit::value(um);
         }
+        if let Some(date) = &self.date {
+            doc["date"] = toml_edit::value(date);
+        }
         if let Some(note) = &self.note {
             doc["note"] = toml_edit::value(note);
         }
@@ -551,17 +559,15 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
 /// The lines of a CSV that carry something: comments cut, ends trimmed, with their numbers from 1.
 fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().filter_map(|(i, line)| {
-        let line = match memchr_hash(line) {
-            Some(at) => &line[..at],
-            None => line,
-        };
+        let line = comment_start(line).map_or(line, |at| &line[..at]);
         let line = line.trim_end();
         (!line.trim_start().is_empty()).then_some((i + 1, line))
     })
 }
 
 /// The `#` that starts a comment; one inside double quotes is part of a name.
-fn memchr_hash(line: &str) -> Option<usize> {
+fn comment_start(line: &str) -> Option<usize> {
+    line.find('#')?;
     let mut quoted = false;
     line.bytes().position(|b| {
         quoted ^= b == b'"';
@@ -570,8 +576,27 @@ fn memchr_hash(line: &str) -> Option<usize> {
 }
 
 fn unquote(field: &str) -> &str {
+    // A bare number, as nearly every field is, has nothing to take off.
+    if let [first, .., last] = field.as_bytes()
+        && first.is_ascii_graphic()
+        && *first != b'"'
+        && last.is_ascii_graphic()
+    {
+        return field;
+    }
     let field = field.trim();
     field.strip_prefix('"').and_then(|f| f.strip_suffix('"')).unwrap_or(field)
+}
+
+/// The fields of a line. Byte by byte: they are too short for the search that `str::split` does.
+fn fields_of(line: &str) -> impl Iterator<Item = &str> {
+    let mut rest = Some(line);
+    std::iter::from_fn(move || {
+        let line = rest?;
+        let Some(at) = line.bytes().position(|b| b == b',') else { return rest.take() };
+        rest = Some(&line[at + 1..]);
+        Some(&line[..at])
+    })
 }
 
 /// Column in characters, from 1, of a part of a line.
@@ -611,7 +636,7 @@ fn parse_csv(path: &Path, text: &str, sidecar: &Sidecar) -> Result<Vec<Column>, 
         }
     }
     for (number, line) in lines {
-        let mut fields = line.split(',');
+        let mut fields = fields_of(line);
         for (i, slot) in slots.iter().enumerate() {
             let Some(field) = fields.next() else {
                 let found = format!("{i} values");
@@ -668,6 +693,7 @@ struct Sidecar {
     file_error: Place,
     kind: Kind,
     count_um: Option<f64>,
+    date: Option<String>,
     note: Option<String>,
     columns: Vec<Listed>,
 }
@@ -677,13 +703,19 @@ impl Sidecar {
         let text = document::read(path)?;
         let doc = document::parse(path, &text)?;
         let root = Table::root(path, &text, &doc);
-        root.only(&["file", "kind", "count_um", "note", "columns"])?;
+        root.only(&["file", "kind", "count_um", "date", "note", "columns"])?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
         let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
         let parsed_kind = Kind::parse(kind.str("a kind of run")?)
             .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
         let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
+        // A date may be TOML's own or a string.
+        let day = |v: document::Entry<'_>| match date::parse(&v.text()) {
+            Some(_) => Ok(v.text()),
+            None => Err(v.error(v.text(), "a day as 2026-05-01")),
+        };
+        let date = root.get("date").map(day).transpose()?;
         let note = root.get("note").map(|v| v.str("free text").map(str::to_owned)).transpose()?;
         let listed =
             root.required("columns", "a table [columns] of the CSV's columns")?.table("a table [columns]")?;
@@ -708,7 +740,7 @@ impl Sidecar {
         }
         let file_error = Place(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();
-        Ok(Self { file, file_error, kind: parsed_kind, count_um, note, columns })
+        Ok(Self { file, file_error, kind: parsed_kind, count_um, date, note, columns })
     }
 }
 
@@ -762,6 +794,7 @@ mod tests {
     fn findings_in_the_sidecar_carry_their_place() {
         for (from, to, line, column, found) in [
             ("count_um", "count", 3, 1, "unknown key `count`"),
+            ("count_um = 1.0", "date = \"1.5.2026\"", 3, 8, "1.5.2026"),
             ("positioning", "walking", 2, 8, "kind `walking`"),
             ("\"time\"", "\"clock\"", 5, 14, "role `clock`"),
             ("position.y", "position", 6, 14, "role `position`"),
@@ -801,6 +834,7 @@ mod tests {
         ];
         let mut r = Record::new(&path, Kind::Drift, columns).unwrap();
         r.count_um = Some(0.5);
+        r.date = Some("2026-05-01".into());
         r.note = Some("simulated".into());
         r.write().unwrap();
         assert_eq!(Record::read(&path).unwrap(), r);

@@ -49,10 +49,10 @@ fn turning_centre_by_hand() {
     };
     let e = at(50.0, 200.0);
     // carriage at p = 2 (100 mm): dx 1.92, dz 2.6 µm, ey 2 µrad; cross-slide at p = 0.5: dx −1.1, dz 0.1 µm,
-    // ey −1.5 + 21 µrad; spindle ey 12 µrad. Tool point from the carriage (120, −, 5), from the cross-slide
-    // (−80, −, −35), from the spindle (120, −, 385) mm. A rotation ey moves x by +ey·z and z by −ey·x.
-    let x = 1.92 + 2e-3 * 5.0 - 1.1 + 19.5e-3 * -35.0 - 12e-3 * 385.0;
-    let z = 2.6 - 2e-3 * 120.0 + 0.1 + 19.5e-3 * 80.0 + 12e-3 * 120.0;
+    // ey −1.5 µrad; its guide ey 21 µrad; spindle ey 12 µrad. Tool point from carriage and guide (120, −, 5), from the
+    // cross-slide (−80, −, −35), from the spindle (120, −, 385) mm. A rotation ey moves x by +ey·z and z by −ey·x.
+    let x = 1.92 + 2e-3 * 5.0 - 1.1 - 1.5e-3 * -35.0 + 21e-3 * 5.0 - 12e-3 * 385.0;
+    let z = 2.6 - 2e-3 * 120.0 + 0.1 - 1.5e-3 * 80.0 - 21e-3 * 120.0 + 12e-3 * 120.0;
     assert!((e[0] - x).abs() < 2e-3 && (e[2] - z).abs() < 2e-3, "{e:?}: {x} {z}");
 }
 

@@ -3,7 +3,7 @@
 
 use crate::axis::AxisSpec;
 use crate::gcode::Block;
-use crate::heat::{Cycle, FIGURE_9, SENSORS};
+use crate::heat::{FIGURE_9, SENSORS};
 use crate::noise::Noise;
 use crate::path::AXES;
 use crate::sim::{Moment, NAMES, Part, Sim, SimError, Spec, look_up};
@@ -83,7 +83,7 @@ impl Experiment {
 }
 
 /// All of them.
-pub const EXPERIMENTS: [Experiment; 11] = [
+pub const EXPERIMENTS: [Experiment; 13] = [
     Experiment {
         name: "linear-displacement",
         what: "ISO 230-2: 5 cycles over 13 targets, both directions, each axis against a laser",
@@ -100,6 +100,11 @@ pub const EXPERIMENTS: [Experiment; 11] = [
         run: drift,
     },
     Experiment {
+        name: "production-cycle",
+        what: "a wet spindle cycle that no characterisation runs: four hours of changing speeds and rests",
+        run: production,
+    },
+    Experiment {
         name: "tool-change-repeatability",
         what: "ten tool changes with arbitrary moves in between, back to a reference (WO 97/43703, table 3)",
         run: tool_change,
@@ -107,7 +112,12 @@ pub const EXPERIMENTS: [Experiment; 11] = [
     Experiment {
         name: "drilling",
         what: "12 holes and counterbores, cold, warm and hot, wet (WO 97/43703, figure 12 and table 7)",
-        run: drilling,
+        run: |setting| drilling(setting, false),
+    },
+    Experiment {
+        name: "drilling-warm",
+        what: "the same after three hours at 5000 rpm, wet, the corrector on throughout (WO 97/43703, test 2)",
+        run: |setting| drilling(setting, true),
     },
     Experiment {
         name: "hemisphere",
@@ -428,7 +438,7 @@ fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
 }
 
 /// Runs a spindle cycle at rest at the reference and measures every minute.
-fn soak(sim: &mut Sim, log: &mut Log, cycle: Cycle, coolant: bool) -> Result<(), SimError> {
+fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Result<(), SimError> {
     sim.set_control_period(100_000_000);
     sim.machine.load([Block::Coolant { on: coolant }]);
     log.take(sim, 1.0);
@@ -458,6 +468,28 @@ fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
         }
         findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
     }
+    Ok(findings)
+}
+
+/// Minutes at speeds that [`FIGURE_9`] does not have, and rests, in another order.
+const PRODUCTION: &[(f64, f64)] = &[
+    (2000.0, 25.0),
+    (4500.0, 50.0),
+    (0.0, 10.0),
+    (3500.0, 45.0),
+    (5000.0, 40.0),
+    (0.0, 20.0),
+    (2500.0, 30.0),
+    (5200.0, 20.0),
+];
+
+fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let runs =
+        both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| soak(sim, log, PRODUCTION, true))?;
+    let x = |r: &Row| r.now.t_s / 60.0;
+    let axes = &[0, 1, 2][..];
+    runs.publish(setting, "production-cycle", Kind::Drift, (axes, 0.1), ("time, min", &x), &mut findings)?;
     Ok(findings)
 }
 
@@ -493,8 +525,16 @@ fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     Ok(findings)
 }
 
-fn drilling(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
+    // At 5000 rpm without any motion.
+    let soak = |sim: &mut Sim, minutes: f64| {
+        sim.run([Block::Spindle { rpm: 5000.0 }])?;
+        sim.set_control_period(100_000_000);
+        sim.advance(60.0 * minutes)?;
+        sim.set_control_period(0);
+        Ok::<_, SimError>(())
+    };
     let inch = 25.4;
     // Figure 12: a plate of 24 in by 8 in; each cycle drills near its corners, the next an inch further in X.
     let hole = |cycle: usize, n: usize| {
@@ -504,6 +544,9 @@ fn drilling(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     };
     let runs = both(setting, &Spec::machining_centre(), [0.0, 0.0, 100.0], &[], |sim, log| {
         sim.machine.load([Block::Coolant { on: true }]);
+        if warm {
+            soak(sim, 180.0)?;
+        }
         for cycle in 0..3 {
             for n in 0..4 {
                 let at = hole(cycle, n);
@@ -519,17 +562,14 @@ fn drilling(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
                 }
             }
             if cycle < 2 {
-                // An hour and a half at 5000 rpm, wet, without any motion.
-                sim.run([Block::Spindle { rpm: 5000.0 }])?;
-                sim.set_control_period(100_000_000);
-                sim.advance(5400.0)?;
-                sim.set_control_period(0);
+                soak(sim, 90.0)?;
             }
         }
         Ok(())
     })?;
     let x = |r: &Row| r.now.t_s / 60.0;
-    runs.publish(setting, "drilling", Kind::Part, (&[0, 1, 2], 0.5), ("time, min", &x), &mut findings)?;
+    let name = if warm { "drilling-warm" } else { "drilling" };
+    runs.publish(setting, name, Kind::Part, (&[0, 1, 2], 0.5), ("time, min", &x), &mut findings)?;
     // As table 7: deviations with reference to hole 1.
     let mut table = Map::new();
     for (log, label) in runs.logs.iter().zip(["without", "with"]) {

@@ -380,6 +380,9 @@ pub struct Effect {
     pub delta: Option<Difference>,
     /// The range of ΔT it was fitted on, K: outside, ΔT is held at the bound instead of following a parabola out.
     pub range_k: Option<[f64; 2]>,
+    /// For a lag: how far the lagged ΔT used to be from ΔT where it was fitted, RMS, K: what is not known of it at a
+    /// start. It fades with the lag.
+    pub start_k: Option<f64>,
     /// All values, parameter after parameter, each with as many as the effect has knots (1 for scalars).
     values: Vec<f64>,
 }
@@ -389,6 +392,7 @@ impl PartialEq for Effect {
         self.name() == other.name()
             && self.delta == other.delta
             && self.range_k == other.range_k
+            && self.start_k == other.start_k
             && self.values == other.values
     }
 }
@@ -917,7 +921,7 @@ impl Dictionary {
             (Naming::Channel, _) => return Err(form(".x.NAME")),
         }
         let values = law.card().parameters.iter().map(start_value).collect();
-        Ok(Effect { law: Arc::clone(law), axes, channel, delta: None, range_k: None, values })
+        Ok(Effect { law: Arc::clone(law), axes, channel, delta: None, range_k: None, start_k: None, values })
     }
 
     /// Every effect that could act in these records: each law on each response, with each sensor, sensor pair and

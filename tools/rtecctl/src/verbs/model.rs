@@ -1,5 +1,6 @@
 //! `rtecctl model …`: the machine model, read, fitted, judged and shown.
 
+mod chain;
 mod export;
 mod fit;
 mod load;
@@ -19,6 +20,7 @@ enum Verb {
     Compare(show::CompareArgs),
     Export(export::Args),
     Fit(fit::FitArgs),
+    FitChain(chain::Args),
     Load(load::LoadArgs),
     Predict(predict::Args),
     Rehearse(validate::RehearseArgs),
@@ -33,6 +35,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Verb::Compare(args) => show::compare(args),
         Verb::Export(args) => export::run(args),
         Verb::Fit(args) => fit::run(args),
+        Verb::FitChain(args) => chain::run(args),
         Verb::Load(args) => load::load(args),
         Verb::Predict(args) => predict::run(args),
         Verb::Rehearse(args) => validate::rehearse(args),

@@ -4,7 +4,8 @@ use anyhow::Context;
 use rtec_driver::input::InputError;
 use rtec_model::date;
 use rtec_model::effect::Difference;
-use rtec_model::fit::{self, Options, Report};
+use rtec_model::fit::{self, Fitted, Options, Report};
+use rtec_model::least;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, write_whole};
 use std::path::{Path, PathBuf};
@@ -30,6 +31,9 @@ pub(crate) struct Common {
     /// Offer no squares
     #[arg(long)]
     no_square: bool,
+    /// What is known already: its effects are kept, and only what they leave is fitted
+    #[arg(long, value_name = "machine.toml")]
+    base: Option<PathBuf>,
     /// Draw correlation and range of every sensor into this SVG file, as the patent's figure 17
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
@@ -53,10 +57,14 @@ pub(crate) struct FitArgs {
     /// Records that never influence the fit, only the last figures
     #[arg(long, value_name = "LATER.run.toml")]
     holdout: Vec<PathBuf>,
+    /// Fit these effects alone, by name, beside what the base holds: scale.x, squareness.x.y, thermal_expansion.x:T3-T20
+    #[arg(long, value_delimiter = ',', value_name = "NAME[:SENSOR[-SENSOR]]",
+          conflicts_with_all = ["sensors", "environment", "no_lag", "no_square", "plot", "holdout"])]
+    effects: Vec<String>,
     /// The machine model to write
     #[arg(long, value_name = "machine.toml")]
     out: PathBuf,
-    /// The date the model carries; today (UTC) where it is left out
+    /// The date the model carries; that of the latest record where it is left out, today (UTC) where none has one
     #[arg(long, value_name = "YYYY-MM-DD")]
     date: Option<String>,
     /// Days the model may be used for without being looked at again
@@ -65,7 +73,7 @@ pub(crate) struct FitArgs {
 }
 
 pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
-    let (_, reports) = run_fit(&args.common, &[], date::today(), 365)?;
+    let (_, reports) = run_fit(&args.common, &[], Some(0), 365)?;
     if args.common.json {
         return print_json(&reports, |r| {
             serde_json::json!({
@@ -83,25 +91,25 @@ pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
 
 pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
     let day = match &args.date {
-        None => date::today(),
-        Some(text) => date::parse(text).ok_or_else(|| {
+        None => None,
+        Some(text) => Some(date::parse(text).ok_or_else(|| {
             InputError::whole(Path::new("--date"), format!("`{text}`"), "a day as YYYY-MM-DD")
-        })?,
+        })?),
     };
+    if !args.effects.is_empty() {
+        return named(args, day);
+    }
     let (machine, reports) = run_fit(&args.common, &args.holdout, day, i64::from(args.valid_days))?;
+    if let Some(base) = &args.common.base {
+        beside(base, &args.out, &machine)?;
+    }
     machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
     if args.common.json {
         return print_json(&reports, |r| serde_json::to_value(r).unwrap_or_default());
     }
     for r in &reports {
         print_selection(r);
-        for e in &r.effects {
-            let of =
-                [e.sensor.as_deref(), e.minus.as_deref()].into_iter().flatten().collect::<Vec<_>>().join("-");
-            for (name, p) in &e.parameters {
-                println!("  {:20} {of:10} {name:12} {:12.4}  [{:.4}, {:.4}]", e.name, p.value, p.low, p.high);
-            }
-        }
+        print_effects(&r.effects);
         let list = |v: &[f64]| v.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(" ");
         println!(
             "RMS (µm): train {:.3}, blocks {:.3} ({})",
@@ -118,8 +126,18 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
             i.half_width_um,
             100.0 * i.coverage_folds
         );
-        for c in &i.coverage_holdout {
-            println!("               and {:.1} % of a hold-out", 100.0 * c);
+        for (c, w) in i.coverage_holdout.iter().zip(&i.mean_half_width_holdout_um) {
+            println!("               and {:.1} % of a hold-out, ±{w:.3} µm wide there on average", 100.0 * c);
+        }
+        if let Some(d) = &r.dry_wet {
+            println!("dry against wet: growth {:.2} and {:.2} µm", d.growth_dry_um, d.growth_wet_um);
+            for (term, dry) in &d.dry {
+                println!("  {term:34} dry {dry:10.4}  wet {:10.4}", d.wet.get(term).unwrap_or(&f64::NAN));
+            }
+            println!(
+                "  wet rows: {:.3} µm left by the dry model, {:.3} µm by the wet one",
+                d.dry_model_on_wet_rms_um, d.wet_model_on_wet_rms_um
+            );
         }
         println!("simpler predictions on the same blocks (µm):");
         for (name, b) in &r.baselines {
@@ -129,14 +147,60 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Effects that the user names, by least squares.
+fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
+    let records = read(&args.common.records)?;
+    let base = match &args.common.base {
+        Some(path) => Machine::read(path)?,
+        None => {
+            let name = args.out.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+            Machine::ideal(&name)
+        }
+    };
+    let date = date::format(day.unwrap_or_else(|| day_of(&records)));
+    let records: Vec<&Record> = records.iter().collect();
+    let (machine, report) = least::fit_named(&base, &args.effects, &records, &date)?;
+    if let Some(base) = &args.common.base {
+        beside(base, &args.out, &machine)?;
+    }
+    machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
+    if args.common.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    print_effects(&report.effects);
+    for (response, [before, after]) in &report.rms_um {
+        println!("{response}: {before:.3} -> {after:.3} µm RMS");
+    }
+    Ok(())
+}
+
+fn print_effects(effects: &[Fitted]) {
+    for e in effects {
+        let of =
+            [e.sensor.as_deref(), e.minus.as_deref()].into_iter().flatten().collect::<Vec<_>>().join("-");
+        for (name, p) in &e.parameters {
+            println!("  {:20} {of:10} {name:12} {:12.4}  [{:.4}, {:.4}]", e.name, p.value, p.low, p.high);
+        }
+    }
+}
+
+fn read(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
+    paths.iter().map(|p| Record::read(p)).collect()
+}
+
+/// The day of the latest record that has one; today where none has.
+fn day_of(records: &[Record]) -> i64 {
+    let dated = records.iter().filter_map(|r| date::parse(r.date.as_deref()?)).max();
+    dated.unwrap_or_else(date::today)
+}
+
 fn run_fit(
     common: &Common,
     holdout: &[PathBuf],
-    date: i64,
+    date: Option<i64>,
     valid_days: i64,
 ) -> anyhow::Result<(Machine, Vec<Report>)> {
-    let read =
-        |paths: &[PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, InputError>>();
     let (train, holdout) = (read(&common.records)?, read(holdout)?);
     let sensors = common.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
     let options = Options {
@@ -145,7 +209,8 @@ fn run_fit(
         folds: usize::from(common.folds),
         lag: !common.no_lag,
         square: !common.no_square,
-        date,
+        base: common.base.as_deref().map(Machine::read).transpose()?,
+        date: date.unwrap_or_else(|| day_of(&train)),
         valid_days,
     };
     let (machine, reports) =
@@ -163,6 +228,19 @@ fn run_fit(
         }
     }
     Ok((machine, reports))
+}
+
+/// What a model refers to stands beside it: one that goes on in another folder would lose it.
+fn beside(base: &Path, out: &Path, machine: &Machine) -> Result<(), InputError> {
+    let folder = |p: &Path| {
+        let parent = p.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        parent.canonicalize().unwrap_or_else(|_| parent.to_owned())
+    };
+    if machine.refers_to_files() && folder(base) != folder(out) {
+        let found = "a base that refers to a chain or a dictionary beside it";
+        return Err(InputError::whole(out, found, format!("--out in {}", folder(base).display())));
+    }
+    Ok(())
 }
 
 /// `T8-T18` or `T8`; names that hold a minus themselves are tried whole first.

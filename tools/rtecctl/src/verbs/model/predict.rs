@@ -1,6 +1,7 @@
 //! `rtecctl model predict`: the sum of a model's effects at every row of a record.
 
 use anyhow::Context;
+use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, write_whole};
 use std::path::PathBuf;
@@ -17,6 +18,9 @@ pub(crate) struct Args {
     /// The record's rows with one column `predicted_RESPONSE` per response
     #[arg(long, value_name = "FILE.csv")]
     out: PathBuf,
+    /// Further columns `low_RESPONSE` and `high_RESPONSE`: the 95 % prediction interval, where a fit has stated one
+    #[arg(long)]
+    interval: bool,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -26,8 +30,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for (effect, role) in &prediction.taken_as_zero {
         eprintln!("warning: {}: no {role} in the record, taken as zero for {effect}", args.record.display());
     }
-    let columns: Vec<_> =
-        prediction.columns.into_iter().map(|(name, data)| (format!("predicted_{name}"), data)).collect();
+    for warning in machine.out_of_range(&record) {
+        eprintln!("warning: {}: {warning}", args.record.display());
+    }
+    let mut columns = Vec::new();
+    for (response, (name, data)) in record.responses().zip(prediction.columns) {
+        if args.interval {
+            let Some(width) = machine.half_widths_um(&record, &response.role) else {
+                let found = format!("no fit of {}", response.role);
+                let expected = "a [[fit]] that states its interval, as `model fit` writes it";
+                return Err(InputError::whole(&args.machine, found, expected).into());
+            };
+            let bound = |sign: f64| data.iter().zip(&width).map(|(p, w)| p + sign * w).collect::<Vec<f64>>();
+            let (low, high) = (bound(-1.0), bound(1.0));
+            columns.push((format!("low_{name}"), low));
+            columns.push((format!("high_{name}"), high));
+        }
+        columns.push((format!("predicted_{name}"), data));
+    }
     let text = record.csv_with(&columns)?;
     write_whole(&args.out, text.as_bytes()).with_context(|| format!("writing {}", args.out.display()))
 }

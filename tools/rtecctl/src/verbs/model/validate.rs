@@ -3,6 +3,7 @@
 use crate::Outcome;
 use anyhow::Context;
 use rtec_model::date;
+use rtec_model::fit;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, write_whole};
 use rtec_model::rehearse;
@@ -18,6 +19,9 @@ pub(crate) struct ValidateArgs {
     /// Records it has not seen
     #[arg(long = "record", value_name = "NAME.run.toml", required = true)]
     records: Vec<PathBuf>,
+    /// Draw measured, predicted and the 95 % interval over time, one file per record and response
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -58,15 +62,28 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
             let left: Vec<f64> = column.data.iter().zip(predicted).map(|(m, p)| m - p).collect();
             let (before, after) = (rms(&mut column.data.iter().copied()), rms(&mut left.iter().copied()));
             let response = column.role.to_string();
-            let width = machine.half_width_um(&response);
-            let inside = width.map(|w| left.iter().filter(|v| v.abs() <= w).count() as f64 / n);
+            let widths = machine.half_widths_um(&record, &column.role);
+            let inside = widths
+                .as_ref()
+                .map(|w| left.iter().zip(w).filter(|(v, w)| v.abs() <= **w).count() as f64 / n);
+            let width = widths.as_ref().map(|w| w.iter().sum::<f64>() / n);
+            if let Some(path) = &args.plot {
+                let path = if found.is_empty() {
+                    path.clone()
+                } else {
+                    path.with_extension(format!("{}.svg", found.len() + 1))
+                };
+                let svg =
+                    fit::prediction_chart(&record, column, predicted, widths.as_deref()).svg(1000, 520)?;
+                write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+            }
             if after >= before && before > 0.0 {
                 worse.push(format!("{}: {response}", path.display()));
             }
             found.push(json!({
                 "record": path, "response": response, "rms": after, "rms_without_model": before,
                 "sd": rms(&mut column.data.iter().map(|v| v - mean)), "mean_left": left.iter().sum::<f64>() / n,
-                "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), "half_width_um": width,
+                "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), "mean_half_width_um": width,
                 "coverage": inside, "fitted_on_this_record": seen,
             }));
         }
@@ -86,7 +103,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         for v in &found {
             let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
             println!(
-                "{} {}: {} left of {} (SD {}), mean {}, largest {}; interval ±{} holds {}{}",
+                "{} {}: {} left of {} (SD {}), mean {}, largest {}; interval ±{} (mean) holds {}{}",
                 v["record"].as_str().unwrap_or_default(),
                 v["response"].as_str().unwrap_or_default(),
                 f("rms"),
@@ -94,7 +111,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
                 f("sd"),
                 f("mean_left"),
                 f("largest_left"),
-                f("half_width_um"),
+                f("mean_half_width_um"),
                 f("coverage"),
                 if v["fitted_on_this_record"] == true {
                     "; NOT unseen: the model was fitted on it"

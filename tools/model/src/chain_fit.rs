@@ -1,0 +1,235 @@
+//! A chain's polynomials fitted from records, component by component (NISTIR 4854): every record measures one
+//! component, or a combination whose other members are known.
+//!
+//! The powers of a component's terms are what the chain's file states; their coefficients are found by least squares
+//! on all error responses of the records, everything else in the chain held as it stands. The error is linear in them
+//! but for products of two small quantities, which a second pass takes in.
+
+use crate::chain::{COMPONENTS, Chain};
+use crate::document;
+use crate::least::{Found, Problem};
+use crate::record::{Record, Role, write_whole};
+use rtec_driver::input::InputError;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use toml_edit::{DocumentMut, Item, TableLike, Value, value};
+
+/// A coefficient found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TermFound {
+    /// The joint's name.
+    pub joint: String,
+    /// The component, as `dx`.
+    pub component: String,
+    /// Power of the position, in units of 100 mm.
+    pub p: u8,
+    /// Power of the temperature difference, K.
+    #[serde(rename = "dT")]
+    pub dt: u8,
+    /// µm or µrad.
+    pub value: f64,
+    /// 95 % interval.
+    pub interval: [f64; 2],
+}
+
+/// What a fit of a chain's components found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ChainReport {
+    /// The coefficients.
+    pub terms: Vec<TermFound>,
+    /// RMS per record and response, its own zero taken off, µm: before, and after.
+    pub rms_um: Vec<(PathBuf, String, [f64; 2])>,
+}
+
+/// A record with the point that it measured.
+#[derive(Debug, Clone, Copy)]
+pub struct Run<'r> {
+    /// The record.
+    pub record: &'r Record,
+    /// The point in the last frame of the tool branch, mm; the chain's own tool point where it is not given. The same
+    /// path measured at two points tells a rotation from a displacement.
+    pub tool_mm: Option<[f64; 3]>,
+}
+
+/// Places of a coefficient: joint, component, term.
+type Place = [usize; 3];
+
+/// The places of the components named `JOINT.COMPONENT`.
+fn places(chain: &Chain, components: &[String]) -> Result<Vec<Place>, InputError> {
+    let mut found = Vec::new();
+    for text in components {
+        let usage =
+            |expected: String| InputError::whole(Path::new("--component"), format!("`{text}`"), expected);
+        let known = || {
+            let names = chain
+                .joints
+                .iter()
+                .flat_map(|j| j.components.iter().map(move |c| format!("{}.{}", j.name, COMPONENTS[c.kind])));
+            format!("JOINT.COMPONENT, one of {}", names.collect::<Vec<_>>().join(", "))
+        };
+        let (joint, kind) = text.rsplit_once('.').ok_or_else(|| usage(known()))?;
+        let mut any = false;
+        for (j, of) in chain.joints.iter().enumerate().filter(|(_, j)| j.name == joint) {
+            for (c, component) in of.components.iter().enumerate() {
+                if COMPONENTS[component.kind] == kind {
+                    found.extend((0..component.terms.len()).map(|t| [j, c, t]));
+                    any = true;
+                }
+            }
+        }
+        if !any {
+            return Err(usage(known()));
+        }
+    }
+    found.sort_unstable();
+    found.dedup();
+    Ok(found)
+}
+
+/// Fits the named components (`z slide.dx`) of a chain on the records.
+///
+/// # Errors
+/// A component that the chain does not have, a record that lacks an axis or a sensor, coefficients that these records
+/// do not determine.
+pub fn fit(
+    chain: &Chain,
+    components: &[String],
+    runs: &[Run<'_>],
+) -> Result<(Chain, ChainReport), InputError> {
+    let places = places(chain, components)?;
+    let mut now = chain.clone();
+    let set = |chain: &mut Chain, [j, c, t]: Place, v: f64| {
+        chain.joints[j].components[c].terms[t].coefficient = v;
+    };
+    let get = |chain: &Chain, [j, c, t]: Place| chain.joints[j].components[c].terms[t].coefficient;
+    let says = |chain: &Chain, run: &Run<'_>, role: &Role| {
+        let mut out = vec![0.0; run.record.rows()];
+        let mut chain = chain.clone();
+        chain.tool_mm = run.tool_mm.unwrap_or(chain.tool_mm);
+        chain.add(run.record, role, &mut out).map_err(|m| {
+            InputError::whole(&run.record.path, m.to_string(), format!("a column of role {}", m.what))
+        })?;
+        Ok::<_, InputError>(out)
+    };
+    let measured = |record: &Record| -> Vec<(Role, Vec<f64>)> {
+        let of = record
+            .responses()
+            .filter(|c| matches!(&c.role, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str())));
+        of.map(|c| (c.role.clone(), c.data.clone())).collect()
+    };
+    let mut found: Vec<Found> = Vec::new();
+    for _ in 0..2 {
+        let mut problem = Problem::new(places.len());
+        for run in runs {
+            for (role, y) in measured(run.record) {
+                let base = says(&now, run, &role)?;
+                let mut columns = Vec::with_capacity(places.len());
+                for place in &places {
+                    let mut more = now.clone();
+                    set(&mut more, *place, get(&now, *place) + 1.0);
+                    let with = says(&more, run, &role)?;
+                    columns.push(with.iter().zip(&base).map(|(w, b)| w - b).collect::<Vec<f64>>());
+                }
+                // A component that does not move this response is not to be seen in it, rounding or not.
+                for c in columns.iter_mut().filter(|c| c.iter().all(|v| v.abs() < 1e-7)) {
+                    c.fill(0.0);
+                }
+                if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {
+                    continue;
+                }
+                let left: Vec<f64> = y.iter().zip(&base).map(|(y, b)| y - b).collect();
+                problem.push(&left, &columns, false);
+            }
+        }
+        found = problem.solve().map_err(|k| {
+            let [j, c, t] = places[k];
+            let joint = &chain.joints[j];
+            let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
+            let name = format!("{}.{}", joint.name, COMPONENTS[component.kind]);
+            let (p, dt) = (term.position, term.temperature);
+            InputError::whole(
+                Path::new("--component"),
+                format!("records that do not determine {name}, p = {p}, dT = {dt}, beside the terms before it"),
+                "records in which its axis moves and its temperature varies, a gauge at another offset (--tool-mm) \
+                 for a rotation beside a displacement; a constant displacement is the gauge's zero",
+            )
+        })?;
+        for (place, f) in places.iter().zip(&mut found) {
+            let before = get(&now, *place);
+            f.value += before;
+            f.interval = f.interval.map(|v| v + before);
+            set(&mut now, *place, f.value);
+        }
+    }
+    let mut rms_um = Vec::new();
+    for run in runs {
+        for (role, y) in measured(run.record) {
+            let rms = |c: &Chain| {
+                let left: Vec<f64> = y.iter().zip(says(c, run, &role)?).map(|(y, s)| y - s).collect();
+                let n = left.len() as f64;
+                let m = left.iter().sum::<f64>() / n;
+                Ok::<_, InputError>((left.iter().map(|v| (v - m).powi(2)).sum::<f64>() / n).sqrt())
+            };
+            rms_um.push((run.record.path.clone(), role.to_string(), [rms(chain)?, rms(&now)?]));
+        }
+    }
+    let term = |(&[j, c, t], f): (&Place, &Found)| {
+        let joint = &chain.joints[j];
+        let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
+        TermFound {
+            joint: joint.name.clone(),
+            component: COMPONENTS[component.kind].to_owned(),
+            p: term.position,
+            dt: term.temperature,
+            value: f.value,
+            interval: f.interval,
+        }
+    };
+    let terms = places.iter().zip(&found).map(term).collect();
+    Ok((now, ChainReport { terms, rms_um }))
+}
+
+/// Writes a fitted chain: the file it was read from with its coefficients (and the intervals of those that the fit
+/// found) in place; comments and order stay.
+///
+/// # Errors
+/// The file that it was read from is not there any more, or the new one cannot be written.
+pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Result<(), InputError> {
+    let text = document::read(from)?;
+    let mut doc: DocumentMut =
+        text.parse().map_err(|e| InputError::whole(from, format!("{e}"), "the chain that was read"))?;
+    let interval = |joint: &str, kind: usize, p: u8, dt: u8| {
+        let of = report.terms.iter().find(|t| {
+            (t.joint.as_str(), t.component.as_str(), t.p, t.dt) == (joint, COMPONENTS[kind], p, dt)
+        });
+        of.map(|t| t.interval)
+    };
+    for (j, joint) in chain.joints.iter().enumerate() {
+        let Some(table) = nth(doc.get_mut("joint"), j) else { continue };
+        for (c, component) in joint.components.iter().enumerate() {
+            let Some(of) = nth(table.get_mut("component"), c) else { continue };
+            for (t, term) in component.terms.iter().enumerate() {
+                let Some(entry) = nth(of.get_mut("terms"), t) else { continue };
+                let Some(i) = interval(&joint.name, component.kind, term.position, term.temperature) else {
+                    continue;
+                };
+                entry.insert("value", value(term.coefficient));
+                entry.insert("interval", value(i.into_iter().collect::<toml_edit::Array>()));
+            }
+        }
+    }
+    write_whole(to, doc.to_string().as_bytes())
+        .map_err(|e| InputError::whole(to, format!("error `{e}`"), "a file that can be written"))
+}
+
+/// The n-th table of an array of tables, in either of TOML's ways of writing one.
+fn nth(item: Option<&mut Item>, n: usize) -> Option<&mut dyn TableLike> {
+    match item? {
+        Item::ArrayOfTables(tables) => tables.get_mut(n).map(|t| t as &mut dyn TableLike),
+        Item::Value(Value::Array(array)) => match array.get_mut(n) {
+            Some(Value::InlineTable(t)) => Some(t as &mut dyn TableLike),
+            _ => None,
+        },
+        _ => None,
+    }
+}

@@ -1,0 +1,270 @@
+//! Least squares for parameters that an error is linear in: effects named by the user, terms of a chain.
+//!
+//! A gauge's zero is arbitrary: every response of every record has a constant of its own, which is found and thrown
+//! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
+//! neighbours in time share does not make them narrower.
+
+use crate::effect::{Dictionary, Difference, Effect, Need, Search};
+use crate::fit::{Fitted, Intervals, jackknife_interval};
+use crate::machine::{Machine, Provenance, Source};
+use crate::record::{Record, Role};
+use nalgebra::{DMatrix, DVector};
+use rtec_driver::input::InputError;
+use serde::Serialize;
+use std::path::Path;
+
+/// Stretches of rows that are left out in turn.
+const BLOCKS: usize = 10;
+/// Two columns are one when what sets one apart from the others is smaller than this share of it.
+const DEPENDENT: f64 = 1e-5;
+
+/// A parameter found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Found {
+    pub(crate) value: f64,
+    pub(crate) interval: [f64; 2],
+}
+
+/// A linear problem: one column per parameter, rows of all records under one another.
+#[derive(Debug, Default)]
+pub(crate) struct Problem {
+    columns: Vec<Vec<f64>>,
+    y: Vec<f64>,
+    /// Where each response of each record starts, and where it ends.
+    pieces: Vec<std::ops::Range<usize>>,
+}
+
+impl Problem {
+    pub(crate) fn new(parameters: usize) -> Self {
+        Self { columns: vec![Vec::new(); parameters], ..Self::default() }
+    }
+
+    /// A response of a record: what was measured, and per parameter what one unit of it makes of every row. The mean is
+    /// taken off unless the zero is known.
+    pub(crate) fn push(&mut self, y: &[f64], columns: &[Vec<f64>], zero_is_known: bool) {
+        let less_mean = |v: &[f64]| {
+            let m = if zero_is_known { 0.0 } else { v.iter().sum::<f64>() / v.len().max(1) as f64 };
+            v.iter().map(|v| v - m).collect::<Vec<f64>>()
+        };
+        let start = self.y.len();
+        self.y.extend(less_mean(y));
+        self.pieces.push(start..self.y.len());
+        for (all, own) in self.columns.iter_mut().zip(columns) {
+            all.extend(less_mean(own));
+        }
+    }
+
+    /// The first column that those before it make up.
+    fn dependent(&self, scale: &[f64]) -> Option<usize> {
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let mut basis: Vec<Vec<f64>> = Vec::new();
+        for (k, column) in self.columns.iter().enumerate() {
+            let mut left: Vec<f64> = column.iter().map(|v| v / scale[k]).collect();
+            for q in &basis {
+                let c = dot(q, &left);
+                left.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
+            }
+            let norm = dot(&left, &left).sqrt();
+            if norm < DEPENDENT {
+                return Some(k);
+            }
+            basis.push(left.into_iter().map(|v| v / norm).collect());
+        }
+        None
+    }
+
+    /// The solution, or the number of a parameter that these rows do not determine beside those before it.
+    pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
+        let p = self.columns.len();
+        let scale: Vec<f64> =
+            self.columns.iter().map(|c| c.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
+        if let Some(k) = scale.iter().position(|s| *s <= 1e-12) {
+            return Err(k);
+        }
+        // Every stretch is one of its record's response, so that each holds rows of all of them.
+        let block = |i: usize| {
+            let piece = self.pieces.iter().find(|r| r.contains(&i));
+            piece.map_or(0, |r| (i - r.start) * BLOCKS / r.len())
+        };
+        let blocks: Vec<usize> = (0..self.y.len()).map(block).collect();
+        let mut grams = vec![(DMatrix::<f64>::zeros(p, p), DVector::<f64>::zeros(p)); BLOCKS];
+        for (i, b) in blocks.iter().enumerate() {
+            let (g, h) = &mut grams[*b];
+            let row = DVector::from_fn(p, |k, _| self.columns[k][i] / scale[k]);
+            g.ger(1.0, &row, &row, 1.0);
+            h.axpy(self.y[i], &row, 1.0);
+        }
+        let sum = |skip: Option<usize>| {
+            let mut all = (DMatrix::<f64>::zeros(p, p), DVector::<f64>::zeros(p));
+            for (_, (g, h)) in grams.iter().enumerate().filter(|(b, _)| Some(*b) != skip) {
+                all.0 += g;
+                all.1 += h;
+            }
+            all
+        };
+        let (g, h) = sum(None);
+        if let Some(k) = self.dependent(&scale) {
+            return Err(k);
+        }
+        let all = g.cholesky().ok_or(p - 1)?.solve(&h);
+        let parts: Vec<DVector<f64>> = (0..BLOCKS)
+            .filter_map(|b| {
+                let (g, h) = sum(Some(b));
+                Some(g.cholesky()?.solve(&h))
+            })
+            .collect();
+        let found = (0..p).map(|k| {
+            let value = all[k] / scale[k];
+            let parts: Vec<f64> = parts.iter().map(|v| v[k] / scale[k]).collect();
+            Found { value, interval: jackknife_interval(value, &parts) }
+        });
+        Ok(found.collect())
+    }
+}
+
+/// What a fit of named effects found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NamedReport {
+    /// The effects.
+    pub effects: Vec<Fitted>,
+    /// RMS per response over all records, each record's own zero taken off, µm: before, and after.
+    pub rms_um: Vec<(String, [f64; 2])>,
+}
+
+/// `scale.x`, or `thermal_expansion.x:T3-T20` where the effect reads temperatures.
+fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> {
+    let usage = |found: String, expected: String| InputError::whole(Path::new("--effects"), found, expected);
+    let (name, delta) = text.split_once(':').map_or((text, None), |(n, d)| (n, Some(d)));
+    let mut effect = dictionary.effect(name).map_err(|e| usage(e.found, e.expected))?;
+    if effect.card().parameters.iter().any(|p| p.search != Search::Linear || p.array) {
+        let found = format!("`{name}`, which is not linear in one number per parameter");
+        return Err(usage(
+            found,
+            "an effect as scale, reversal, squareness; `reconcile` fits the others".into(),
+        ));
+    }
+    match (effect.card().needs.contains(&Need::Delta), delta) {
+        (true, Some(d)) => {
+            effect.delta = Some(match d.split_once('-') {
+                Some((sensor, minus)) => Difference::pair(sensor, minus),
+                None => Difference::single(d),
+            });
+        }
+        (true, None) => {
+            return Err(usage(format!("`{text}`"), format!("{text}:SENSOR or {text}:SENSOR-SENSOR")));
+        }
+        (false, Some(d)) => return Err(usage(format!("`{d}` after `{name}`"), format!("`{name}` alone"))),
+        (false, None) => {}
+    }
+    Ok(effect)
+}
+
+/// Fits effects that the user names, beside all that the base holds already: by least squares on all error responses
+/// of the records. Gives the base with the effects added.
+///
+/// # Errors
+/// An unknown effect, one that the base has, one that is not linear; a record that lacks what an effect reads; effects
+/// that these records cannot tell apart.
+pub fn fit_named(
+    base: &Machine,
+    names: &[String],
+    records: &[&Record],
+    date: &str,
+) -> Result<(Machine, NamedReport), InputError> {
+    let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
+    let mut effects = names.iter().map(|n| effect_of(n, base.dictionary())).collect::<Result<Vec<_>, _>>()?;
+    for (i, e) in effects.iter().enumerate() {
+        let twice = effects[..i].iter().chain(base.effects()).any(|o| o.identity() == e.identity());
+        if twice {
+            return Err(usage(
+                format!("`{}` a second time", e.identity()),
+                "effects that the base does not have",
+            ));
+        }
+    }
+    let count: usize = effects.iter().map(Effect::coefficient_count).sum();
+    let mut problem = Problem::new(count);
+    let mut roles: Vec<Role> = Vec::new();
+    let mut piece_role = Vec::new();
+    for record in records {
+        let left = base.beyond(record)?;
+        let bound = effects
+            .iter()
+            .map(|e| {
+                e.bind(&left).map_err(|m| {
+                    InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))
+                })
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        for column in left.responses().filter(|c| matches!(c.role, Role::Error(_))) {
+            let rows = left.rows();
+            let mut columns = Vec::with_capacity(count);
+            let mut zero_is_known = false;
+            for (effect, bound) in effects.iter().zip(&bound) {
+                let n = effect.coefficient_count();
+                let mut basis = vec![0.0; n * rows];
+                let acts = effect.acts_on(&left).into_iter().find(|(role, _)| *role == column.role);
+                if let Some((_, component)) = acts {
+                    bound.basis(effect, component, &mut basis);
+                    zero_is_known |= effect.card().name == "offset";
+                }
+                columns.extend(basis.chunks(rows).map(<[f64]>::to_vec));
+            }
+            if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {
+                continue;
+            }
+            problem.push(&column.data, &columns, zero_is_known);
+            if !roles.contains(&column.role) {
+                roles.push(column.role.clone());
+            }
+            piece_role.push(column.role.clone());
+        }
+    }
+    let owner = |k: usize| {
+        let mut at = 0;
+        effects.iter().find(|e| {
+            at += e.coefficient_count();
+            k < at
+        })
+    };
+    let found = problem.solve().map_err(|k| {
+        let name = owner(k).map_or(String::new(), Effect::identity);
+        let found =
+            format!("records that do not tell `{name}` from the effects named before it, or from nothing");
+        let experiment = owner(k).map_or(String::new(), |e| e.card().experiment.clone());
+        usage(found, &format!("a record that does: {experiment}"))
+    })?;
+    let rms = |role: &Role| {
+        let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
+        for i in
+            problem.pieces.iter().zip(&piece_role).filter(|(_, r)| *r == role).flat_map(|(p, _)| p.clone())
+        {
+            let says: f64 = found.iter().zip(&problem.columns).map(|(f, c)| f.value * c[i]).sum();
+            before += problem.y[i].powi(2);
+            after += (problem.y[i] - says).powi(2);
+            n += 1.0;
+        }
+        [(before / f64::max(n, 1.0)).sqrt(), (after / f64::max(n, 1.0)).sqrt()]
+    };
+    let rms_um = roles.iter().map(|r| (r.to_string(), rms(r))).collect();
+    let mut machine = base.clone();
+    let mut fitted = Vec::new();
+    let mut at = 0;
+    for effect in &mut effects {
+        let n = effect.coefficient_count();
+        let own = &found[at..at + n];
+        at += n;
+        effect.set_coefficients(&own.iter().map(|f| f.value).collect::<Vec<_>>());
+        let names = effect.card().parameters.iter().map(|p| p.name.clone());
+        let interval: Intervals = names.zip(own.iter().map(|f| vec![f.interval])).collect();
+        fitted.push(Fitted::of(effect, &interval));
+        let provenance = Provenance {
+            added_by: Some("model fit".to_owned()),
+            date: Some(date.to_owned()),
+            from: records.iter().map(|r| Source::of(r)).collect(),
+            interval,
+        };
+        machine.push(effect.clone(), provenance).map_err(|e| usage(e.to_string(), "each effect once"))?;
+    }
+    Ok((machine, NamedReport { effects: fitted, rms_um }))
+}

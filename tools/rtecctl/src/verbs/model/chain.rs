@@ -1,0 +1,65 @@
+//! `rtecctl model fit-chain`: a chain's polynomials from records, component by component.
+
+use rtec_driver::input::InputError;
+use rtec_model::chain::Chain;
+use rtec_model::chain_fit::{self, Run};
+use rtec_model::record::Record;
+use std::path::{Path, PathBuf};
+
+/// Fit components of a kinematic chain on the records that measure them
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The chain: its joints, and the powers of every component's terms
+    #[arg(long, value_name = "chain.toml")]
+    chain: PathBuf,
+    /// The components that the records measure, as "z slide.dx"; all others stand as they are
+    #[arg(long = "component", value_name = "JOINT.COMPONENT", required = true, value_delimiter = ',')]
+    components: Vec<String>,
+    /// The records; a point other than the chain's tool point behind an @, as r.run.toml@0,0,-350 (mm): the same path at
+    /// two points tells a rotation from a displacement
+    #[arg(long = "record", value_name = "NAME.run.toml[@x,y,z]", required = true)]
+    records: Vec<String>,
+    /// The chain to write; comments and order of the first stay
+    #[arg(long, value_name = "chain.toml")]
+    out: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let chain = Chain::read(&args.chain)?;
+    let points = args.records.iter().map(|r| point(r)).collect::<Result<Vec<_>, _>>()?;
+    let records = points.iter().map(|(p, _)| Record::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let runs: Vec<Run<'_>> =
+        records.iter().zip(&points).map(|(record, (_, tool_mm))| Run { record, tool_mm: *tool_mm }).collect();
+    let (fitted, report) = chain_fit::fit(&chain, &args.components, &runs)?;
+    chain_fit::write(&args.chain, &fitted, &report, &args.out)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    for t in &report.terms {
+        let name = format!("{}.{}", t.joint, t.component);
+        let [low, high] = t.interval;
+        println!("{name:24} p^{} dT^{} {:12.4}  [{low:.4}, {high:.4}]", t.p, t.dt, t.value);
+    }
+    for (path, response, [before, after]) in &report.rms_um {
+        println!("{} {response}: {before:.3} -> {after:.3} µm RMS", path.display());
+    }
+    Ok(())
+}
+
+/// `NAME.run.toml`, or with the point that it measured.
+fn point(text: &str) -> Result<(PathBuf, Option<[f64; 3]>), InputError> {
+    let Some((path, point)) = text.rsplit_once('@').filter(|(_, p)| p.contains(',')) else {
+        return Ok((PathBuf::from(text), None));
+    };
+    let numbers: Option<Vec<f64>> = point.split(',').map(|v| v.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some([x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => {
+            Ok((PathBuf::from(path), Some([*x, *y, *z])))
+        }
+        _ => Err(InputError::whole(Path::new("--record"), format!("`@{point}`"), "@x,y,z in mm")),
+    }
+}
