@@ -17,6 +17,7 @@ use gpiocdev_uapi::v2::{
     set_line_config, set_line_values,
 };
 use gpiocdev_uapi::{Error as UapiError, Name};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::fs::File;
 use std::io;
@@ -223,6 +224,20 @@ fn open_chip(named: &str) -> Result<Chip, GpioError> {
             if labels.is_empty() { "no chip that can be opened".to_owned() } else { labels.join(", ") };
         Err(GpioError::Chip { chip: named.to_owned(), source: io_of(&error), found })
     })
+}
+
+/// The chips that the lines are on, as `gpiochip0`.
+///
+/// # Errors
+/// When a line is not found, or a chip may not be opened.
+pub fn chip_names(setup: &GpioSetup) -> Result<BTreeSet<String>, GpioError> {
+    let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
+    lines
+        .map(|line| {
+            let chip = find(line)?.chip;
+            Ok(chip.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()))
+        })
+        .collect()
 }
 
 fn find(line: &GpioLine) -> Result<Found, GpioError> {

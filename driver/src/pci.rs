@@ -150,7 +150,15 @@ fn functions_in(sysfs: &Path) -> Vec<Function> {
 /// # Errors
 /// When it is not there, or there is more than one.
 pub fn find(which: &PciId) -> Result<Function, PciError> {
-    choose(functions(), which)
+    find_in(Path::new(SYSFS), which)
+}
+
+/// The function that is meant, on the bus that the directory shows.
+///
+/// # Errors
+/// As [`find`].
+pub fn find_in(sysfs: &Path, which: &PciId) -> Result<Function, PciError> {
+    choose(functions_in(sysfs), which)
 }
 
 fn choose(all: Vec<Function>, which: &PciId) -> Result<Function, PciError> {

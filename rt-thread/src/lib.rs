@@ -2,6 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
+//! | [`access`] | may the daemon open the card's devices, and where do their interrupts land? |
 //! | [`engine`] | all axes of a machine: one look, one write |
 //! | [`axis`] | one axis: insertion, ledger, belief window, homing, probe capture |
 //! | [`gate`] | can the next edge come before an insertion is done? |
@@ -16,6 +17,7 @@
 //! | [`snapshot`] | the latest state, for a reader that never stops the writer |
 //! | [`thread`] | the pinned thread and its loop |
 
+pub mod access;
 pub mod axis;
 pub mod engine;
 pub mod event;

@@ -35,7 +35,7 @@ pub struct OsError {
 }
 
 impl OsError {
-    fn of(operation: impl Into<String>, error: &io::Error) -> Self {
+    pub(crate) fn of(operation: impl Into<String>, error: &io::Error) -> Self {
         Self { operation: operation.into(), errno: error.raw_os_error().unwrap_or(0) }
     }
 
@@ -72,7 +72,12 @@ pub struct Finding {
 }
 
 impl Finding {
-    fn new(name: &'static str, wanted: impl Into<String>, got: impl Into<String>, ok: bool) -> Self {
+    pub(crate) fn new(
+        name: &'static str,
+        wanted: impl Into<String>,
+        got: impl Into<String>,
+        ok: bool,
+    ) -> Self {
         Self {
             name,
             wanted: wanted.into(),
@@ -85,13 +90,13 @@ impl Finding {
     }
 
     /// What could not be read counts as not there.
-    fn unknown(name: &'static str, wanted: impl Into<String>, error: OsError) -> Self {
+    pub(crate) fn unknown(name: &'static str, wanted: impl Into<String>, error: OsError) -> Self {
         let mut finding = Self::new(name, wanted, "unknown", false);
         finding.errno = Some(error);
         finding
     }
 
-    fn needed(mut self) -> Self {
+    pub(crate) fn needed(mut self) -> Self {
         self.needed_to_arm = true;
         self
     }
@@ -101,7 +106,7 @@ impl Finding {
         self
     }
 
-    fn remedy(mut self, remedy: impl Into<String>) -> Self {
+    pub(crate) fn remedy(mut self, remedy: impl Into<String>) -> Self {
         if !self.ok {
             self.remedy = remedy.into();
         }
@@ -120,6 +125,8 @@ pub struct Report {
     pub emulated: Option<String>,
     /// What to boot the kernel with so that this CPU belongs to the real-time thread; empty with one CPU only.
     pub kernel_command_line: String,
+    /// What of it the running kernel was not booted with.
+    pub kernel_command_line_lacks: String,
     /// One per setting.
     pub findings: Vec<Finding>,
 }
@@ -186,6 +193,7 @@ impl System {
             kernel: self.read("proc/sys/kernel/osrelease").unwrap_or_else(|_| "unknown".into()),
             cpu,
             emulated: self.emulator(),
+            kernel_command_line_lacks: self.lacks(&self.kernel_command_line(cpu), cpu),
             kernel_command_line: self.kernel_command_line(cpu),
             findings: vec![
                 self.rt_throttling(),
@@ -221,9 +229,14 @@ impl System {
         }
     }
 
+    /// A file below the root.
+    pub(crate) fn path(&self, path: impl AsRef<Path>) -> PathBuf {
+        self.root.join(path)
+    }
+
     /// A file's text without the white space around it.
-    fn read(&self, path: impl AsRef<Path>) -> Result<String, OsError> {
-        let path = self.root.join(path);
+    pub(crate) fn read(&self, path: impl AsRef<Path>) -> Result<String, OsError> {
+        let path = self.path(path);
         std::fs::read_to_string(&path)
             .map(|text| text.trim().to_owned())
             .map_err(|e| OsError::of(format!("read {}", path.display()), &e))
@@ -238,7 +251,7 @@ impl System {
     }
 
     /// The CPUs left for everything else, as a list the kernel understands; empty with one CPU only.
-    fn housekeeping(&self, cpu: usize) -> String {
+    pub(crate) fn housekeeping(&self, cpu: usize) -> String {
         let others: Vec<String> =
             self.online().into_iter().filter(|c| *c != cpu).map(|c| c.to_string()).collect();
         others.join(",")
@@ -250,6 +263,23 @@ impl System {
             return String::new();
         }
         format!("isolcpus=managed_irq,domain,{cpu} nohz_full={cpu} rcu_nocbs={cpu} irqaffinity={others}")
+    }
+
+    /// The words that the running kernel was not booted with. One for more CPUs than this one will do.
+    fn lacks(&self, wanted: &str, cpu: usize) -> String {
+        let booted = self.read("proc/cmdline").unwrap_or_default();
+        let there = |word: &&str| {
+            let Some((key, value)) = word.split_once('=') else { return false };
+            let found =
+                booted.split_whitespace().filter_map(|w| w.strip_prefix(key)?.strip_prefix('=')).next_back();
+            let Some(found) = found else { return false };
+            if key == "irqaffinity" {
+                return !cpu_list(found).contains(&cpu);
+            }
+            let flags = value.split(',').filter(|part| part.parse::<usize>().is_err());
+            cpu_list(found).contains(&cpu) && flags.clone().all(|flag| found.split(',').any(|f| f == flag))
+        };
+        wanted.split_whitespace().filter(|word| !there(word)).collect::<Vec<_>>().join(" ")
     }
 
     fn rt_throttling(&self) -> Finding {
@@ -359,12 +389,8 @@ impl System {
                     .ok()?
                     .flatten()
                     .find(|inner| inner.file_type().is_ok_and(|t| t.is_dir()))?;
-                let list = |name| {
-                    self.read(format!("proc/irq/{number}/{name}")).ok().filter(|text| !text.is_empty())
-                };
-                let cpus = list("effective_affinity_list").or_else(|| list("smp_affinity_list"))?;
-                cpu_list(&cpus)
-                    .contains(&cpu)
+                // Our own lines belong here: see `card_irq` in `access`.
+                (device.file_name() != "rtec" && cpu_list(&self.irq_cpus(number)?).contains(&cpu))
                     .then(|| (number, format!("{number} {}", device.file_name().to_string_lossy())))
             })
             .collect();
@@ -377,6 +403,12 @@ impl System {
             }
         };
         Finding::new("irq_affinity", wanted, got, here.is_empty()).remedy(remedy)
+    }
+
+    /// The CPUs that an interrupt lands on.
+    pub(crate) fn irq_cpus(&self, number: u32) -> Option<String> {
+        let list = |name| self.read(format!("proc/irq/{number}/{name}")).ok().filter(|text| !text.is_empty());
+        list("effective_affinity_list").or_else(|| list("smp_affinity_list"))
     }
 
     fn governor(&self, cpu: usize) -> Finding {
@@ -747,7 +779,7 @@ fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
 }
 
 /// `0-2,5` as numbers; what is no number (`(null)`, flags as in `isolcpus=domain,1`) is passed over.
-fn cpu_list(text: &str) -> Vec<usize> {
+pub(crate) fn cpu_list(text: &str) -> Vec<usize> {
     text.trim()
         .split(',')
         .filter_map(|part| {

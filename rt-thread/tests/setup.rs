@@ -70,6 +70,25 @@ fn an_ideal_machine_has_no_remedy() {
     );
 }
 
+#[test]
+fn the_command_line_is_compared_with_what_the_kernel_was_booted_with() {
+    for (booted, lacks) in [
+        ("quiet isolcpus=managed_irq,domain,3 nohz_full=3 rcu_nocbs=3 irqaffinity=0-2", ""),
+        // More CPUs than this one, and fewer for interrupts, will do.
+        ("isolcpus=domain,managed_irq,2-3 nohz_full=2-3 rcu_nocbs=1-3 irqaffinity=0", ""),
+        (
+            "isolcpus=3 nohz_full=2 irqaffinity=0-3",
+            "isolcpus=managed_irq,domain,3 nohz_full=3 rcu_nocbs=3 irqaffinity=0,1,2",
+        ),
+        // The kernel takes the last of two.
+        ("nohz_full=3 nohz_full=2 isolcpus=managed_irq,domain,3 rcu_nocbs=3 irqaffinity=0-2", "nohz_full=3"),
+    ] {
+        let root = ideal();
+        put(root.path(), "proc/cmdline", booted);
+        assert_eq!(System::at(root.path()).inspect(3, 80).kernel_command_line_lacks, lacks, "{booted}");
+    }
+}
+
 /// One thing changed on the ideal machine: the finding that must tell, what it reads, whether that forbids arming, and
 /// a word of its remedy.
 type Case = (&'static str, &'static str, &'static str, &'static str, bool, &'static str);

@@ -251,6 +251,9 @@ pub fn default_directory() -> PathBuf {
     Path::new("/tmp").join(format!("rtec-{}", std::env::var("USER").unwrap_or_else(|_| "user".to_owned())))
 }
 
+/// Where an installed machine's configuration is.
+pub const INSTALLED: &str = "/etc/rtec/rtec.toml";
+
 /// The configuration without a file: the mock card with three simulated axes.
 pub const EMBEDDED: &str = include_str!("default.toml");
 

@@ -2,12 +2,9 @@
 
 use crate::Outcome;
 use rtec_control::client::{Client, ClientError};
-use rtec_control::config::{Config, default_directory};
+use rtec_control::config::{Config, INSTALLED, default_directory};
 use rtec_control::protocol::{Jump, Request, Response};
 use std::path::{Path, PathBuf};
-
-/// Where an installed machine's configuration is.
-const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
 /// Which daemon, and in which form its answer is printed.
 #[derive(Debug, clap::Args)]

@@ -1,4 +1,4 @@
-//! `rtecctl platform` on a recorded machine: an office PC as Debian installs it, nothing set up yet.
+//! `rtecctl platform` on a recorded machine: an office PC as Debian installs it, nothing set up yet, with a GPIO card.
 
 use std::process::{Command, Output};
 
@@ -13,14 +13,14 @@ fn platform(options: &[&str]) -> Output {
 
 #[test]
 fn text_is_as_recorded() {
-    let out = platform(&["--root", "machine"]);
+    let out = platform(&["--root", "machine", "--config", "gpio.toml"]);
     assert!(out.status.success());
     assert_eq!(String::from_utf8_lossy(&out.stdout), include_str!("platform/machine.txt"));
 }
 
 #[test]
 fn json_is_as_recorded() {
-    let out = platform(&["--root", "machine", "--json"]);
+    let out = platform(&["--root", "machine", "--config", "gpio.toml", "--json"]);
     assert!(out.status.success() && out.stderr.is_empty());
     assert_eq!(String::from_utf8_lossy(&out.stdout), include_str!("platform/machine.json"));
 }

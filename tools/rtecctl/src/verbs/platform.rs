@@ -1,22 +1,30 @@
 //! `rtecctl platform`: what this kernel and machine can do for a real-time thread, and what to change.
 
+use crate::Outcome;
 use anyhow::Context;
+use rtec_control::config::{CardConfig, Config, INSTALLED, MappedPlace, PortPlace};
+use rtec_driver::gpio::{GpioSetup, chip_names};
+use rtec_rt::access::Device;
 use rtec_rt::setup::{Report, System, Wanted, apply};
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What this kernel and machine can do for the real-time thread, and what to change
 ///
 /// Every setting is tried on a thread of this command's own, read back from the kernel, and gone when it ends.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The CPU for the real-time thread [default: the first isolated one, else the last one online]
+    /// The CPU for the real-time thread [default: the configuration's, else the first isolated one, else the last one online]
     #[arg(long, value_name = "N")]
     cpu: Option<usize>,
-    /// The `SCHED_FIFO` priority to ask for
-    #[arg(long, value_name = "P", default_value_t = 80, value_parser = clap::value_parser!(u8).range(1..=99))]
-    priority: u8,
+    /// The `SCHED_FIFO` priority to ask for [default: the configuration's]
+    #[arg(long, value_name = "P", value_parser = clap::value_parser!(u8).range(1..=99))]
+    priority: Option<u8>,
+    /// The configuration whose card is looked at [default: /etc/rtec/rtec.toml where it exists]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     /// Look at a copy of another machine's /proc, /sys and /dev in DIR; nothing is tried then
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
@@ -34,17 +42,26 @@ struct Document<'a> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let system = args.root.as_deref().map_or_else(System::live, System::at);
-    let cpu = args.cpu.unwrap_or_else(|| system.default_cpu());
-    let report = if args.root.is_some() {
-        system.inspect(cpu, args.priority)
+    let config = match &args.config {
+        Some(file) => Config::load(file)?,
+        None if args.root.is_none() && Path::new(INSTALLED).exists() => Config::load(Path::new(INSTALLED))?,
+        None => Config::embedded(),
+    };
+    let (devices, events) = devices(&config.card)?;
+    let cpu = args.cpu.or(config.rt.cpu).unwrap_or_else(|| system.default_cpu());
+    let priority = args.priority.unwrap_or(config.rt.priority);
+    let mut report = if args.root.is_some() {
+        system.inspect(cpu, priority)
     } else {
-        let wanted = Wanted { cpu, priority: args.priority };
+        let wanted = Wanted { cpu, priority };
+        let system = system.clone();
         std::thread::Builder::new()
             .spawn(move || apply(&system, wanted).1)
             .context("starting a thread to try the settings on")?
             .join()
             .map_err(|_| anyhow::anyhow!("the thread that tried the settings panicked"))?
     };
+    report.findings.extend(system.card(&devices, events, cpu));
     if args.json {
         println!(
             "{}",
@@ -54,6 +71,47 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         print!("{}", text(&report));
     }
     Ok(())
+}
+
+/// What the card's backend opens, and whether the card wakes the thread.
+fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
+    Ok(match card {
+        CardConfig::Mock | CardConfig::Replay { .. } => (Vec::new(), false),
+        CardConfig::Gpio(setup) => (gpio_chips(setup)?, setup.events),
+        CardConfig::Mapped { place, .. } => {
+            let device = match place {
+                MappedPlace::File(file) => Device::of_file(file),
+                MappedPlace::Pci(id, bar) => Device::Bar(id.clone(), *bar),
+            };
+            (vec![device], false)
+        }
+        CardConfig::Port { place, .. } => {
+            let device = match place {
+                PortPlace::Parport(file) => Device::of_file(file),
+                PortPlace::Io(_) => Device::Ports(None),
+                PortPlace::Pci(id, _) => Device::Ports(Some(id.clone())),
+            };
+            (vec![device], false)
+        }
+    })
+}
+
+/// The chips of a configuration. Labels and line names have to be asked of the chips themselves.
+fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
+    let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
+    let direct = |chip: &String| {
+        let name = chip.strip_prefix("/dev/").unwrap_or(chip);
+        let number = name.strip_prefix("gpiochip")?;
+        number.parse::<u32>().ok().map(|_| name.to_owned())
+    };
+    let named: Option<BTreeSet<String>> = lines.map(|line| line.chip.as_ref().and_then(direct)).collect();
+    let names = match named {
+        Some(names) => names,
+        None => chip_names(setup).map_err(|e| {
+            Outcome::Unreachable(format!("{e}; only root may ask all chips for their labels and lines"))
+        })?,
+    };
+    Ok(names.into_iter().map(Device::Gpio).collect())
 }
 
 fn text(report: &Report) -> String {
@@ -78,6 +136,7 @@ fn text(report: &Report) -> String {
         let error = f.errno.as_ref().map(|e| format!(" ({e})")).unwrap_or_default();
         line(format_args!("{mark:<4}  {:<20}  {:<26}  {}{error}", f.name, f.wanted, f.got));
     }
+    let by_service = ["rt_throttling", "fair_server", "governor"];
     let to_change: Vec<_> = report.findings.iter().filter(|f| !f.ok).collect();
     if !to_change.is_empty() {
         line(format_args!("\nwhat to change"));
@@ -85,8 +144,21 @@ fn text(report: &Report) -> String {
             line(format_args!("  {:<20}  {}", f.name, f.remedy));
         }
     }
+    if report.findings.iter().any(|f| !f.ok && by_service.contains(&f.name)) {
+        line(format_args!(
+            "\n{} are set at each start of the service by\n  install -Dt /etc/systemd/system/rtecd.service.d /usr/share/rtec/realtime.conf && systemctl daemon-reload",
+            by_service.join(", ")
+        ));
+    }
     if !report.kernel_command_line.is_empty() {
-        line(format_args!("\nkernel command line\n  {}", report.kernel_command_line));
+        let lacks = match report.kernel_command_line_lacks.as_str() {
+            "" => "nothing",
+            words => words,
+        };
+        line(format_args!(
+            "\nkernel command line\n  to use  {}\n  to add  {lacks}",
+            report.kernel_command_line
+        ));
     }
     let stops: Vec<&str> = report.missing().map(|f| f.name).collect();
     if stops.is_empty() {

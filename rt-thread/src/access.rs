@@ -1,0 +1,304 @@
+//! What a card's devices need of the system: that the daemon's user may open them, and that their interrupts land where
+//! they should. Reads `/etc/passwd`, `/etc/group`, `/dev`, `/proc/irq` and `/sys`; changes nothing.
+//!
+//! | finding | wanted |
+//! |---|---|
+//! | user | the user `rtec` |
+//! | group | the caller may speak to the daemon: root, or in the group `rtec` |
+//! | `card_access` | per device: the user `rtec` may read and write it |
+//! | `io_ports` | `CAP_SYS_RAWIO` in the service, where I/O ports are used |
+//! | `card_irq` | on the real-time CPU for a card that wakes the thread, elsewhere for one that is polled |
+
+use crate::setup::{Finding, OsError, System, cpu_list};
+use rtec_driver::pci::{Function, PciId};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+/// The daemon's user, and the group whose members may speak to it.
+const USER: &str = "rtec";
+/// Where additions to the service are put.
+const DROP_INS: &str = "etc/systemd/system/rtecd.service.d";
+
+/// A device that a card's backend opens.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Device {
+    /// A GPIO chip, by the name of its character device.
+    Gpio(String),
+    /// A UIO device, by the name of its character device.
+    Uio(String),
+    /// A parallel port, by the name of its character device.
+    Parport(String),
+    /// A memory BAR of a PCI card.
+    Bar(PciId, u8),
+    /// x86 I/O ports, of a PCI card or at fixed addresses.
+    Ports(Option<PciId>),
+    /// Any other file.
+    File(PathBuf),
+}
+
+impl Device {
+    /// The device behind a file's name.
+    #[must_use]
+    pub fn of_file(file: &Path) -> Self {
+        let name = file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let of = |prefix| file.parent() == Some(Path::new("/dev")) && name.starts_with(prefix);
+        match () {
+            () if of("gpiochip") => Self::Gpio(name),
+            () if of("uio") => Self::Uio(name),
+            () if of("parport") => Self::Parport(name),
+            () => Self::File(file.to_owned()),
+        }
+    }
+}
+
+/// A user as `/etc/passwd` and `/etc/group` have him.
+struct User {
+    uid: u32,
+    gids: Vec<u32>,
+}
+
+impl System {
+    /// The findings about a card with these devices, on which `events` wake the real-time thread on `cpu`.
+    #[must_use]
+    pub fn card(&self, devices: &[Device], events: bool, cpu: usize) -> Vec<Finding> {
+        let user = self.user(USER);
+        let uid = user.as_ref().map_or("none".to_owned(), |user| format!("uid {}", user.uid));
+        let mut findings = vec![
+            Finding::new("user", format!("a user {USER}"), uid, user.is_some())
+                .remedy("install the package, or: systemd-sysusers udev/rtec.sysusers"),
+            self.group(),
+        ];
+        findings.extend(devices.iter().map(|device| match device {
+            Device::Ports(_) => self.io_ports(),
+            other => self.card_access(other, user.as_ref()),
+        }));
+        if !devices.is_empty() {
+            findings.push(self.card_irq(devices, events, cpu));
+        }
+        findings
+    }
+
+    fn user(&self, name: &str) -> Option<User> {
+        let passwd = self.read("etc/passwd").ok()?;
+        let fields = |line: &str| line.split(':').map(str::to_owned).collect::<Vec<_>>();
+        let entry = passwd.lines().map(fields).find(|f| f[0] == name)?;
+        let mut gids = vec![entry.get(3)?.parse().ok()?];
+        for line in self.read("etc/group").unwrap_or_default().lines().map(fields) {
+            let member = line.get(3).is_some_and(|members| members.split(',').any(|m| m == name));
+            gids.extend(line.get(2).filter(|_| member).and_then(|gid| gid.parse::<u32>().ok()));
+        }
+        Some(User { uid: entry.get(2)?.parse().ok()?, gids })
+    }
+
+    /// May the caller speak to the daemon?
+    fn group(&self) -> Finding {
+        let wanted = format!("root, or in the group {USER}");
+        let remedy = format!("usermod -aG {USER} YOU, and log in again");
+        let gid = self.read("etc/group").unwrap_or_default().lines().find_map(|line| {
+            let mut fields = line.split(':');
+            (fields.next()? == USER).then(|| fields.nth(1)?.parse::<u32>().ok())?
+        });
+        let status = match self.read("proc/self/status") {
+            Ok(text) => text,
+            Err(error) => return Finding::unknown("group", wanted, error).remedy(remedy),
+        };
+        let numbers = |key: &str| -> Vec<u32> {
+            let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default();
+            line.split_whitespace().filter_map(|n| n.parse().ok()).collect()
+        };
+        let (uid, mut groups) = (numbers("Uid:"), numbers("Groups:"));
+        groups.extend(numbers("Gid:"));
+        let (got, ok) = match gid {
+            _ if uid.get(1) == Some(&0) => ("root", true),
+            None => ("no such group", false),
+            Some(gid) if groups.contains(&gid) => ("in the group", true),
+            Some(_) => ("neither", false),
+        };
+        Finding::new("group", wanted, got, ok).remedy(remedy)
+    }
+
+    /// May the daemon's user read and write the device?
+    fn card_access(&self, device: &Device, user: Option<&User>) -> Finding {
+        let found = self.place(device);
+        let (file, line, driver) = match &found {
+            Ok(place) => place,
+            Err(id) => {
+                return Finding::new("card_access", format!("PCI card {id}"), "not on the bus", false)
+                    .needed()
+                    .remedy("is it plugged in? `lspci -n` lists what is");
+            }
+        };
+        let wanted = format!("{USER} may use /{}", file.display());
+        let remedy = match line {
+            Some(line) => format!(
+                "put `{line}` into /etc/rtec/devices, then: udevadm trigger -s gpio -s pci -s uio -s ppdev"
+            ),
+            None => format!("chgrp {USER} /{} && chmod g+rw /{0}", file.display()),
+        };
+        match std::fs::metadata(self.path(file)) {
+            Ok(found) => {
+                let (uid, gid, mode) = (found.uid(), found.gid(), found.mode() & 0o777);
+                let bits = match user {
+                    Some(user) if user.uid == uid => mode >> 6,
+                    Some(user) if user.gids.contains(&gid) => mode >> 3,
+                    _ => mode,
+                };
+                let got =
+                    format!("{}:{} {mode:04o}", self.name_of("passwd", uid), self.name_of("group", gid));
+                Finding::new("card_access", wanted, got, bits & 0o6 == 0o6)
+            }
+            Err(e) => {
+                let error = OsError::of(format!("stat /{}", file.display()), &e);
+                let finding = Finding::unknown("card_access", wanted, error);
+                return finding
+                    .needed()
+                    .remedy(driver.map_or("no such file".into(), |d| {
+                        format!("no such device: load its driver ({d})")
+                    }));
+            }
+        }
+        .needed()
+        .remedy(remedy)
+    }
+
+    /// The device's file below the root, the line that names it in `/etc/rtec/devices`, and its driver.
+    fn place(&self, device: &Device) -> Result<(PathBuf, Option<String>, Option<&'static str>), PciId> {
+        Ok(match device {
+            Device::Gpio(name) => {
+                // Under the device that the chip belongs to, `…/fe200000.gpio/gpiochip0`.
+                let parent = self.parents(&format!("sys/bus/gpio/devices/{name}")).next();
+                let owner = parent.and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()));
+                (Path::new("dev").join(name), owner.map(|o| format!("gpio {o}")), Some("the GPIO chip's"))
+            }
+            Device::Uio(name) => {
+                let known = self.read(format!("sys/class/uio/{name}/name")).ok();
+                (Path::new("dev").join(name), known.map(|n| format!("uio {n}")), Some("uio and the card's"))
+            }
+            Device::Parport(name) => {
+                (Path::new("dev").join(name), Some(format!("parport {name}")), Some("parport_pc, ppdev"))
+            }
+            Device::Bar(id, bar) => {
+                let card = self.function(id).ok_or_else(|| id.clone())?;
+                let file = format!("sys/bus/pci/devices/{}/resource{bar}", card.address);
+                (PathBuf::from(file), Some(format!("pci {id}")), None)
+            }
+            Device::Ports(_) => (PathBuf::from("dev/port"), None, None), // the same ports as a file
+            Device::File(file) => (file.strip_prefix("/").unwrap_or(file).to_owned(), None, None),
+        })
+    }
+
+    fn function(&self, id: &PciId) -> Option<Function> {
+        rtec_driver::pci::find_in(&self.path("sys/bus/pci/devices"), id).ok()
+    }
+
+    /// The directories above a device's in sysfs, the nearest first.
+    fn parents(&self, path: &str) -> impl Iterator<Item = PathBuf> {
+        let device = std::fs::canonicalize(self.path(path)).ok();
+        let top = std::fs::canonicalize(self.path("sys/devices")).unwrap_or_default();
+        let all: Vec<_> = device.iter().flat_map(|d| d.ancestors().skip(1)).map(Path::to_owned).collect();
+        all.into_iter().take_while(move |p| *p != top && p.starts_with(&top))
+    }
+
+    /// The name of a number in `/etc/passwd` or `/etc/group`; the number where it has none.
+    fn name_of(&self, table: &str, id: u32) -> String {
+        let text = self.read(format!("etc/{table}")).unwrap_or_default();
+        let name = text.lines().find_map(|line| {
+            let mut fields = line.split(':');
+            let name = fields.next()?;
+            (fields.nth(1)?.parse() == Ok(id)).then(|| name.to_owned())
+        });
+        name.unwrap_or_else(|| id.to_string())
+    }
+
+    fn io_ports(&self) -> Finding {
+        let entries = std::fs::read_dir(self.path(DROP_INS)).into_iter().flatten().flatten();
+        let given = entries.filter(|e| e.path().extension().is_some_and(|x| x == "conf")).any(|entry| {
+            let text = std::fs::read_to_string(entry.path()).unwrap_or_default();
+            text.lines()
+                .any(|line| line.starts_with("AmbientCapabilities=") && line.contains("CAP_SYS_RAWIO"))
+        });
+        Finding::new(
+            "io_ports",
+            "CAP_SYS_RAWIO in the service",
+            if given { "there" } else { "not there" },
+            given,
+        )
+        .needed()
+        .remedy(format!("install -Dt /{DROP_INS} /usr/share/rtec/port.conf && systemctl daemon-reload"))
+    }
+
+    /// Where the card's interrupts land.
+    fn card_irq(&self, devices: &[Device], events: bool, cpu: usize) -> Finding {
+        let wanted = format!("{} CPU {cpu}", if events { "on" } else { "not on" });
+        let mut numbers: Vec<u32> = devices.iter().flat_map(|device| self.interrupts(device)).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let lists: Vec<(u32, Vec<usize>)> =
+            numbers.iter().filter_map(|n| Some((*n, cpu_list(&self.irq_cpus(*n)?)))).collect();
+        let right = |cpus: &[usize]| if events { cpus == [cpu] } else { !cpus.contains(&cpu) };
+        let shown = lists.iter().map(|(n, cpus)| {
+            let cpus: Vec<_> = cpus.iter().map(usize::to_string).collect();
+            format!("{n} on CPU {}", cpus.join(","))
+        });
+        let got = if lists.is_empty() { "none".to_owned() } else { shown.collect::<Vec<_>>().join(", ") };
+        let ok = lists.iter().all(|(_, cpus)| right(cpus)) && !(events && lists.is_empty());
+        let wrong: Vec<_> =
+            lists.iter().filter(|(_, cpus)| !right(cpus)).map(|(n, _)| n.to_string()).collect();
+        let target = if events { cpu.to_string() } else { self.housekeeping(cpu) };
+        Finding::new("card_irq", wanted, got, ok).remedy(if wrong.is_empty() {
+            "shown while rtecd runs; a chip whose lines share another interrupt has it in /proc/interrupts"
+                .into()
+        } else {
+            format!("echo {target} > /proc/irq/N/smp_affinity_list, N = {}", wrong.join(", "))
+        })
+    }
+
+    fn interrupts(&self, device: &Device) -> Vec<u32> {
+        match device {
+            // The lines that the daemon has requested are interrupts in its name.
+            Device::Gpio(name) => {
+                let mut all = self.irqs_of("rtec");
+                if let Some(parent) = self.parents(&format!("sys/bus/gpio/devices/{name}")).next() {
+                    all.extend(self.pci_interrupts(&parent));
+                }
+                all
+            }
+            Device::Uio(name) => {
+                let named = self.read(format!("sys/class/uio/{name}/name"));
+                named.map(|n| self.irqs_of(&n)).unwrap_or_default()
+            }
+            Device::Parport(name) => self.irqs_of(name),
+            Device::Bar(id, _) | Device::Ports(Some(id)) => {
+                let card = self.function(id).map(|f| self.path("sys/bus/pci/devices").join(f.address));
+                card.map(|directory| self.pci_interrupts(&directory)).unwrap_or_default()
+            }
+            Device::Ports(None) | Device::File(_) => Vec::new(),
+        }
+    }
+
+    /// Interrupts with a handler of that name.
+    fn irqs_of(&self, action: &str) -> Vec<u32> {
+        let entries = std::fs::read_dir(self.path("proc/irq")).into_iter().flatten().flatten();
+        entries
+            .filter(|entry| entry.path().join(action).is_dir())
+            .filter_map(|entry| entry.file_name().to_str()?.parse().ok())
+            .collect()
+    }
+
+    /// The interrupts of a PCI function that have a handler: its messages, or else its line.
+    fn pci_interrupts(&self, directory: &Path) -> Vec<u32> {
+        let messages = std::fs::read_dir(directory.join("msi_irqs")).into_iter().flatten().flatten();
+        let line = std::fs::read_to_string(directory.join("irq")).ok();
+        let mut numbers: Vec<u32> =
+            messages.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect();
+        if numbers.is_empty() {
+            numbers.extend(line.and_then(|text| text.trim().parse::<u32>().ok()));
+        }
+        numbers.retain(|n| {
+            let entries =
+                std::fs::read_dir(self.path(format!("proc/irq/{n}"))).into_iter().flatten().flatten();
+            entries.into_iter().any(|e| e.path().is_dir())
+        });
+        numbers
+    }
+}
