@@ -309,6 +309,31 @@ impl<'p, 'r> Search<'p, 'r> {
         }
     }
 
+    /// The best grid point of one hypothesis as an addition to a set.
+    pub(crate) fn offer_of(&self, set: &Set, hypothesis: usize) -> Option<Offer> {
+        let scored = |i: usize| {
+            let atom = &self.all.atoms[i];
+            self.extended(set, &self.bank_cross(set, i)) - self.price(set, atom.cost, atom.columns.len())
+        };
+        (0..self.all.atoms.len())
+            .filter(|i| self.all.atoms[*i].hypothesis == hypothesis)
+            .map(|i| (i, scored(i)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(i, score)| self.bank_offer(i, score, score))
+    }
+
+    fn bank_offer(&self, i: usize, score: f64, evidence: f64) -> Offer {
+        let atom: &Atom = &self.all.atoms[i];
+        Offer {
+            cause: atom.cause.clone(),
+            hypothesis: atom.hypothesis,
+            cost: atom.cost,
+            score,
+            evidence,
+            columns: Source::Bank(atom.columns.clone()),
+        }
+    }
+
     /// The best grid point of every hypothesis as an addition to a set, best first.
     pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
@@ -325,17 +350,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut offers: Vec<Offer> = best
             .into_iter()
             .flatten()
-            .map(|(score, i, evidence)| {
-                let atom: &Atom = &self.all.atoms[i];
-                Offer {
-                    cause: atom.cause.clone(),
-                    hypothesis: atom.hypothesis,
-                    cost: atom.cost,
-                    score,
-                    evidence,
-                    columns: Source::Bank(atom.columns.clone()),
-                }
-            })
+            .map(|(score, i, evidence)| self.bank_offer(i, score, evidence))
             .collect();
         for (i, wave) in self.waves.iter().enumerate() {
             if fresh {

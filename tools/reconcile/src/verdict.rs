@@ -117,8 +117,10 @@ pub fn reconcile(
     let file: Vec<Effect> = machine.effects().cloned().collect();
     let trust = |effects: &[Effect]| -> Vec<Vec<f64>> {
         let mut sd: Vec<Vec<f64>> = file.iter().map(|e| vec![0.0; e.values().len()]).collect();
-        for k in known(&stack, machine, effects) {
-            sd[k.effect][k.value] = k.sd;
+        for k in known(&stack, &answer.anchor, effects) {
+            for (v, w) in &k.along {
+                sd[k.effect][*v] = sd[k.effect][*v].max(k.sd * w.abs());
+            }
         }
         sd
     };
@@ -130,7 +132,7 @@ pub fn reconcile(
         .map(|(e, effect)| {
             let held: Vec<usize> = (0..sd[e].len()).filter(|v| sd[e][*v] == 0.0).collect();
             let mut t = Term::new(effect.clone(), &held);
-            t.prior = Some((file[e].values().to_vec(), sd[e].clone()));
+            t.prior = Some((answer.anchor[e].values().to_vec(), sd[e].clone()));
             t
         })
         .collect();
