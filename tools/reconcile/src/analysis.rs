@@ -14,6 +14,8 @@ const ROUNDS: usize = 40;
 const DECISIVE: f64 = 3.0;
 /// Log odds by which a shape without a name must beat the best named explanation.
 const SHAPE_DECISIVE: f64 = 3.0;
+/// The same where the names leave little.
+const SHAPE_INSTEAD: f64 = 12.0;
 
 /// An effect that changes the root mean square by less than this share of the whole gap is not worth a name: on a real
 /// machine everything shows a little of everything.
@@ -306,7 +308,10 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
 /// by single steps does not take.
 fn with_offset(search: &mut Search<'_, '_>, set: Set) -> Set {
     let offsets: Vec<usize> = (0..search.all.list.len())
-        .filter(|h| search.all.list[*h].name.starts_with("offset.") || search.all.list[*h].name.starts_with("force_offset."))
+        .filter(|h| {
+            search.all.list[*h].name.starts_with("offset.")
+                || search.all.list[*h].name.starts_with("force_offset.")
+        })
         .collect();
     let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor.is_some();
     let n = set.members.len();
@@ -365,16 +370,13 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     }
     let left = rms(&search.residual(&named).0);
     let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
-    let unexplained: Vec<Shape> = if !mostly && any.score > named.score + SHAPE_DECISIVE {
+    let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
+    // A shape in place of the names, not beside them, has to be the far better account where they leave little.
+    let needed = if mostly { SHAPE_INSTEAD } else { SHAPE_DECISIVE };
+    let unexplained: Vec<Shape> = if !(mostly && beside) && any.score > named.score + needed {
         let gain = any.score - named.score;
         let real = chance.any.tail(gain) <= level;
-        any.members
-            .iter()
-            .filter_map(|m| match &m.cause {
-                Cause::Shape(s) if real => Some(s.clone()),
-                _ => None,
-            })
-            .collect()
+        any.members.iter().filter_map(|m| m.cause.shape().filter(|_| real).cloned()).collect()
     } else {
         Vec::new()
     };

@@ -183,8 +183,12 @@ fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option
                 .collect();
             let largest = own.iter().map(|(_, w)| w.abs()).fold(1e-300, f64::max);
             let pull = 1e3 * stack.n as f64 / (largest * largest);
-            let now: f64 =
-                weights.iter().zip(term.effect.get(1)).enumerate().map(|(k, (w, u))| w * (u - from(width + k))).sum();
+            let now: f64 = weights
+                .iter()
+                .zip(term.effect.get(1))
+                .enumerate()
+                .map(|(k, (w, u))| w * (u - from(width + k)))
+                .sum();
             for (i, wi) in &own {
                 for (j, wj) in &own {
                     a[i * k + j] += pull * wi * wj;

@@ -185,8 +185,9 @@ pub(crate) fn known(stack: &Stack<'_>, file: &[Effect], now: &[Effect]) -> Vec<K
         let size = rms(&size).max(3.0 / (stack.n as f64).sqrt());
         let width = effect.width();
         let slopes = stack.slopes(effect);
-        let free: Vec<usize> =
-            (0..slopes.len()).filter(|v| effect.card().parameters[v / width].search != Search::Chosen).collect();
+        let free: Vec<usize> = (0..slopes.len())
+            .filter(|v| effect.card().parameters[v / width].search != Search::Chosen)
+            .collect();
         let heights = free_directions(&effect.constraints(), free.len());
         let ways: Vec<Vec<(usize, f64)>> = if heights.is_empty() {
             free.iter().map(|v| vec![(*v, 1.0)]).collect()

@@ -2,11 +2,11 @@
 //! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
 
 use crate::gram::{Bank, Cholesky, Products, Vector, dot};
-use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column, taus};
+use crate::hypotheses::{Atom, Cause, Hypotheses, Shape, Teeth, Wave, moments, reference_column, taus};
 use crate::problem::{Known, Stack};
 use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
-use rustfft::num_complex::Complex64;
+use rustfft::num_complex::Complex32;
 use std::cell::RefCell;
 use std::f64::consts::TAU;
 
@@ -14,11 +14,13 @@ use std::f64::consts::TAU;
 const NOISE_STEP: f64 = 0.35;
 const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=7;
 
-/// Most frequencies that a periodogram is computed at.
+/// Frequencies that are looked at twice, and closely; those beyond once.
 const MOST_FREQUENCIES: f64 = 262_144.0;
 
 /// Spacing of the frequencies, in periods over the span.
 const FREQUENCY_STEP: f64 = 0.3;
+/// The same beyond the first [`MOST_FREQUENCIES`]: four fifths of a wave's power are seen between two of them.
+const FAST_STEP: f64 = 0.5;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -92,7 +94,9 @@ pub(crate) struct Search<'p, 'r> {
     /// Degrees of freedom that noise is judged by.
     pub(crate) nu: f64,
     pub(crate) phis: Vec<f64>,
-    planner: RefCell<FftPlanner<f64>>,
+    /// How many of the noise coefficients are in use: the first few, while a search takes no structure for noise.
+    usable: usize,
+    planner: RefCell<FftPlanner<f32>>,
     /// Frequencies worth a look, per wave: the highest peaks met so far.
     peaks: RefCell<Vec<Vec<f64>>>,
 }
@@ -122,7 +126,8 @@ impl<'p, 'r> Search<'p, 'r> {
         known: &'p [Known],
         missing: Vec<f64>,
     ) -> Self {
-        let phis = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
+        let phis: Vec<f64> = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
+        let usable = phis.len();
         let own = all.atoms.iter().map(|a| own_products(&a.columns, &all.bank, stack)).collect();
         let nu = (stack.n as f64 - known.len() as f64).max(stack.n as f64 / 2.0);
         let mut s = Self {
@@ -136,6 +141,7 @@ impl<'p, 'r> Search<'p, 'r> {
             own,
             nu,
             phis,
+            usable,
             planner: RefCell::new(FftPlanner::new()),
             peaks: RefCell::new(vec![Vec::new(); waves.len()]),
         };
@@ -168,7 +174,7 @@ impl<'p, 'r> Search<'p, 'r> {
 
     fn fits(&self, ids: &[usize]) -> Vec<AtPhi> {
         let b = ids.len();
-        self.phis
+        self.phis[..self.usable]
             .iter()
             .map(|&phi| {
                 let mut a = vec![0.0; b * b];
@@ -398,11 +404,13 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         let (residual, phi) = self.residual(set);
         let step = FREQUENCY_STEP / span;
-        let count = ((wave.to - from) / step).ceil().clamp(2.0, MOST_FREQUENCIES) as usize;
+        let wanted = ((wave.to - from) / step).ceil().max(2.0);
+        let count = wanted.min(MOST_FREQUENCIES) as usize;
         let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
         let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
         gaps.sort_by(f64::total_cmp);
         let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
+        let mut planner = self.planner.borrow_mut();
         let list = &mut self.peaks.borrow_mut()[at];
         for p in [0.0, phi] {
             if p != 0.0 && p.abs() < 0.3 {
@@ -410,21 +418,25 @@ impl<'p, 'r> Search<'p, 'r> {
             }
             let u = sharpened(&residual, p, &self.stack.ranges);
             let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
-            let mut power = periodogram(&mut self.planner.borrow_mut(), &x, &u, from, step, count);
+            let mut power = periodogram(&mut planner, &x, &u, from, step, count);
             if p != 0.0 {
                 for (i, p2) in power.iter_mut().enumerate() {
                     let f = from + step * i as f64;
                     *p2 /= 1.0 + p * p - 2.0 * p * (TAU * f * gap).cos();
                 }
             }
-            for _ in 0..3 {
-                let top = (0..count).max_by(|a, b| power[*a].total_cmp(&power[*b])).unwrap_or(0);
-                let f = from + step * top as f64;
-                if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
-                    list.push(f);
-                }
-                power[top.saturating_sub(4)..(top + 5).min(count)].fill(0.0);
-            }
+            peaks(&mut power, from, step, list);
+        }
+        if wanted > MOST_FREQUENCIES {
+            // Far up every wave is as good as random from row to row, so that one look with the noise's own
+            // coefficient serves, on a coarser grid.
+            let from = from + step * MOST_FREQUENCIES;
+            let step = FAST_STEP / span;
+            let count = ((wave.to - from) / step).ceil() as usize;
+            let u = sharpened(&residual, phi, &self.stack.ranges);
+            let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
+            let mut power = periodogram(&mut planner, &x, &u, from, step, count.max(2));
+            peaks(&mut power, from, step, list);
         }
     }
 
@@ -539,6 +551,10 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// Refines the non-linear parameters of an offer to a set.
     pub(crate) fn refine(&self, set: &Set, offer: Offer) -> Offer {
+        if let Cause::Teeth(shape, teeth) = &offer.cause {
+            let (shape, teeth) = (shape.clone(), *teeth);
+            return self.sharpened_teeth(set, offer, shape, teeth);
+        }
         let Cause::Effect { effect, free, reference } = &offer.cause else { return offer };
         let law = effect.card().name.as_str();
         let steps: &[(&str, bool, f64)] = match law {
@@ -606,6 +622,38 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         let cause = Cause::Effect { effect, free, reference };
         Offer { cause, score, evidence: offer.evidence.max(score), columns: Source::Made(columns), ..offer }
+    }
+
+    /// Turns and phase to the row: the last tooth tells the turns, all of them the phase.
+    fn sharpened_teeth(&self, set: &Set, offer: Offer, shape: Shape, teeth: Teeth) -> Offer {
+        let mut best = (teeth, offer.score, None);
+        let (mut turns, mut phase) = (0.04 * teeth.turns, 0.08);
+        for _ in 0..12 {
+            for (dt, dp) in
+                [(turns, 0.0), (-turns, 0.0), (0.0, phase), (0.0, -phase), (turns, -phase), (-turns, phase)]
+            {
+                let next = Teeth { turns: best.0.turns + dt, phase: best.0.phase + dp, ..best.0 };
+                let mut column = next.column(self.stack);
+                self.stack.weigh(&mut column);
+                let columns = vec![column];
+                let score =
+                    self.extended(set, &self.made_cross(set, &columns)) - self.price(set, offer.cost, 1);
+                if score > best.1 {
+                    best = (next, score, Some(columns));
+                }
+            }
+            turns *= 0.65;
+            phase *= 0.65;
+        }
+        let (teeth, score, made) = best;
+        let columns = made.map_or(offer.columns, Source::Made);
+        Offer {
+            cause: Cause::Teeth(shape, teeth),
+            score,
+            evidence: offer.evidence.max(score),
+            columns,
+            ..offer
+        }
     }
 
     /// The set with an offer taken in.
@@ -694,7 +742,7 @@ impl<'p, 'r> Search<'p, 'r> {
                 continue;
             }
             // Many sensors of one law must not crowd out other laws.
-            let law = hypothesis.name.clone();
+            let law = if hypothesis.named { hypothesis.name.clone() } else { offer.hypothesis.to_string() };
             match sensors.iter_mut().find(|(l, _)| *l == law) {
                 Some((_, n)) if *n >= 2 => continue,
                 Some((_, n)) => *n += 1,
@@ -742,22 +790,35 @@ fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f6
     out
 }
 
+/// The three highest peaks of a periodogram, added to a list of frequencies.
+fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>) {
+    for _ in 0..3 {
+        let top = (0..power.len()).max_by(|a, b| power[*a].total_cmp(&power[*b])).unwrap_or(0);
+        let f = from + step * top as f64;
+        if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
+            list.push(f);
+        }
+        let end = (top + 5).min(power.len());
+        power[top.saturating_sub(4)..end].fill(0.0);
+    }
+}
+
 /// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
 /// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
 fn periodogram(
-    planner: &mut FftPlanner<f64>,
+    planner: &mut FftPlanner<f32>,
     x: &[f64],
     u: &[f64],
     from: f64,
     step: f64,
     count: usize,
 ) -> Vec<f64> {
-    let size = (2 * count).next_power_of_two().max(64);
+    let size = room(count + count / 2);
     // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
     let middle = from + step * (count / 2) as f64;
-    let mut grid = vec![Complex64::new(0.0, 0.0); size];
+    let mut grid = vec![Complex32::new(0.0, 0.0); size];
     for (x, u) in x.iter().zip(u) {
-        let turn = Complex64::cis(TAU * (middle * x).fract()) * u;
+        let (sin, cos) = (TAU * (middle * x).fract()).sin_cos();
         let place = x * step * size as f64;
         let base = place.floor();
         let w = place - base;
@@ -770,18 +831,26 @@ fn periodogram(
         ];
         for (k, weight) in weights.iter().enumerate() {
             let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
-            grid[at] += turn * weight;
+            grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
         }
     }
     planner.plan_fft_inverse(size).process(&mut grid);
     (0..count)
-        .map(|i| grid[(i as i64 - (count / 2) as i64).rem_euclid(size as i64) as usize].norm_sqr())
+        .map(|i| grid[(i as i64 - (count / 2) as i64).rem_euclid(size as i64) as usize].norm_sqr().into())
         .collect()
+}
+
+/// The smallest size from `least` on that a Fourier transform is quick at: a power of two, or three quarters of one.
+fn room(least: usize) -> usize {
+    let whole = least.next_power_of_two().max(64);
+    if whole / 4 * 3 >= least { whole / 4 * 3 } else { whole }
 }
 
 /// How wide the search goes.
 const BEAM_NAMED: usize = 3;
 const BEAM_UNNAMED: usize = 2;
+/// Coefficient of noise with a short memory: its half-life is below two rows.
+const SHORT_MEMORY: f64 = 0.65;
 /// Most effects that are looked for at once.
 const DEPTH: usize = 5;
 
@@ -794,8 +863,53 @@ pub(crate) struct Found {
 }
 
 impl Search<'_, '_> {
-    /// Beam search over sets of explanations.
+    /// Search over sets of explanations. Several strong effects together look like noise with a long memory, in which
+    /// none of them stands out by itself: where the data ask for such noise the search is done once more with noise of
+    /// short memory only, and what it found judged with all of them.
     pub(crate) fn run(&mut self) -> Found {
+        let mut found = self.beam();
+        let short = self.phis.partition_point(|p| *p < SHORT_MEMORY);
+        let empty = self.empty();
+        let values: Vec<f64> = empty.fits.iter().map(|f| self.loglik(f, 0.0)).collect();
+        if self.best_phi(&values).1 < SHORT_MEMORY {
+            return found;
+        }
+        let all = std::mem::replace(&mut self.usable, short);
+        let second = self.beam();
+        self.usable = all;
+        for set in second.visited.into_iter().chain([second.any]) {
+            let set = self.set(set.members);
+            let set = self.thinned(set);
+            if self.named(&set) {
+                if set.score > found.named.score {
+                    found.named = set.clone();
+                }
+                found.visited.push(set.clone());
+            }
+            if set.score > found.any.score {
+                found.any = set;
+            }
+        }
+        found.visited.sort_by(|a, b| b.score.total_cmp(&a.score));
+        found
+    }
+
+    /// The set without the members that do not pay.
+    fn thinned(&self, set: Set) -> Set {
+        let mut set = set;
+        loop {
+            let fewer = (0..set.members.len())
+                .map(|i| self.without(&set, i))
+                .max_by(|a, b| a.score.total_cmp(&b.score));
+            match fewer {
+                Some(f) if f.score >= set.score => set = f,
+                _ => return set,
+            }
+        }
+    }
+
+    /// Beam search over sets of explanations.
+    fn beam(&mut self) -> Found {
         let empty = self.empty();
         let mut beam = vec![empty.clone()];
         let (mut named, mut any) = (empty.clone(), empty.clone());
@@ -804,7 +918,7 @@ impl Search<'_, '_> {
             let mut next: Vec<(usize, Offer)> = Vec::new();
             for (i, set) in beam.iter().enumerate() {
                 let pure = self.named(set);
-                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 3 } else { 0 }, i == 0);
+                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 4 } else { 0 }, i == 0);
                 next.extend(offers.into_iter().map(|o| (i, o)));
             }
             next.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));
