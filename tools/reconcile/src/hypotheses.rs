@@ -716,6 +716,55 @@ fn distinct(stack: &Stack<'_>, role: &Role) -> Option<Vec<f64>> {
     Some(out.into_iter().map(|(s, c)| s / c).collect())
 }
 
+/// The pitch of a grid that all places lie on to within `close`; `None` where they lie on none, or hardly repeat.
+pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
+    let mut all = places.to_vec();
+    all.sort_by(f64::total_cmp);
+    let mut distinct: Vec<f64> = Vec::new();
+    for x in &all {
+        if distinct.last().is_none_or(|d| x - d > 2.0 * close) {
+            distinct.push(*x);
+        }
+    }
+    let least = distinct.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
+    let (first, last) = (*distinct.first()?, *distinct.last()?);
+    if distinct.len() < 3 || least < 4.0 * close {
+        return None;
+    }
+    // The mean over the whole grid: an error of each place must not add up.
+    let pitch = (last - first) / ((last - first) / least).round();
+    let off = |x: &f64| {
+        let k = (x - first) / pitch;
+        (k - k.round()).abs() * pitch > close
+    };
+    (!all.iter().any(off)).then_some(pitch)
+}
+
+/// Frequencies that look the same as `f` on a grid, inside a range, slowest first; at most `most`.
+pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize) -> Vec<f64> {
+    let whole = 1.0 / pitch;
+    let rest = f.rem_euclid(whole);
+    let first = (range[0] / whole).floor().max(0.0);
+    (0..=2 * most)
+        .flat_map(|k| {
+            let at = (first + k as f64) * whole;
+            [at + rest, at + whole - rest]
+        })
+        .filter(|g| (range[0]..=range[1]).contains(g))
+        .take(most)
+        .collect()
+}
+
+/// Leads that ball screws are made with, mm (ISO 3408-2).
+const LEADS_MM: [f64; 15] =
+    [1.0, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0];
+
+/// Which of several periods is the likeliest, being equally good otherwise: one that screws are made with, or the longest.
+pub(crate) fn likeliest(periods: &[f64], screw: bool) -> Option<usize> {
+    let made = |p: &f64| screw && LEADS_MM.iter().any(|l| (p / l - 1.0).abs() < 0.005);
+    periods.iter().position(made).or((!periods.is_empty()).then_some(0))
+}
+
 fn bounds(x: &[f64], rows: &[usize]) -> (f64, f64) {
     rows.iter().fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(x[*r]), h.max(x[*r])))
 }

@@ -2,7 +2,9 @@
 //! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
 
 use crate::gram::{Bank, Cholesky, Products, Vector, dot};
-use crate::hypotheses::{Atom, Cause, Hypotheses, Shape, Teeth, Wave, moments, reference_column, taus};
+use crate::hypotheses::{
+    Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
+};
 use crate::problem::{Known, Stack};
 use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
@@ -31,6 +33,9 @@ pub(crate) struct AtPhi {
     pub(crate) z: Vec<f64>,
     pub(crate) rss: f64,
 }
+
+/// How far from a grid the places may lie that a wave cannot tell from it, in periods.
+pub(crate) const GRID_SHARE: f64 = 0.02;
 
 /// An accepted explanation inside a set.
 #[derive(Debug, Clone)]
@@ -457,14 +462,15 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The best period of a periodic hypothesis: each peak refined exactly.
     fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64]) -> Option<Offer> {
-        let (_, _, span) = self.extent(wave)?;
+        let (rows, _, span) = self.extent(wave)?;
         let from = wave.from.max(0.5 / span);
         let step = FREQUENCY_STEP / span;
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
-        let cost_of_search = ((wave.to - from) * span).max(2.0).ln();
+        let cost_of_search = ((wave.to - from) * span).max(2.0);
+        let places: Vec<f64> = rows.iter().map(|r| wave.along[*r]).collect();
         let hypothesis = &self.all.list[wave.hypothesis];
         let extra = if hypothesis.named { 0.0 } else { 3.0 };
-        let cost = self.all.family_cost + cost_of_search + extra;
+        let cost = self.all.family_cost + cost_of_search.ln() + extra;
         let mut best: Option<(f64, f64, Vec<Vec<f64>>)> = None;
         for f0 in peaks {
             let best_before = best.as_ref().map(|b| b.0);
@@ -493,7 +499,30 @@ impl<'p, 'r> Search<'p, 'r> {
                 }
             }
         }
-        let (score, f, columns) = best?;
+        let (mut score, mut f, mut columns) = best?;
+        let mut cost = cost;
+        if wave.effect.is_some()
+            && let Some(pitch) = pitch(&places, GRID_SHARE / f)
+        {
+            // On a grid there are no more frequencies than places; which of the aliases it is the data cannot say.
+            let paid = cost_of_search.min((span / pitch).max(2.0)).ln();
+            let saved = cost_of_search.ln() - paid;
+            (cost, score) = (cost - saved, score + saved);
+            let near: Vec<(f64, f64, Vec<Vec<f64>>)> = aliases(f, pitch, [from, wave.to], 8)
+                .into_iter()
+                .map(|g| {
+                    let columns = self.wave_columns(wave, g);
+                    let s = self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, 2);
+                    (s, g, columns)
+                })
+                .filter(|(s, ..)| *s > score - 1.0)
+                .collect();
+            let periods: Vec<f64> = near.iter().map(|(_, g, _)| 1.0 / g).collect();
+            let screw = wave.unit.total_cmp(&1.0).is_eq();
+            if let Some(i) = likeliest(&periods, screw) {
+                (score, f, columns) = near[i].clone();
+            }
+        }
         let cause = match (&wave.effect, &wave.shape) {
             (Some(e), _) => {
                 let mut effect = e.clone();
@@ -851,6 +880,9 @@ const BEAM_NAMED: usize = 3;
 const BEAM_UNNAMED: usize = 2;
 /// Coefficient of noise with a short memory: its half-life is below two rows.
 const SHORT_MEMORY: f64 = 0.65;
+/// By how much several effects in noise of short memory must be the better account than noise of long memory: a search
+/// for several at once finds more by chance than one step of it.
+const SHORT_MARGIN: f64 = 12.0;
 /// Most effects that are looked for at once.
 const DEPTH: usize = 5;
 
@@ -881,12 +913,12 @@ impl Search<'_, '_> {
             let set = self.set(set.members);
             let set = self.thinned(set);
             if self.named(&set) {
-                if set.score > found.named.score {
+                if set.score > found.named.score + SHORT_MARGIN {
                     found.named = set.clone();
                 }
                 found.visited.push(set.clone());
             }
-            if set.score > found.any.score {
+            if set.score > found.any.score + SHORT_MARGIN {
                 found.any = set;
             }
         }
