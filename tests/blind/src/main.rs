@@ -28,6 +28,7 @@ fn main() -> anyhow::Result<ExitCode> {
     let scale = number("--count", 0);
     let from = number("--from", 10_000) as u64;
     let class = value("--class");
+    let baselines = !args.iter().any(|a| a == "--bare");
     let mut plan: Vec<(Hides, u64, Manner)> = Vec::new();
     let classes = [
         (Hides::One, "one", 232),
@@ -58,7 +59,7 @@ fn main() -> anyhow::Result<ExitCode> {
                 loop {
                     let i = next.fetch_add(1, Ordering::Relaxed);
                     let Some(&(hides, seed, manner)) = plan.get(i) else { break };
-                    match one(hides, seed, manner) {
+                    match one(hides, seed, manner, baselines) {
                         Ok(line) => {
                             if let Ok(mut l) = lines.lock() {
                                 l.push((i, line));
@@ -105,7 +106,7 @@ fn main() -> anyhow::Result<ExitCode> {
     Ok(if report(&lines) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn one(hides: Hides, seed: u64, manner: Manner) -> anyhow::Result<Line> {
+fn one(hides: Hides, seed: u64, manner: Manner, baselines: bool) -> anyhow::Result<Line> {
     let dir = tempfile::tempdir()?;
     let case = case::make(seed, hides, None, manner, dir.path())?;
     let start = std::time::Instant::now();
@@ -114,7 +115,7 @@ fn one(hides: Hides, seed: u64, manner: Manner) -> anyhow::Result<Line> {
     let train =
         case.train.iter().map(|p| rtec_model::record::Record::read(p)).collect::<Result<Vec<_>, _>>()?;
     let machine = rtec_model::machine::Machine::read(&case.model)?;
-    let names = baseline::forward_bic(&train, &machine);
+    let names = if baselines { baseline::forward_bic(&train, &machine) } else { Vec::new() };
     let verdict = if names.is_empty() { "nothing_missing" } else { "named" }.to_owned();
     let base = Reply { verdict, effects: names.into_iter().map(|n| (n, vec![])).collect() };
     Ok(Line { mark: mark(&case, &reply), base: mark(&case, &base), reply, closed, seconds, case })

@@ -59,3 +59,89 @@ fn the_same_data_give_the_same_document() {
     };
     assert_eq!(once(), once());
 }
+
+/// A record of one axis: time and positions of the rows, and the error.
+fn run(p: Vec<f64>, e: Vec<f64>) -> rtec_model::record::Record {
+    use rtec_model::record::{Axis, Column, Kind, Record, Role};
+    let axis = || Axis::new("x").unwrap();
+    let column = |name: &str, role: Role, data| {
+        let unit = role.unit().unwrap_or("1").to_owned();
+        Column { name: name.to_owned(), role, unit, data }
+    };
+    let t = (0..p.len()).map(|i| i as f64 * 5.0).collect();
+    let columns = vec![
+        column("t", Role::Time, t),
+        column("p", Role::Position(axis()), p),
+        column("e", Role::Error(axis()), e),
+    ];
+    Record::new(std::path::Path::new("run.run.toml"), Kind::Positioning, columns).unwrap()
+}
+
+fn noise(seed: u64, n: usize) -> Vec<f64> {
+    let mut dice = rtec_blind::world::Dice::new(seed);
+    (0..n).map(|_| dice.normal()).collect()
+}
+
+#[test]
+fn on_a_grid_of_targets_the_other_periods_are_told() {
+    let p: Vec<f64> = (0..310).map(|i| 20.0 * f64::from(i % 31)).collect();
+    let e = p
+        .iter()
+        .zip(noise(1, p.len()))
+        .map(|(p, n)| 6.0 * (std::f64::consts::TAU * p / 37.3).sin() + n)
+        .collect();
+    let machine = rtec_model::machine::Machine::ideal("m");
+    let r =
+        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let (found, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "screw_periodic.x").unwrap();
+    let period = found.effect.scalar(0);
+    // 37.3 mm, or its mirror image about twice the pitch; never one of the many short ones.
+    assert!((period - 37.3).abs() < 0.1 || (period - 43.1).abs() < 0.2, "{period}");
+    assert!(r.advice.contains("grid of 20.0000 mm") && r.advice.contains("13.0"), "{}", r.advice);
+}
+
+#[test]
+fn a_map_of_the_model_does_not_swallow_an_offset() {
+    let p: Vec<f64> = (0..200).map(|i| 5.0 * f64::from(i % 50)).collect();
+    let text = "name = \"m\"\n[[effect]]\nname = \"position_map.x\"\n\
+                knots_mm = [0.0, 60.0, 120.0, 180.0, 245.0]\num = [3.0, -4.0, 2.0, -5.0, 4.0]\n";
+    let machine = rtec_model::machine::Machine::parse(std::path::Path::new("m.toml"), text).unwrap();
+    let nominal = run(p.clone(), vec![0.0; p.len()]);
+    let simulated = machine.predict(&nominal).unwrap();
+    let e = simulated.columns[0].1.iter().zip(noise(2, p.len())).map(|(s, n)| s + n + 4.0).collect();
+    let r =
+        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let names: Vec<String> = r.effects.iter().map(|(f, _)| f.effect.name()).collect();
+    assert_eq!((r.verdict, names), ("named", vec!["offset.x".to_owned()]));
+}
+
+#[test]
+fn what_has_no_name_gets_a_marked_curve_when_asked_for() {
+    // A saw in time: no effect of the dictionary.
+    let n = 240;
+    let p: Vec<f64> = (0..n).map(|i| f64::from(i * 37 % 101)).collect();
+    let e: Vec<f64> = (0..n)
+        .zip(noise(3, p.len()))
+        .map(|(i, n)| 8.0 * ((f64::from(i) / 90.0).fract() - 0.5) + 0.5 * n)
+        .collect();
+    let machine = rtec_model::machine::Machine::ideal("m");
+    let train = [run(p, e)];
+    let options = rtec_reconcile::Options { unexplained: true, ..Default::default() };
+    let r = rtec_reconcile::reconcile(&train, &[], &machine, &options).unwrap();
+    assert_eq!(r.verdict, "unknown_effect");
+    let (curve, laws) = r.curve.as_ref().unwrap();
+    assert!(curve.name().starts_with("unexplained_"), "{}", curve.name());
+    // The written files are a model like any other.
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join(rtec_reconcile::LAWS_FILE), laws).unwrap();
+    let path = dir.path().join("model.toml");
+    std::fs::write(&path, r.model.to_text()).unwrap();
+    let model = rtec_model::machine::Machine::read(&path).unwrap();
+    assert!(r.model.to_text().contains("unexplained"));
+    let left = |m: &rtec_model::machine::Machine| {
+        let simulated = m.predict(&train[0]).unwrap();
+        let e = train[0].responses().next().unwrap();
+        e.data.iter().zip(&simulated.columns[0].1).map(|(e, s)| (e - s).powi(2)).sum::<f64>()
+    };
+    assert!(left(&model) < 0.35 * left(&machine), "{} of {}", left(&model), left(&machine));
+}

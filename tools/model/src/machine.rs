@@ -321,6 +321,24 @@ impl Machine {
         &self.dictionary
     }
 
+    /// Adds laws to its dictionary. The text that comes back, with the laws it had of its own, belongs into `file`
+    /// beside the model: the model names it from now on.
+    ///
+    /// # Errors
+    /// The laws are refused, or its present dictionary cannot be read.
+    pub fn adopt(&mut self, file: &str, laws: &str) -> Result<String, InputError> {
+        let mut text = match self.doc.get("dictionary").and_then(Item::as_str) {
+            Some(own) => document::read(&self.path.parent().unwrap_or(Path::new("")).join(own))? + "\n",
+            None => String::new(),
+        };
+        text += laws;
+        let mut dictionary = Dictionary::default();
+        dictionary.add_own(Path::new(file), &text)?;
+        self.dictionary = dictionary;
+        self.doc["dictionary"] = value(file);
+        Ok(text)
+    }
+
     /// Appends an effect.
     ///
     /// # Errors

@@ -14,6 +14,8 @@ const ROUNDS: usize = 40;
 const DECISIVE: f64 = 3.0;
 /// Log odds by which a shape without a name must beat the best named explanation.
 const SHAPE_DECISIVE: f64 = 3.0;
+/// The same where the names leave little.
+const SHAPE_INSTEAD: f64 = 12.0;
 
 /// An effect that changes the root mean square by less than this share of the whole gap is not worth a name: on a real
 /// machine everything shows a little of everything.
@@ -60,6 +62,8 @@ pub struct Answer {
     pub present: Vec<Effect>,
     /// The model's own effects as the file has them.
     pub file: Vec<Effect>,
+    /// The same with the periods that were found by a search: what a fit starts from and is held to.
+    pub anchor: Vec<Effect>,
     /// Every name that was tried as the next one, best first: log odds against what was accepted.
     pub ranking: Vec<Tried>,
     /// What is left unexplained, and the noise's coefficient.
@@ -107,18 +111,19 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
     let simulated = stack.predict(&now);
     let missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
     stack.sigma = noise_guess(&stack, &missing);
-    retune(&stack, machine, &mut now);
+    let mut anchor = file.clone();
+    retune(&stack, &mut anchor, &mut now, &[]);
     for pass in 0.. {
         let simulated = stack.predict(&now);
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
         stack.weigh(&mut missing);
-        let parameters = known(&stack, machine, &now);
+        let parameters = known(&stack, &anchor, &now);
         let (all, waves) = Hypotheses::new(&stack, machine.dictionary());
         let mut search = Search::new(&stack, &all, &waves, &parameters, missing);
         let found = search.run();
         let (residual, _) = search.residual(&found.any);
         let beta = search.coefficients(&found.any);
-        let moved = moved(&now, &parameters, &beta);
+        let mut moved = moved(&now, &parameters, &beta);
         let bent = bend(&stack, &now, &moved, &parameters, &beta);
         let sigma: Vec<f64> = (0..stack.responses.len())
             .map(|j| {
@@ -128,28 +133,57 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
             })
             .collect();
         let off = sigma.iter().any(|s| !(0.75..1.35).contains(s));
-        if pass < 2 && (off || bent > 0.1) {
+        // A wave beside a wave of the model may be the model's own, out of tune: seen now that the rest is explained.
+        let mut tuned = false;
+        if pass < PASSES {
+            let mut at = parameters.len();
+            let mut beside = Vec::new();
+            for m in &found.any.members {
+                beside.extend(effect_of(&m.cause, &beta[at..at + m.columns()]));
+                at += m.columns();
+            }
+            let same = |e: &Effect| now.iter().any(|n| is_wave(n) && n.name() == e.name());
+            if beside.iter().any(&same) {
+                beside.retain(|e| !same(e));
+                let mut trial = moved.clone();
+                tuned = retune(&stack, &mut anchor, &mut trial, &beside);
+                if tuned {
+                    moved = trial;
+                }
+            }
+        }
+        if pass < PASSES && (off || bent > 0.1 || tuned) {
             let new: Vec<f64> = stack.sigma.iter().zip(&sigma).map(|(a, b)| a * b).collect();
             now = moved;
             stack.sigma = new;
             continue;
         }
-        return Answer { file, ..conclude(&mut search, &found, &now, level) };
+        return Answer { file, anchor, ..conclude(&mut search, &found, &now, level) };
     }
-    unreachable!("the loop ends at its third pass")
+    unreachable!("the loop ends at its last pass")
+}
+
+/// How often the search is done again with better values of the model's own parameters and of the noise's size.
+const PASSES: usize = 3;
+
+fn is_wave(effect: &Effect) -> bool {
+    ["screw_periodic", "subdivision"].contains(&effect.card().name.as_str())
 }
 
 /// Searches the periods of the model's own periodic effects: over a long travel a period that is a little off is out
-/// of step by whole turns, which no linear correction mends.
-fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
+/// of step by whole turns, which no linear correction mends. `beside` is what was found missing beside them. What is
+/// mended counts as if the file had said so. Whether anything was.
+fn retune(stack: &Stack<'_>, anchor: &mut [Effect], now: &mut [Effect], beside: &[Effect]) -> bool {
+    let mut any = false;
     for e in 0..now.len() {
-        if !["screw_periodic", "subdivision"].contains(&now[e].card().name.as_str()) {
+        if !is_wave(&now[e]) {
             continue;
         }
-        let simulated = stack.predict(now.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, x)| x));
+        let others = now.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, x)| x);
+        let simulated = stack.predict(others.chain(beside));
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
         stack.weigh(&mut missing);
-        let others: Vec<Known> = known(stack, machine, now).into_iter().filter(|k| k.effect != e).collect();
+        let others: Vec<Known> = known(stack, anchor, now).into_iter().filter(|k| k.effect != e).collect();
         let (none, waves) = Hypotheses::periods(stack, &now[e]);
         let search = Search::new(stack, &none, &waves, &others, missing);
         let empty = search.empty();
@@ -164,10 +198,16 @@ fn retune(stack: &Stack<'_>, machine: &Machine, now: &mut [Effect]) {
             // Another amplitude is another effect, not this one with its period mended.
             let ratio = found.scalar(1) / now[e].scalar(1).abs().max(1e-12);
             if (0.4..2.5).contains(&ratio) {
+                let [period, phase] = [found.scalar(0), found.scalar(2)];
+                let mended = anchor[e].values().to_vec();
+                // Both keep the law's limits: they come from the law itself.
+                let _set = anchor[e].set_values(&[period, mended[1], phase]);
                 now[e] = found;
+                any = true;
             }
         }
     }
+    any
 }
 
 /// The model's effects with the changes that a fit asks for.
@@ -176,7 +216,7 @@ fn moved(now: &[Effect], parameters: &[Known], beta: &[f64]) -> Vec<Effect> {
     for (e, effect) in out.iter_mut().enumerate() {
         let mut values = effect.values().to_vec();
         for (k, b) in parameters.iter().zip(beta).filter(|(k, _)| k.effect == e) {
-            values[k.value] += b;
+            k.along.iter().for_each(|(v, w)| values[*v] += w * b);
         }
         // A change that leaves the law's limits is not made.
         let _kept = effect.set_values(&values);
@@ -264,10 +304,47 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
     named
 }
 
+/// A constant beside a member may make another explanation of that member better than itself: a step that a search
+/// by single steps does not take.
+fn with_offset(search: &mut Search<'_, '_>, set: Set) -> Set {
+    let offsets: Vec<usize> = (0..search.all.list.len())
+        .filter(|h| {
+            search.all.list[*h].name.starts_with("offset.")
+                || search.all.list[*h].name.starts_with("force_offset.")
+        })
+        .collect();
+    let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor.is_some();
+    let n = set.members.len();
+    let mut rests: Vec<Set> = (0..n).map(|i| search.without(&set, i)).collect();
+    // Two sensors with a constant between them may be their difference.
+    for i in (0..n).filter(|i| thermal(*i)) {
+        for j in (i + 1..n).filter(|j| thermal(*j)) {
+            rests.push(search.without(&search.without(&set, j), i));
+        }
+    }
+    let mut best = set.clone();
+    for rest in rests {
+        for h in &offsets {
+            if set.members.iter().any(|m| m.hypothesis == *h) {
+                continue;
+            }
+            let Some(offset) = search.offer_of(&rest, *h) else { continue };
+            let level = search.take(&rest, &offset);
+            let Some(offer) = search.offers(&level, 1, 0, false).into_iter().next() else { continue };
+            if offer.score > best.score + 1e-6 {
+                let next = search.take(&level, &offer);
+                best = search.polish(next);
+            }
+        }
+    }
+    best
+}
+
 fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
     let mut named = found.named.clone();
     let any = found.any.clone();
     named = renamed(search, named);
+    named = with_offset(search, named);
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
     let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
@@ -293,16 +370,13 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     }
     let left = rms(&search.residual(&named).0);
     let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
-    let unexplained: Vec<Shape> = if !mostly && any.score > named.score + SHAPE_DECISIVE {
+    let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
+    // A shape in place of the names, not beside them, has to be the far better account where they leave little.
+    let needed = if mostly { SHAPE_INSTEAD } else { SHAPE_DECISIVE };
+    let unexplained: Vec<Shape> = if !(mostly && beside) && any.score > named.score + needed {
         let gain = any.score - named.score;
         let real = chance.any.tail(gain) <= level;
-        any.members
-            .iter()
-            .filter_map(|m| match &m.cause {
-                Cause::Shape(s) if real => Some(s.clone()),
-                _ => None,
-            })
-            .collect()
+        any.members.iter().filter_map(|m| m.cause.shape().filter(|_| real).cloned()).collect()
     } else {
         Vec::new()
     };
@@ -334,7 +408,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         let k = m.columns();
         let gamma = &beta[at..at + k];
         at += k;
-        let Some(effect) = effect_of(&m.cause, gamma) else { continue };
+        let Some(mut effect) = effect_of(&m.cause, gamma) else { continue };
         let own = set.score - search.without(&set, i).score;
         // Beside a shape without a name only what reads something else, and stands out by itself, is named.
         let entangled =
@@ -395,6 +469,24 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             }
             _ => Vec::new(),
         };
+        if let Cause::Effect { reference: true, .. } = m.cause
+            && let Some(level) = level_beside(search, &set, &effect)
+        {
+            // Another reference temperature and a constant (or a scale) beside the law do the same to these data.
+            let name = level.name();
+            if effect.delta.as_ref().is_some_and(|d| plausible_reference(d)) {
+                list.push(Rival { name, sensor: None, margin: 0.0 });
+            } else if let Some(split) = split_reference(&effect, level) {
+                effect = split.0;
+                findings.push(Finding {
+                    effect: split.1,
+                    held: Vec::new(),
+                    p_value: chance.named.tail(own),
+                    evidence: own,
+                    rivals: Vec::new(),
+                });
+            }
+        }
         list.sort_by(|a, b| a.margin.total_cmp(&b.margin));
         list.truncate(MOST_RIVALS);
         findings.push(Finding { effect, held, p_value: chance.named.tail(own), evidence: own, rivals: list });
@@ -407,12 +499,54 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         unexplained,
         present: now.to_vec(),
         file: Vec::new(),
+        anchor: Vec::new(),
         ranking: tried,
         residual,
         phi,
         sigma: search.stack.sigma.clone(),
         draws: chance.draws,
     }
+}
+
+/// How far from 20 °C a reference temperature may be and still be one, K.
+const REFERENCE_REACH: f64 = 8.0;
+
+fn plausible_reference(delta: &Difference) -> bool {
+    use rtec_model::effect::{Against, STANDARD_DEGC};
+    matches!(delta.against, Against::Reference(degc) if (degc - STANDARD_DEGC).abs() <= REFERENCE_REACH)
+}
+
+/// What does the same as another reference temperature of a thermal effect: an offset, or a scale beside an expansion.
+/// None where the set or the model has it.
+fn level_beside(search: &Search<'_, '_>, set: &Set, effect: &Effect) -> Option<Effect> {
+    let law = if effect.card().name == "thermal_expansion" { "scale" } else { "offset" };
+    let name = format!("{law}.{}", effect.axes()[0]);
+    if set.members.iter().any(|m| search.all.list[m.hypothesis].name == name) {
+        return None;
+    }
+    search.all.atoms.iter().find_map(|a| match &a.cause {
+        Cause::Effect { effect, .. } if effect.name() == name => Some(effect.clone()),
+        _ => None,
+    })
+}
+
+/// The same as a law of the difference from 20 °C beside a constant: c₁(x − d) + c₂(x − d)², with x from 20 °C.
+fn split_reference(effect: &Effect, mut level: Effect) -> Option<(Effect, Effect)> {
+    use rtec_model::effect::{Against, STANDARD_DEGC};
+    let mut own = effect.clone();
+    let delta = own.delta.as_mut()?;
+    let Against::Reference(degc) = delta.against else { return None };
+    delta.against = Against::Standard;
+    let d = degc - STANDARD_DEGC;
+    let k = own.coefficient_count();
+    let first = own.scalar(0);
+    let second = if k > 1 { own.scalar(1) } else { 0.0 };
+    let mut values = own.values().to_vec();
+    values[0] = first - 2.0 * second * d;
+    own.set_values(&values).ok()?;
+    let name = level.card().parameters[0].name.clone();
+    level.set(&name, &[second * d * d - first * d]).ok()?;
+    Some((own, level))
 }
 
 /// Whether an effect reads what a shape runs along; a temperature runs along time.

@@ -170,12 +170,10 @@ fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option
         // A trace of a pull to where it is keeps what the data do not show where it is.
         a[i * k + i] *= 1.0 + 1e-9;
     }
-    // What offset and scale are for a map's heights are held at nothing.
+    // What offset and scale are for stays out of a map's heights: none of it in a new map, no change of it in a known one.
     for (t, term) in terms.iter().enumerate() {
         let width = term.effect.width();
-        if term.prior.is_some() {
-            continue;
-        }
+        let from = |v: usize| term.prior.as_ref().map_or(0.0, |(values, _)| values[v]);
         for weights in term.effect.constraints() {
             let own: Vec<(usize, f64)> = places
                 .iter()
@@ -185,7 +183,12 @@ fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option
                 .collect();
             let largest = own.iter().map(|(_, w)| w.abs()).fold(1e-300, f64::max);
             let pull = 1e3 * stack.n as f64 / (largest * largest);
-            let now: f64 = weights.iter().zip(term.effect.get(1)).map(|(w, u)| w * u).sum();
+            let now: f64 = weights
+                .iter()
+                .zip(term.effect.get(1))
+                .enumerate()
+                .map(|(k, (w, u))| w * (u - from(width + k)))
+                .sum();
             for (i, wi) in &own {
                 for (j, wj) in &own {
                     a[i * k + j] += pull * wi * wj;

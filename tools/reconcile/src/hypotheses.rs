@@ -26,6 +26,48 @@ pub(crate) enum Cause {
     Effect { effect: Effect, free: Vec<usize>, reference: bool },
     /// No effect of the dictionary.
     Shape(Shape),
+    /// The same, of a kind whose turns and phase are refined.
+    Teeth(Shape, Teeth),
+}
+
+impl Cause {
+    /// The shape, where it is no effect of the dictionary.
+    pub(crate) fn shape(&self) -> Option<&Shape> {
+        match self {
+            Self::Effect { .. } => None,
+            Self::Shape(s) | Self::Teeth(s, _) => Some(s),
+        }
+    }
+}
+
+/// Saw teeth or square steps that repeat over the time of all records.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Teeth {
+    pub(crate) response: usize,
+    pub(crate) saw: bool,
+    /// How often they repeat.
+    pub(crate) turns: f64,
+    /// Where in a turn the first row lies.
+    pub(crate) phase: f64,
+}
+
+impl Teeth {
+    /// Its column, not weighed.
+    pub(crate) fn column(&self, stack: &Stack<'_>) -> Vec<f64> {
+        let times = stack.records.iter().flat_map(|r| r.time_s().iter().copied());
+        let (lo, hi) = times.fold((f64::MAX, f64::MIN), |(l, h), t| (l.min(t), h.max(t)));
+        let span = (hi - lo).max(1e-300);
+        stack.column(Some(self.response), |record, row| {
+            let place = (self.turns * (record.time_s()[row] - lo) / span + self.phase).rem_euclid(1.0);
+            if self.saw {
+                place - 0.5
+            } else if place < 0.5 {
+                0.5
+            } else {
+                -0.5
+            }
+        })
+    }
 }
 
 /// An explanation with its columns.
@@ -333,24 +375,26 @@ impl Hypotheses {
 
     /// Shapes without a name, over every channel and the products that physics suggests.
     fn shapes(&mut self, stack: &Stack<'_>, waves: &mut Vec<Wave>) {
-        let mut made: Vec<(usize, Shape, Vec<Vec<f64>>, f64)> = Vec::new();
+        let mut made: Vec<(Cause, Vec<Vec<f64>>, f64)> = Vec::new();
         for j in 0..stack.responses.len() {
             self.shapes_of(stack, j, &mut made, waves);
         }
         // Grid points of one shape stand one after the other.
-        let count = made.iter().zip(made.iter().skip(1)).filter(|(a, b)| a.1 != b.1).count() + 1;
+        let count =
+            made.iter().zip(made.iter().skip(1)).filter(|(a, b)| a.0.shape() != b.0.shape()).count() + 1;
         let price = self.family_cost + SHAPE_COST + (count as f64).ln();
         let mut last: Option<Shape> = None;
-        for (_, shape, columns, grid) in made {
+        for (cause, columns, grid) in made {
+            let Some(shape) = cause.shape() else { continue };
             let cost = price + grid;
-            if last.as_ref() != Some(&shape) {
+            if last.as_ref() != Some(shape) {
                 let name = format!("unnamed {}", shape.against.join("·"));
                 self.list.push(Hypothesis { name, sensor: None, named: false });
                 last = Some(shape.clone());
             }
             let h = self.list.len() - 1;
             let columns: Vec<usize> = columns.into_iter().map(|c| self.push(stack, c)).collect();
-            self.atoms.push(Atom { cause: Cause::Shape(shape), columns, hypothesis: h, cost });
+            self.atoms.push(Atom { cause, columns, hypothesis: h, cost });
         }
     }
 
@@ -358,7 +402,7 @@ impl Hypotheses {
         &mut self,
         stack: &Stack<'_>,
         j: usize,
-        made: &mut Vec<(usize, Shape, Vec<Vec<f64>>, f64)>,
+        made: &mut Vec<(Cause, Vec<Vec<f64>>, f64)>,
         waves: &mut Vec<Wave>,
     ) {
         let role = &stack.responses[j];
@@ -374,6 +418,25 @@ impl Hypotheses {
             stack.segments.iter().filter(|s| s.response == j).flat_map(|s| s.rows.clone()).collect();
         let n = rows.len();
         let time = stack.column(Some(j), |rec, row| rec.time_s()[row]);
+        for (saw, manner) in [(true, "saw teeth"), (false, "repeated steps")] {
+            let shape =
+                Shape { response: response.clone(), against: vec!["time".into()], manner: manner.into() };
+            for turn in 0..52 {
+                let turns = 1.4 * 1.042_f64.powi(turn);
+                for phase in 0..6 {
+                    // The other half of a turn is the same with the other sign.
+                    let phase = f64::from(phase) / if saw { 6.0 } else { 12.0 };
+                    let teeth = Teeth { response: j, saw, turns, phase };
+                    if n >= 40 {
+                        made.push((
+                            Cause::Teeth(shape.clone(), teeth),
+                            vec![teeth.column(stack)],
+                            (n as f64).ln() + 3.0,
+                        ));
+                    }
+                }
+            }
+        }
         let mut offer = |against: &[&str], manner: &str, columns: Vec<Vec<f64>>, grid: usize| {
             let shape = Shape {
                 response: response.clone(),
@@ -381,7 +444,7 @@ impl Hypotheses {
                 manner: manner.to_owned(),
             };
             if columns.len() + 8 < n / 2 && columns.iter().all(|c| c.iter().any(|x| *x != 0.0)) {
-                made.push((j, shape, columns, (grid as f64).ln()));
+                made.push((Cause::Shape(shape), columns, (grid as f64).ln()));
             }
         };
         let hats = |x: &[f64], k: usize| hats(x, &rows, k);
@@ -651,6 +714,55 @@ fn distinct(stack: &Stack<'_>, role: &Role) -> Option<Vec<f64>> {
         }
     }
     Some(out.into_iter().map(|(s, c)| s / c).collect())
+}
+
+/// The pitch of a grid that all places lie on to within `close`; `None` where they lie on none, or hardly repeat.
+pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
+    let mut all = places.to_vec();
+    all.sort_by(f64::total_cmp);
+    let mut distinct: Vec<f64> = Vec::new();
+    for x in &all {
+        if distinct.last().is_none_or(|d| x - d > 2.0 * close) {
+            distinct.push(*x);
+        }
+    }
+    let least = distinct.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
+    let (first, last) = (*distinct.first()?, *distinct.last()?);
+    if distinct.len() < 3 || least < 4.0 * close {
+        return None;
+    }
+    // The mean over the whole grid: an error of each place must not add up.
+    let pitch = (last - first) / ((last - first) / least).round();
+    let off = |x: &f64| {
+        let k = (x - first) / pitch;
+        (k - k.round()).abs() * pitch > close
+    };
+    (!all.iter().any(off)).then_some(pitch)
+}
+
+/// Frequencies that look the same as `f` on a grid, inside a range, slowest first; at most `most`.
+pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize) -> Vec<f64> {
+    let whole = 1.0 / pitch;
+    let rest = f.rem_euclid(whole);
+    let first = (range[0] / whole).floor().max(0.0);
+    (0..=2 * most)
+        .flat_map(|k| {
+            let at = (first + k as f64) * whole;
+            [at + rest, at + whole - rest]
+        })
+        .filter(|g| (range[0]..=range[1]).contains(g))
+        .take(most)
+        .collect()
+}
+
+/// Leads that ball screws are made with, mm (ISO 3408-2).
+const LEADS_MM: [f64; 15] =
+    [1.0, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0];
+
+/// Which of several periods is the likeliest, being equally good otherwise: one that screws are made with, or the longest.
+pub(crate) fn likeliest(periods: &[f64], screw: bool) -> Option<usize> {
+    let made = |p: &f64| screw && LEADS_MM.iter().any(|l| (p / l - 1.0).abs() < 0.005);
+    periods.iter().position(made).or((!periods.is_empty()).then_some(0))
 }
 
 fn bounds(x: &[f64], rows: &[usize]) -> (f64, f64) {

@@ -12,6 +12,7 @@ mod hypotheses;
 mod problem;
 mod report;
 mod search;
+mod unexplained;
 mod verdict;
 mod wherein;
 
@@ -19,6 +20,7 @@ pub use analysis::{Answer, Finding, Rival, Tried, analyse};
 pub use chance::SEED;
 pub use hypotheses::Shape;
 pub use report::html;
+pub use unexplained::LAWS_FILE;
 pub use verdict::{Gap, Reconciliation, Refined, Trace, reconcile};
 pub use wherein::Place;
 
@@ -29,10 +31,12 @@ pub struct Options {
     pub level: f64,
     /// The date that added effects carry, ISO 8601.
     pub date: Option<String>,
+    /// Where something is unexplained, add a bounded curve that stands for it, marked as such.
+    pub unexplained: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { level: 0.01, date: None }
+        Self { level: 0.01, date: None, unexplained: false }
     }
 }

@@ -1,7 +1,6 @@
 //! The runs and the model as one least-squares problem: every response of every record one under the other.
 
 use rtec_model::effect::{Effect, Search};
-use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use std::ops::Range;
 
@@ -158,18 +157,19 @@ pub(crate) fn free_directions(constraints: &[Vec<f64>], k: usize) -> Vec<Vec<f64
     basis.split_off(constraints.len())
 }
 
-/// A value of the present model that may be a little off: its slope, and how far the model may be trusted.
+/// A way in which an effect of the present model may be a little off.
 #[derive(Debug, Clone)]
 pub(crate) struct Known {
     /// Place of the effect in the model.
     pub(crate) effect: usize,
-    /// Place of the value among the effect's.
-    pub(crate) value: usize,
+    /// How it moves the effect's values: one of them, or the heights of a map together so that no constant and no
+    /// straight line moves with them.
+    pub(crate) along: Vec<(usize, f64)>,
     /// Slope, weighed.
     pub(crate) column: Vec<f64>,
-    /// Expected deviation of the file's value, in the value's own unit.
+    /// Expected deviation from the file, in the values' own unit.
     pub(crate) sd: f64,
-    /// File's value minus the value it is linearised at.
+    /// The file's values minus those it is linearised at, along the way.
     pub(crate) target: f64,
 }
 
@@ -177,22 +177,36 @@ pub(crate) struct Known {
 const TRUST: f64 = 0.3;
 
 /// The parameters of the model's effects, linearised at `now`; `file` holds the values the file gives.
-pub(crate) fn known(stack: &Stack<'_>, file: &Machine, now: &[Effect]) -> Vec<Known> {
+pub(crate) fn known(stack: &Stack<'_>, file: &[Effect], now: &[Effect]) -> Vec<Known> {
     let mut out = Vec::new();
-    for (e, (effect, listed)) in now.iter().zip(file.effects()).enumerate() {
+    for (e, (effect, listed)) in now.iter().zip(file).enumerate() {
         let mut size = stack.predict([effect]);
         stack.weigh(&mut size);
         let size = rms(&size).max(3.0 / (stack.n as f64).sqrt());
         let width = effect.width();
-        for (v, mut column) in stack.slopes(effect).into_iter().enumerate() {
+        let slopes = stack.slopes(effect);
+        let free: Vec<usize> = (0..slopes.len())
+            .filter(|v| effect.card().parameters[v / width].search != Search::Chosen)
+            .collect();
+        let heights = free_directions(&effect.constraints(), free.len());
+        let ways: Vec<Vec<(usize, f64)>> = if heights.is_empty() {
+            free.iter().map(|v| vec![(*v, 1.0)]).collect()
+        } else {
+            heights.iter().map(|d| free.iter().copied().zip(d.iter().copied()).collect()).collect()
+        };
+        for along in ways {
+            let mut column = vec![0.0; stack.n];
+            for (v, weight) in &along {
+                column.iter_mut().zip(&slopes[*v]).for_each(|(c, s)| *c += weight * s);
+            }
             stack.weigh(&mut column);
             let reach = rms(&column);
-            if effect.card().parameters[v / width].search == Search::Chosen || reach < 1e-12 {
+            if reach < 1e-12 {
                 continue;
             }
             let sd = TRUST * size / reach;
-            let target = listed.values()[v] - effect.values()[v];
-            out.push(Known { effect: e, value: v, column, sd, target });
+            let target = along.iter().map(|(v, w)| w * (listed.values()[*v] - effect.values()[*v])).sum();
+            out.push(Known { effect: e, along, column, sd, target });
         }
     }
     out

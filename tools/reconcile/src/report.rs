@@ -88,6 +88,9 @@ fn headline(r: &Reconciliation) -> String {
                     s.manner
                 )
             })
+            .chain(r.curve.iter().map(|(e, _)| {
+                format!("{} stands for it in the model: a bounded curve, marked as unexplained", e.name())
+            }))
             .collect::<Vec<_>>()
             .join("; "),
         _ if r.refined.is_empty() => "model and measurement agree".to_owned(),

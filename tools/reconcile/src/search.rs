@@ -2,11 +2,13 @@
 //! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
 
 use crate::gram::{Bank, Cholesky, Products, Vector, dot};
-use crate::hypotheses::{Atom, Cause, Hypotheses, Wave, moments, reference_column, taus};
+use crate::hypotheses::{
+    Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
+};
 use crate::problem::{Known, Stack};
 use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
-use rustfft::num_complex::Complex64;
+use rustfft::num_complex::Complex32;
 use std::cell::RefCell;
 use std::f64::consts::TAU;
 
@@ -14,11 +16,13 @@ use std::f64::consts::TAU;
 const NOISE_STEP: f64 = 0.35;
 const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=7;
 
-/// Most frequencies that a periodogram is computed at.
+/// Frequencies that are looked at twice, and closely; those beyond once.
 const MOST_FREQUENCIES: f64 = 262_144.0;
 
 /// Spacing of the frequencies, in periods over the span.
 const FREQUENCY_STEP: f64 = 0.3;
+/// The same beyond the first [`MOST_FREQUENCIES`]: four fifths of a wave's power are seen between two of them.
+const FAST_STEP: f64 = 0.5;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -29,6 +33,9 @@ pub(crate) struct AtPhi {
     pub(crate) z: Vec<f64>,
     pub(crate) rss: f64,
 }
+
+/// How far from a grid the places may lie that a wave cannot tell from it, in periods.
+pub(crate) const GRID_SHARE: f64 = 0.02;
 
 /// An accepted explanation inside a set.
 #[derive(Debug, Clone)]
@@ -92,7 +99,9 @@ pub(crate) struct Search<'p, 'r> {
     /// Degrees of freedom that noise is judged by.
     pub(crate) nu: f64,
     pub(crate) phis: Vec<f64>,
-    planner: RefCell<FftPlanner<f64>>,
+    /// How many of the noise coefficients are in use: the first few, while a search takes no structure for noise.
+    usable: usize,
+    planner: RefCell<FftPlanner<f32>>,
     /// Frequencies worth a look, per wave: the highest peaks met so far.
     peaks: RefCell<Vec<Vec<f64>>>,
 }
@@ -122,7 +131,8 @@ impl<'p, 'r> Search<'p, 'r> {
         known: &'p [Known],
         missing: Vec<f64>,
     ) -> Self {
-        let phis = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
+        let phis: Vec<f64> = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
+        let usable = phis.len();
         let own = all.atoms.iter().map(|a| own_products(&a.columns, &all.bank, stack)).collect();
         let nu = (stack.n as f64 - known.len() as f64).max(stack.n as f64 / 2.0);
         let mut s = Self {
@@ -136,6 +146,7 @@ impl<'p, 'r> Search<'p, 'r> {
             own,
             nu,
             phis,
+            usable,
             planner: RefCell::new(FftPlanner::new()),
             peaks: RefCell::new(vec![Vec::new(); waves.len()]),
         };
@@ -168,7 +179,7 @@ impl<'p, 'r> Search<'p, 'r> {
 
     fn fits(&self, ids: &[usize]) -> Vec<AtPhi> {
         let b = ids.len();
-        self.phis
+        self.phis[..self.usable]
             .iter()
             .map(|&phi| {
                 let mut a = vec![0.0; b * b];
@@ -309,6 +320,31 @@ impl<'p, 'r> Search<'p, 'r> {
         }
     }
 
+    /// The best grid point of one hypothesis as an addition to a set.
+    pub(crate) fn offer_of(&self, set: &Set, hypothesis: usize) -> Option<Offer> {
+        let scored = |i: usize| {
+            let atom = &self.all.atoms[i];
+            self.extended(set, &self.bank_cross(set, i)) - self.price(set, atom.cost, atom.columns.len())
+        };
+        (0..self.all.atoms.len())
+            .filter(|i| self.all.atoms[*i].hypothesis == hypothesis)
+            .map(|i| (i, scored(i)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(i, score)| self.bank_offer(i, score, score))
+    }
+
+    fn bank_offer(&self, i: usize, score: f64, evidence: f64) -> Offer {
+        let atom: &Atom = &self.all.atoms[i];
+        Offer {
+            cause: atom.cause.clone(),
+            hypothesis: atom.hypothesis,
+            cost: atom.cost,
+            score,
+            evidence,
+            columns: Source::Bank(atom.columns.clone()),
+        }
+    }
+
     /// The best grid point of every hypothesis as an addition to a set, best first.
     pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
@@ -325,17 +361,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut offers: Vec<Offer> = best
             .into_iter()
             .flatten()
-            .map(|(score, i, evidence)| {
-                let atom: &Atom = &self.all.atoms[i];
-                Offer {
-                    cause: atom.cause.clone(),
-                    hypothesis: atom.hypothesis,
-                    cost: atom.cost,
-                    score,
-                    evidence,
-                    columns: Source::Bank(atom.columns.clone()),
-                }
-            })
+            .map(|(score, i, evidence)| self.bank_offer(i, score, evidence))
             .collect();
         for (i, wave) in self.waves.iter().enumerate() {
             if fresh {
@@ -383,11 +409,13 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         let (residual, phi) = self.residual(set);
         let step = FREQUENCY_STEP / span;
-        let count = ((wave.to - from) / step).ceil().clamp(2.0, MOST_FREQUENCIES) as usize;
+        let wanted = ((wave.to - from) / step).ceil().max(2.0);
+        let count = wanted.min(MOST_FREQUENCIES) as usize;
         let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
         let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
         gaps.sort_by(f64::total_cmp);
         let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
+        let mut planner = self.planner.borrow_mut();
         let list = &mut self.peaks.borrow_mut()[at];
         for p in [0.0, phi] {
             if p != 0.0 && p.abs() < 0.3 {
@@ -395,21 +423,25 @@ impl<'p, 'r> Search<'p, 'r> {
             }
             let u = sharpened(&residual, p, &self.stack.ranges);
             let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
-            let mut power = periodogram(&mut self.planner.borrow_mut(), &x, &u, from, step, count);
+            let mut power = periodogram(&mut planner, &x, &u, from, step, count);
             if p != 0.0 {
                 for (i, p2) in power.iter_mut().enumerate() {
                     let f = from + step * i as f64;
                     *p2 /= 1.0 + p * p - 2.0 * p * (TAU * f * gap).cos();
                 }
             }
-            for _ in 0..3 {
-                let top = (0..count).max_by(|a, b| power[*a].total_cmp(&power[*b])).unwrap_or(0);
-                let f = from + step * top as f64;
-                if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
-                    list.push(f);
-                }
-                power[top.saturating_sub(4)..(top + 5).min(count)].fill(0.0);
-            }
+            peaks(&mut power, from, step, list);
+        }
+        if wanted > MOST_FREQUENCIES {
+            // Far up every wave is as good as random from row to row, so that one look with the noise's own
+            // coefficient serves, on a coarser grid.
+            let from = from + step * MOST_FREQUENCIES;
+            let step = FAST_STEP / span;
+            let count = ((wave.to - from) / step).ceil() as usize;
+            let u = sharpened(&residual, phi, &self.stack.ranges);
+            let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
+            let mut power = periodogram(&mut planner, &x, &u, from, step, count.max(2));
+            peaks(&mut power, from, step, list);
         }
     }
 
@@ -430,14 +462,15 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The best period of a periodic hypothesis: each peak refined exactly.
     fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64]) -> Option<Offer> {
-        let (_, _, span) = self.extent(wave)?;
+        let (rows, _, span) = self.extent(wave)?;
         let from = wave.from.max(0.5 / span);
         let step = FREQUENCY_STEP / span;
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
-        let cost_of_search = ((wave.to - from) * span).max(2.0).ln();
+        let cost_of_search = ((wave.to - from) * span).max(2.0);
+        let places: Vec<f64> = rows.iter().map(|r| wave.along[*r]).collect();
         let hypothesis = &self.all.list[wave.hypothesis];
         let extra = if hypothesis.named { 0.0 } else { 3.0 };
-        let cost = self.all.family_cost + cost_of_search + extra;
+        let cost = self.all.family_cost + cost_of_search.ln() + extra;
         let mut best: Option<(f64, f64, Vec<Vec<f64>>)> = None;
         for f0 in peaks {
             let best_before = best.as_ref().map(|b| b.0);
@@ -466,7 +499,30 @@ impl<'p, 'r> Search<'p, 'r> {
                 }
             }
         }
-        let (score, f, columns) = best?;
+        let (mut score, mut f, mut columns) = best?;
+        let mut cost = cost;
+        if wave.effect.is_some()
+            && let Some(pitch) = pitch(&places, GRID_SHARE / f)
+        {
+            // On a grid there are no more frequencies than places; which of the aliases it is the data cannot say.
+            let paid = cost_of_search.min((span / pitch).max(2.0)).ln();
+            let saved = cost_of_search.ln() - paid;
+            (cost, score) = (cost - saved, score + saved);
+            let near: Vec<(f64, f64, Vec<Vec<f64>>)> = aliases(f, pitch, [from, wave.to], 8)
+                .into_iter()
+                .map(|g| {
+                    let columns = self.wave_columns(wave, g);
+                    let s = self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, 2);
+                    (s, g, columns)
+                })
+                .filter(|(s, ..)| *s > score - 1.0)
+                .collect();
+            let periods: Vec<f64> = near.iter().map(|(_, g, _)| 1.0 / g).collect();
+            let screw = wave.unit.total_cmp(&1.0).is_eq();
+            if let Some(i) = likeliest(&periods, screw) {
+                (score, f, columns) = near[i].clone();
+            }
+        }
         let cause = match (&wave.effect, &wave.shape) {
             (Some(e), _) => {
                 let mut effect = e.clone();
@@ -524,6 +580,10 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// Refines the non-linear parameters of an offer to a set.
     pub(crate) fn refine(&self, set: &Set, offer: Offer) -> Offer {
+        if let Cause::Teeth(shape, teeth) = &offer.cause {
+            let (shape, teeth) = (shape.clone(), *teeth);
+            return self.sharpened_teeth(set, offer, shape, teeth);
+        }
         let Cause::Effect { effect, free, reference } = &offer.cause else { return offer };
         let law = effect.card().name.as_str();
         let steps: &[(&str, bool, f64)] = match law {
@@ -591,6 +651,38 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         let cause = Cause::Effect { effect, free, reference };
         Offer { cause, score, evidence: offer.evidence.max(score), columns: Source::Made(columns), ..offer }
+    }
+
+    /// Turns and phase to the row: the last tooth tells the turns, all of them the phase.
+    fn sharpened_teeth(&self, set: &Set, offer: Offer, shape: Shape, teeth: Teeth) -> Offer {
+        let mut best = (teeth, offer.score, None);
+        let (mut turns, mut phase) = (0.04 * teeth.turns, 0.08);
+        for _ in 0..12 {
+            for (dt, dp) in
+                [(turns, 0.0), (-turns, 0.0), (0.0, phase), (0.0, -phase), (turns, -phase), (-turns, phase)]
+            {
+                let next = Teeth { turns: best.0.turns + dt, phase: best.0.phase + dp, ..best.0 };
+                let mut column = next.column(self.stack);
+                self.stack.weigh(&mut column);
+                let columns = vec![column];
+                let score =
+                    self.extended(set, &self.made_cross(set, &columns)) - self.price(set, offer.cost, 1);
+                if score > best.1 {
+                    best = (next, score, Some(columns));
+                }
+            }
+            turns *= 0.65;
+            phase *= 0.65;
+        }
+        let (teeth, score, made) = best;
+        let columns = made.map_or(offer.columns, Source::Made);
+        Offer {
+            cause: Cause::Teeth(shape, teeth),
+            score,
+            evidence: offer.evidence.max(score),
+            columns,
+            ..offer
+        }
     }
 
     /// The set with an offer taken in.
@@ -679,7 +771,7 @@ impl<'p, 'r> Search<'p, 'r> {
                 continue;
             }
             // Many sensors of one law must not crowd out other laws.
-            let law = hypothesis.name.clone();
+            let law = if hypothesis.named { hypothesis.name.clone() } else { offer.hypothesis.to_string() };
             match sensors.iter_mut().find(|(l, _)| *l == law) {
                 Some((_, n)) if *n >= 2 => continue,
                 Some((_, n)) => *n += 1,
@@ -727,22 +819,35 @@ fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f6
     out
 }
 
+/// The three highest peaks of a periodogram, added to a list of frequencies.
+fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>) {
+    for _ in 0..3 {
+        let top = (0..power.len()).max_by(|a, b| power[*a].total_cmp(&power[*b])).unwrap_or(0);
+        let f = from + step * top as f64;
+        if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
+            list.push(f);
+        }
+        let end = (top + 5).min(power.len());
+        power[top.saturating_sub(4)..end].fill(0.0);
+    }
+}
+
 /// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
 /// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
 fn periodogram(
-    planner: &mut FftPlanner<f64>,
+    planner: &mut FftPlanner<f32>,
     x: &[f64],
     u: &[f64],
     from: f64,
     step: f64,
     count: usize,
 ) -> Vec<f64> {
-    let size = (2 * count).next_power_of_two().max(64);
+    let size = room(count + count / 2);
     // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
     let middle = from + step * (count / 2) as f64;
-    let mut grid = vec![Complex64::new(0.0, 0.0); size];
+    let mut grid = vec![Complex32::new(0.0, 0.0); size];
     for (x, u) in x.iter().zip(u) {
-        let turn = Complex64::cis(TAU * (middle * x).fract()) * u;
+        let (sin, cos) = (TAU * (middle * x).fract()).sin_cos();
         let place = x * step * size as f64;
         let base = place.floor();
         let w = place - base;
@@ -755,18 +860,29 @@ fn periodogram(
         ];
         for (k, weight) in weights.iter().enumerate() {
             let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
-            grid[at] += turn * weight;
+            grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
         }
     }
     planner.plan_fft_inverse(size).process(&mut grid);
     (0..count)
-        .map(|i| grid[(i as i64 - (count / 2) as i64).rem_euclid(size as i64) as usize].norm_sqr())
+        .map(|i| grid[(i as i64 - (count / 2) as i64).rem_euclid(size as i64) as usize].norm_sqr().into())
         .collect()
+}
+
+/// The smallest size from `least` on that a Fourier transform is quick at: a power of two, or three quarters of one.
+fn room(least: usize) -> usize {
+    let whole = least.next_power_of_two().max(64);
+    if whole / 4 * 3 >= least { whole / 4 * 3 } else { whole }
 }
 
 /// How wide the search goes.
 const BEAM_NAMED: usize = 3;
 const BEAM_UNNAMED: usize = 2;
+/// Coefficient of noise with a short memory: its half-life is below two rows.
+const SHORT_MEMORY: f64 = 0.65;
+/// By how much several effects in noise of short memory must be the better account than noise of long memory: a search
+/// for several at once finds more by chance than one step of it.
+const SHORT_MARGIN: f64 = 12.0;
 /// Most effects that are looked for at once.
 const DEPTH: usize = 5;
 
@@ -779,8 +895,53 @@ pub(crate) struct Found {
 }
 
 impl Search<'_, '_> {
-    /// Beam search over sets of explanations.
+    /// Search over sets of explanations. Several strong effects together look like noise with a long memory, in which
+    /// none of them stands out by itself: where the data ask for such noise the search is done once more with noise of
+    /// short memory only, and what it found judged with all of them.
     pub(crate) fn run(&mut self) -> Found {
+        let mut found = self.beam();
+        let short = self.phis.partition_point(|p| *p < SHORT_MEMORY);
+        let empty = self.empty();
+        let values: Vec<f64> = empty.fits.iter().map(|f| self.loglik(f, 0.0)).collect();
+        if self.best_phi(&values).1 < SHORT_MEMORY {
+            return found;
+        }
+        let all = std::mem::replace(&mut self.usable, short);
+        let second = self.beam();
+        self.usable = all;
+        for set in second.visited.into_iter().chain([second.any]) {
+            let set = self.set(set.members);
+            let set = self.thinned(set);
+            if self.named(&set) {
+                if set.score > found.named.score + SHORT_MARGIN {
+                    found.named = set.clone();
+                }
+                found.visited.push(set.clone());
+            }
+            if set.score > found.any.score + SHORT_MARGIN {
+                found.any = set;
+            }
+        }
+        found.visited.sort_by(|a, b| b.score.total_cmp(&a.score));
+        found
+    }
+
+    /// The set without the members that do not pay.
+    fn thinned(&self, set: Set) -> Set {
+        let mut set = set;
+        loop {
+            let fewer = (0..set.members.len())
+                .map(|i| self.without(&set, i))
+                .max_by(|a, b| a.score.total_cmp(&b.score));
+            match fewer {
+                Some(f) if f.score >= set.score => set = f,
+                _ => return set,
+            }
+        }
+    }
+
+    /// Beam search over sets of explanations.
+    fn beam(&mut self) -> Found {
         let empty = self.empty();
         let mut beam = vec![empty.clone()];
         let (mut named, mut any) = (empty.clone(), empty.clone());
@@ -789,7 +950,7 @@ impl Search<'_, '_> {
             let mut next: Vec<(usize, Offer)> = Vec::new();
             for (i, set) in beam.iter().enumerate() {
                 let pure = self.named(set);
-                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 3 } else { 0 }, i == 0);
+                let offers = self.offers(set, if pure { 7 } else { 3 }, if pure { 4 } else { 0 }, i == 0);
                 next.extend(offers.into_iter().map(|o| (i, o)));
             }
             next.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));

@@ -2,8 +2,10 @@
 
 use crate::analysis::{Answer, Finding, Rival, Tried};
 use crate::fit::{self, Term};
-use crate::hypotheses::Shape;
+use crate::hypotheses::{self, Shape};
 use crate::problem::{Stack, known, rms};
+use crate::search::GRID_SHARE;
+use crate::unexplained;
 use crate::wherein::{self, Place};
 use crate::{Options, SEED};
 use rtec_driver::input::InputError;
@@ -58,6 +60,8 @@ pub struct Reconciliation {
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.
     pub unexplained: Vec<Shape>,
+    /// Where asked for: the curve that stands for what is unexplained, and the file of its law.
+    pub curve: Option<(Effect, String)>,
     /// Corrected parameters.
     pub refined: Vec<Refined>,
     /// The gap, one per unit.
@@ -117,8 +121,10 @@ pub fn reconcile(
     let file: Vec<Effect> = machine.effects().cloned().collect();
     let trust = |effects: &[Effect]| -> Vec<Vec<f64>> {
         let mut sd: Vec<Vec<f64>> = file.iter().map(|e| vec![0.0; e.values().len()]).collect();
-        for k in known(&stack, machine, effects) {
-            sd[k.effect][k.value] = k.sd;
+        for k in known(&stack, &answer.anchor, effects) {
+            for (v, w) in &k.along {
+                sd[k.effect][*v] = sd[k.effect][*v].max(k.sd * w.abs());
+            }
         }
         sd
     };
@@ -130,7 +136,7 @@ pub fn reconcile(
         .map(|(e, effect)| {
             let held: Vec<usize> = (0..sd[e].len()).filter(|v| sd[e][*v] == 0.0).collect();
             let mut t = Term::new(effect.clone(), &held);
-            t.prior = Some((file[e].values().to_vec(), sd[e].clone()));
+            t.prior = Some((answer.anchor[e].values().to_vec(), sd[e].clone()));
             t
         })
         .collect();
@@ -153,11 +159,18 @@ pub fn reconcile(
     }
     fit::fit(&stack, &mut terms, answer.phi, 12, None);
     let mut answer = answer;
-    for (f, t) in answer.findings.iter_mut().zip(&terms[file.len()..]) {
+    let mut model = machine.clone();
+    let found = terms.len();
+    let laws = match answer.unexplained.first() {
+        Some(shape) if options.unexplained => {
+            stand_in(&stack, shape, train, &mut model, &mut terms, answer.phi)
+        }
+        _ => None,
+    };
+    for (f, t) in answer.findings.iter_mut().zip(&terms[file.len()..found]) {
         f.effect = whole_counts(&t.effect, train, &t.half);
     }
     warm_plate(&mut answer.findings, train);
-    let mut model = machine.clone();
     let mut refined = Vec::new();
     for (e, before) in file.iter().enumerate().filter(|(e, _)| moved[*e]) {
         let (after, half) = (&terms[e].effect, &terms[e].half);
@@ -165,7 +178,7 @@ pub fn reconcile(
         refined.push(Refined { place: e, before: before.clone(), after: (after.clone(), half.clone()) });
     }
     let mut effects = Vec::new();
-    for (f, t) in answer.findings.iter().zip(&terms[file.len()..]) {
+    for (f, t) in answer.findings.iter().zip(&terms[file.len()..found]) {
         let provenance = Provenance {
             added_by: Some(format!("rtecctl reconcile {}", env!("CARGO_PKG_VERSION"))),
             date: options.date.clone(),
@@ -175,6 +188,18 @@ pub fn reconcile(
         // An effect of this very identity is in the model already: then it was a correction, not an addition.
         if model.push(f.effect.clone(), provenance).is_ok() {
             effects.push((f.clone(), t.half.clone()));
+        }
+    }
+    let mut curve = None;
+    if let (Some(t), Some(_)) = (terms.get(found), &laws) {
+        let provenance = Provenance {
+            added_by: Some(format!("rtecctl reconcile {}: unexplained", env!("CARGO_PKG_VERSION"))),
+            date: options.date.clone(),
+            from: train.iter().map(Source::of).collect(),
+            interval: intervals(&t.effect, &t.half).into_iter().collect(),
+        };
+        if model.push(t.effect.clone(), provenance).is_ok() {
+            curve = Some(t.effect.clone());
         }
     }
     let verdict = if !answer.unexplained.is_empty() {
@@ -188,13 +213,17 @@ pub fn reconcile(
     };
     let traces = traces(train, holdout, machine, &model);
     let gap = gaps(&stack, train, &traces, &terms, &answer, holdout.is_empty());
-    let advice = advice(verdict, &effects, &answer.unexplained, machine);
+    let mut advice = advice(verdict, &effects, &answer.unexplained, machine);
+    for text in effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train)) {
+        advice = if advice.is_empty() { text } else { format!("{advice}; {text}") };
+    }
     let places = wherein::places(&stack, &answer);
     Ok(Reconciliation {
         verdict,
         places,
         effects,
         unexplained: answer.unexplained,
+        curve: curve.zip(laws),
         refined,
         gap,
         advice,
@@ -204,6 +233,33 @@ pub fn reconcile(
         level: options.level,
         phi: answer.phi,
     })
+}
+
+/// Adds the curve that stands for a shape to the terms, with as many knots as the data pay for. The laws that the model
+/// names then.
+fn stand_in(
+    stack: &Stack<'_>,
+    shape: &Shape,
+    train: &[Record],
+    model: &mut Machine,
+    terms: &mut Vec<Term>,
+    phi: f64,
+) -> Option<String> {
+    let mut best: Option<(f64, Machine, Vec<Term>, String)> = None;
+    for knots in [5, 9, 17, 33] {
+        let (mut machine, mut all) = (model.clone(), terms.clone());
+        let Some(curve) = unexplained::stand_in(shape, knots, train, &mut machine) else { continue };
+        all.push(Term::new(curve.effect, &[]));
+        fit::fit(stack, &mut all, phi, 6, None);
+        let n = stack.n as f64;
+        let score = n * rms(&fit::residual(stack, &all)).max(1e-12).ln() + 0.5 * knots as f64 * n.ln();
+        if best.as_ref().is_none_or(|b| score < b.0) {
+            best = Some((score, machine, all, curve.laws));
+        }
+    }
+    let (_, machine, all, laws) = best?;
+    (*model, *terms) = (machine, all);
+    Some(laws)
 }
 
 /// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
@@ -399,6 +455,38 @@ fn blocked(stack: &Stack<'_>, terms: &[Term], answer: &Answer) -> Vec<f64> {
     out
 }
 
+/// Periods that a grid of targets cannot tell from the one that is given.
+fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
+    let card = effect.card();
+    let unit_mm = match card.name.as_str() {
+        "screw_periodic" => 1.0,
+        "subdivision" => 1e-3,
+        _ => return None,
+    };
+    let role = Role::Position(effect.axes()[0].clone());
+    let places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
+    let period_mm = effect.scalar(0) * unit_mm;
+    let pitch = hypotheses::pitch(&places, GRID_SHARE * period_mm)?;
+    let [lo, hi] = card.parameters[0].limits;
+    let range = [1.0 / (hi * unit_mm), 1.0 / (lo * unit_mm)];
+    let others: Vec<String> = hypotheses::aliases(1.0 / period_mm, pitch, range, 7)
+        .iter()
+        .map(|f| 1.0 / (f * unit_mm))
+        .filter(|p| (p / effect.scalar(0) - 1.0).abs() > 1e-3)
+        .map(|p| format!("{p:.4}"))
+        .collect();
+    let unit = &card.parameters[0].unit;
+    (!others.is_empty()).then(|| {
+        format!(
+            "the targets of {} lie on a grid of {pitch:.4} mm, on which a period of {:.4} {unit} looks the same as {} {unit} \
+             and more: targets at uneven distances (or the lead by the screw's data sheet) tell which it is",
+            effect.name(),
+            effect.scalar(0),
+            others.join(", ")
+        )
+    })
+}
+
 fn advice(verdict: &str, effects: &[(Finding, Vec<f64>)], shapes: &[Shape], machine: &Machine) -> String {
     let dictionary = machine.dictionary();
     match verdict {
@@ -554,6 +642,7 @@ impl Reconciliation {
             "where": self.places.iter().map(Place::to_json).collect::<Vec<_>>(),
             "effects": effects,
             "refined": refined,
+            "stand_in": self.curve.as_ref().map(|(e, _)| json!({"name": e.name(), "file": crate::LAWS_FILE})),
             "unexplained": self.unexplained.iter().map(|s| json!({
                 "response": s.response, "against": s.against, "manner": s.manner,
             })).collect::<Vec<_>>(),

@@ -1,7 +1,8 @@
 //! A project's own effects: laws given by a file instead of code.
 //!
 //! Each parameter is linear and multiplies a sum of products of what an effect may read, each to a whole power, maybe
-//! with the sine or cosine of a multiple of the angle. That covers what a machine's own cross terms look like, can be
+//! with the sine or cosine of a multiple of the angle, or with a hat over one of them (`hat = [20.0, 25.0, 30.0],
+//! of = "t"`: 0 at the ends, 1 in the middle; two equal numbers at a side: 1 from there on). That covers what a machine's own cross terms look like, can be
 //! fitted like any built-in law, and cannot fail at run time.
 //!
 //! ```toml
@@ -52,6 +53,7 @@ struct Term {
     powers: Vec<Factor>,
     /// cos(n·angle) or sin(n·angle).
     harmonic: Option<(f64, bool)>,
+    hat: Option<(Read, [f64; 3])>,
 }
 
 #[derive(Debug)]
@@ -80,7 +82,17 @@ impl Term {
             let angle = n * now.angle_rad;
             if cosine { angle.cos() } else { angle.sin() }
         });
-        self.factor * product * wave
+        let hat = self.hat.map_or(1.0, |(read, [from, top, to])| {
+            let x = read(now);
+            if x < top {
+                if from < top { ((x - from) / (top - from)).max(0.0) } else { 1.0 }
+            } else if top < to {
+                ((to - x) / (to - top)).max(0.0)
+            } else {
+                1.0
+            }
+        });
+        self.factor * product * wave * hat
     }
 }
 
@@ -91,9 +103,16 @@ impl Dictionary {
     /// The first finding, with file, line and column: a name that is taken, a quantity that does not suit the naming,
     /// an unknown key.
     pub fn read_own(&mut self, path: &Path) -> Result<(), InputError> {
-        let text = document::read(path)?;
-        let doc = document::parse(path, &text)?;
-        let root = Table::root(path, &text, &doc);
+        self.add_own(path, &document::read(path)?)
+    }
+
+    /// As [`Dictionary::read_own`], from text; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Dictionary::read_own`].
+    pub fn add_own(&mut self, path: &Path, text: &str) -> Result<(), InputError> {
+        let doc = document::parse(path, text)?;
+        let root = Table::root(path, text, &doc);
         root.only(&["law"])?;
         for t in root.required("law", "[[law]] tables")?.tables("[[law]] tables")? {
             let name = t.required("name", "the law's name")?;
@@ -158,7 +177,8 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<Own, InputError> {
 }
 
 fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -> Result<Term, InputError> {
-    let mut term = Term { factor: 1.0, powers: Vec::new(), harmonic: None };
+    let mut term = Term { factor: 1.0, powers: Vec::new(), harmonic: None, hat: None };
+    let (mut corners, mut over) = (None, None);
     for e in t.entries() {
         match e.key() {
             "factor" => term.factor = e.number("a number")?,
@@ -168,29 +188,61 @@ fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -
                     needs.push(Need::Angle);
                 }
             }
+            "hat" => {
+                let v = e.numbers("hat = [from, top, to]")?;
+                corners = match v[..] {
+                    [from, top, to] if from <= top && top <= to && from < to => Some((e, [from, top, to])),
+                    _ => {
+                        return Err(
+                            e.error(format!("{v:?}"), "three numbers that do not fall, as [0.0, 1.0, 2.0]")
+                        );
+                    }
+                };
+            }
+            "of" => over = Some(read_quantity(&e, e.str("what the hat is over")?, naming, axes, needs)?),
             key => {
-                let Some((_, need, read)) = QUANTITIES.iter().find(|q| q.0 == key) else {
-                    let known = QUANTITIES.map(|q| q.0).join(", ");
-                    return Err(e.unknown_key(&format!("factor, cos, sin or one of {known}")));
-                };
-                let suits = match need {
-                    Need::Position(n) => *n < axes,
-                    Need::Channel => naming == Naming::Channel,
-                    _ => true,
-                };
-                if !suits {
-                    return Err(e.key_error(format!("`{key}`"), "what the law's naming provides"));
-                }
+                let read = read_quantity(&e, key, naming, axes, needs)?;
                 let power = e.number("a whole power from 1 to 8")?;
                 if power.fract() != 0.0 || !(1.0..=8.0).contains(&power) {
                     return Err(e.error(power.to_string(), "a whole power from 1 to 8"));
                 }
-                if !needs.contains(need) {
-                    needs.push(*need);
-                }
-                term.powers.push(Factor { read: *read, power: power as i32 });
+                term.powers.push(Factor { read, power: power as i32 });
             }
         }
     }
+    term.hat = match (corners, over) {
+        (Some((_, corners)), Some(read)) => Some((read, corners)),
+        (None, None) => None,
+        (Some((e, _)), None) => {
+            return Err(e.key_error("`hat` alone", "of = \"t\" or another quantity beside it"));
+        }
+        (None, Some(_)) => return Err(t.error("`of` alone", "hat = [from, top, to] beside it")),
+    };
     Ok(term)
+}
+
+/// A quantity by its key; what it needs is noted.
+fn read_quantity(
+    e: &Entry<'_>,
+    key: &str,
+    naming: Naming,
+    axes: usize,
+    needs: &mut Vec<Need>,
+) -> Result<Read, InputError> {
+    let Some((_, need, read)) = QUANTITIES.iter().find(|q| q.0 == key) else {
+        let known = QUANTITIES.map(|q| q.0).join(", ");
+        return Err(e.unknown_key(&format!("factor, cos, sin, hat with of, or one of {known}")));
+    };
+    let suits = match need {
+        Need::Position(n) => *n < axes,
+        Need::Channel => naming == Naming::Channel,
+        _ => true,
+    };
+    if !suits {
+        return Err(e.key_error(format!("`{key}`"), "what the law's naming provides"));
+    }
+    if !needs.contains(need) {
+        needs.push(*need);
+    }
+    Ok(*read)
 }

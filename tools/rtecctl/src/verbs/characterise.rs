@@ -3,7 +3,7 @@
 mod evaluate;
 mod import;
 mod plan;
-mod record;
+pub(crate) mod record;
 
 /// Plan, record, import and evaluate measurements of a machine
 #[derive(Debug, clap::Args)]

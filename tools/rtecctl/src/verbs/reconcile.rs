@@ -1,9 +1,10 @@
 //! `rtecctl reconcile`: where simulation and measurement disagree, which effect is missing, a better model.
 
+use super::characterise::record::{Recorder, record};
 use anyhow::Context;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, write_whole};
-use rtec_reconcile::{Options, Reconciliation, html, reconcile};
+use rtec_reconcile::{LAWS_FILE, Options, Reconciliation, html, reconcile};
 use std::path::PathBuf;
 use std::time::SystemTime;
 
@@ -11,8 +12,13 @@ use std::time::SystemTime;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Run records to learn from
-    #[arg(required = true, value_name = "TRAIN.run.toml")]
+    #[arg(required_unless_present = "live", value_name = "TRAIN.run.toml")]
     train: Vec<PathBuf>,
+    /// First record a run with the corrector's own recorder into this file (a bench reads the error), and learn from it
+    #[arg(long, value_name = "NAME.run.toml")]
+    live: Option<PathBuf>,
+    #[command(flatten)]
+    recorder: Recorder,
     /// The machine model as it stands; never touched
     #[arg(long)]
     model: PathBuf,
@@ -31,6 +37,10 @@ pub(crate) struct Args {
     /// Stop after a stage: find (where they disagree), name (what is missing), add (the better model), show (all)
     #[arg(long, value_enum, default_value_t = Stage::Show)]
     stage: Stage,
+    /// Where something has no name, add a bounded curve that stands for it, marked as unexplained; its law goes to
+    /// unexplained.toml beside the model
+    #[arg(long, requires = "out")]
+    unexplained: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
@@ -50,14 +60,20 @@ fn level(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let read = |paths: &[PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, _>>();
-    let (train, holdout) = (read(&args.train)?, read(&args.holdout)?);
     let machine = Machine::read(&args.model)?;
+    let mut runs = args.train.clone();
+    if let Some(live) = &args.live {
+        record(live, &args.recorder)?;
+        runs.push(live.clone());
+    }
+    let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
     let rows: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
     if rows > 8000 {
         eprintln!("reconciling {rows} measured values …");
     }
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
-    let answer = reconcile(&train, &holdout, &machine, &Options { level: args.level, date: Some(date) })?;
+    let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained };
+    let answer = reconcile(&train, &holdout, &machine, &options)?;
     let mut document = answer.to_json();
     if let Some(map) = document.as_object_mut() {
         if args.stage == Stage::Find {
@@ -74,6 +90,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         write("verdict.json", &(serde_json::to_string_pretty(&document)? + "\n"))?;
         if args.stage >= Stage::Add {
+            if let Some((_, laws)) = &answer.curve {
+                write(LAWS_FILE, laws)?;
+            }
             write("model.toml", &answer.model.to_text())?;
         }
         if args.stage >= Stage::Show {
@@ -129,6 +148,9 @@ fn summary(r: &Reconciliation, stage: Stage) -> String {
             u.against.join(" and "),
             u.manner
         );
+    }
+    if let Some((curve, _)) = &r.curve {
+        let _ = writeln!(s, "  {} stands for it in the model: a bounded curve, no explanation", curve.name());
     }
     for x in &r.refined {
         let _ = writeln!(s, "  {} corrected", x.before.name());

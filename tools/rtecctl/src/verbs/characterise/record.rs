@@ -1,6 +1,9 @@
-//! `rtecctl characterise record`: temperatures and gauges into a run record, with progress.
+//! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
 
+use crate::daemon::{check, unreachable};
 use anyhow::Context;
+use rtec_control::client::Client;
+use rtec_control::protocol::{Request, Response, Status};
 use rtec_driver::input::InputError;
 use rtec_model::document::{self, Table};
 use rtec_model::record::{Column, Kind, Record, Role};
@@ -15,12 +18,23 @@ pub(crate) struct Args {
     /// The run record to write; its CSV stands beside it
     #[arg(long, value_name = "NAME.run.toml")]
     out: PathBuf,
+    #[command(flatten)]
+    recorder: Recorder,
+}
+
+/// What is recorded, and for how long.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Recorder {
     /// What kind of run it is
     #[arg(long, default_value = "drift")]
     kind: String,
     /// File of `[[sensor]]` tables
     #[arg(long, value_name = "FILE")]
     sensors: Option<PathBuf>,
+    /// The daemon's control socket: positions of its axes and its sensors are recorded too, and the correction in effect
+    /// is added back to each error, so that the record shows the machine without it
+    #[arg(long, value_name = "PATH")]
+    socket: Option<PathBuf>,
     /// Gauges and positions: lines NAME VALUE from host:port or a serial device
     #[arg(long, value_name = "host:port|/dev/tty…")]
     feed: Option<String>,
@@ -32,24 +46,34 @@ pub(crate) struct Args {
     period: f64,
     /// How long to record, s
     #[arg(long)]
-    duration: f64,
+    duration: Option<f64>,
     /// Where /sys is found
     #[arg(long, default_value = "/", hide = true)]
     root: PathBuf,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let usage =
-        |found: String, expected: &str| InputError::whole(Path::new("characterise record"), found, expected);
+    record(&args.out, &args.recorder)
+}
+
+/// Records a run into `out`.
+pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
+    let usage = |found: String, expected: &str| InputError::whole(Path::new("recording"), found, expected);
     let kind =
         Kind::parse(&args.kind).ok_or_else(|| usage(format!("--kind {}", args.kind), "a kind of run"))?;
-    if !(args.period >= 0.001 && args.duration >= args.period && args.duration.is_finite()) {
-        let found = format!("--period {} --duration {}", args.period, args.duration);
+    let duration = args.duration.ok_or_else(|| usage("no --duration".into(), "how long to record, s"))?;
+    if !(args.period >= 0.001 && duration >= args.period && duration.is_finite()) {
+        let found = format!("--period {} --duration {duration}", args.period);
         return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
     }
     let mut columns = vec![column("t", Role::Time)];
     let mut bank = Bank::new(read_sensors(args.sensors.as_deref())?, &args.root)?;
     columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
+    let own = columns.len();
+    let mut corrector = args.socket.as_deref().map(Corrector::connect).transpose()?;
+    if let Some(c) = &corrector {
+        columns.extend(c.columns(&columns)?);
+    }
     let gauges = columns.len();
     for text in &args.columns {
         let parsed = text.split_once('=').and_then(|(n, r)| Some((n, Role::parse(r)?)));
@@ -62,12 +86,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let mut feed = args.feed.as_deref().map(Feed::new);
     // Rows go into a file of their own as they come: a long run is not lost with the power.
-    let part = args.out.with_extension("csv.part");
+    let part = out.with_extension("csv.part");
     let mut file = std::fs::File::create(&part).with_context(|| format!("creating {}", part.display()))?;
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
     writeln!(file, "{}", names.join(","))?;
     let start = Instant::now();
-    let rows = (args.duration / args.period).floor() as u64 + 1;
+    let rows = (duration / args.period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
     let (mut taken, mut told) = (0_u64, 0.0);
     for row in 0..rows {
@@ -75,6 +99,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         wait_until(start, due);
         let now = start.elapsed().as_secs_f64();
         bank.poll(now);
+        if let Some(c) = &mut corrector {
+            c.ask()?;
+            for (value, col) in last[own..gauges].iter_mut().zip(&columns[own..gauges]) {
+                *value = c.value(col);
+            }
+        }
         if let Some(feed) = &mut feed {
             feed.poll(now);
             for (value, c) in last[gauges..].iter_mut().zip(&columns[gauges..]) {
@@ -91,7 +121,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             }
         }
         // A row is whole or not there.
-        if let Some(values) = last.iter().copied().collect::<Option<Vec<f64>>>() {
+        let whole = last.iter().zip(&columns).map(|(value, c)| {
+            Some((*value)? + corrector.as_ref().map_or(Some(0.0), |r| r.in_effect_um(&c.role))?)
+        });
+        if let Some(values) = whole.collect::<Option<Vec<f64>>>() {
             let words: Vec<String> = values.iter().map(f64::to_string).collect();
             writeln!(file, "{}", words.join(",")).with_context(|| format!("writing {}", part.display()))?;
             for (c, v) in columns.iter_mut().zip(values) {
@@ -102,7 +135,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         if now - told >= 2.0 || row + 1 == rows {
             told = now;
             let trouble = if silent.is_empty() { String::new() } else { format!("; {}", silent.join(", ")) };
-            eprintln!("{now:.0} of {:.0} s, {taken} rows{trouble}", args.duration);
+            eprintln!("{now:.0} of {duration:.0} s, {taken} rows{trouble}");
         }
     }
     if taken == 0 {
@@ -113,12 +146,80 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 .find_map(|c| f.value(&c.name).err().map(str::to_owned))
                 .unwrap_or_default()
         });
-        let found = format!("no complete row in {:.0} s ({what})", args.duration);
+        let found = format!("no complete row in {duration:.0} s ({what})");
         return Err(crate::Outcome::Unreachable(found).into());
     }
-    let mut record = Record::new(&args.out, kind, columns)?;
-    record.write().with_context(|| format!("writing {}", args.out.display()))?;
+    let mut record = Record::new(out, kind, columns)?;
+    record.write().with_context(|| format!("writing {}", out.display()))?;
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+/// The running daemon, asked once a row.
+struct Corrector {
+    client: Client,
+    status: Status,
+    /// µm per count of each axis, once it was off zero.
+    count_um: Vec<Option<f64>>,
+}
+
+impl Corrector {
+    fn connect(socket: &Path) -> anyhow::Result<Self> {
+        let mut client = Client::connect(socket).map_err(unreachable)?;
+        let status = status(&mut client)?;
+        let count_um = vec![None; status.axes.len()];
+        Ok(Self { client, status, count_um })
+    }
+
+    fn ask(&mut self) -> anyhow::Result<()> {
+        self.status = status(&mut self.client)?;
+        for (known, a) in self.count_um.iter_mut().zip(&self.status.axes) {
+            if a.position_counts != 0 {
+                *known = Some(1000.0 * a.position_mm / a.position_counts as f64);
+            }
+        }
+        Ok(())
+    }
+
+    /// Columns for its axes' positions, and for its sensors beside those there are.
+    fn columns(&self, there: &[Column]) -> anyhow::Result<Vec<Column>> {
+        let mut out = Vec::new();
+        for a in &self.status.axes {
+            let text = format!("position.{}", a.name);
+            let role =
+                Role::parse(&text).with_context(|| format!("the daemon's axis {} as {text}", a.name))?;
+            out.push(column(&text, role));
+        }
+        let new = |name: &str| !there.iter().any(|c| c.name == name);
+        let sensors = self.status.sensors.iter().filter(|s| new(&s.sensor));
+        out.extend(sensors.map(|s| column(&s.sensor, Role::Temperature)));
+        Ok(out)
+    }
+
+    fn value(&self, column: &Column) -> Option<f64> {
+        if column.role == Role::Temperature {
+            return self.status.sensors.iter().find(|s| s.sensor == column.name)?.degc;
+        }
+        let axis = column.role.axis()?.to_string();
+        Some(self.status.axes.iter().find(|a| a.name == axis)?.position_mm)
+    }
+
+    /// What a response was made smaller by; `None` while an axis's resolution is not known.
+    fn in_effect_um(&self, role: &Role) -> Option<f64> {
+        let Role::Error(axis) = role else { return Some(0.0) };
+        let axis = axis.to_string();
+        match self.status.axes.iter().zip(&self.count_um).find(|(a, _)| a.name == axis) {
+            Some((a, _)) if a.in_effect == 0 => Some(0.0),
+            Some((a, count_um)) => count_um.map(|um| um * a.in_effect as f64),
+            None => Some(0.0),
+        }
+    }
+}
+
+fn status(client: &mut Client) -> anyhow::Result<Status> {
+    match check(client.ask(&Request::Status {}).map_err(unreachable)?)? {
+        Response::Status(status) => Ok(*status),
+        other => Err(crate::Outcome::Unreachable(format!("an answer that is no status: {other:?}")).into()),
+    }
 }
 
 fn column(name: &str, role: Role) -> Column {
