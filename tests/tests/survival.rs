@@ -127,6 +127,15 @@ fn a_log_that_is_full_or_not_read_stops_nothing() {
     }
 }
 
+/// A file system that goes with its test.
+struct Mounted(PathBuf);
+
+impl Drop for Mounted {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("--lazy").arg(&self.0).status();
+    }
+}
+
 #[test]
 fn a_full_disk_is_an_error_before_the_start_and_nothing_after_it() {
     let _alone = alone();
@@ -136,12 +145,6 @@ fn a_full_disk_is_an_error_before_the_start_and_nothing_after_it() {
     let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=16k", "tmpfs"]).arg(&disk).output();
     if !mount.is_ok_and(|m| m.status.success()) {
         return skipped("no file system can be mounted here");
-    }
-    struct Mounted(PathBuf);
-    impl Drop for Mounted {
-        fn drop(&mut self) {
-            let _ = Command::new("umount").arg("--lazy").arg(&self.0).status();
-        }
     }
     let _mounted = Mounted(disk.clone());
     let config = format!("{}[control]\nstate_file = 'disk/state'\n", CONFIG.replace("CARD", "card"));
@@ -207,10 +210,12 @@ fn a_flooded_socket_changes_nothing_at_the_mtc() {
     assert!(!daemon.log().contains("control side is silent"), "{}", daemon.log());
 }
 
+/// A judge of what the time of day may do to a process.
+const LIBRARY: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
+
 #[test]
 fn a_stepped_clock_changes_nothing() {
     let _alone = alone();
-    const LIBRARY: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
     if !Path::new(LIBRARY).exists() {
         return skipped("libfaketime is not installed (Debian: faketime)");
     }
