@@ -181,3 +181,78 @@ fn connect(path: &OsStr) -> anyhow::Result<UnixDatagram> {
     connected.with_context(|| format!("reaching the service manager at NOTIFY_SOCKET={}", path.display()))?;
     Ok(socket)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::fd::AsFd;
+
+    fn manager(watchdog_every: Option<Duration>) -> (Manager, UnixDatagram) {
+        let (ours, theirs) = UnixDatagram::pair().unwrap();
+        theirs.set_nonblocking(true).unwrap();
+        let now = Instant::now();
+        let manager = Manager {
+            socket: Some(ours),
+            watchdog_every,
+            fed: now,
+            polls: 0,
+            told: now,
+            status: "as before".to_owned(),
+            stored: BTreeMap::new(),
+            in_store: BTreeSet::new(),
+        };
+        (manager, theirs)
+    }
+
+    fn heard(socket: &UnixDatagram) -> Vec<String> {
+        let mut buffer = [0; 256];
+        let mut all = Vec::new();
+        while let Ok(n) = socket.recv(&mut buffer) {
+            all.push(String::from_utf8(buffer[..n].to_vec()).unwrap());
+        }
+        all
+    }
+
+    #[test]
+    fn the_watchdog_is_fed_only_while_the_real_time_thread_gets_on() {
+        let (mut manager, theirs) = manager(Some(Duration::ZERO));
+        manager.turn(7, String::new);
+        assert_eq!(heard(&theirs), ["WATCHDOG=1\n"]);
+        manager.turn(7, String::new);
+        assert_eq!(heard(&theirs), [""; 0], "it stands still");
+        manager.turn(8, String::new);
+        assert_eq!(heard(&theirs), ["WATCHDOG=1\n"]);
+    }
+
+    #[test]
+    fn nobody_who_reads_holds_the_control_loop_up_and_the_watchdog_is_made_good() {
+        let (mut manager, theirs) = manager(Some(Duration::ZERO));
+        for polls in 1..10_000 {
+            manager.turn(polls, String::new);
+        }
+        let waiting = heard(&theirs).len();
+        assert!(waiting > 0 && waiting < 9_999, "{waiting}: the queue was never full");
+        manager.turn(10_000, String::new);
+        assert_eq!(heard(&theirs), ["WATCHDOG=1\n"]);
+    }
+
+    #[test]
+    fn what_came_back_is_taken_once_and_not_stored_again() {
+        let (mut manager, theirs) = manager(None);
+        let file = std::fs::File::open("/dev/null").unwrap();
+        assert!(manager.keep("outputs-chip", file.as_fd()).unwrap());
+        assert_eq!(heard(&theirs), ["FDSTORE=1\nFDNAME=outputs-chip\n"]);
+        for name in ["outputs-chip", "other"] {
+            manager.stored.insert(name.to_owned(), file.try_clone().unwrap().into());
+            manager.in_store.insert(name.to_owned());
+        }
+        assert_eq!(manager.take_back("outputs-").len(), 1);
+        assert_eq!(manager.take_back("outputs-").len(), 0);
+        assert_eq!(manager.left_over().collect::<Vec<_>>(), ["other"]);
+        assert!(manager.keep("outputs-chip", file.as_fd()).unwrap());
+        assert_eq!(heard(&theirs), [""; 0]);
+        manager.socket = None;
+        manager.in_store.clear();
+        assert!(!manager.keep("outputs-chip", file.as_fd()).unwrap(), "nobody keeps it");
+    }
+}
