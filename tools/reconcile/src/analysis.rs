@@ -306,7 +306,7 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
 
 /// A constant beside a member may make another explanation of that member better than itself: a step that a search
 /// by single steps does not take.
-fn with_offset(search: &mut Search<'_, '_>, set: Set) -> Set {
+fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
     let offsets: Vec<usize> = (0..search.all.list.len())
         .filter(|h| {
             search.all.list[*h].name.starts_with("offset.")
@@ -315,11 +315,11 @@ fn with_offset(search: &mut Search<'_, '_>, set: Set) -> Set {
         .collect();
     let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor.is_some();
     let n = set.members.len();
-    let mut rests: Vec<Set> = (0..n).map(|i| search.without(&set, i)).collect();
+    let mut rests: Vec<Set> = (0..n).map(|i| search.without(set, i)).collect();
     // Two sensors with a constant between them may be their difference.
     for i in (0..n).filter(|i| thermal(*i)) {
         for j in (i + 1..n).filter(|j| thermal(*j)) {
-            rests.push(search.without(&search.without(&set, j), i));
+            rests.push(search.without(&search.without(set, j), i));
         }
     }
     let mut best = set.clone();
@@ -344,7 +344,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     let mut named = found.named.clone();
     let any = found.any.clone();
     named = renamed(search, named);
-    named = with_offset(search, named);
+    named = with_offset(search, &named);
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
     let chance: Chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
@@ -474,7 +474,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         {
             // Another reference temperature and a constant (or a scale) beside the law do the same to these data.
             let name = level.name();
-            if effect.delta.as_ref().is_some_and(|d| plausible_reference(d)) {
+            if effect.delta.as_ref().is_some_and(plausible_reference) {
                 list.push(Rival { name, sensor: None, margin: 0.0 });
             } else if let Some(split) = split_reference(&effect, level) {
                 effect = split.0;
