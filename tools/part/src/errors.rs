@@ -157,7 +157,7 @@ impl Probed {
         let times = self.sheet.optional("t_s")?;
         let axes = ["z", "x"].into_iter().filter_map(Axis::new).collect();
         let layout = Layout { axes, sensors, channels: Vec::new() };
-        let mut live = Live::new(machine.effects(), layout).map_err(|m| {
+        let mut live = Live::of(machine, layout).map_err(|m| {
             let found = format!("{} reads {}, the record has: {}", m.effect, m.what, m.has);
             InputError::whole(self.sheet.file(), found, "a column for every sensor of the model")
         })?;

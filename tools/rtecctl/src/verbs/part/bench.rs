@@ -3,6 +3,7 @@
 use super::points::{MotionArgs, positive};
 use super::usage;
 use rtec_driver::input::InputError;
+use rtec_model::machine::Machine;
 use rtec_part::experiment::Setup;
 use rtec_part::fit::Zx;
 use rtec_part::lathe::{self, Bench, Workpiece};
@@ -16,6 +17,12 @@ pub(crate) struct BenchArgs {
     /// Machine, tool and probe as TOML; by default those of NISTIR 4854
     #[arg(long)]
     bench: Option<PathBuf>,
+    /// What the simulated machine does wrong: effects of z and x, by position and by the temperatures T1 to T20
+    #[arg(long, value_name = "MACHINE.TOML")]
+    true_machine: Option<PathBuf>,
+    /// The spindle has run for so long when the step begins, in s
+    #[arg(long, default_value_t = 0.0)]
+    begin_s: f64,
     /// Insertion design: original, a or c
     #[arg(long, default_value = "c")]
     design: String,
@@ -42,9 +49,20 @@ impl BenchArgs {
             Some(file) => read_bench(file)?,
         };
         if lathe::design(&self.design).is_none() {
-            return Err(usage("--design", self.design.clone(), "original, a or c: those on XOR gates"));
+            let expected = "original, a or c: b and ecc pass the scale's signals through the computer and have no \
+                            probe capture, see `rtecctl designs`";
+            return Err(usage("--design", self.design.clone(), expected));
         }
+        if !(self.begin_s.is_finite() && (0.0..=1e6).contains(&self.begin_s)) {
+            return Err(usage("--begin-s", self.begin_s.to_string(), "a time in s, 0 to 1 000 000"));
+        }
+        let machine = match &self.true_machine {
+            Some(file) => Machine::read(file)?,
+            None => Machine::ideal("ideal lathe"),
+        };
         Ok(Setup {
+            machine,
+            begin_s: self.begin_s,
             lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
             bench,
             design: self.design.clone(),

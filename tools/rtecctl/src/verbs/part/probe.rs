@@ -4,9 +4,10 @@ use super::bench::{BenchArgs, read_workpiece};
 use super::features::Units;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
+use rtec_model::record::Record;
 use rtec_part::path::{Role, read_expected, read_pathfin};
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Probe a part on the simulated machine
 #[derive(Debug, clap::Args)]
@@ -25,7 +26,7 @@ pub(crate) struct Args {
     path_units: Units,
     #[command(flatten)]
     bench: BenchArgs,
-    /// Folder for probed.csv
+    /// Folder for probed.csv and the run record probing.run.toml
     #[arg(long)]
     out: PathBuf,
     /// Print one JSON document
@@ -51,7 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let feed_mm_min = positive("--feed-mm-min", setup.motion.feed_mm_min)?;
     let session =
         setup.probe_path(&part, &records, &expected, &approach, feed_mm_min, setup.seed).map_err(failed)?;
-    write_all(&args.out, &[("probed.csv", session.csv.as_bytes())])?;
+    write_session(&args.out, &session.csv, session.record.as_ref())?;
     if args.json {
         let document = serde_json::json!({"trips": session.trips, "seconds": session.seconds});
         return print(&(serde_json::to_string_pretty(&document)? + "\n"));
@@ -63,4 +64,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let _ = writeln!(t, "{} points in {:.1} s", session.trips.len(), session.seconds);
     print(&t)
+}
+
+/// The points as `part errors` reads them, and the same as a run record of the machine.
+fn write_session(folder: &Path, csv: &str, record: Option<&Record>) -> anyhow::Result<()> {
+    let (rows, sidecar) = record.map(|r| (r.to_csv(), r.to_sidecar())).unzip();
+    let mut files = vec![("probed.csv", csv.as_bytes())];
+    if let (Some(rows), Some(sidecar)) = (&rows, &sidecar) {
+        files.extend([("probing.csv", rows.as_bytes()), ("probing.run.toml", sidecar.as_bytes())]);
+    }
+    write_all(folder, &files)
 }
