@@ -231,6 +231,15 @@ pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {
         .collect()
 }
 
+/// One pass round the nose with a single arc, as `G02` makes it.
+#[must_use]
+pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
+    let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
+    let segment =
+        Segment::Arc { centre, radius_mm, start_rad: -beyond_rad, sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad };
+    vec![Move { segment, feed_mm_s, cutting: true, touching: false }]
+}
+
 impl Setup {
     fn engine_design(&self) -> Result<Design, ExperimentError> {
         lathe::design(&self.design).ok_or_else(|| ExperimentError::Design(self.design.clone()))
@@ -248,18 +257,6 @@ impl Setup {
         Workpiece::raw(self.centre, self.radius_mm + self.allowance_mm + 1.0)
     }
 
-    /// One pass round the nose with a single arc, as `G02` makes it.
-    fn arc(&self, radius_mm: f64) -> Vec<Move> {
-        let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
-        let segment = Segment::Arc {
-            centre: self.centre,
-            radius_mm: radius_mm + self.bench.nose_mm,
-            start_rad: -beyond_rad,
-            sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad,
-        };
-        vec![Move { segment, feed_mm_s: self.cut_feed_mm_min / 60.0, cutting: true, touching: false }]
-    }
-
     /// Cut a part to a radius, with a table's corrections where one is given.
     ///
     /// # Errors
@@ -275,7 +272,8 @@ impl Setup {
             (None, None) => Job::Cut,
             (table, model) => Job::Corrected(table, model.as_ref(), self.lead_s),
         };
-        self.go(part, radius_mm, &self.arc(radius_mm), job, seed)
+        let path_mm = radius_mm + self.bench.nose_mm;
+        self.go(part, radius_mm, &arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0), job, seed)
     }
 
     fn go(

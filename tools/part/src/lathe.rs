@@ -6,10 +6,13 @@
 use crate::contour::Segment;
 use crate::errors::PointError;
 use crate::fit::Zx;
+use crate::sheet::Sheet;
 use crate::table::{AxisCounts, Cut, Holding, Table};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::input::InputError;
+use rtec_driver::mock::Wires;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_model::effect::Missing;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
@@ -21,6 +24,9 @@ use rtec_rt::event::{Event, Request, Status};
 use rtec_sim::heat::{Heat, SENSORS};
 use serde::Deserialize;
 use std::f64::consts::{FRAC_PI_2, TAU};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// The machine, its tool and its probe.
 #[derive(Debug, Clone, Deserialize)]
@@ -172,10 +178,28 @@ impl Workpiece {
             .collect()
     }
 
-    /// Angles and radii, to be kept between sessions.
+    /// A workpiece on file: radii at even steps of angle about one centre.
     #[must_use]
-    pub fn radii_mm(&self) -> &[f64] {
-        &self.radius_mm
+    pub fn to_csv(&self) -> String {
+        let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
+        for r in &self.radius_mm {
+            let _ = writeln!(text, "{},{},{r:.7}", self.centre.z, self.centre.x);
+        }
+        text
+    }
+
+    /// Reads such a file.
+    ///
+    /// # Errors
+    /// As [`Sheet::read`]; not a workpiece's number of radii.
+    pub fn read(file: &Path) -> Result<Self, InputError> {
+        let sheet = Sheet::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
+        let (z, x) = (sheet.numbers("centre_z_mm")?, sheet.numbers("centre_x_mm")?);
+        let centre = z.first().zip(x.first()).map_or(Zx::new(0.0, 0.0), |(&z, &x)| Zx::new(z, x));
+        let radii = sheet.numbers("radius_mm")?;
+        let found = format!("{} radii", radii.len());
+        Self::from_radii(centre, radii)
+            .ok_or_else(|| InputError::whole(file, found, "a workpiece as `part finish` writes it"))
     }
 
     /// A workpiece from kept radii; `None` where their number is not a workpiece's.
@@ -793,6 +817,224 @@ pub fn run(
         part.cut(bench, place, rough_um);
     }
     Ok(Ran { events, status, seconds, mtc_minus_scale, trips, degc })
+}
+
+/// The machine in real time, at the other end of a mock card's wires: its controller runs one program, once, from the
+/// axes' home places, and honours feed hold. Cycle start is the release of feed hold.
+#[derive(Debug)]
+pub struct LatheWires {
+    lathe: Lathe,
+    probe: u64,
+    hold: u64,
+    start_ns: Option<u64>,
+    held: bool,
+    cuts: Arc<Mutex<Vec<Zx>>>,
+}
+
+/// What a simulated turning centre does, as a TOML file: a probing path, or a cut.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Duty {
+    /// The part, as `part finish` writes it; a cut changes it. A path is relative to this file.
+    pub workpiece: PathBuf,
+    /// The probe's path, mm.
+    pub path: Option<PathBuf>,
+    /// Or the radius to cut to.
+    pub cut_radius_mm: Option<f64>,
+    /// Probing or cutting feed.
+    pub feed_mm_min: f64,
+    /// Radius of the probe's tip.
+    #[serde(default)]
+    pub tip_mm: f64,
+    /// Machine position `[z, x]` at the part's origin.
+    pub origin_mm: [f64; 2],
+    /// What the machine does wrong.
+    pub machine: Option<PathBuf>,
+    /// The spindle has run for so long.
+    #[serde(default)]
+    pub begin_s: f64,
+    /// Seed of everything that is random.
+    #[serde(default)]
+    pub seed: u64,
+    /// Machine, tool and probe.
+    #[serde(default)]
+    pub bench: Bench,
+}
+
+/// The part that a real-time machine cuts on, to be written when it has ended.
+#[derive(Debug)]
+pub struct Cuts {
+    places: Arc<Mutex<Vec<Zx>>>,
+    part: Workpiece,
+    bench: Bench,
+    seed: u64,
+    file: PathBuf,
+}
+
+impl Cuts {
+    /// Writes the part as the tool has left it; nothing where it has not cut.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(mut self) -> std::io::Result<()> {
+        let places = std::mem::take(&mut *self.places.lock().unwrap_or_else(PoisonError::into_inner));
+        if places.is_empty() {
+            return Ok(());
+        }
+        let mut noise = Noise(Xoshiro256PlusPlus::seed_from_u64(self.seed));
+        for place in places {
+            let rough_um = self.bench.cut_sd_um * noise.normal();
+            self.part.cut(&self.bench, place, rough_um);
+        }
+        crate::sheet::write_whole(&self.file, self.part.to_csv().as_bytes())
+    }
+}
+
+impl Duty {
+    /// Reads what the machine is to do.
+    ///
+    /// # Errors
+    /// Not such a file, or a value that is out of range.
+    pub fn read(file: &Path) -> Result<Self, InputError> {
+        let text = crate::sheet::read_text(file)?;
+        let mut duty: Self = toml::from_str(&text).map_err(|e| {
+            let at = e.span().map_or(0, |s| s.start);
+            InputError::at_offset(file, &text, at, e.message(), "what the simulated turning centre does")
+        })?;
+        let at = |key: &str, found: String, expected: &str| {
+            InputError::at_offset(file, &text, text.find(key).unwrap_or(0), found, expected)
+        };
+        duty.bench.check().map_err(|(key, expected)| at(key, format!("{key} out of range"), expected))?;
+        let finite = [duty.tip_mm, duty.begin_s, duty.origin_mm[0], duty.origin_mm[1]];
+        if !finite.iter().all(|v| v.is_finite()) || !(0.0..=1e6).contains(&duty.begin_s) || duty.tip_mm < 0.0
+        {
+            return Err(at(
+                "",
+                "a value out of range".into(),
+                "finite numbers; tip_mm and begin_s 0 or more",
+            ));
+        }
+        if !(duty.feed_mm_min.is_finite() && duty.feed_mm_min > 0.0) {
+            return Err(at("feed_mm_min", duty.feed_mm_min.to_string(), "a positive feed"));
+        }
+        match (&duty.path, duty.cut_radius_mm) {
+            (Some(_), None) => {}
+            (None, Some(r)) if r.is_finite() && r > 0.0 => {}
+            _ => return Err(at("", "neither or both".into(), "path, or a positive cut_radius_mm")),
+        }
+        let folder = file.parent().unwrap_or(Path::new(""));
+        duty.workpiece = folder.join(&duty.workpiece);
+        duty.path = duty.path.map(|p| folder.join(p));
+        duty.machine = duty.machine.map(|p| folder.join(p));
+        Ok(duty)
+    }
+
+    /// The machine at rest at `home` (machine mm), on these lines of Z and X, and the part it cuts on.
+    ///
+    /// # Errors
+    /// A file that the duty names is not right; an effect reads what this machine does not have.
+    pub fn machine(
+        &self,
+        lines: [AxisLines; 2],
+        machine_lines: MachineLines,
+        home: Zx,
+    ) -> Result<(LatheWires, Cuts), InputError> {
+        let part = Workpiece::read(&self.workpiece)?;
+        let origin = Zx::new(self.origin_mm[0], self.origin_mm[1]);
+        let feed_mm_s = self.feed_mm_min / 60.0;
+        let program = match (&self.path, self.cut_radius_mm) {
+            (Some(file), _) => {
+                let records = crate::path::read_pathfin(file, crate::drawing::Unit::MM)?;
+                crate::experiment::probing_moves(&records, feed_mm_s)
+            }
+            (None, radius_mm) => {
+                let radius_mm = radius_mm.unwrap_or_default();
+                crate::experiment::arc_moves(part.centre, radius_mm + self.bench.nose_mm, feed_mm_s)
+            }
+        };
+        let first = program
+            .first()
+            .ok_or_else(|| {
+                InputError::whole(&self.workpiece, "a program without a move", "a path to follow")
+            })?
+            .segment
+            .at(0.0);
+        // As the NC program begins: along Z alone, then along X alone.
+        let corner = Zx::new(first.z, home.x - origin.x);
+        let ways =
+            [(home - origin, corner), (corner, first)].into_iter().filter(|(a, b)| (*b - *a).norm() > 1e-6);
+        let mut moves: Vec<Move> = ways
+            .map(|(a, b)| Move {
+                segment: Segment::Line { a, b },
+                feed_mm_s: crate::experiment::RAPID_MM_S,
+                cutting: false,
+                touching: false,
+            })
+            .collect();
+        moves.extend(program);
+        let machine = match &self.machine {
+            Some(file) => Machine::read(file)?,
+            None => Machine::ideal("ideal lathe"),
+        };
+        let stand = Stand {
+            bench: &self.bench,
+            machine: &machine,
+            begin_s: self.begin_s,
+            design: Design::C,
+            seed: self.seed,
+        };
+        let probing = self.path.is_some().then_some(self.tip_mm);
+        let mut lathe =
+            Lathe::new(&stand, lines, home, origin, moves, probing, part.clone()).map_err(|m| {
+                let file = self.machine.as_deref().unwrap_or(Path::new("machine"));
+                let found = format!("effect {} reads {}", m.effect, m.what);
+                InputError::whole(file, found, "axes z and x, sensors T1 to T20")
+            })?;
+        // Feed hold until cycle start.
+        (lathe.held, lathe.pace) = (true, 0.0);
+        let places = Arc::<Mutex<Vec<Zx>>>::default();
+        let bit = |line: Option<u8>| line.map_or(0, |b| 1 << b);
+        let wires = LatheWires {
+            lathe,
+            probe: bit(machine_lines.probe),
+            hold: bit(machine_lines.hold),
+            start_ns: None,
+            held: false,
+            cuts: Arc::clone(&places),
+        };
+        let file = self.workpiece.clone();
+        Ok((wires, Cuts { places, part, bench: self.bench.clone(), seed: self.seed, file }))
+    }
+}
+
+impl Wires for LatheWires {
+    fn levels(&mut self, t_ns: u64, outputs: u64) -> u64 {
+        let start_ns = *self.start_ns.get_or_insert(t_ns);
+        let to_ns = (t_ns - start_ns) as f64;
+        // At the program's end each turn of the position loop says so; time goes on.
+        while self.lathe.t_ns < to_ns {
+            self.lathe.advance(to_ns);
+        }
+        self.lathe.set_outputs(outputs);
+        let held = outputs & self.hold != 0;
+        if held != self.held {
+            self.held = held;
+            self.lathe.held = held;
+        }
+        let new = &mut self.lathe.cut;
+        if new.len() > 1 {
+            // The last one stays: the next is measured from it.
+            let cut = new.drain(..new.len() - 1);
+            self.cuts.lock().unwrap_or_else(PoisonError::into_inner).extend(cut);
+        }
+        self.lathe.inputs() | if self.lathe.tripped { self.probe } else { 0 }
+    }
+
+    /// Up to the next change: late looks find the machine waiting.
+    fn step_limit_ns(&self) -> u64 {
+        let next = self.lathe.next_change_ns().min(self.lathe.tick_ns);
+        (next - self.lathe.t_ns).ceil().max(1.0) as u64
+    }
 }
 
 /// The engine's design and the axis's counts for a name of the contract.

@@ -1,5 +1,6 @@
 //! The probe's trips, held against the plan: one for each point, where it is expected, once.
 
+use crate::errors::sensor_column;
 use crate::fit::Zx;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::event::{Event, EventKind};
@@ -145,7 +146,7 @@ pub fn assign(
 #[must_use]
 pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec<f64>]) -> String {
     let mut text = "z_mm,x_mm,approach_z,approach_x,point,t_s,uncertainty_um".to_owned();
-    sensors.iter().for_each(|s| text.extend([",", s]));
+    sensors.iter().for_each(|s| text.extend([",", &sensor_column(s)]));
     text.push('\n');
     for (n, (t, d)) in trips.iter().zip(approach).enumerate() {
         let p = t.tip_centre;

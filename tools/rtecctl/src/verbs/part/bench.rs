@@ -1,14 +1,12 @@
-//! The simulated machine's options and its workpiece on file, for the steps that need a machine.
+//! The simulated machine's options, for the steps that need a machine.
 
 use super::points::{MotionArgs, positive};
 use super::usage;
 use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::experiment::Setup;
-use rtec_part::fit::Zx;
-use rtec_part::lathe::{self, Bench, Workpiece};
-use rtec_part::sheet::{Sheet, read_text};
-use std::fmt::Write as _;
+use rtec_part::lathe::{self, Bench};
+use rtec_part::sheet::read_text;
 use std::path::{Path, PathBuf};
 
 /// The simulated machine
@@ -87,23 +85,4 @@ fn read_bench(file: &Path) -> anyhow::Result<Bench> {
         InputError::at_offset(file, &text, at, format!("{key} out of range"), expected)
     })?;
     Ok(bench)
-}
-
-/// A workpiece on file: radii at even steps of angle about one centre.
-pub(crate) fn workpiece_csv(part: &Workpiece) -> String {
-    let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
-    for r in part.radii_mm() {
-        let _ = writeln!(text, "{},{},{r:.7}", part.centre.z, part.centre.x);
-    }
-    text
-}
-
-pub(crate) fn read_workpiece(file: &Path) -> anyhow::Result<Workpiece> {
-    let sheet = Sheet::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
-    let (z, x) = (sheet.numbers("centre_z_mm")?, sheet.numbers("centre_x_mm")?);
-    let centre = z.first().zip(x.first()).map_or(Zx::new(0.0, 0.0), |(&z, &x)| Zx::new(z, x));
-    let radii = sheet.numbers("radius_mm")?;
-    let found = format!("{} radii", radii.len());
-    Workpiece::from_radii(centre, radii)
-        .ok_or_else(|| InputError::whole(file, found, "a workpiece as `part finish` writes it").into())
 }

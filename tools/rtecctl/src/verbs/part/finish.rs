@@ -1,6 +1,6 @@
 //! `rtecctl part finish`: a cut round the nose on the simulated machine, with or without the corrector's table.
 
-use super::bench::{BenchArgs, read_workpiece, workpiece_csv};
+use super::bench::BenchArgs;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use rtec_model::machine::Machine;
@@ -46,7 +46,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(usage("--centre-z-mm", args.centre_z_mm.to_string(), "a finite number"));
     }
     let mut part = match &args.workpiece {
-        Some(file) => read_workpiece(file)?,
+        Some(file) => Workpiece::read(file)?,
         None => Workpiece::raw(Zx::new(args.centre_z_mm, 0.0), radius_mm + 1.0),
     };
     setup.centre = part.centre;
@@ -57,7 +57,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         _ => None,
     };
     let ran = setup.turn(&mut part, radius_mm, table.as_ref(), setup.seed).map_err(failed)?;
-    write_all(&args.out, &[("workpiece.csv", workpiece_csv(&part).as_bytes())])?;
+    write_all(&args.out, &[("workpiece.csv", part.to_csv().as_bytes())])?;
     let insertions = [0, 1].map(|n| ran.status.axes[n].insertions);
     let completed = [0, 1].map(|n| ran.status.axes[n].completed);
     if args.json {
