@@ -1227,6 +1227,8 @@ mod tests {
                 position_counts: 200_000.0,
                 position_mm: 200.0,
                 uncertainty_counts: 0.1,
+                uncertainty_um: 0.1,
+                at_ns: [0; 2],
                 error_um: None,
                 corrected_mm: None,
                 degc: Vec::new(),
