@@ -796,7 +796,7 @@ pub fn run(
         let mm = |n: usize| (status.axes[n].position_counts as f64 + 0.5) * bench.count_um * 1e-3;
         let (t_s, place) = (now_ns as f64 * 1e-9, Zx::new(mm(0), mm(1)));
         let velocity = last.map_or(Zx::new(0.0, 0.0), |(t, p)| (place - p) * (1.0 / (t_s - t)));
-        last = Some((t_s, place));
+        let first = last.replace((t_s, place)).is_none();
         let mut wanted = table.map_or(Zx::new(0.0, 0.0), |t| t.components_um(place, velocity, lead_s));
         if let Some(known) = &mut known {
             let (off_mm, _) = known.at(stand.begin_s + t_s, place + velocity * lead_s, velocity, 0.0);
@@ -804,7 +804,8 @@ pub fn run(
         }
         for (n, error_um) in [wanted.z, wanted.x].into_iter().enumerate() {
             let total_counts = held[n].request(&axes[n], error_um);
-            let order = Request::Correct { axis: n as u8, total_counts, large: false };
+            // The first total of a machine that is off already is meant, however large.
+            let order = Request::Correct { axis: n as u8, total_counts, large: first };
             engine.take(order, &mut lathe, &mut tell).map_err(StartError::Card)?;
         }
     }
