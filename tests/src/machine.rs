@@ -53,6 +53,32 @@ impl AxisError {
     }
 }
 
+/// A round part for a touch probe: the circle that the tip's centre is on when it touches, (X, Z) in mm.
+#[derive(Debug, Clone, Copy)]
+pub struct Round {
+    /// Its centre.
+    pub centre_mm: [f64; AXES],
+    /// Radius of the part and of the tip together.
+    pub reach_mm: f64,
+}
+
+impl Round {
+    fn off_mm(&self, p: [f64; AXES]) -> f64 {
+        (p[0] - self.centre_mm[0]).hypot(p[1] - self.centre_mm[1]) - self.reach_mm
+    }
+}
+
+/// What LinuxCNC's machine is for.
+#[derive(Debug, Clone, Copy)]
+pub enum Job {
+    /// Follow a path, the corrector idle.
+    Plain,
+    /// Follow a path, the corrector knowing the machine's error.
+    Correct,
+    /// Probe a part; the probe is wired to the corrector alone.
+    Probe(Round),
+}
+
 /// What a run on the machine left behind.
 #[derive(Debug, Default)]
 pub struct Run {
@@ -74,14 +100,28 @@ pub struct Run {
     pub complaints: Vec<String>,
     /// Servo periods.
     pub periods: u64,
+    /// Everything the engine said.
+    pub events: Vec<Event>,
+    /// Where the scales were when the probe tripped, mm.
+    pub trips_mm: Vec<[f64; AXES]>,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Edge {
     t_ns: u64,
-    axis: usize,
-    state: State,
+    what: Change,
 }
+
+#[derive(Debug, Clone, Copy)]
+enum Change {
+    Scale(usize, State),
+    Probe(bool),
+}
+
+/// The corrector's input for the probe.
+const PROBE: u8 = 29;
+/// The probe's contact opens again this far off the surface.
+const RELEASE_MM: f64 = 0.05;
 
 /// An axis behind its drive.
 #[derive(Debug, Default)]
@@ -94,7 +134,9 @@ struct Axis {
 
 impl Axis {
     /// Moves for one servo period and puts the scale's edges down in order of time.
-    fn period(&mut self, start_ns: u64, command_mm_s: f64, mut edge: impl FnMut(u64, State)) {
+    /// Returns where it was at the end of each step.
+    fn period(&mut self, start_ns: u64, command_mm_s: f64, mut edge: impl FnMut(u64, State)) -> Vec<f64> {
+        let mut way = vec![self.scale_mm];
         let step_s = STEP_NS as f64 / 1e9;
         let mut last_ns = start_ns;
         for step in 0..SERVO_PERIOD_NS / STEP_NS {
@@ -116,7 +158,9 @@ impl Axis {
                 self.state = self.state.next(up);
                 edge(last_ns, self.state);
             }
+            way.push(self.scale_mm);
         }
+        way
     }
 }
 
@@ -127,6 +171,7 @@ struct MachineCard {
     edges: VecDeque<Edge>,
     scale: [State; AXES],
     outputs: u64,
+    probe: bool,
     counters: [Decoder; AXES],
 }
 
@@ -148,12 +193,16 @@ impl Card for MachineCard {
             self.edges.pop_front();
             self.now_ns = self.now_ns.max(edge.t_ns);
             edge_ns = Some(edge.t_ns);
-            self.scale[edge.axis] = edge.state;
+            match edge.what {
+                Change::Scale(axis, state) => self.scale[axis] = state,
+                Change::Probe(tripped) => self.probe = tripped,
+            }
             self.count();
         } else {
             self.now_ns = self.now_ns.max(wake_ns);
         }
-        let inputs = self.scale.iter().enumerate().map(|(n, s)| u64::from(s.bits()) << (4 * n)).sum();
+        let scales: u64 = self.scale.iter().enumerate().map(|(n, s)| u64::from(s.bits()) << (4 * n)).sum();
+        let inputs = scales | u64::from(self.probe) << PROBE;
         Ok(Sample::stamped(self.now_ns, inputs, edge_ns))
     }
 
@@ -179,11 +228,11 @@ mod place {
     pub(super) const BYTES: usize = 0x40;
 }
 
-/// Lets LinuxCNC run a program on a machine with `error`, with the corrector knowing that error or idle.
+/// Lets LinuxCNC run a program on a machine with `error`.
 ///
 /// # Errors
 /// LinuxCNC did not run, or did not get to the program's end.
-pub fn run(program: &str, error: [AxisError; AXES], correct: bool) -> anyhow::Result<Run> {
+pub fn run(program: &str, error: [AxisError; AXES], job: Job) -> anyhow::Result<Run> {
     let directory = tempfile::tempdir()?;
     let card_file = directory.path().join("card");
     std::fs::write(directory.path().join("part.ngc"), program)?;
@@ -195,7 +244,7 @@ pub fn run(program: &str, error: [AxisError; AXES], correct: bool) -> anyhow::Re
         .stderr(Stdio::piped())
         .spawn()
         .context("tests/linuxcnc/run-linuxcnc")?;
-    let mut machine = Machine::new(error, correct)?;
+    let mut machine = Machine::new(error, job)?;
     while let Some(asked) = asked(&words, &mut linuxcnc)? {
         machine.period(&words)?;
         fence(Ordering::SeqCst);
@@ -230,19 +279,21 @@ fn asked(words: &Registers, linuxcnc: &mut std::process::Child) -> anyhow::Resul
 struct Machine {
     axes: [Axis; AXES],
     error: [AxisError; AXES],
-    correct: bool,
+    job: Job,
+    probe_out: bool,
     card: MachineCard,
     engine: Engine,
     run: Run,
 }
 
 impl Machine {
-    fn new(error: [AxisError; AXES], correct: bool) -> anyhow::Result<Self> {
+    fn new(error: [AxisError; AXES], job: Job) -> anyhow::Result<Self> {
         let mut card = MachineCard {
             now_ns: 0,
             edges: VecDeque::new(),
             scale: [State::default(); AXES],
             outputs: 0,
+            probe: false,
             counters: [Decoder::default(); AXES],
         };
         let axis = |n| AxisConfig {
@@ -253,35 +304,43 @@ impl Machine {
             ..AxisConfig::default()
         };
         let lines = MachineConfig {
-            lines: MachineLines { probe: None, disable: None, hold: Some(28) },
+            lines: MachineLines { probe: Some(PROBE), disable: None, hold: Some(28) },
             may_arm: true,
         };
         let mut engine = Engine::new(&mut card, &[axis(0), axis(1)], lines, &[])?;
         engine.start_homed(&mut card, &mut |_| true)?;
-        Ok(Self { axes: Default::default(), error, correct, card, engine, run: Run::default() })
+        if matches!(job, Job::Probe(_)) {
+            engine.take(Request::Probe(true), &mut card, &mut |_| true)?;
+        }
+        Ok(Self { axes: Default::default(), error, job, probe_out: false, card, engine, run: Run::default() })
     }
 
     fn period(&mut self, words: &Registers) -> anyhow::Result<()> {
         let word = |place, n| words.read(place + 4 * n, Width::Bits32) as i32;
         let start_ns = self.run.periods * SERVO_PERIOD_NS;
         let end_ns = start_ns + SERVO_PERIOD_NS;
+        let mut ways = Vec::new();
         for (n, axis) in self.axes.iter_mut().enumerate() {
             let edges = &mut self.card.edges;
-            axis.period(start_ns, f64::from(word(place::SPEED, n)) / 1e6, |t_ns, state| {
-                edges.push_back(Edge { t_ns, axis: n, state });
-            });
+            ways.push(axis.period(start_ns, f64::from(word(place::SPEED, n)) / 1e6, |t_ns, state| {
+                edges.push_back(Edge { t_ns, what: Change::Scale(n, state) });
+            }));
         }
-        self.card.edges.make_contiguous().sort_by_key(|edge| (edge.t_ns, edge.axis));
+        if let Job::Probe(part) = self.job {
+            self.touch(part, start_ns, &ways);
+        }
+        self.card.edges.make_contiguous().sort_by_key(|edge| edge.t_ns);
 
-        let complaints = &mut self.run.complaints;
+        let (complaints, events) = (&mut self.run.complaints, &mut self.run.events);
         let mut tell = |event: Event| {
             use rtec_rt::event::EventKind::{Fault, Refused};
             if matches!(event.kind, Fault(_) | Refused { .. }) {
                 complaints.push(format!("{event:?}"));
             }
+            events.push(event);
             true
         };
-        if self.correct {
+        if matches!(self.job, Job::Correct) {
             for (n, error) in self.error.iter().enumerate() {
                 // The control side knows the machine's error and where the scale is: nearest whole insertion.
                 let p_mm = self.engine.status().axes[n].position_counts as f64 * COUNT_UM / 1000.0;
@@ -315,6 +374,26 @@ impl Machine {
             self.run.command_mm.push(each(&|n| f64::from(word(place::COMMAND, n)) / 1e6));
         }
         Ok(())
+    }
+
+    /// The probe's contact along the way of one period.
+    fn touch(&mut self, part: Round, start_ns: u64, ways: &[Vec<f64>]) {
+        let at = |step: usize| [0, 1].map(|n| ways[n][step]);
+        for step in 1..ways[0].len() {
+            let (from, to) = (part.off_mm(at(step - 1)), part.off_mm(at(step)));
+            let begin_ns = start_ns + (step as u64 - 1) * STEP_NS;
+            if !self.probe_out && from > 0.0 && to <= 0.0 {
+                let share = from / (from - to);
+                let place = |n: usize| ways[n][step - 1] + (ways[n][step] - ways[n][step - 1]) * share;
+                self.run.trips_mm.push([place(0), place(1)]);
+                let t_ns = begin_ns + (share * STEP_NS as f64) as u64;
+                self.card.edges.push_back(Edge { t_ns, what: Change::Probe(true) });
+                self.probe_out = true;
+            } else if self.probe_out && to > RELEASE_MM {
+                self.card.edges.push_back(Edge { t_ns: begin_ns, what: Change::Probe(false) });
+                self.probe_out = false;
+            }
+        }
     }
 
     fn finish(mut self) -> Run {

@@ -1,12 +1,21 @@
 //! `controller`: LinuxCNC runs a part (a taper, arcs, a full circle) on a simulated lathe with a known error, without
-//! and with the corrector, and the tool's path is compared with the part's.
+//! and with the corrector, and the tool's path is compared with the part's. Then it runs a probing program, and what the
+//! corrector captured is compared with the plan.
 //!
 //! `cargo run --release -p rtec-tests --bin controller`; exit 1 when the corrector does not bring the path error down
-//! to the machine's own plus its resolution.
+//! to the machine's own plus its resolution, or when a point is not probed where it is.
 
-use anyhow::ensure;
-use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Run, run};
+use anyhow::{Context, ensure};
+use rtec_part::contour::{Contour, Segment};
+use rtec_part::drawing::Unit;
+use rtec_part::fit::Zx;
+use rtec_part::path::{Motion, Plan, Probe};
+use rtec_part::probe::{assign, captured};
+use rtec_part::program::{Controller, Job as Program, Parameters};
+use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, Round, Run, run};
+use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
+use std::path::Path;
 
 type Point = [f64; AXES];
 
@@ -77,12 +86,12 @@ fn main() -> anyhow::Result<()> {
     ];
     let mut table = String::new();
     let mut max_um = Vec::new();
-    for (name, error, correct) in [
-        ("ideal machine", Default::default(), false),
-        ("with error", error, false),
-        ("with error, corrected", error, true),
+    for (name, error, job) in [
+        ("ideal machine", Default::default(), Job::Plain),
+        ("with error", error, Job::Plain),
+        ("with error, corrected", error, Job::Correct),
     ] {
-        let run = run(&program, error, correct)?;
+        let run = run(&program, error, job)?;
         check(name, &run)?;
         let (commanded, _) = deviation_um(&run.command_mm, &outline);
         let (max, rms) = deviation_um(&run.tool_mm, &outline);
@@ -107,5 +116,55 @@ fn main() -> anyhow::Result<()> {
     println!("allowed: {allowed:.2} µm (the ideal machine's {ideal:.2} and the resolution)");
     ensure!(wrong > 3.0 * allowed, "the error of {wrong:.2} µm is too small to show anything");
     ensure!(corrected <= allowed, "corrected {corrected:.2} µm, allowed {allowed:.2} µm");
+    probe()
+}
+
+/// The nose of NISTIR 4854, probed at its feed by a program in LinuxCNC's dialect. The probe is wired to the corrector
+/// alone: LinuxCNC would stop at a trip in a G1 move.
+fn probe() -> anyhow::Result<()> {
+    let (centre, radius_mm, tip_mm) = (Zx::new(-100.0, 0.0), 38.1, 2.5);
+    let nose = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
+    let part = Contour::new(vec![(nose, "NOSE".to_owned())], false);
+    let motion = Motion { accel_mm_s2: 500.0, decel_mm_s2: 500.0, ..Motion::REPORT };
+    let (stand_off_mm, over_travel_mm) = (motion.stand_off_mm(), motion.over_travel_mm());
+    let mut plan = Plan::new(Probe { tip_mm, stand_off_mm, over_travel_mm, stem: None });
+    plan.add_number(&part, 0, 20, 0.0);
+    let mut parameters = Parameters::default();
+    for (name, value) in [("probing_start_z", "50"), ("feed", "2500")] {
+        parameters
+            .set(name, value)
+            .map_err(|(found, expected)| anyhow::anyhow!("{found}, expected {expected}"))?;
+    }
+    let controller = Controller::built_in("linuxcnc").context("no dialect linuxcnc")??;
+    let program = Program {
+        controller: &controller,
+        parameters: &parameters,
+        records: &plan.records(),
+        unit: Unit::MM,
+        comments: true,
+        made: "today",
+    }
+    .text(Path::new("template.prb"))?;
+    let round = Round { centre_mm: [centre.x, centre.z], reach_mm: radius_mm + tip_mm };
+    let mut run = run(&program, Default::default(), Job::Probe(round))?;
+    check("probing", &run)?;
+    // Axis 0 is X here; the part's first is Z.
+    run.events.iter_mut().for_each(|e| e.axis = e.axis.map(|n| 1 - n));
+    let trips = assign(&captured(&run.events), &plan.expected(), COUNT_UM, Zx::new(0.0, 0.0), 0.5)?;
+    ensure!(trips.len() == 20 && run.trips_mm.len() == 20, "{} trips, 20 points", run.trips_mm.len());
+    let (mut off_um, mut missed_um) = (0.0_f64, 0.0_f64);
+    for ((trip, [x, z]), expected) in trips.iter().zip(&run.trips_mm).zip(plan.expected()) {
+        off_um = off_um.max((trip.tip_centre - Zx::new(*z, *x)).norm() * 1e3);
+        // Along the touch: the path itself may be off to the side.
+        let normal = (expected - centre).unit().context("a point at the centre")?;
+        missed_um = missed_um.max((trip.tip_centre - expected).dot(normal).abs() * 1e3);
+    }
+    println!(
+        "probing program in LinuxCNC, 2.5 m/min: {} points, captured within {off_um:.2} µm of the machine's own record, \
+         {missed_um:.2} µm of the plan; {} periods",
+        trips.len(),
+        run.periods
+    );
+    ensure!(off_um < 1.0 && missed_um < 1.0, "more than the micrometre that fast probing is for");
     Ok(())
 }

@@ -71,6 +71,14 @@ impl Client {
         self.stream.get_ref().set_read_timeout(None)
     }
 
+    /// Waits so long at most; then the answer is an error of kind `WouldBlock` or `TimedOut`.
+    ///
+    /// # Errors
+    /// What the system reports.
+    pub fn wait_at_most(&mut self, time: Duration) -> io::Result<()> {
+        self.stream.get_ref().set_read_timeout(Some(time))
+    }
+
     /// The next answer.
     ///
     /// # Errors

@@ -18,6 +18,8 @@
 //! | `model_unload` | – |
 //! | `jog` | `axis`, `display_mm`: a simulated axis only |
 //! | `explain` | `axis`; all without it |
+//! | `table_load` | `errors`, `axes`, `centre_mm`, `radius_mm`, `nose_mm`, `origin_mm`, `lead_ms` |
+//! | `table_unload` | – |
 //!
 //! `watch` turns the connection into a stream of `event` answers until it is closed.
 
@@ -98,6 +100,31 @@ pub enum Request {
         #[serde(default)]
         axis: Option<String>,
     },
+    /// A part's errors, to be taken out where the tool cuts (`part table`), on top of everything else.
+    TableLoad(PartTable),
+    /// No part table from now on.
+    TableUnload {},
+}
+
+/// The errors of a part along an arc, and the cut that takes them out. Pairs are along the part's axis (Z) and across
+/// it (X).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PartTable {
+    /// `error.cor`, absolute: angle in rad and error in µm a line.
+    pub errors: String,
+    /// Names of the two axes.
+    pub axes: [String; 2],
+    /// Centre of the arc in part coordinates.
+    pub centre_mm: [f64; 2],
+    /// Radius of the finished surface.
+    pub radius_mm: f64,
+    /// Radius of the tool's nose.
+    pub nose_mm: f64,
+    /// Machine position at which the nose's centre is at the part's origin.
+    pub origin_mm: [f64; 2],
+    /// Totals are asked this long before the tool is there.
+    pub lead_ms: f64,
 }
 
 impl Request {
@@ -302,6 +329,12 @@ pub struct Trip {
     pub position_mm: f64,
     /// Half the width of what it may be, counts.
     pub uncertainty_counts: f64,
+    /// The same, µm.
+    #[serde(default)]
+    pub uncertainty_um: f64,
+    /// The trip lies between these two times of the card's clock, ns: the same for all axes.
+    #[serde(default)]
+    pub at_ns: [u64; 2],
     /// What the machine model says of the axis at this place, µm: to be added to the position, which is not corrected
     /// while probing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -336,6 +369,9 @@ pub struct Status {
     /// The model that runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<Model>,
+    /// The part table that is loaded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table: Option<PartTable>,
     /// The temperature sensors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Reading>,
@@ -552,11 +588,14 @@ impl Happened {
             EventKind::ControlStale(false) => ("control_stale", "the control side is heard again".to_owned()),
             EventKind::Trip(capture) => {
                 let (position_counts, uncertainty_counts) = capture.position_counts();
-                let position_mm = position_counts * axis.map_or(0.0, |(_, um)| um) / 1000.0;
+                let count_um = axis.map_or(0.0, |(_, um)| um);
+                let position_mm = position_counts * count_um / 1000.0;
                 trip = Some(Trip {
                     position_counts,
                     position_mm,
                     uncertainty_counts,
+                    uncertainty_um: uncertainty_counts * count_um,
+                    at_ns: [capture.trip_ns.0, capture.trip_ns.1],
                     error_um: None,
                     corrected_mm: None,
                     degc: Vec::new(),

@@ -109,8 +109,8 @@ pub struct Report {
 }
 
 impl Probed {
-    /// Read `z_mm,x_mm[,approach_z,approach_x]`; `point`, `t_s`, `uncertainty_um` and columns whose name is T and a
-    /// number (temperatures kept for the off-line correction) may stand beside them.
+    /// Read `z_mm,x_mm[,approach_z,approach_x]`; `point`, `t_s`, `uncertainty_um` and temperatures kept for the
+    /// off-line correction (columns `T8`, or `temperature.NAME`) may stand beside them.
     ///
     /// # Errors
     /// As [`Sheet::read`]; a direction without length; one approach column without the other.
@@ -154,10 +154,14 @@ impl Probed {
     pub fn correct_geometric_thermal(&mut self, machine: &Machine, origin: Zx) -> Result<(), InputError> {
         let sensors: Vec<String> = self.sheet.names().iter().filter(|n| is_sensor(n)).cloned().collect();
         let temperatures = sensors.iter().map(|n| self.sheet.numbers(n)).collect::<Result<Vec<_>, _>>()?;
+        let sensors = sensors
+            .into_iter()
+            .map(|n| n.strip_prefix(TEMPERATURE).map_or(n.clone(), str::to_owned))
+            .collect();
         let times = self.sheet.optional("t_s")?;
         let axes = ["z", "x"].into_iter().filter_map(Axis::new).collect();
         let layout = Layout { axes, sensors, channels: Vec::new() };
-        let mut live = Live::new(machine.effects(), layout).map_err(|m| {
+        let mut live = Live::of(machine, layout).map_err(|m| {
             let found = format!("{} reads {}, the record has: {}", m.effect, m.what, m.has);
             InputError::whole(self.sheet.file(), found, "a column for every sensor of the model")
         })?;
@@ -315,8 +319,19 @@ impl Probed {
     }
 }
 
-/// T and a number.
+/// A sensor's column: T and a number, or `temperature.` and its name.
 fn is_sensor(name: &str) -> bool {
+    name.strip_prefix(TEMPERATURE).is_some_and(|n| !n.is_empty()) || is_numbered(name)
+}
+
+const TEMPERATURE: &str = "temperature.";
+
+/// How a sensor's column is headed.
+pub(crate) fn sensor_column(sensor: &str) -> String {
+    if is_numbered(sensor) { sensor.to_owned() } else { format!("{TEMPERATURE}{sensor}") }
+}
+
+fn is_numbered(name: &str) -> bool {
     name.strip_prefix('T').is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
 }
 

@@ -5,12 +5,14 @@ use crate::batch::{self, Batch, Judgement};
 use crate::contour::{Contour, Segment};
 use crate::errors::{Nominal, Probed, Report, error_cor};
 use crate::fit::{Zx, sd};
-use crate::lathe::{self, Bench, Job, Move, Ran, RunError, Workpiece};
+use crate::lathe::{self, Bench, Job, Move, Ran, RunError, Stand, Workpiece};
 use crate::path::{Motion, Plan, Probe, Record, Role};
-use crate::probe::{Trip, TripFault, assign, captured, probed_csv};
+use crate::probe::{Trip, TripFault, assign, captured, probed_csv, run_record};
 use crate::svg::escaped;
 use crate::table::{Cut, Table, csv};
 use rtec_driver::input::InputError;
+use rtec_model::machine::Machine;
+use rtec_model::record::Record as RunRecord;
 use rtec_rt::axis::Design;
 use serde::Serialize;
 use std::f64::consts::FRAC_PI_2;
@@ -22,6 +24,12 @@ use std::path::Path;
 pub struct Setup {
     /// Machine, tool and probe.
     pub bench: Bench,
+    /// What the machine does wrong.
+    pub machine: Machine,
+    /// What is known of that: corrected live while cutting, off line in what was probed.
+    pub model: Option<Machine>,
+    /// The spindle has run for so long before the first program.
+    pub begin_s: f64,
     /// Name of the corrector's design, as the command line gives it.
     pub design: String,
     /// Centre of the nose in part coordinates: 5 in along the axis in figure 7 of the report.
@@ -53,6 +61,9 @@ impl Default for Setup {
         Self {
             lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
             bench,
+            machine: Machine::ideal("ideal lathe"),
+            model: None,
+            begin_s: 0.0,
             design: "original".into(),
             centre: Zx::new(127.0, 0.0),
             radius_mm: 38.1,
@@ -83,7 +94,10 @@ pub enum ExperimentError {
     #[error("the corrector latched a fault: {0}")]
     Fault(String),
     /// No such design.
-    #[error("design '{0}': the experiment knows original, a and c")]
+    #[error(
+        "design '{0}': the experiment knows original, a and c; b and ecc pass the scale's signals through the \
+             computer and have no probe capture"
+    )]
     Design(String),
 }
 
@@ -92,8 +106,10 @@ pub enum ExperimentError {
 pub struct Session {
     /// The trips as captured.
     pub trips: Vec<Trip>,
-    /// The record `part errors` reads.
+    /// The record `part errors` reads, with the temperatures at each trip.
     pub csv: String,
+    /// The same as a run record of the machine.
+    pub record: Option<RunRecord>,
     /// Largest distance of a capture from the truth, in µm.
     pub worst_um: f64,
     /// Root mean square of it.
@@ -186,6 +202,8 @@ impl Outcome {
 pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
 /// Rapid traverse of the report's machine: 7 m/min.
 pub const RAPID_MM_S: f64 = 116.7;
+/// Between two programs: tool change, setting, reading.
+const PAUSE_S: f64 = 120.0;
 
 /// The nose as a contour.
 #[must_use]
@@ -213,6 +231,15 @@ pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {
         .collect()
 }
 
+/// One pass round the nose with a single arc, as `G02` makes it.
+#[must_use]
+pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
+    let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
+    let segment =
+        Segment::Arc { centre, radius_mm, start_rad: -beyond_rad, sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad };
+    vec![Move { segment, feed_mm_s, cutting: true, touching: false }]
+}
+
 impl Setup {
     fn engine_design(&self) -> Result<Design, ExperimentError> {
         lathe::design(&self.design).ok_or_else(|| ExperimentError::Design(self.design.clone()))
@@ -230,18 +257,6 @@ impl Setup {
         Workpiece::raw(self.centre, self.radius_mm + self.allowance_mm + 1.0)
     }
 
-    /// One pass round the nose with a single arc, as `G02` makes it.
-    fn arc(&self, radius_mm: f64) -> Vec<Move> {
-        let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
-        let segment = Segment::Arc {
-            centre: self.centre,
-            radius_mm: radius_mm + self.bench.nose_mm,
-            start_rad: -beyond_rad,
-            sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad,
-        };
-        vec![Move { segment, feed_mm_s: self.cut_feed_mm_min / 60.0, cutting: true, touching: false }]
-    }
-
     /// Cut a part to a radius, with a table's corrections where one is given.
     ///
     /// # Errors
@@ -253,8 +268,12 @@ impl Setup {
         table: Option<&Table>,
         seed: u64,
     ) -> Result<Ran, ExperimentError> {
-        let job = table.map_or(Job::Cut, |t| Job::Corrected(t, self.lead_s));
-        self.go(part, radius_mm, &self.arc(radius_mm), job, seed)
+        let job = match (table, &self.model) {
+            (None, None) => Job::Cut,
+            (table, model) => Job::Corrected(table, model.as_ref(), self.lead_s),
+        };
+        let path_mm = radius_mm + self.bench.nose_mm;
+        self.go(part, radius_mm, &arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0), job, seed)
     }
 
     fn go(
@@ -265,8 +284,9 @@ impl Setup {
         job: Job,
         seed: u64,
     ) -> Result<Ran, ExperimentError> {
-        let ran =
-            lathe::run(&self.bench, self.engine_design()?, &self.cut(radius_mm), moves, job, part, seed)?;
+        let (bench, machine, design) = (&self.bench, &self.machine, self.engine_design()?);
+        let stand = Stand { bench, machine, begin_s: self.begin_s, design, seed };
+        let ran = lathe::run(&stand, &self.cut(radius_mm), moves, job, part)?;
         let faults = ran.status.axes[..2].iter().any(|a| a.faults.any()) || ran.status.faults.any();
         if faults {
             return Err(ExperimentError::Fault(format!("{:?}", ran.status.axes[0].faults)));
@@ -322,8 +342,10 @@ impl Setup {
         let trips = assign(&captured(&ran.events), expected, self.bench.count_um, ORIGIN, self.window_mm)?;
         let off: Vec<f64> =
             trips.iter().zip(&ran.trips).map(|(t, truth)| (t.tip_centre - *truth).norm() * 1e3).collect();
+        let sensors: Vec<&str> = lathe::sensors().collect();
         Ok(Session {
-            csv: probed_csv(&trips, approach),
+            csv: probed_csv(&trips, approach, &sensors, &ran.degc),
+            record: run_record(&trips, expected, approach, ORIGIN, &sensors, &ran.degc),
             worst_um: off.iter().copied().fold(0.0, f64::max),
             rms_um: (off.iter().map(|o| o * o).sum::<f64>() / off.len().max(1) as f64).sqrt(),
             seconds: ran.seconds,
@@ -331,17 +353,29 @@ impl Setup {
         })
     }
 
-    /// Errors of a probing session.
+    /// Errors of a probing session, corrected off line by what is known of the machine.
     ///
     /// # Errors
     /// The points give no circle.
     pub fn errors(&self, session: &Session, radius_mm: f64) -> Result<Report, ExperimentError> {
-        Ok(Probed::parse(Path::new("probed.csv"), &session.csv)?
-            .errors(Nominal::Circle { radius_mm }, self.tip_mm)?)
+        let mut probed = Probed::parse(Path::new("probed.csv"), &session.csv)?;
+        if let Some(model) = &self.model {
+            probed.correct_geometric_thermal(model, ORIGIN)?;
+        }
+        Ok(probed.errors(Nominal::Circle { radius_mm }, self.tip_mm)?)
+    }
+
+    /// The machine, so much later.
+    #[must_use]
+    pub fn later(&self, seconds: f64) -> Self {
+        Self { begin_s: self.begin_s + seconds, ..self.clone() }
     }
 
     /// What a measuring machine finds on the part: its true surface at the probed angles about its own circle.
-    fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<Report, ExperimentError> {
+    ///
+    /// # Errors
+    /// The points give no circle.
+    pub fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<Report, ExperimentError> {
         let text = part.truth(radius_mm, self.points).iter().fold("z_mm,x_mm\n".to_owned(), |mut t, e| {
             let p = self.centre + Zx::at_angle(e.angle_rad) * (radius_mm + e.error_um * 1e-3);
             let _ = writeln!(t, "{:.9},{:.9}", p.z, p.x);
@@ -384,13 +418,16 @@ impl Setup {
 
         progress("semi-finish cut");
         let mut part = self.raw();
-        self.turn(&mut part, semi_mm, None, self.seed)?;
+        let mut now = self.clone();
+        let ran = now.turn(&mut part, semi_mm, None, self.seed)?;
+        now = now.later(ran.seconds + PAUSE_S);
         progress("probing");
         let plan = self.plan(semi_mm);
-        let session = self.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 1)?;
+        let session = now.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 1)?;
         let slow_feed = self.motion.feed_mm_min / 20.0;
         progress("probing at a twentieth of the feed, to compare");
-        let slow = self.probe(&part, &plan, slow_feed, self.seed + 1)?;
+        let slow = now.probe(&part, &plan, slow_feed, self.seed + 1)?;
+        now = now.later(session.seconds + PAUSE_S);
         let report = self.errors(&session, semi_mm)?;
         let semi_finish = self.result(&report, &part, semi_mm)?;
         add(&mut files, "semi_finish", &plan, &session, &report);
@@ -415,10 +452,11 @@ impl Setup {
 
         progress("finish cut with the table");
         let before_finish = part.clone();
-        let ran = self.turn(&mut part, self.radius_mm, Some(&table), self.seed + 2)?;
+        let ran = now.turn(&mut part, self.radius_mm, Some(&table), self.seed + 2)?;
+        let after = now.later(ran.seconds + PAUSE_S);
         progress("inspection");
         let plan = self.plan(self.radius_mm);
-        let inspection = self.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 3)?;
+        let inspection = after.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 3)?;
         let inspected = self.errors(&inspection, self.radius_mm)?;
         let finish = self.result(&inspected, &part, self.radius_mm)?;
         add(&mut files, "inspection", &plan, &inspection, &inspected);
@@ -435,9 +473,13 @@ impl Setup {
                 touching: false,
             })
             .collect();
-        self.go(&mut other, self.radius_mm, &moves, Job::Cut, self.seed + 4)?;
-        let by_program =
-            self.errors(&self.probe(&other, &plan, self.motion.feed_mm_min, self.seed + 5)?, self.radius_mm)?;
+        let alone = match &self.model {
+            Some(model) => Job::Corrected(None, Some(model), self.lead_s),
+            None => Job::Cut,
+        };
+        now.go(&mut other, self.radius_mm, &moves, alone, self.seed + 4)?;
+        let by_program = self
+            .errors(&after.probe(&other, &plan, self.motion.feed_mm_min, self.seed + 5)?, self.radius_mm)?;
         let program = self.result(&by_program, &other, self.radius_mm)?;
         decisions.push(format!(
             "corrector: {:.2} µm left at most; program of {} lines: {:.2} µm",
@@ -445,10 +487,10 @@ impl Setup {
             moves.len(),
             program.largest_um
         ));
-        let off_machine = if self.bench.lobe_um == 0.0 {
+        let off_machine = if self.machine.effects().next().is_none() {
             None
         } else {
-            Some(self.off_machine(&table, &inspected, progress)?)
+            Some(now.off_machine(&table, &inspected, progress)?)
         };
         if let Some(batch) = &off_machine {
             decisions.extend(batch.offers.iter().map(|o| format!("offered, not applied: {o}")));
@@ -516,6 +558,10 @@ fn add(files: &mut Vec<(String, Vec<u8>)>, step: &str, plan: &Plan, session: &Se
     let unit = crate::drawing::Unit::MM;
     files.push((format!("{step}/pathfin.cdl"), crate::path::pathfin(&plan.records(), unit).into_bytes()));
     files.push((format!("{step}/probed.csv"), session.csv.clone().into_bytes()));
+    if let Some(record) = &session.record {
+        files.push((format!("{step}/probing.csv"), record.to_csv().into_bytes()));
+        files.push((format!("{step}/probing.run.toml"), record.to_sidecar().into_bytes()));
+    }
     files.push((format!("{step}/error.cor"), error_cor(&report.errors).into_bytes()));
     files.push((format!("{step}/whisker.svg"), report.whisker_svg().into_bytes()));
     if let Ok(dxf) = report.whisker_dxf() {

@@ -1,9 +1,12 @@
 //! The probe's trips, held against the plan: one for each point, where it is expected, once.
 
+use crate::errors::sensor_column;
 use crate::fit::Zx;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::event::{Event, EventKind};
 use serde::Serialize;
 use std::fmt::Write as _;
+use std::path::Path;
 
 /// The captured position of one gauging point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -138,17 +141,61 @@ pub fn assign(
     Ok(trips)
 }
 
-/// The record `part errors` reads: `approach` are the directions of motion of each touch.
+/// The record `part errors` reads: `approach` are the directions of motion of each touch, `degc` what the sensors read
+/// at each trip, kept for the off-line geometric-thermal correction.
 #[must_use]
-pub fn probed_csv(trips: &[Trip], approach: &[Zx]) -> String {
-    let mut text = "z_mm,x_mm,approach_z,approach_x,point,t_s,uncertainty_um\n".to_owned();
-    for (t, d) in trips.iter().zip(approach) {
+pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec<f64>]) -> String {
+    let mut text = "z_mm,x_mm,approach_z,approach_x,point,t_s,uncertainty_um".to_owned();
+    sensors.iter().for_each(|s| text.extend([",", &sensor_column(s)]));
+    text.push('\n');
+    for (n, (t, d)) in trips.iter().zip(approach).enumerate() {
         let p = t.tip_centre;
-        let _ = writeln!(
+        let _ = write!(
             text,
             "{:.6},{:.6},{:.6},{:.6},{},{:.6},{:.3}",
             p.z, p.x, d.z, d.x, t.point, t.t_s, t.uncertainty_um
         );
+        for v in degc.get(n).into_iter().flatten().take(sensors.len()) {
+            let _ = write!(text, ",{v:.3}");
+        }
+        text.push('\n');
     }
     text
+}
+
+/// The session as a run record of the machine (`probing.run.toml`): where each axis was, the way it came, temperatures,
+/// and how far beyond the nominal part the trip lay along the touch. `origin` is the machine at the part's zero.
+///
+/// `None` for a session without a trip.
+#[must_use]
+pub fn run_record(
+    trips: &[Trip],
+    expected: &[Zx],
+    approach: &[Zx],
+    origin: Zx,
+    sensors: &[&str],
+    degc: &[Vec<f64>],
+) -> Option<Record> {
+    let (z, x) = (Axis::new("z")?, Axis::new("x")?);
+    let column = |name: &str, role: Role, value: &dyn Fn(usize) -> f64| {
+        let unit = role.unit().unwrap_or("1").to_owned();
+        Column { name: name.to_owned(), role, unit, data: (0..trips.len()).map(value).collect() }
+    };
+    let sign = |v: f64| if v.abs() < 1e-9 { 0.0 } else { v.signum() };
+    let off = |n: usize| (trips[n].tip_centre - expected[n]).dot(approach[n] * -1.0) * 1e3;
+    let mut columns = vec![
+        column("t", Role::Time, &|n| trips[n].t_s),
+        column("z", Role::Position(z.clone()), &|n| trips[n].tip_centre.z + origin.z),
+        column("x", Role::Position(x.clone()), &|n| trips[n].tip_centre.x + origin.x),
+        column("dir_z", Role::Direction(z), &|n| sign(approach[n].z)),
+        column("dir_x", Role::Direction(x), &|n| sign(approach[n].x)),
+        column("angle", Role::Angle, &|n| (approach[n] * -1.0).angle_rad()),
+        column("e", Role::Error(Axis::new("r")?), &|n| off(n)),
+    ];
+    if degc.len() == trips.len() {
+        columns.extend(
+            sensors.iter().enumerate().map(|(s, name)| column(name, Role::Temperature, &|n| degc[n][s])),
+        );
+    }
+    Record::new(Path::new("probing.run.toml"), Kind::Probing, columns).ok()
 }

@@ -1,11 +1,12 @@
 //! The report's experiment on the simulated machine, with the engine between scales and controller.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+use rtec_model::machine::Machine;
 use rtec_part::batch::Finding;
 use rtec_part::experiment::{Outcome, Setup};
 use rtec_part::fit::Zx;
-use rtec_part::lathe::Bench;
 use rtec_part::probe::{Captured, TripFault, assign};
+use std::path::Path;
 
 fn run(setup: &Setup) -> Outcome {
     setup.run(&mut |_| {}).unwrap()
@@ -70,10 +71,21 @@ fn the_same_seed_gives_the_same_bytes() {
     assert_ne!(a.files, run(&setup("c", 6)).files);
 }
 
+fn machine(text: &str) -> Machine {
+    Machine::parse(Path::new("machine.toml"), &format!("name = \"lathe\"\n{text}")).unwrap()
+}
+
+/// X off by a lobe along Z, tool and probe alike: the probe follows the tool's path and finds nothing.
 #[test]
 fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
-    let bench = Bench { lobe_um: 8.0, lobes: 6.0, ..Bench::default() };
-    let o = run(&Setup { bench, ..setup("c", 7) });
+    let knots = (0..=24).map(|k| 420.0 + 2.5 * f64::from(k));
+    let um = knots.clone().map(|z| 14.0 * (std::f64::consts::TAU * (z - 420.0) / 60.0).cos());
+    let list = |v: Vec<String>| v.join(", ");
+    let (knots, um) =
+        (list(knots.map(|z| z.to_string()).collect()), list(um.map(|e| format!("{e:.4}")).collect()));
+    let lobe =
+        machine(&format!("[[effect]]\nname = \"straightness.x.z\"\nknots_mm = [{knots}]\num = [{um}]\n"));
+    let o = run(&Setup { machine: lobe, ..setup("c", 7) });
     // The probe is content, the true surface is not.
     assert!(o.finish.largest_um < 3.0 && o.finish.true_form_um > 8.0, "{:?}", o.finish);
     let batch = o.off_machine.unwrap();
@@ -81,6 +93,62 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
     assert!(count(Finding::NotObservable) >= 4, "{:?}", batch.offers);
     assert!(batch.offers.iter().any(|o| o.contains("not observable")));
     assert!(run(&setup("c", 7)).off_machine.is_none());
+}
+
+/// A machine that is off by its scale and grows warm. Its probe is off as its tool is; what was recorded with the
+/// temperatures and the machine's model show the part as a measuring machine does.
+#[test]
+fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
+    let wrong = machine(
+        "[[effect]]\nname = \"scale.z\"\nppm = 150.0\n[[effect]]\nname = \"thermal_expansion.x\"\nsensor = \"T8\"\n\
+         reference_degC = 20.0\nppm_per_K = 40.0\n[[effect]]\nname = \"squareness.x.z\"\nurad = -80.0\n",
+    );
+    let warm = Setup { machine: wrong.clone(), begin_s: 3600.0, ..setup("c", 3) };
+    let radius_mm = warm.radius_mm;
+    let mut part = warm.raw();
+    let ran = warm.turn(&mut part, radius_mm, None, 1).unwrap();
+    let session = warm.later(ran.seconds).probe(&part, &warm.plan(radius_mm), 2500.0, 2).unwrap();
+    let record = session.record.as_ref().unwrap();
+    let t8 = record.temperature("T8").unwrap();
+    assert!(record.rows() == 20 && t8[0] > 22.0 && t8.iter().all(|t| t.is_finite()), "{t8:?}");
+    let truth = warm.measured(&part, radius_mm).unwrap();
+    let off = |report: &rtec_part::errors::Report| {
+        report
+            .errors
+            .iter()
+            .zip(&truth.errors)
+            .map(|(a, b)| (a.error_um - b.error_um).abs())
+            .fold(0.0, f64::max)
+    };
+    let blind = warm.errors(&session, radius_mm).unwrap();
+    let knowing = Setup { model: Some(wrong.clone()), ..warm.clone() }.errors(&session, radius_mm).unwrap();
+    let radius = |report: &rtec_part::errors::Report| {
+        (report.radius_mm.unwrap() - truth.radius_mm.unwrap()).abs() * 1e3
+    };
+    println!(
+        "radius off by {:.2} µm without the model, {:.2} µm with it; form within {:.2} and {:.2} µm",
+        radius(&blind),
+        radius(&knowing),
+        off(&blind),
+        off(&knowing)
+    );
+    assert!(radius(&blind) > 3.0 && radius(&knowing) < 1.5, "{} {}", radius(&blind), radius(&knowing));
+    assert!(off(&knowing) < 1.2, "{}", off(&knowing));
+    // Live beneath the table, and off line in what was probed: the part is right by a measuring machine too.
+    let o = run(&Setup { model: Some(wrong), ..warm });
+    assert!(o.finish.largest_um <= 3.0 && o.finish.true_form_um < 5.0, "{:?}", o.finish);
+    assert!(o.balanced());
+}
+
+#[test]
+fn an_effect_that_the_lathe_cannot_feel_is_named() {
+    let wrong = machine(
+        "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T99\"\num_per_K = 1.0\num_per_K2 = 0.0\n",
+    );
+    let Err(error) = (Setup { machine: wrong, ..setup("c", 1) }).run(&mut |_| {}) else { panic!("no T99") };
+    assert!(error.to_string().contains("thermal_growth.z reads temperature.T99"), "{error}");
+    let text = setup("ecc", 1).run(&mut |_| {}).unwrap_err().to_string();
+    assert!(text.contains("no probe capture"), "{text}");
 }
 
 #[test]

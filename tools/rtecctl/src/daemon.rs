@@ -21,6 +21,11 @@ pub(crate) struct Daemon {
 }
 
 impl Daemon {
+    /// The daemon at this socket, or the installed one, for a verb that has a `--json` of its own.
+    pub(crate) fn at(socket: Option<PathBuf>) -> Self {
+        Self { socket, config: None, json: false }
+    }
+
     fn socket(&self) -> anyhow::Result<PathBuf> {
         if let Some(socket) = &self.socket {
             return Ok(socket.clone());

@@ -15,6 +15,8 @@ use rtec_driver::port::{Parport, Ports};
 use rtec_driver::profile::{Profile, Space};
 use rtec_driver::registers::RegisterCard;
 use rtec_driver::trace::{TracePoint, TraceReader};
+use rtec_part::fit::Zx;
+use rtec_part::lathe::{Cuts, Duty, LatheWires};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -94,6 +96,27 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MockMachine, Monotonic>, Stand)
         probe_at_counts: motions.first().map_or(0.0, |(_, m)| m.stroke_counts / 2.0),
     };
     (MockCard::new(machine, Monotonic), stand)
+}
+
+/// The simulated turning centre of this file on the axes z and x, and the part it cuts on.
+pub(crate) fn lathe(
+    config: &Config,
+    file: &Path,
+) -> Result<(MockCard<LatheWires, Monotonic>, Cuts), InputError> {
+    let axis = |name: &str| {
+        let found = config.axes.iter().find(|a| a.name == name);
+        found
+            .ok_or_else(|| InputError::whole(file, format!("a configuration without axis {name}"), "z and x"))
+    };
+    let (z, x) = (axis("z")?, axis("x")?);
+    let mut duty = Duty::read(file)?;
+    if z.count_um.to_bits() != x.count_um.to_bits() {
+        return Err(InputError::whole(file, "axes of unequal count_um", "one count_um for z and x"));
+    }
+    duty.bench.count_um = z.count_um;
+    let home = Zx::new(z.home_counts as f64, x.home_counts as f64) * (z.count_um * 1e-3);
+    let (wires, cuts) = duty.machine([z.engine.lines, x.engine.lines], config.lines, home)?;
+    Ok((MockCard::new(wires, Monotonic), cuts))
 }
 
 /// One recorded axis.

@@ -6,7 +6,7 @@
 
 use crate::temperatures;
 use rtec_control::config::{Axis as AxisConfig, Config};
-use rtec_control::protocol::{Change, Explained, ModelPreview, Part, Reading, Trip};
+use rtec_control::protocol::{Change, Explained, ModelPreview, Part, PartTable, Reading, Trip};
 use rtec_driver::input::InputError;
 use rtec_model::date;
 use rtec_model::effect::{Difference, Effect, Naming, Need, STANDARD_DEGC};
@@ -14,6 +14,8 @@ use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
 use rtec_model::sensors::{Use, Watch};
+use rtec_part::fit::Zx;
+use rtec_part::table::{AxisCounts, Cut, Table};
 use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
 use std::collections::VecDeque;
 use std::path::Path;
@@ -34,6 +36,31 @@ const LAGS_KNOWN: f64 = 4.0;
 const COLD_K: f64 = 1.0;
 /// Shorter gaps in the temperatures never make a lag forget, s.
 const GAP_S: f64 = 15.0;
+
+/// A part table acts in full within this distance of its arc, mm, and no more beyond the second: a tool on its way
+/// elsewhere is none of its business.
+const TABLE_NEAR_MM: [f64; 2] = [2.0, 10.0];
+
+/// The part table that is loaded.
+struct PartErrors {
+    shown: PartTable,
+    table: Table,
+    /// Its two axes among ours.
+    axes: [usize; 2],
+}
+
+impl PartErrors {
+    /// What it takes out at a machine position that is reached in the table's lead, µm.
+    fn components_um(&self, place: Zx, velocity_mm_s: Zx) -> Zx {
+        let lead_s = self.shown.lead_ms * 1e-3;
+        let cut = &self.table.cut;
+        let ahead = place + velocity_mm_s * lead_s - cut.origin - cut.centre;
+        let off_mm = (ahead.norm() - cut.radius_mm - cut.nose_mm).abs();
+        let [near, far] = TABLE_NEAR_MM;
+        let share = ((far - off_mm) / (far - near)).clamp(0.0, 1.0);
+        self.table.components_um(place, velocity_mm_s, lead_s) * share
+    }
+}
 
 /// A model ready to run.
 struct Loaded {
@@ -152,6 +179,7 @@ pub(crate) struct Corrector {
     axes: Vec<AxisLive>,
     layout_axes: Vec<Axis>,
     model: Option<Loaded>,
+    table: Option<PartErrors>,
     ramp_um_s: f64,
     started_s: f64,
     last_s: f64,
@@ -178,6 +206,7 @@ impl Corrector {
             axes,
             layout_axes,
             model: None,
+            table: None,
             ramp_um_s: config.model.ramp_um_s,
             started_s: now_s,
             last_s: now_s,
@@ -233,6 +262,66 @@ impl Corrector {
             (axis.holds, axis.stands) = (None, None);
         }
         was
+    }
+
+    /// Takes a part's errors; corrections go to them in a ramp.
+    ///
+    /// # Errors
+    /// What was found and what was expected.
+    pub(crate) fn load_table(&mut self, wanted: PartTable) -> Result<(), String> {
+        let mut axes = [0; 2];
+        for (n, name) in axes.iter_mut().zip(&wanted.axes) {
+            let names = || self.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join(", ");
+            let found = self.axes.iter().position(|a| a.name == *name && a.place.is_some());
+            *n = found.ok_or_else(|| {
+                format!("found axis {name:?} for the part table, expected one of {}", names())
+            })?;
+        }
+        let [cz, cx] = wanted.centre_mm;
+        let [oz, ox] = wanted.origin_mm;
+        let good = [cz, cx, oz, ox].iter().all(|v| v.is_finite())
+            && wanted.radius_mm.is_finite()
+            && wanted.radius_mm > 0.0
+            && (0.0..=1e3).contains(&wanted.nose_mm)
+            && (0.0..=1e3).contains(&wanted.lead_ms)
+            && axes[0] != axes[1];
+        if !good {
+            return Err(
+                "found a part table with a value out of range; expected two axes, finite places, a positive \
+                        radius_mm, nose_mm of 0 to 1000 and lead_ms of 0 to 1000"
+                    .to_owned(),
+            );
+        }
+        let errors =
+            rtec_part::errors::read_error_cor(Path::new(&wanted.errors)).map_err(|e| e.to_string())?;
+        let cut = Cut {
+            centre: Zx::new(cz, cx),
+            radius_mm: wanted.radius_mm,
+            nose_mm: wanted.nose_mm,
+            origin: Zx::new(oz, ox),
+        };
+        let counts = axes.map(|n| AxisCounts {
+            count_um: self.axes[n].count_um,
+            increment: self.axes[n].increment,
+            sign: 1.0,
+        });
+        self.unload_table();
+        self.table = Some(PartErrors { table: Table::new(cut, counts, errors), axes, shown: wanted });
+        self.changed = true;
+        Ok(())
+    }
+
+    /// No part table from now on; corrections go back in a ramp.
+    pub(crate) fn unload_table(&mut self) -> bool {
+        let Some(table) = self.table.take() else { return false };
+        table.axes.into_iter().for_each(|n| self.axes[n].table_um = 0.0);
+        self.changed = true;
+        true
+    }
+
+    /// The part table, for the status.
+    pub(crate) fn table_shown(&self) -> Option<PartTable> {
+        self.table.as_ref().map(|t| t.shown.clone())
     }
 
     /// What a model would change now.
@@ -306,7 +395,10 @@ impl Corrector {
     /// A source other than the operator asks, or what it asked for is still on its way back.
     fn asks(&self, n: usize) -> bool {
         let axis = &self.axes[n];
-        self.model.is_some() || axis.table_um != 0.0 || axis.offset_um != 0.0 || axis.counts != 0
+        self.model.is_some()
+            || self.table.as_ref().is_some_and(|t| t.axes.contains(&n))
+            || axis.offset_um != 0.0
+            || axis.counts != 0
     }
 
     /// Looks at everything and says which totals are to be requested now.
@@ -322,6 +414,12 @@ impl Corrector {
             }
             let probing = status.mode == Mode::Probe;
             model.live.evaluate(&model.inputs.frame(now_s - self.started_s, &self.now, probing));
+        }
+        if let Some(table) = &self.table {
+            let now = table.axes.map(|n| self.axes[n].place.map_or(AxisNow::default(), |p| self.now[p]));
+            let place = Zx::new(now[0].position_mm, now[1].position_mm);
+            let out = table.components_um(place, Zx::new(now[0].velocity_mm_s, now[1].velocity_mm_s));
+            (self.axes[table.axes[0]].table_um, self.axes[table.axes[1]].table_um) = (out.z, out.x);
         }
         let correcting = matches!(status.mode, Mode::Run | Mode::Shadow);
         let mut totals = [None; MAX_AXES];
@@ -428,8 +526,8 @@ impl Corrector {
     /// Adds to a captured position what the model says of it, and the temperatures. Positions are not corrected while
     /// probing; the other axes are taken where they were at that time.
     pub(crate) fn at_trip(&self, n: usize, t_ns: u64, trip: &mut Trip, watches: &[Watch]) {
-        trip.degc =
-            watches.iter().filter(|w| w.config().role == Role::Temperature).map(Watch::value_degc).collect();
+        let degc = |w: &Watch| w.value_degc().filter(|_| w.config().role == Role::Temperature);
+        trip.degc = watches.iter().map(degc).collect();
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return };
         if self.axes[n].holds.is_some() {
             return;
@@ -1129,6 +1227,8 @@ mod tests {
                 position_counts: 200_000.0,
                 position_mm: 200.0,
                 uncertainty_counts: 0.1,
+                uncertainty_um: 0.1,
+                at_ns: [0; 2],
                 error_um: None,
                 corrected_mm: None,
                 degc: Vec::new(),

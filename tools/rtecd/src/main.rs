@@ -56,6 +56,10 @@ struct Args {
     /// The control socket, instead of the configuration's
     #[arg(long, value_name = "PATH")]
     socket: Option<PathBuf>,
+    /// With the mock card: a simulated turning centre on the axes z and x does what this file says, once; its cycle
+    /// start is the release of feed hold
+    #[arg(long, value_name = "FILE")]
+    lathe: Option<PathBuf>,
 }
 
 /// Why the daemon does not start.
@@ -107,6 +111,10 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     if let Some(socket) = &args.socket {
         config.control.socket.clone_from(socket);
     }
+    if let Some(file) = args.lathe.as_ref().filter(|_| config.card.backend() != "mock") {
+        let found = format!("--lathe with card {}", config.card.backend());
+        return Err(InputError::whole(file, found, "[card] backend = \"mock\"").into());
+    }
     for note in &config.notes {
         log.say(Level::Warning, note);
     }
@@ -124,6 +132,13 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     }
     let outside = Outside { listener: &listener, signals: &signals, manager: &mut manager };
     let done = match config.card.clone() {
+        CardConfig::Mock if args.lathe.is_some() => {
+            let file = args.lathe.as_deref().unwrap_or(Path::new(""));
+            let (card, cuts) = cards::lathe(&config, file)?;
+            let done = work(card, config, Kind::Harmless, outside, log);
+            cuts.write().with_context(|| format!("writing the workpiece of {}", file.display()))?;
+            done
+        }
         CardConfig::Mock => {
             let (card, stand) = cards::mock(&config);
             work(card, config, Kind::Simulated(stand), outside, log)

@@ -6,8 +6,8 @@ use crate::log::{Level, Log};
 use crate::temperatures::Temperatures;
 use rtec_control::config::{Axis as AxisConfig, Config};
 use rtec_control::protocol::{
-    Axis, Distribution, Happened, Jump, ModelPreview, Request, Response, Rt, Status, explain_fault,
-    explain_refusal, word,
+    Axis, Distribution, Happened, Jump, ModelPreview, PartTable, Request, Response, Rt, Status,
+    explain_fault, explain_refusal, word,
 };
 use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
@@ -305,6 +305,8 @@ impl Session {
             Request::Explain { axis } => {
                 return self.explain(axis.as_deref(), control).unwrap_or_else(|e| e);
             }
+            Request::TableLoad(table) => return self.table_load(table, log),
+            Request::TableUnload {} => return self.table_unload(log),
             Request::Disable {} => plain(event::Request::Disable),
             Request::Shadow {} => plain(event::Request::Shadow),
             Request::Probe { on } => plain(event::Request::Probe(*on)),
@@ -422,6 +424,25 @@ impl Session {
         }
         let (display_mm, indicator_mm) = stand.read_mm(n);
         Ok(Response::Stands { display_mm, indicator_mm })
+    }
+
+    fn table_load(&mut self, table: &PartTable, log: &mut Log) -> Response {
+        match self.corrector.load_table(table.clone()) {
+            Ok(()) => {
+                log.say(Level::Notice, &format!("part table {}", table.errors));
+                Response::Done { jumps: Vec::new() }
+            }
+            Err(text) => Response::Bad { text },
+        }
+    }
+
+    fn table_unload(&mut self, log: &mut Log) -> Response {
+        if !self.corrector.unload_table() {
+            let text = "no part table is loaded".to_owned();
+            return Response::Refused { why: "no_table".to_owned(), text, jumps: Vec::new() };
+        }
+        log.say(Level::Notice, "part table unloaded");
+        Response::Done { jumps: Vec::new() }
     }
 
     fn explain(&mut self, axis: Option<&str>, control: &mut ControlEnd) -> Result<Response, Response> {
@@ -562,6 +583,7 @@ impl Session {
             why_not: self.why_not(&now, alive, may_arm),
             rt,
             model: self.corrector.shown(),
+            table: self.corrector.table_shown(),
             sensors: self
                 .temperatures
                 .sensors()

@@ -1,13 +1,12 @@
-//! The simulated machine's options and its workpiece on file, for the steps that need a machine.
+//! The simulated machine's options, for the steps that need a machine.
 
 use super::points::{MotionArgs, positive};
 use super::usage;
 use rtec_driver::input::InputError;
+use rtec_model::machine::Machine;
 use rtec_part::experiment::Setup;
-use rtec_part::fit::Zx;
-use rtec_part::lathe::{self, Bench, Workpiece};
-use rtec_part::sheet::{Sheet, read_text};
-use std::fmt::Write as _;
+use rtec_part::lathe::{self, Bench};
+use rtec_part::sheet::read_text;
 use std::path::{Path, PathBuf};
 
 /// The simulated machine
@@ -16,6 +15,12 @@ pub(crate) struct BenchArgs {
     /// Machine, tool and probe as TOML; by default those of NISTIR 4854
     #[arg(long)]
     bench: Option<PathBuf>,
+    /// What the simulated machine does wrong: effects of z and x, by position and by the temperatures T1 to T20
+    #[arg(long, value_name = "MACHINE.TOML")]
+    true_machine: Option<PathBuf>,
+    /// The spindle has run for so long when the step begins, in s
+    #[arg(long, default_value_t = 0.0)]
+    begin_s: f64,
     /// Insertion design: original, a or c
     #[arg(long, default_value = "c")]
     design: String,
@@ -42,9 +47,20 @@ impl BenchArgs {
             Some(file) => read_bench(file)?,
         };
         if lathe::design(&self.design).is_none() {
-            return Err(usage("--design", self.design.clone(), "original, a or c: those on XOR gates"));
+            let expected = "original, a or c: b and ecc pass the scale's signals through the computer and have no \
+                            probe capture, see `rtecctl designs`";
+            return Err(usage("--design", self.design.clone(), expected));
         }
+        if !(self.begin_s.is_finite() && (0.0..=1e6).contains(&self.begin_s)) {
+            return Err(usage("--begin-s", self.begin_s.to_string(), "a time in s, 0 to 1 000 000"));
+        }
+        let machine = match &self.true_machine {
+            Some(file) => Machine::read(file)?,
+            None => Machine::ideal("ideal lathe"),
+        };
         Ok(Setup {
+            machine,
+            begin_s: self.begin_s,
             lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
             bench,
             design: self.design.clone(),
@@ -69,23 +85,4 @@ fn read_bench(file: &Path) -> anyhow::Result<Bench> {
         InputError::at_offset(file, &text, at, format!("{key} out of range"), expected)
     })?;
     Ok(bench)
-}
-
-/// A workpiece on file: radii at even steps of angle about one centre.
-pub(crate) fn workpiece_csv(part: &Workpiece) -> String {
-    let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
-    for r in part.radii_mm() {
-        let _ = writeln!(text, "{},{},{r:.7}", part.centre.z, part.centre.x);
-    }
-    text
-}
-
-pub(crate) fn read_workpiece(file: &Path) -> anyhow::Result<Workpiece> {
-    let sheet = Sheet::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
-    let (z, x) = (sheet.numbers("centre_z_mm")?, sheet.numbers("centre_x_mm")?);
-    let centre = z.first().zip(x.first()).map_or(Zx::new(0.0, 0.0), |(&z, &x)| Zx::new(z, x));
-    let radii = sheet.numbers("radius_mm")?;
-    let found = format!("{} radii", radii.len());
-    Workpiece::from_radii(centre, radii)
-        .ok_or_else(|| InputError::whole(file, found, "a workpiece as `part finish` writes it").into())
 }

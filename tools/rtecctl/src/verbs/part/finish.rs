@@ -1,8 +1,9 @@
 //! `rtecctl part finish`: a cut round the nose on the simulated machine, with or without the corrector's table.
 
-use super::bench::{BenchArgs, read_workpiece, workpiece_csv};
+use super::bench::BenchArgs;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
+use rtec_model::machine::Machine;
 use rtec_part::errors::read_error_cor;
 use rtec_part::fit::Zx;
 use rtec_part::lathe::{Workpiece, axes, design};
@@ -18,6 +19,9 @@ pub(crate) struct Args {
     /// Errors to take out, as `part errors` writes them; without them the cut is not corrected
     #[arg(long, value_name = "ERROR.COR")]
     errors: Option<PathBuf>,
+    /// What is known of the machine: corrected live, beneath the table or alone
+    #[arg(long, value_name = "MACHINE.TOML")]
+    model: Option<PathBuf>,
     /// Radius to cut to, in mm
     #[arg(long)]
     radius_mm: f64,
@@ -36,12 +40,13 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut setup = args.bench.setup()?;
+    setup.model = args.model.as_deref().map(Machine::read).transpose()?;
     let radius_mm = positive("--radius-mm", args.radius_mm)?;
     if !args.centre_z_mm.is_finite() {
         return Err(usage("--centre-z-mm", args.centre_z_mm.to_string(), "a finite number"));
     }
     let mut part = match &args.workpiece {
-        Some(file) => read_workpiece(file)?,
+        Some(file) => Workpiece::read(file)?,
         None => Workpiece::raw(Zx::new(args.centre_z_mm, 0.0), radius_mm + 1.0),
     };
     setup.centre = part.centre;
@@ -52,7 +57,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         _ => None,
     };
     let ran = setup.turn(&mut part, radius_mm, table.as_ref(), setup.seed).map_err(failed)?;
-    write_all(&args.out, &[("workpiece.csv", workpiece_csv(&part).as_bytes())])?;
+    write_all(&args.out, &[("workpiece.csv", part.to_csv().as_bytes())])?;
     let insertions = [0, 1].map(|n| ran.status.axes[n].insertions);
     let completed = [0, 1].map(|n| ran.status.axes[n].completed);
     if args.json {
@@ -60,7 +65,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "mtc_minus_scale": ran.mtc_minus_scale, "corrected": table.is_some()});
         return print(&(serde_json::to_string_pretty(&document)? + "\n"));
     }
-    let how = if table.is_some() { "with the table" } else { "without corrections" };
+    let how = match (&table, &setup.model) {
+        (Some(_), Some(_)) => "with the table on top of the model",
+        (Some(_), None) => "with the table",
+        (None, Some(_)) => "with the model",
+        (None, None) => "without corrections",
+    };
     print(&format!(
         "cut to {radius_mm} mm {how} in {:.1} s: {} insertions in Z, {} in X\n",
         ran.seconds, insertions[0], insertions[1]

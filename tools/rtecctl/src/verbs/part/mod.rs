@@ -5,6 +5,7 @@ mod errors;
 mod features;
 mod finish;
 mod inspect;
+mod load;
 mod points;
 mod post_process;
 mod probe;
@@ -32,6 +33,8 @@ enum Step {
     Probe(Box<probe::Args>),
     Errors(Box<errors::Args>),
     Table(Box<table::Args>),
+    Load(Box<load::LoadArgs>),
+    Unload(Box<load::UnloadArgs>),
     Finish(Box<finish::Args>),
     Inspect(Box<inspect::Args>),
     PostProcess(Box<post_process::Args>),
@@ -46,6 +49,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Step::Probe(args) => probe::run(args),
         Step::Errors(args) => errors::run(args),
         Step::Table(args) => table::run(args),
+        Step::Load(args) => load::load(args),
+        Step::Unload(args) => load::unload(args),
         Step::Finish(args) => finish::run(args),
         Step::Inspect(args) => inspect::run(args),
         Step::PostProcess(args) => post_process::run(args),

@@ -1,19 +1,38 @@
-//! `rtecctl part probe`: run a probing path on the simulated machine, positions captured by the engine.
+//! `rtecctl part probe`: a probing session, on the simulated machine or through the daemon; positions are captured by
+//! the engine.
 
-use super::bench::{BenchArgs, read_workpiece};
+use super::bench::BenchArgs;
 use super::features::Units;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
+use crate::Outcome;
+use crate::daemon::{Daemon, check, unreachable};
+use rtec_control::client::{Client, ClientError};
+use rtec_control::protocol::{self, Request, Response};
+use rtec_model::record::Record;
+use rtec_part::fit::Zx;
+use rtec_part::lathe::Workpiece;
 use rtec_part::path::{Role, read_expected, read_pathfin};
+use rtec_part::probe::{Captured, Trip, TripFault, assign, probed_csv, run_record};
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-/// Probe a part on the simulated machine
+/// Probe a part: through the daemon while the controller runs the probing program, or on the simulated machine
+///
+/// A missed or a second trip, a bounce, and a trip outside its window end the session and name the point. Positions are
+/// as the scales read; the temperatures at each trip are kept for the off-line correction (`part errors --machine`).
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The workpiece, as `part finish` writes it
-    #[arg(long)]
-    workpiece: PathBuf,
+    /// Probe this workpiece, as `part finish` writes it, on the simulated machine
+    #[arg(long, required_unless_present = "daemon")]
+    workpiece: Option<PathBuf>,
+    /// Take the trips from the daemon
+    #[arg(long, conflicts_with = "workpiece")]
+    daemon: bool,
+    #[command(flatten)]
+    live: LiveArgs,
     /// The probe's path
     #[arg(long)]
     path: PathBuf,
@@ -25,7 +44,7 @@ pub(crate) struct Args {
     path_units: Units,
     #[command(flatten)]
     bench: BenchArgs,
-    /// Folder for probed.csv
+    /// Folder for probed.csv and the run record probing.run.toml
     #[arg(long)]
     out: PathBuf,
     /// Print one JSON document
@@ -33,9 +52,31 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// A session through the daemon
+#[derive(Debug, clap::Args)]
+struct LiveArgs {
+    /// The daemon's control socket [default: the installed one's]
+    #[arg(long, value_name = "PATH", requires = "daemon")]
+    socket: Option<PathBuf>,
+    /// Hold the feed until probing is on, then release it
+    #[arg(long, requires = "daemon")]
+    start: bool,
+    /// Machine position at the part's origin with the probe in place
+    #[arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 2, allow_negative_numbers = true)]
+    origin_mm: Option<Vec<f64>>,
+    /// The daemon's axis along the part
+    #[arg(long, default_value = "z")]
+    z_axis: String,
+    /// The daemon's axis across the part
+    #[arg(long, default_value = "x")]
+    x_axis: String,
+    /// A trip that has not come after so long is missed, in s
+    #[arg(long, default_value_t = 60.0)]
+    patience_s: f64,
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let setup = args.bench.setup()?;
-    let part = read_workpiece(&args.workpiece)?;
     let unit = args.path_units.unit();
     let records = read_pathfin(&args.path, unit)?;
     let expected = read_expected(&args.expected, unit)?;
@@ -48,19 +89,175 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let found = format!("{} touches for {} expected trips", approach.len(), expected.len());
         return Err(usage("--expected", found, "the two files of one plan"));
     }
+    let Some(workpiece) = &args.workpiece else {
+        let seen = watch(&args.live, &expected, setup.window_mm)?;
+        let sensors: Vec<&str> = seen.sensors.iter().map(String::as_str).collect();
+        let csv = probed_csv(&seen.trips, &approach, &sensors, &seen.degc);
+        let record = run_record(&seen.trips, &expected, &approach, seen.origin, &sensors, &seen.degc);
+        write_session(&args.out, &csv, record.as_ref())?;
+        return show(args.json, &seen.trips, seen.seconds);
+    };
+    let part = Workpiece::read(workpiece)?;
     let feed_mm_min = positive("--feed-mm-min", setup.motion.feed_mm_min)?;
     let session =
         setup.probe_path(&part, &records, &expected, &approach, feed_mm_min, setup.seed).map_err(failed)?;
-    write_all(&args.out, &[("probed.csv", session.csv.as_bytes())])?;
-    if args.json {
-        let document = serde_json::json!({"trips": session.trips, "seconds": session.seconds});
+    write_session(&args.out, &session.csv, session.record.as_ref())?;
+    show(args.json, &session.trips, session.seconds)
+}
+
+fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
+    if json {
+        let document = serde_json::json!({"trips": trips, "seconds": seconds});
         return print(&(serde_json::to_string_pretty(&document)? + "\n"));
     }
     let mut t = "point       Z mm       X mm  within µm\n".to_owned();
-    for trip in &session.trips {
+    for trip in trips {
         let p = trip.tip_centre;
         let _ = writeln!(t, "{:>5} {:>10.4} {:>10.4} {:>10.3}", trip.point, p.z, p.x, trip.uncertainty_um);
     }
-    let _ = writeln!(t, "{} points in {:.1} s", session.trips.len(), session.seconds);
+    let _ = writeln!(t, "{} points in {seconds:.1} s", trips.len());
     print(&t)
+}
+
+/// What a session through the daemon brought.
+struct Seen {
+    trips: Vec<Trip>,
+    sensors: Vec<String>,
+    /// Per trip and sensor.
+    degc: Vec<Vec<f64>>,
+    origin: Zx,
+    seconds: f64,
+}
+
+/// After the last trip, how long a second one is waited for.
+const SETTLED: Duration = Duration::from_secs(1);
+
+/// Probing on, every trip held against the plan as it comes, probing off again whatever happens.
+fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Seen> {
+    let patience = Duration::from_secs_f64(positive("--patience-s", args.patience_s)?.min(86_400.0));
+    let Some(&[z_mm, x_mm]) = args.origin_mm.as_deref() else {
+        return Err(usage("--origin-mm", "nothing", "the machine's position at the part's origin, Z,X"));
+    };
+    let origin = Zx::new(z_mm, x_mm);
+    let daemon = Daemon::at(args.socket.clone());
+    let ask = |request: &Request| -> anyhow::Result<Response> {
+        check(daemon.connect()?.ask(request).map_err(unreachable)?)
+    };
+    let Response::Status(status) = ask(&Request::Status {})? else {
+        return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
+    };
+    for (option, name) in [("--z-axis", &args.z_axis), ("--x-axis", &args.x_axis)] {
+        let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
+        if !names.contains(&name.as_str()) {
+            return Err(usage(option, name.clone(), format!("one of {}", names.join(", "))));
+        }
+    }
+    if !status.homed {
+        return Err(Outcome::No("not homed: positions mean nothing; `rtecctl home` first".to_owned()).into());
+    }
+    // Watching first: no trip can come between the two.
+    let mut events = daemon.connect()?;
+    check(events.ask(&Request::Watch {}).map_err(unreachable)?)?;
+    if args.start {
+        ask(&Request::Hold { on: true })?;
+    }
+    ask(&Request::Probe { on: true })?;
+    if args.start {
+        ask(&Request::Hold { on: false })?;
+    }
+    eprintln!("probing is on, {} points; run the probing program", expected.len());
+    let began = Instant::now();
+    let done = follow(&mut events, args, expected, origin, window_mm, patience);
+    // Its own failure must not hide what went wrong before it.
+    let off = ask(&Request::Probe { on: false });
+    let (trips, degc) = done?;
+    off?;
+    // A column needs a value at every trip.
+    let known = |n: usize| degc.iter().all(|d| d.get(n).is_some_and(Option::is_some));
+    let (kept, dropped): (Vec<usize>, Vec<usize>) = (0..status.sensors.len()).partition(|&n| known(n));
+    let name = |n: usize| status.sensors[n].sensor.clone();
+    if !dropped.is_empty() {
+        let names: Vec<String> = dropped.into_iter().map(name).collect();
+        eprintln!("no temperature at every trip, left out: {}", names.join(", "));
+    }
+    let sensors = kept.iter().copied().map(name).collect();
+    let degc = degc.iter().map(|d| kept.iter().filter_map(|&n| d[n]).collect()).collect();
+    Ok(Seen { trips, sensors, degc, origin, seconds: began.elapsed().as_secs_f64() })
+}
+
+/// Per trip, in the order of the status's sensors.
+type Temperatures = Vec<Vec<Option<f64>>>;
+
+fn follow(
+    events: &mut Client,
+    args: &LiveArgs,
+    expected: &[Zx],
+    origin: Zx,
+    window_mm: f64,
+    patience: Duration,
+) -> anyhow::Result<(Vec<Trip>, Temperatures)> {
+    let mut captured = Captured::default();
+    let mut degc = Vec::new();
+    // Both axes of a trip come as each meets its next edge; they share its time.
+    let mut half: Option<(usize, protocol::Trip)> = None;
+    let no = |fault: TripFault| anyhow::Error::from(Outcome::No(fault.to_string()));
+    // The session's own clock begins at its first trip.
+    let mut zero_ns = None;
+    loop {
+        let complete = captured.trips.len() == expected.len();
+        events.wait_at_most(if complete { SETTLED } else { patience })?;
+        let happened = match events.answer() {
+            Ok(Response::Event(happened)) => happened,
+            Ok(_) => continue,
+            Err(ClientError::Io(e)) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                // All there: judged whole. Else the next one was missed.
+                return Ok((assign(&captured, expected, 1.0, origin, window_mm).map_err(no)?, degc));
+            }
+            Err(error) => return Err(unreachable(error)),
+        };
+        match (happened.kind.as_str(), happened.trip) {
+            ("fault", _) => return Err(Outcome::Fault(happened.text).into()),
+            ("bounce", _) => captured.bounces.push(captured.trips.len() + 1),
+            ("mode", _) if ["disabled", "run", "shadow"].iter().any(|m| happened.text.ends_with(m)) => {
+                return Err(Outcome::No("probing was switched off by somebody else".to_owned()).into());
+            }
+            (_, Some(trip)) => {
+                let name = happened.axis.as_deref().unwrap_or_default();
+                let Some(n) = [&args.z_axis, &args.x_axis].iter().position(|a| *a == name) else { continue };
+                match half.take() {
+                    Some((other, first)) if other != n && first.at_ns == trip.at_ns => {
+                        let (z, x) = if n == 0 { (&trip, &first) } else { (&first, &trip) };
+                        let at_ns = u64::midpoint(trip.at_ns[0], trip.at_ns[1]);
+                        let zero_ns = *zero_ns.get_or_insert(at_ns);
+                        captured.trips.push((
+                            [z.position_mm * 1e3, x.position_mm * 1e3],
+                            z.uncertainty_um.hypot(x.uncertainty_um),
+                            at_ns.saturating_sub(zero_ns) as f64 / 1e9,
+                        ));
+                        degc.push(trip.degc);
+                        // A wrong trip ends the session now; that the rest is still missing does not.
+                        match assign(&captured, expected, 1.0, origin, window_mm) {
+                            Err(TripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
+                            judged => {
+                                judged.map_err(no)?;
+                            }
+                        }
+                        eprintln!("point {} of {}", captured.trips.len(), expected.len());
+                    }
+                    _ => half = Some((n, trip)),
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The points as `part errors` reads them, and the same as a run record of the machine.
+fn write_session(folder: &Path, csv: &str, record: Option<&Record>) -> anyhow::Result<()> {
+    let (rows, sidecar) = record.map(|r| (r.to_csv(), r.to_sidecar())).unzip();
+    let mut files = vec![("probed.csv", csv.as_bytes())];
+    if let (Some(rows), Some(sidecar)) = (&rows, &sidecar) {
+        files.extend([("probing.csv", rows.as_bytes()), ("probing.run.toml", sidecar.as_bytes())]);
+    }
+    write_all(folder, &files)
 }

@@ -4,6 +4,7 @@ use super::bench::BenchArgs;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
+use rtec_model::machine::Machine;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -12,6 +13,9 @@ use std::path::PathBuf;
 pub(crate) struct Args {
     #[command(flatten)]
     bench: BenchArgs,
+    /// What is known of the machine: corrected live while cutting, off line in what was probed
+    #[arg(long, value_name = "MACHINE.TOML")]
+    model: Option<PathBuf>,
     /// Radius of the finished nose, in mm
     #[arg(long, default_value_t = 38.1)]
     radius_mm: f64,
@@ -39,6 +43,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if setup.allowance_mm > 5.0 {
         return Err(usage("--allowance-mm", setup.allowance_mm.to_string(), "at most 5 mm"));
     }
+    setup.model = args.model.as_deref().map(Machine::read).transpose()?;
     setup.points = args.points as usize;
     let outcome = setup.run(&mut |step| eprintln!("{step} …")).map_err(failed)?;
     if let Some(folder) = &args.out {
