@@ -268,12 +268,22 @@ impl Setup {
         table: Option<&Table>,
         seed: u64,
     ) -> Result<Ran, ExperimentError> {
-        let job = match (table, &self.model) {
+        let path_mm = radius_mm + self.bench.nose_mm;
+        self.go(
+            part,
+            radius_mm,
+            &arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0),
+            self.job(table),
+            seed,
+        )
+    }
+
+    /// A cut with what is known of its errors.
+    fn job<'a>(&'a self, table: Option<&'a Table>) -> Job<'a> {
+        match (table, &self.model) {
             (None, None) => Job::Cut,
             (table, model) => Job::Corrected(table, model.as_ref(), self.lead_s),
-        };
-        let path_mm = radius_mm + self.bench.nose_mm;
-        self.go(part, radius_mm, &arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0), job, seed)
+        }
     }
 
     fn go(
@@ -473,11 +483,7 @@ impl Setup {
                 touching: false,
             })
             .collect();
-        let alone = match &self.model {
-            Some(model) => Job::Corrected(None, Some(model), self.lead_s),
-            None => Job::Cut,
-        };
-        now.go(&mut other, self.radius_mm, &moves, alone, self.seed + 4)?;
+        now.go(&mut other, self.radius_mm, &moves, self.job(None), self.seed + 4)?;
         let by_program = self
             .errors(&after.probe(&other, &plan, self.motion.feed_mm_min, self.seed + 5)?, self.radius_mm)?;
         let program = self.result(&by_program, &other, self.radius_mm)?;

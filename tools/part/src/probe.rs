@@ -146,7 +146,9 @@ pub fn assign(
 #[must_use]
 pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec<f64>]) -> String {
     let mut text = "z_mm,x_mm,approach_z,approach_x,point,t_s,uncertainty_um".to_owned();
-    sensors.iter().for_each(|s| text.extend([",", &sensor_column(s)]));
+    for sensor in sensors {
+        text.extend([",", &sensor_column(sensor)]);
+    }
     text.push('\n');
     for (n, (t, d)) in trips.iter().zip(approach).enumerate() {
         let p = t.tip_centre;
