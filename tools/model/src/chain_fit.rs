@@ -14,6 +14,9 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, Item, TableLike, Value, value};
 
+/// What one µm or µrad of a coefficient must make of a response at the least, µm.
+const SEEN_UM: f64 = 1e-4;
+
 /// A coefficient found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TermFound {
@@ -130,8 +133,8 @@ pub fn fit(
                     let with = says(&more, run, &role)?;
                     columns.push(with.iter().zip(&base).map(|(w, b)| w - b).collect::<Vec<f64>>());
                 }
-                // A component that does not move this response is not to be seen in it, rounding or not.
-                for c in columns.iter_mut().filter(|c| c.iter().all(|v| v.abs() < 1e-7)) {
+                // A component that moves this response in products with other errors only is not to be seen in it.
+                for c in columns.iter_mut().filter(|c| c.iter().all(|v| v.abs() < SEEN_UM)) {
                     c.fill(0.0);
                 }
                 if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {

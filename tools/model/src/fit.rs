@@ -144,7 +144,7 @@ pub struct Dropped {
 /// One round of the refit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Round {
-    /// What it added.
+    /// What it added; after the rounds of the refit, what it put in the place of what.
     pub added: String,
     /// R after it.
     #[serde(rename = "R")]
@@ -310,6 +310,14 @@ struct Problem {
     square: bool,
 }
 
+/// Largest gains that the dictionary holds plausible, µm/K and µm/K².
+fn plausible_gains() -> [f64; 2] {
+    Dictionary::default().effect("thermal_growth.x").map_or([f64::INFINITY; 2], |e| {
+        let bound = |i: usize| e.card().parameters[i].plausible[1];
+        [bound(0), bound(1)]
+    })
+}
+
 /// All records have the response and the first one's sensors.
 fn check_columns(records: &[&Record], sensors: &[String], response: &Role) -> Result<(), InputError> {
     if sensors.is_empty() {
@@ -445,10 +453,6 @@ impl Problem {
             }
             pairs.retain(is_new);
         }
-        let plausible = Dictionary::default().effect("thermal_growth.x").map_or([f64::INFINITY; 2], |e| {
-            let bound = |i: usize| e.card().parameters[i].plausible[1];
-            [bound(0), bound(1)]
-        });
         let rows: usize = records.iter().map(|r| r.rows()).sum();
         if rows < 4 * options.folds || options.folds < 3 {
             let expected = format!("at least {} (four per fold, three folds)", 4 * options.folds.max(3));
@@ -504,7 +508,7 @@ impl Problem {
             environment,
             offered,
             pairs,
-            plausible,
+            plausible: plausible_gains(),
             explicit,
             taus,
             binned,
@@ -612,7 +616,7 @@ impl Problem {
 
     /// Of the offered, those whose growth goes the way that the hottest body's does: heat comes from there. Where
     /// that body says nothing, all.
-    fn from_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
+    fn driven_by_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
         let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
         let warmth = |j: &Judged| {
             let Some((sensor, minus)) = pair_of(j.terms[0]) else { return 0.0 };
@@ -728,7 +732,7 @@ impl Problem {
         let mut singles: Vec<Judged> =
             self.offered.iter().filter_map(|(s, m)| self.best_lag(&[], *s, *m, folds)).collect();
         singles.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
-        let sources = self.from_the_source(singles.clone(), folds);
+        let sources = self.driven_by_the_source(singles.clone(), folds);
         let best = sources.first()?.clone();
         // What the data cannot tell from the best; of these the one nearest to the source of heat.
         let mut tied: Vec<Judged> = sources.into_iter().filter(|j| !best.beats(j)).collect();
@@ -792,6 +796,7 @@ impl Problem {
         }
         // Each term was the best beside those before it: is another one better beside all? (Not of a single term: that
         // one was physics' choice.)
+        let mut swaps = Vec::new();
         let mut swapped = now.terms.len() > 1;
         for _ in 0..ROUNDS {
             if !std::mem::take(&mut swapped) {
@@ -810,12 +815,14 @@ impl Problem {
                 let few = fits.filter(|j| Self::sensor_count(&j.terms) <= SENSORS);
                 let best = few.min_by(|a, b| a.rms().total_cmp(&b.rms()));
                 if let Some(best) = best.filter(|b| b.beats(&now)) {
+                    let out = now.terms[k];
                     now = self.retune(best, folds);
+                    swaps.push((now.clone(), out));
                     swapped = true;
                 }
             }
         }
-        Some(Selection { structure: now, rounds, kept, dropped, tied })
+        Some(Selection { structure: now, rounds, swaps, kept, dropped, tied })
     }
 
     fn name(&self, term: Term) -> String {
@@ -879,6 +886,8 @@ fn relagged(terms: &[Term], k: usize, other: usize) -> Vec<Term> {
 struct Selection {
     structure: Judged,
     rounds: Vec<Judged>,
+    /// After the rounds: what a term that went out for a better one left, its last term being the new one.
+    swaps: Vec<(Judged, Term)>,
     kept: Vec<Judged>,
     /// Sensor, α, and the kept one (by number) it is redundant with.
     dropped: Vec<(Judged, f64, usize)>,
@@ -886,6 +895,22 @@ struct Selection {
 }
 
 impl Selection {
+    /// The sensors left out, each with the kept one that watches the same.
+    fn redundant(&self, ranked: &dyn Fn(&Judged) -> Ranked, kept: &[Ranked]) -> Vec<Dropped> {
+        let of = |(j, alpha, with): &(Judged, f64, usize)| {
+            let own = ranked(j);
+            Dropped {
+                sensor: own.sensor,
+                alpha: *alpha,
+                with: kept[*with].sensor.clone(),
+                gamma: own.gamma,
+                gamma_lagged: own.gamma_lagged,
+                range_k: own.range_k,
+            }
+        };
+        self.dropped.iter().map(of).collect()
+    }
+
     /// Says which sensors the data could not tell from the one chosen.
     fn rivals(&self, problem: &Problem) -> Option<String> {
         let names: Vec<String> = self.tied.iter().map(|j| problem.name(j.terms[0])).collect();
@@ -1254,6 +1279,15 @@ fn judge_holdouts(machine: &Machine, holdout: &[&Record], response: &Role) -> Re
     Ok(later)
 }
 
+/// Adds a fitted effect to a machine; an offset of the base and the fit's constant are one offset.
+fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
+    let place = machine.effects().position(|e| e.card().name == "offset" && e.name() == effect.name());
+    let Some(n) = place else { return machine.push(effect, provenance) };
+    let base = machine.listed()[n].effect.scalar(0);
+    let [lo, hi] = provenance.interval.get("um").map_or([effect.scalar(0); 2], |i| i[0]);
+    machine.set(n, "um", &[base + effect.scalar(0)], Some(&[[base + lo, base + hi]]))
+}
+
 fn fit_response(
     train: &[&Record],
     holdout: &[&Record],
@@ -1280,26 +1314,15 @@ fn fit_response(
     let mut own = Machine::ideal("fit");
     for (effect, interval) in effects {
         fitted.push(Fitted::of(&effect, &interval));
-        let from = train.iter().map(|r| Source::of(r)).collect();
         let provenance = Provenance {
             added_by: Some("model fit".to_owned()),
             date: Some(date::format(options.date)),
-            from,
+            from: train.iter().map(|r| Source::of(r)).collect(),
             interval,
         };
         let twice = |e: ValueError| whole(&e.to_string(), "each effect once");
         own.push(effect.clone(), provenance.clone()).map_err(twice)?;
-        // An offset of the base and the fit's constant are one offset.
-        let place = machine.effects().position(|e| e.card().name == "offset" && e.name() == effect.name());
-        match place {
-            Some(n) => {
-                let base = machine.listed()[n].effect.scalar(0);
-                let [lo, hi] = provenance.interval.get("um").map_or([0.0; 2], |i| i[0]);
-                let interval = [[base + lo, base + hi]];
-                machine.set(n, "um", &[base + effect.scalar(0)], Some(&interval)).map_err(twice)?;
-            }
-            None => machine.push(effect, provenance).map_err(twice)?,
-        }
+        take_in(machine, effect, provenance).map_err(twice)?;
     }
     let note = FitNote {
         response: response.to_string(),
@@ -1336,25 +1359,15 @@ fn fit_response(
             (None, None) => "none: differences are to 20 degC".to_owned(),
         },
         environment,
-        dropped: chosen
-            .dropped
-            .iter()
-            .map(|(j, alpha, with)| {
-                let own = ranked(j);
-                Dropped {
-                    sensor: own.sensor,
-                    alpha: *alpha,
-                    with: kept[*with].sensor.clone(),
-                    gamma: own.gamma,
-                    gamma_lagged: own.gamma_lagged,
-                    range_k: own.range_k,
-                }
-            })
-            .collect(),
+        dropped: chosen.redundant(&ranked, &kept),
         rounds: chosen
             .rounds
             .iter()
             .map(|j| Round { added: problem.name(j.terms[j.terms.len() - 1]), r: j.r, cv_rms_um: j.rms() })
+            .chain(chosen.swaps.iter().map(|(j, out)| {
+                let added = problem.name(j.terms[j.terms.len() - 1]);
+                Round { added: format!("{added} for {}", problem.name(*out)), r: j.r, cv_rms_um: j.rms() }
+            }))
             .collect(),
         alternatives: chosen.tied.iter().map(ranked).collect(),
         kept,

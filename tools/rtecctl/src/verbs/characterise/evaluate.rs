@@ -2,7 +2,7 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
-use rtec_model::plot::Chart;
+use rtec_model::plot::{Chart, Series, Style};
 use rtec_model::record::{Record, write_whole};
 use rtec_model::{iso230, plate};
 use serde_json::{Value, json};
@@ -112,7 +112,12 @@ fn evaluate(record: &Record, standard: Standard, norm: u8) -> anyhow::Result<(Va
                 (axis.clone(), json!({"s_um": s, "range_um": range}))
             };
             let axes = iso230::repeatability(record).iter().map(of).collect::<serde_json::Map<_, _>>();
-            (Value::Object(axes), Vec::new())
+            let mut chart = Chart::new("Returning to one position", "return", "error, µm");
+            for c in record.responses() {
+                let points = c.data.iter().enumerate().map(|(i, e)| (i as f64 + 1.0, *e)).collect();
+                chart = chart.with(Series::new(&c.role.to_string(), Style::Dots, points));
+            }
+            (Value::Object(axes), vec![chart])
         }
     })
 }

@@ -150,12 +150,11 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 /// Effects that the user names, by least squares.
 fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     let records = read(&args.common.records)?;
-    let base = match &args.common.base {
-        Some(path) => Machine::read(path)?,
-        None => {
-            let name = args.out.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-            Machine::ideal(&name)
-        }
+    let base = if let Some(path) = &args.common.base {
+        Machine::read(path)?
+    } else {
+        let name = args.out.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        Machine::ideal(&name)
     };
     let date = date::format(day.unwrap_or_else(|| day_of(&records)));
     let records: Vec<&Record> = records.iter().collect();
@@ -286,6 +285,6 @@ fn print_selection(r: &Report) {
         println!("  {:14} {:8.4} redundant: α {:.4} with {}", d.sensor, d.gamma, d.alpha, d.with);
     }
     for (i, round) in r.rounds.iter().enumerate() {
-        println!("round {}: {:28} R {:.5}  CV {:.3} µm", i + 1, round.added, round.r, round.cv_rms_um);
+        println!("round {}: {:40} R {:.5}  CV {:.3} µm", i + 1, round.added, round.r, round.cv_rms_um);
     }
 }
