@@ -120,7 +120,7 @@ impl System {
     /// May the daemon's user read and write the device?
     fn card_access(&self, device: &Device, user: Option<&User>) -> Finding {
         let found = self.place(device);
-        let (file, line, driver) = match &found {
+        let (file, line, missing) = match &found {
             Ok(place) => place,
             Err(id) => {
                 return Finding::new("card_access", format!("PCI card {id}"), "not on the bus", false)
@@ -152,31 +152,39 @@ impl System {
                 let finding = Finding::unknown("card_access", wanted, error);
                 return finding
                     .needed()
-                    .remedy(driver.map_or("no such file".into(), |d| {
-                        format!("no such device: load its driver ({d})")
-                    }));
+                    .remedy(missing.map_or("no such file".into(), |d| format!("no such device: {d}")));
             }
         }
         .needed()
         .remedy(remedy)
     }
 
-    /// The device's file below the root, the line that names it in `/etc/rtec/devices`, and its driver.
+    /// The device's file below the root, the line that names it in `/etc/rtec/devices`, and what to do where it is missing.
     fn place(&self, device: &Device) -> Result<(PathBuf, Option<String>, Option<&'static str>), PciId> {
         Ok(match device {
             Device::Gpio(name) => {
                 // Under the device that the chip belongs to, `…/fe200000.gpio/gpiochip0`.
                 let parent = self.parents(&format!("sys/bus/gpio/devices/{name}")).next();
                 let owner = parent.and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()));
-                (Path::new("dev").join(name), owner.map(|o| format!("gpio {o}")), Some("the GPIO chip's"))
+                (
+                    Path::new("dev").join(name),
+                    owner.map(|o| format!("gpio {o}")),
+                    Some("`ls /dev/gpiochip*` lists the chips"),
+                )
             }
             Device::Uio(name) => {
                 let known = self.read(format!("sys/class/uio/{name}/name")).ok();
-                (Path::new("dev").join(name), known.map(|n| format!("uio {n}")), Some("uio and the card's"))
+                (
+                    Path::new("dev").join(name),
+                    known.map(|n| format!("uio {n}")),
+                    Some("load uio and the card's driver"),
+                )
             }
-            Device::Parport(name) => {
-                (Path::new("dev").join(name), Some(format!("parport {name}")), Some("parport_pc, ppdev"))
-            }
+            Device::Parport(name) => (
+                Path::new("dev").join(name),
+                Some(format!("parport {name}")),
+                Some("modprobe -a parport_pc ppdev"),
+            ),
             Device::Bar(id, bar) => {
                 let card = self.function(id).ok_or_else(|| id.clone())?;
                 let file = format!("sys/bus/pci/devices/{}/resource{bar}", card.address);
