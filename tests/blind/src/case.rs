@@ -18,7 +18,7 @@ pub enum Hides {
 }
 
 /// Every kind that can be hidden.
-pub const LAWS: [&str; 29] = [
+pub const LAWS: [&str; 30] = [
     "offset",
     "scale",
     "position_map",
@@ -48,6 +48,7 @@ pub const LAWS: [&str; 29] = [
     "friction_viscous",
     "friction_coulomb",
     "friction_asymmetric",
+    "force_offset",
 ];
 
 /// A case, written out.

@@ -202,6 +202,10 @@ impl Source {
                 _ => {}
             }
         }
+        if let [(_, knots), (_, um)] = &mut self.arr[..] {
+            um.iter_mut().for_each(|v| *v *= 1.0 + share * dice.normal());
+            flatten(knots, um);
+        }
     }
     /// `[[effect]]` of a model.
     #[must_use]
@@ -531,8 +535,12 @@ impl Plan {
             _ => self.feed_sweep(&mut r, &mut dice),
         }
         for k in 0..self.decoys {
-            let name = if self.manner == Manner::Second { format!("aux {k}") } else { format!("z{k}") };
-            let name = name.replace(' ', "_");
+            let name = match self.manner {
+                Manner::First => format!("z{k}"),
+                Manner::Second => {
+                    [format!("aux_{k}"), format!("Öldruck-{k}"), format!("{k}%")][k % 3].clone()
+                }
+            };
             let kind = fixed.int(0, 3);
             let (f, ph) = (fixed.within(0.5, 4.0), dice.within(0.0, TAU));
             let mut walk = dice.normal();
@@ -962,6 +970,8 @@ impl Plan {
                 let mut gaps: Vec<f64> = p?.to_vec();
                 gaps.sort_by(f64::total_cmp);
                 gaps.dedup_by(|x, y| (*x - *y).abs() < 0.01);
+                // Few places and a wave through them: a map, a scale or an offset as well.
+                needs(gaps.len() >= 8)?;
                 let step = (hi - lo) / gaps.len() as f64;
                 let period =
                     *dice.pick(&[2.0, 4.0, 5.0, 6.0, 10.0, 12.0, 16.0, 20.0, 25.0]) * dice.within(0.97, 1.03);
@@ -972,7 +982,10 @@ impl Plan {
                 Source::new(name).p("period_mm", period).p("um", 1.0).p("phase_rad", dice.within(-PI, PI))
             }
             "subdivision" => {
-                needs(self.design == "sweep" || (!self.regular && p?.len() > 100))?;
+                let mut places: Vec<i64> = p?.iter().map(|p| (p * 1e4).round() as i64).collect();
+                places.sort_unstable();
+                places.dedup();
+                needs(places.len() > 50 && (self.design == "sweep" || !self.regular))?;
                 let period = if dice.chance(0.5) {
                     *dice.pick(&[2.0, 4.0, 10.0, 20.0, 40.0, 100.0])
                 } else {
@@ -1110,11 +1123,15 @@ impl Plan {
             if has("position") && d.len() == run.n && run.kind != "probing" {
                 can.extend([("?dir_times_position", 0.0), ("?dir_times_wave", dice.within(0.7, 2.0))]);
             }
-            can.extend([
-                ("?time_wave", dice.within(1.5, 6.0)),
-                ("?time_burst", dice.within(-0.7, 0.7)),
-                ("?time_saw", dice.within(1.5, 4.0)),
-            ]);
+            // In a single turn the angle is the time, and a burst a bump of the form.
+            let once = run.get("angle").is_some_and(|w| w.windows(2).all(|w| w[1] >= w[0]));
+            if !once {
+                can.extend([
+                    ("?time_wave", dice.within(1.5, 6.0)),
+                    ("?time_burst", dice.within(-0.7, 0.7)),
+                    ("?time_saw", dice.within(1.5, 4.0)),
+                ]);
+            }
             if run.kind == "feed_sweep" || (run.kind == "ballbar" && !self.speed_constant) {
                 can.extend([("?speed_squared", 0.0), ("?stribeck", 0.0)]);
             }
