@@ -270,6 +270,35 @@ fn find(line: &GpioLine) -> Result<Found, GpioError> {
     found.ok_or_else(|| GpioError::NoLine { place: place(), line: line.line.clone() })
 }
 
+/// The chips that can be opened: name, label, number of lines.
+#[must_use]
+pub fn chips() -> Vec<(String, String, u32)> {
+    let all = gpiocdev::chip::chips().unwrap_or_default();
+    let chips = all.iter().filter_map(|path| Chip::from_path(path).ok());
+    chips.filter_map(|chip| chip.info().ok().map(|info| (info.name, info.label, info.num_lines))).collect()
+}
+
+/// What the kernel says of a line, in words: where it is, its direction, who has it. Nothing is requested.
+///
+/// # Errors
+/// When it is not there.
+pub fn look(line: &GpioLine) -> Result<String, GpioError> {
+    let found = find(line)?;
+    let chip = open_chip(&found.chip.display().to_string())?;
+    let info = chip.line_info(found.offset).map_err(|e| GpioError::Io {
+        op: "reading line information of",
+        chip: path_of(&chip),
+        source: io_of(&e),
+    })?;
+    let way = if info.direction == gpiocdev::line::Direction::Output { "an output" } else { "an input" };
+    let holder = match (info.used, info.consumer.as_str()) {
+        (false, _) => "free".to_owned(),
+        (true, "") => "taken by the kernel".to_owned(),
+        (true, consumer) => format!("taken by \"{consumer}\""),
+    };
+    Ok(format!("{} line {} \"{}\", {way} now, {holder}", chip.name(), info.offset, info.name))
+}
+
 fn flags(line: &GpioLine, output: bool, edges: bool) -> LineFlags {
     let mut flags = if output { LineFlags::OUTPUT } else { LineFlags::INPUT };
     flags.set(LineFlags::ACTIVE_LOW, line.active_low);

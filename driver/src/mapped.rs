@@ -42,12 +42,14 @@ pub enum MapError {
     },
     /// A device that says nowhere how long it is.
     #[error(
-        "{}: found a device of no known size, expected a file of registers, a PCI resource in sysfs, or a UIO device \
-         with maps", path.display()
+        "{}: found a device without map {map}, expected a file of registers, a PCI resource in sysfs, or a UIO device \
+         with that map (/sys/class/uio)", path.display()
     )]
     NoSize {
         /// The device.
         path: PathBuf,
+        /// The map that was looked for.
+        map: u8,
     },
     /// The card is not what the profile describes.
     #[error(transparent)]
@@ -63,39 +65,43 @@ pub struct Registers {
     len: usize,
 }
 
-/// The UIO device `name`'s map: its number (the first that is long enough), where the registers begin in its first page,
-/// and its size.
-fn uio_map(name: &str, len: usize) -> Option<(usize, usize, u64)> {
-    let number = |map: usize, file: &str| {
-        let text = std::fs::read_to_string(format!("/sys/class/uio/{name}/maps/map{map}/{file}")).ok()?;
+/// Where the registers begin in the first page of a UIO device's map, and its size.
+fn uio_map(device: &str, map: u8) -> Option<(usize, u64)> {
+    let number = |file: &str| {
+        let text = std::fs::read_to_string(format!("/sys/class/uio/{device}/maps/map{map}/{file}")).ok()?;
         u64::from_str_radix(text.trim().trim_start_matches("0x"), 16).ok()
     };
-    let maps = (0..5).filter_map(|map| Some((map, number(map, "offset")? as usize, number(map, "size")?)));
-    let maps: Vec<_> = maps.collect();
-    maps.iter().find(|(_, _, size)| *size >= len as u64).or(maps.first()).copied()
+    Some((number("offset")? as usize, number("size")?))
 }
 
 // SAFETY: the mapping belongs to this value alone and is released only when it is dropped, whichever thread holds it.
 unsafe impl Send for Registers {}
 
 impl Registers {
-    /// Maps the first `len` bytes of `path`, shared, uncached where that is the device's choice, for reading and writing.
-    /// Of a UIO device it is the first map that is long enough.
+    /// Maps the first `len` bytes of `path`, shared, for reading and writing; of a UIO device, of its first map.
+    ///
+    /// # Errors
+    /// As [`Registers::open_map`].
+    pub fn open(path: &Path, len: usize, profile: &str) -> Result<Self, MapError> {
+        Self::open_map(path, 0, len, profile)
+    }
+
+    /// Maps the first `len` bytes of a UIO device's map of that number.
     ///
     /// # Errors
     /// When the file cannot be opened or mapped, or is shorter than `len` bytes.
-    pub fn open(path: &Path, len: usize, profile: &str) -> Result<Self, MapError> {
+    pub fn open_map(path: &Path, map: u8, len: usize, profile: &str) -> Result<Self, MapError> {
         let io = |op| move |source| MapError::Io { op, path: path.to_owned(), source };
         let file = File::options().read(true).write(true).custom_flags(libc::O_SYNC).open(path);
         let file = file.map_err(io("opening"))?;
         let metadata = file.metadata().map_err(io("measuring"))?;
         let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
-        let (map, start, found) = if !metadata.file_type().is_char_device() {
-            (0, 0, metadata.len())
-        } else if let Some(map) = uio_map(name, len) {
-            map
+        let (start, found) = if !metadata.file_type().is_char_device() {
+            (0, metadata.len())
+        } else if let Some(found) = uio_map(name, map) {
+            found
         } else {
-            return Err(MapError::NoSize { path: path.to_owned() });
+            return Err(MapError::NoSize { path: path.to_owned(), map });
         };
         let size = NonZeroUsize::new(start + len).filter(|_| len > 0 && found >= len as u64);
         let Some(size) = size else {
@@ -109,7 +115,7 @@ impl Registers {
         // Of a UIO device the offset is the map's number in pages (the kernel's UIO howto, mmap).
         // SAFETY: sysconf only reads a constant of the system.
         let page = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
-        let at = map as i64 * page;
+        let at = i64::from(map) * page;
         // SAFETY: a new shared mapping at an address of the kernel's choice disturbs no other memory of the process.
         let base = unsafe {
             mmap(None, size, ProtFlags::PROT_READ | ProtFlags::PROT_WRITE, MapFlags::MAP_SHARED, &file, at)
@@ -189,9 +195,17 @@ impl<K: Clock> MappedCard<K> {
     /// outputs are taken over as they stand.
     ///
     /// # Errors
-    /// As [`Registers::open`] and [`RegisterCard::new`].
+    /// As [`Registers::open_map`] and [`RegisterCard::new`].
     pub fn open(path: &Path, profile: &Profile, clock: K) -> Result<Self, MapError> {
-        Ok(Self::new(Registers::open(path, profile.size(), &profile.name)?, profile, clock)?)
+        Self::open_map(path, 0, profile, clock)
+    }
+
+    /// The same, of a UIO device's map of that number.
+    ///
+    /// # Errors
+    /// As [`Registers::open_map`] and [`RegisterCard::new`].
+    pub fn open_map(path: &Path, map: u8, profile: &Profile, clock: K) -> Result<Self, MapError> {
+        Ok(Self::new(Registers::open_map(path, map, profile.size(), &profile.name)?, profile, clock)?)
     }
 }
 

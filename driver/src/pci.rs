@@ -76,8 +76,8 @@ pub enum PciError {
     },
     /// The card's command register keeps it from answering.
     #[error(
-        "PCI card {address}: command register {command:#06x} leaves {space} access off although the card is enabled: a \
-         kernel driver may hold it (unbind it), or the firmware gave it no addresses"
+        "PCI card {address}: command register {command:#06x} leaves {space} access off: nobody has enabled the card \
+         (rtecd does), or the firmware gave it no addresses"
     )]
     Off {
         /// The card's place.
@@ -204,34 +204,28 @@ impl Function {
         Ok(Bar { start: *start, size: end - start + 1, space, file })
     }
 
-    /// Enables the card and checks that the BAR is in `space`, has `size` bytes, and is switched on.
+    /// Enables the card and checks its BAR as [`Function::check`] does.
+    ///
+    /// # Errors
+    /// When it is not as wanted, or the system refuses.
+    pub fn prepare(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+        self.fits(bar, space, size)?;
+        let enable = &self.directory.join("enable");
+        let io = |op| move |source| PciError::Io { op, path: enable.clone(), source };
+        if fs::read_to_string(enable).map_err(io("reading"))?.trim() == "0" {
+            fs::write(enable, "1").map_err(io("enabling the card by"))?;
+        }
+        self.check(bar, space, size)
+    }
+
+    /// Checks that the BAR is in `space`, has `size` bytes, and is switched on. Nothing is written.
     ///
     /// # Errors
     /// When it is not so, or the system refuses.
-    pub fn prepare(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
-        let found = self.bar(bar)?;
-        let shown = |space, size| match space {
-            Space::Memory => format!("{size} bytes of memory"),
-            Space::Io => format!("{size} I/O ports"),
-        };
-        if found.space != space || found.size < size as u64 {
-            return Err(self.wrong_bar(
-                bar,
-                shown(found.space, found.size),
-                format!("at least {}", shown(space, size as u64)),
-            ));
-        }
-        let enable = self.directory.join("enable");
-        let io = |op, path: &Path| {
-            let path = path.to_owned();
-            move |source| PciError::Io { op, path, source }
-        };
-        let state = fs::read_to_string(&enable).map_err(io("reading", &enable))?;
-        if state.trim() == "0" {
-            fs::write(&enable, "1").map_err(io("enabling the card by", &enable))?;
-        }
-        let config = self.directory.join("config");
-        let bytes = fs::read(&config).map_err(io("reading", &config))?;
+    pub fn check(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+        let found = self.fits(bar, space, size)?;
+        let path = self.directory.join("config");
+        let bytes = fs::read(&path).map_err(|source| PciError::Io { op: "reading", path, source })?;
         // PCI Local Bus Specification 3.0, 6.2.2: bit 0 of the command register lets it answer to I/O, bit 1 to memory.
         let command = bytes.get(4..6).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
         let (bit, name) = match space {
@@ -242,6 +236,19 @@ impl Function {
             return Err(PciError::Off { address: self.address.clone(), command, space: name });
         }
         Ok(found)
+    }
+
+    fn fits(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+        let found = self.bar(bar)?;
+        if found.space == space && found.size >= size as u64 {
+            return Ok(found);
+        }
+        let shown = |space, size| match space {
+            Space::Memory => format!("{size} bytes of memory"),
+            Space::Io => format!("{size} I/O ports"),
+        };
+        let expected = format!("at least {}", shown(space, size as u64));
+        Err(self.wrong_bar(bar, shown(found.space, found.size), expected))
     }
 
     fn wrong_bar(&self, bar: u8, found: String, expected: String) -> PciError {

@@ -16,7 +16,8 @@ use std::time::{Duration, Instant};
 /// Longest time that anything here may take; nothing is judged by how long it took.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A program of this workspace, built in the profile of the running test.
+/// A program of this workspace, built in the profile of the running test; where there is no cargo, `RTEC_PROGRAMS` names
+/// the directory that holds it.
 ///
 /// # Panics
 /// When it cannot be built.
@@ -24,6 +25,9 @@ const PATIENCE: Duration = Duration::from_secs(60);
 pub fn program(name: &str) -> PathBuf {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     let directory = BUILT.get_or_init(|| {
+        if let Some(directory) = std::env::var_os("RTEC_PROGRAMS") {
+            return directory.into();
+        }
         // …/target[/TRIPLE]/PROFILE/deps/TEST
         let test = std::env::current_exe().unwrap_or_default();
         let profile = test.ancestors().nth(2).unwrap_or(Path::new("")).to_owned();
@@ -257,7 +261,13 @@ impl Machine {
 
     /// Starts the machine on a card's lines, at rest.
     #[must_use]
-    pub fn on(mut card: impl Lines + 'static) -> Self {
+    pub fn on(card: impl Lines + 'static) -> Self {
+        Self::paced(card, EDGE)
+    }
+
+    /// The same, with this time between two edges.
+    #[must_use]
+    pub fn paced(mut card: impl Lines + 'static, between: Duration) -> Self {
         let seen = Arc::new(Seen::default());
         let [moving, glitch, stop] = [(); 3].map(|()| Arc::new(AtomicBool::new(false)));
         let (show, go, both, end) =
@@ -272,7 +282,7 @@ impl Machine {
                 mtc.update(state.inverted(lines.inverters(outputs)));
                 if both.swap(false, Ordering::Relaxed) {
                     state = state.inverted(3);
-                } else if go.load(Ordering::Relaxed) && edge.elapsed() >= EDGE {
+                } else if go.load(Ordering::Relaxed) && edge.elapsed() >= between {
                     edge = Instant::now();
                     up = if scale >= 20 { false } else { up || scale <= -20 };
                     state = state.next(up);

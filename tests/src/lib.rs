@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`daemon`] | a real `rtecd`, a user with `rtecctl`, and a machine at the end of a shared-memory card |
+//! | [`gpio_sim`] | the kernel's simulated GPIO lines, from outside |
 //! | [`judge`] | LinuxCNC's `encoder` component and sigrok's graycode decoder as counters of a trace |
 //! | [`ledger`] | what a corrected trace must count, from the scale's trace and the order of the inversions |
 //! | [`workload`] | three axes on a card in memory: what benchmarks time |
@@ -11,6 +12,7 @@
 //! | [`planted`] | corrected traces made without the engine, right ones and wrong ones: the judges' own test |
 
 pub mod daemon;
+pub mod gpio_sim;
 pub mod judge;
 pub mod ledger;
 pub mod machine;

@@ -4,7 +4,8 @@
 //! |---|---|---|---|---|
 //! | `[machine]` | `name` | – | must be there | the machine, as `status` shows it |
 //! | `[card]` | `backend` | – | must be there | `mock`, `gpio`, `mapped`, `port` or `replay` |
-//! | | `file` | – | – | `mapped`: the file of registers (shared memory, `/dev/uioN`) |
+//! | | `file` | – | – | `mapped`: the file of registers |
+//! | | `uio`, `map` | – | –, 0 | `mapped`: a UIO device, as `/dev/uio0`, and which of its maps |
 //! | | `pci`, `bar` | – | the profile's | `mapped`, `port`: the card, as `vendor:device` or by its address, and which BAR |
 //! | | `parport`, `io` | – | – | `port`: a parallel port through `ppdev`, or the first of its I/O ports |
 //! | | `profile` | – | `shared-memory`, `parallel-port` | `mapped`, `port`: what the registers mean; `rtecctl card list` |
@@ -107,8 +108,10 @@ pub enum CardConfig {
 /// Where mapped registers are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum MappedPlace {
-    /// A file: shared memory, a UIO device, a resource in sysfs.
+    /// A file: shared memory, a resource in sysfs.
     File(PathBuf),
+    /// A UIO device, and which of its maps.
+    Uio(PathBuf, u8),
     /// A BAR of a PCI card.
     Pci(PciId, u8),
 }
@@ -579,8 +582,15 @@ fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut
         }
     } else {
         let file = section.string(source, "file", "the path of the file of registers");
-        places += usize::from(file.is_some());
+        let uio = section.string(source, "uio", "a UIO device, as \"/dev/uio0\"");
+        let map = section.integer(source, "map", 0..=4);
+        places += usize::from(file.is_some()) + usize::from(uio.is_some());
         card.mapped = file.map(|at| MappedPlace::File(path(at)));
+        let uio_map = map.map_or(0, |m| m.value as u8);
+        card.mapped = card.mapped.take().or(uio.map(|at| MappedPlace::Uio(path(at), uio_map)));
+        if let (Some(at), None) = (map, uio) {
+            source.finding(at.offset, "map without uio", "uio = \"/dev/uio0\" beside it");
+        }
     }
     let space = if port { Space::Io } else { Space::Memory };
     if let Some(place) = place.filter(|p| p.space != space) {
@@ -610,12 +620,16 @@ fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut
                 "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"",
             )
         } else {
-            ("file or pci", "where the registers are: a path, or a card's \"vendor:device\"")
+            (
+                "file, uio or pci",
+                "where the registers are: a path, \"/dev/uio0\", or a card's \"vendor:device\"",
+            )
         };
         section.missing(source, key, meaning);
     }
     if places > 1 {
-        let found = if port { "more than one of parport, io and pci" } else { "file and pci" };
+        let found =
+            if port { "more than one of parport, io and pci" } else { "more than one of file, uio and pci" };
         source.finding(section.offset, found, "one place where the registers are");
     }
     let no_pci = pci_at.is_none() && (places > 0 || place.is_none());

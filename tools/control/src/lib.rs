@@ -6,6 +6,7 @@
 //! | [`protocol`] | requests and answers of the control socket |
 //! | [`client`] | the client's end of it |
 
+pub mod card;
 pub mod client;
 pub mod config;
 pub mod protocol;

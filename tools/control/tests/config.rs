@@ -158,6 +158,9 @@ fn registers_are_where_the_file_or_else_the_profile_says() {
             format!("memory of {id}, BAR {bar}")
         }
         Ok(CardConfig::Mapped { place: MappedPlace::File(file), .. }) => format!("file {}", file.display()),
+        Ok(CardConfig::Mapped { place: MappedPlace::Uio(file, map), .. }) => {
+            format!("map {map} of {}", file.display())
+        }
         Ok(CardConfig::Port { place: PortPlace::Pci(id, bar), .. }) => format!("ports of {id}, BAR {bar}"),
         Ok(CardConfig::Port { place: PortPlace::Parport(file), .. }) => format!("parport {}", file.display()),
         Ok(CardConfig::Port { place: PortPlace::Io(base), .. }) => format!("ports {base:#x}"),
@@ -166,7 +169,8 @@ fn registers_are_where_the_file_or_else_the_profile_says() {
     let mapped = |rest: &str| place(&format!("backend = \"mapped\"\n{rest}"));
     let port = |rest: &str| place(&format!("backend = \"port\"\n{rest}"));
     assert_eq!(mapped("profile = \"shared-memory\""), "memory of 1af4:1110, BAR 2");
-    assert_eq!(mapped("file = \"/dev/uio0\""), "file /dev/uio0");
+    assert_eq!(mapped("uio = \"/dev/uio0\"\nmap = 1"), "map 1 of /dev/uio0");
+    assert_eq!(mapped("file = \"regs\""), "file regs");
     assert_eq!(mapped("pci = \"0000:00:04.0\"\nbar = 0"), "memory of 0000:00:04.0, BAR 0");
     assert_eq!(port("parport = \"/dev/parport0\""), "parport /dev/parport0");
     assert_eq!(port("io = 0x378"), "ports 0x378");
@@ -177,13 +181,14 @@ fn registers_are_where_the_file_or_else_the_profile_says() {
 #[test]
 fn a_place_that_cannot_be_is_explained() {
     for (card, wants) in [
+        ("backend = \"mapped\"\nfile = \"x\"\nmap = 2", "found map without uio"),
         (
             "backend = \"port\"",
             "no parport, io or pci in [card], expected parport, io or pci: where the ports are",
         ),
         (
             "backend = \"mapped\"\nprofile = \"counter-card\"",
-            "no file or pci in [card], expected file or pci: where",
+            "no file, uio or pci in [card], expected file, uio or pci",
         ),
         ("backend = \"mapped\"\nprofile = \"8255-pci\"", "of I/O ports, expected backend = \"port\""),
         (
@@ -195,7 +200,10 @@ fn a_place_that_cannot_be_is_explained() {
             "backend = \"mapped\"\npci = \"1af4\"",
             "found pci = \"1af4\", expected vendor:device as \"1af4:1110\"",
         ),
-        ("backend = \"mapped\"\npci = \"1af4:1110\"\nfile = \"x\"", "found file and pci, expected one place"),
+        (
+            "backend = \"mapped\"\npci = \"1af4:1110\"\nfile = \"x\"",
+            "found more than one of file, uio and pci",
+        ),
         ("backend = \"mapped\"\nfile = \"x\"\nbar = 2", "found bar without pci"),
         (
             "backend = \"port\"\nio = 0x378\nparport = \"/dev/parport0\"",

@@ -18,6 +18,7 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Demo(verbs::demo::Args),
+    Card(verbs::card::Args),
     Characterise(verbs::characterise::Args),
     Commission(verbs::commission::Args),
     Completions(verbs::completions::Args),
@@ -65,6 +66,7 @@ pub(crate) enum Outcome {
 fn main() -> ExitCode {
     let done = match Cli::parse().verb {
         Verb::Demo(args) => verbs::demo::run(&args),
+        Verb::Card(args) => verbs::card::run(&args),
         Verb::Characterise(args) => verbs::characterise::run(&args),
         Verb::Commission(args) => verbs::commission::run(&args),
         Verb::Completions(args) => verbs::completions::run(&args),

@@ -2,22 +2,15 @@
 
 use crate::Failure;
 use nix::sys::statfs::{SYSFS_MAGIC, statfs};
-use rtec_control::config::{Config, MappedPlace, Simulated};
+use rtec_control::config::{Config, Simulated};
 use rtec_driver::card::AxisLines;
 use rtec_driver::clock::Monotonic;
-use rtec_driver::gpio::{GpioCard, GpioSetup};
 use rtec_driver::input::InputError;
-use rtec_driver::mapped::MappedCard;
 use rtec_driver::mock::{MockCard, Wires};
 use rtec_driver::moving::{Motion, MovingAxes, Truth};
-use rtec_driver::pci::{self, PciId};
-use rtec_driver::port::{Parport, Ports};
-use rtec_driver::profile::{Profile, Space};
-use rtec_driver::registers::RegisterCard;
 use rtec_driver::trace::{TracePoint, TraceReader};
 use rtec_part::fit::Zx;
 use rtec_part::lathe::{Cuts, Duty, LatheWires};
-use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -182,49 +175,6 @@ pub(crate) fn replay(
         axes.push(Recorded { lines: axis.engine.lines, points, at: 0 });
     }
     Ok(MockCard::new(Recordings { axes, start_ns: None, now_ns: 0 }, Monotonic))
-}
-
-/// GPIO lines; `kept` are the output requests of the process before.
-pub(crate) fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>, Failure> {
-    GpioCard::open(setup, kept, Monotonic).map_err(unreachable)
-}
-
-fn unreachable(error: impl std::fmt::Display) -> Failure {
-    Failure::Unreachable(error.to_string())
-}
-
-/// The file that the mapped registers are in: of a PCI card the BAR's, once the card is enabled.
-pub(crate) fn register_file(place: &MappedPlace, profile: &Profile) -> Result<PathBuf, Failure> {
-    match place {
-        MappedPlace::File(file) => Ok(file.clone()),
-        MappedPlace::Pci(id, bar) => {
-            let card = pci::find(id).map_err(unreachable)?;
-            Ok(card.prepare(*bar, Space::Memory, profile.size()).map_err(unreachable)?.file)
-        }
-    }
-}
-
-/// A file of registers.
-pub(crate) fn mapped(file: &Path, profile: &Profile) -> Result<MappedCard<Monotonic>, Failure> {
-    MappedCard::open(file, profile, Monotonic).map_err(unreachable)
-}
-
-/// A parallel port by its driver.
-pub(crate) fn parport(file: &Path, profile: &Profile) -> Result<RegisterCard<Parport, Monotonic>, Failure> {
-    let port = Parport::open(file).map_err(unreachable)?;
-    RegisterCard::new(port, profile, Monotonic).map_err(unreachable)
-}
-
-/// The first I/O port of a BAR, once the card is enabled.
-pub(crate) fn io_bar(id: &PciId, bar: u8, profile: &Profile) -> Result<u16, Failure> {
-    let card = pci::find(id).map_err(unreachable)?;
-    Ok(card.prepare(bar, Space::Io, profile.size()).map_err(unreachable)?.start as u16)
-}
-
-/// I/O ports by the processor's own instructions.
-pub(crate) fn ports(base: u16, profile: &Profile) -> Result<RegisterCard<Ports, Monotonic>, Failure> {
-    let ports = Ports::open(base, profile.size()).map_err(unreachable)?;
-    RegisterCard::new(ports, profile, Monotonic).map_err(unreachable)
 }
 
 /// A plain file (shared memory) drives nothing: whoever plays the card is another program. A device, or a PCI resource

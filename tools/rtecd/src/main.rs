@@ -26,6 +26,7 @@ use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
+use rtec_control::card::{self, OpenError};
 use rtec_control::config::{CardConfig, Config, Findings, PortPlace};
 use rtec_driver::card::Card;
 use rtec_driver::input::InputError;
@@ -93,6 +94,9 @@ fn exit_code(error: &anyhow::Error) -> u8 {
     if error.is::<InputError>() || error.is::<Findings>() {
         return 2;
     }
+    if error.is::<OpenError>() {
+        return 3;
+    }
     match error.downcast_ref::<Failure>() {
         Some(Failure::Unreachable(_)) => 3,
         Some(Failure::Fault(_)) => 4,
@@ -148,7 +152,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             work(card, config, Kind::Harmless, outside, log)
         }
         CardConfig::Gpio(setup) => {
-            let card = cards::gpio(&setup, kept)?;
+            let card = card::gpio(&setup, kept)?;
             // Before anything is inverted: from here on the lines outlive this process.
             for (name, fd) in card.kept() {
                 if !outside.manager.keep(&name, fd)? {
@@ -162,19 +166,19 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             work(card, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            work(cards::parport(&file, &profile)?, config, Kind::Real, outside, log)
+            work(card::parport(&file, &profile)?, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            work(cards::ports(base, &profile)?, config, Kind::Real, outside, log)
+            work(card::ports(base, &profile)?, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let base = cards::io_bar(&id, bar, &profile)?;
-            work(cards::ports(base, &profile)?, config, Kind::Real, outside, log)
+            let base = card::io_bar(&id, bar, &profile)?;
+            work(card::ports(base, &profile)?, config, Kind::Real, outside, log)
         }
         CardConfig::Mapped { place, profile } => {
-            let file = cards::register_file(&place, &profile)?;
+            let (file, map) = card::register_file(&place, &profile)?;
             let _card_lock = lock(&file, "card")?;
-            let card = cards::mapped(&file, &profile)?;
+            let card = card::mapped(&file, map, &profile)?;
             let real = cards::drives_a_machine(&file)?;
             work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside, log)
         }

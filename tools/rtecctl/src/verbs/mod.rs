@@ -1,5 +1,6 @@
 //! One file per verb: its options and one function.
 
+pub(crate) mod card;
 pub(crate) mod characterise;
 pub(crate) mod clear;
 pub(crate) mod commission;

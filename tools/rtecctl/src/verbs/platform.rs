@@ -80,7 +80,7 @@ fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
         CardConfig::Gpio(setup) => (gpio_chips(setup)?, setup.events),
         CardConfig::Mapped { place, .. } => {
             let device = match place {
-                MappedPlace::File(file) => Device::of_file(file),
+                MappedPlace::File(file) | MappedPlace::Uio(file, _) => Device::of_file(file),
                 MappedPlace::Pci(id, bar) => Device::Bar(id.clone(), *bar),
             };
             (vec![device], false)

@@ -1,0 +1,405 @@
+//! `rtecctl card`: which cards this program knows, which are here, and what their lines say.
+
+use crate::Outcome;
+use anyhow::Context;
+use clap::Subcommand;
+use rtec_control::card;
+use rtec_control::config::{CardConfig, Config, MappedPlace, PortPlace};
+use rtec_driver::card::Card;
+use rtec_driver::gpio::{self, GpioSetup};
+use rtec_driver::input::InputError;
+use rtec_driver::mapped::Registers;
+use rtec_driver::pci;
+use rtec_driver::port::{Parport, Ports};
+use rtec_driver::profile::{Place, Profile, SHIPPED, Space};
+use rtec_driver::registers::Bus;
+use serde_json::{Value, json};
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
+
+/// Cards: those known, those in this machine, and the lines of one
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// The card profiles that come with this program, and what is in this machine
+    List {
+        /// Print one JSON document
+        #[arg(long)]
+        json: bool,
+    },
+    /// A card profile: where its registers are, its lines, and the datasheet it comes from
+    Show {
+        /// Name of a profile, or a profile's file
+        profile: String,
+        /// Print its text, as a start for your own
+        #[arg(long)]
+        toml: bool,
+    },
+    /// Read the lines of the card that a configuration names; nothing is written unless --drive says so
+    Probe {
+        /// The configuration
+        #[arg(long, value_name = "FILE", default_value = "/etc/rtec/rtec.toml")]
+        config: PathBuf,
+        /// Switch each output on and off again. THE MTC MUST BE OFF: every inverter that is switched moves its axis
+        #[arg(long)]
+        drive: bool,
+        /// The MTC is off: do not ask
+        #[arg(long, requires = "drive")]
+        mtc_is_off: bool,
+    },
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    match &args.what {
+        What::List { json } => list(*json),
+        What::Show { profile, toml } => show(profile, *toml),
+        What::Probe { config, drive, mtc_is_off } => {
+            let config = Config::load(config)?;
+            if !drive {
+                return probe(&config);
+            }
+            if !mtc_is_off {
+                confirm()?;
+            }
+            drive_outputs(&config)
+        }
+    }
+}
+
+/// The backend that a profile's registers belong to.
+fn backend(profile: &Profile, name: &str) -> &'static str {
+    let ports = profile.pci.is_some_and(|p| p.space == Space::Io) || name == "parallel-port";
+    if ports { "port" } else { "mapped" }
+}
+
+fn list(as_json: bool) -> anyhow::Result<()> {
+    let mut profiles = Vec::new();
+    for (name, _) in SHIPPED {
+        // A name of the list itself.
+        let Some(p) = Profile::shipped(name) else { continue };
+        let id = p.pci.map(|p| format!("{:04x}:{:04x}", p.id.0, p.id.1));
+        profiles.push(json!({"profile": name, "backend": backend(&p, name), "name": p.name, "pci": id}));
+    }
+    let chips: Vec<_> = gpio::chips()
+        .into_iter()
+        .map(|(chip, label, lines)| json!({"chip": chip, "label": label, "lines": lines}))
+        .collect();
+    let cards: Vec<_> = pci::functions()
+        .into_iter()
+        .filter_map(|f| {
+            let is = |(name, _): &&(&str, &str)| Profile::shipped(name)?.pci.map(|p| p.id == f.id);
+            let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
+            Some(json!({"address": f.address, "pci": format!("{:04x}:{:04x}", f.id.0, f.id.1), "profile": name}))
+        })
+        .collect();
+    let devices = |prefix: &str| -> Vec<String> {
+        let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten();
+        let names = entries.filter_map(|e| e.file_name().into_string().ok());
+        let digits = |rest: &str| !rest.is_empty() && rest.bytes().all(|b| b.is_ascii_digit());
+        let mut found: Vec<_> = names
+            .filter(|n| n.strip_prefix(prefix).is_some_and(digits))
+            .map(|n| format!("/dev/{n}"))
+            .collect();
+        found.sort();
+        found
+    };
+    let (parports, uio) = (devices("parport"), devices("uio"));
+    if as_json {
+        let here = json!({"gpio": chips, "pci": cards, "parport": parports, "uio": uio});
+        println!("{}", serde_json::to_string_pretty(&json!({"profiles": profiles, "here": here}))?);
+        return Ok(());
+    }
+    let text = |value: &Value, key: &str| match &value[key] {
+        Value::String(text) => text.clone(),
+        Value::Null => "–".to_owned(),
+        other => other.to_string(),
+    };
+    println!("profiles (rtecctl card show NAME):");
+    for p in &profiles {
+        println!(
+            "  {:<15} {:<7} {:<10} {}",
+            text(p, "profile"),
+            text(p, "backend"),
+            text(p, "pci"),
+            text(p, "name")
+        );
+    }
+    println!("in this machine:");
+    for c in &chips {
+        println!("  gpio     {} \"{}\", {} lines", text(c, "chip"), text(c, "label"), text(c, "lines"));
+    }
+    for c in &cards {
+        println!("  pci      {} {}, profile {}", text(c, "address"), text(c, "pci"), text(c, "profile"));
+    }
+    for (kind, found) in [("parport", &parports), ("uio", &uio)] {
+        for device in found {
+            println!("  {kind:<8} {device}");
+        }
+    }
+    if chips.is_empty() && cards.is_empty() && parports.is_empty() && uio.is_empty() {
+        println!("  nothing that this program knows, or nothing that you may open");
+    }
+    Ok(())
+}
+
+fn show(name: &str, as_toml: bool) -> anyhow::Result<()> {
+    let path = Path::new(name);
+    let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
+    let text = match shipped {
+        Some((_, text)) => (*text).to_owned(),
+        None => std::fs::read_to_string(path).map_err(|e| {
+            let names = SHIPPED.map(|(name, _)| name).join(", ");
+            InputError::whole(path, e.to_string(), format!("the path of a card profile, or one of {names}"))
+        })?,
+    };
+    if as_toml {
+        print!("{text}");
+        return Ok(());
+    }
+    let p = Profile::parse(path, &text)?;
+    println!("{}", p.name);
+    println!("  source   {}", p.source);
+    println!("  backend  {}", backend(&p, name));
+    if let Some(place) = p.pci {
+        println!("  pci      {:04x}:{:04x}, BAR {}, {:?}", place.id.0, place.id.1, place.bar, place.space);
+    }
+    for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
+        let at: Vec<_> =
+            registers.iter().map(|r| format!("{:#x} ({} bits)", r.offset, r.width.bits())).collect();
+        println!("  {what:<8} {}", at.join(", "));
+    }
+    for s in &p.setup {
+        let (offset, value) = (s.order.register.offset, s.order.value);
+        println!(
+            "  set up   {offset:#x} = {value:#x}, once, when it reads {:#x} after a reset",
+            s.after_reset
+        );
+    }
+    for c in &p.counters {
+        let flags = [("overflow", c.overflow), ("error", c.error)];
+        let flags: Vec<_> = flags.iter().filter_map(|(name, f)| f.map(|_| *name)).collect();
+        println!(
+            "  counter  of inputs {} and {} at {:#x}; flags: {}",
+            c.lines.0,
+            c.lines.1,
+            c.count.offset,
+            flags.join(", ")
+        );
+    }
+    for (line, place) in &p.lines {
+        let (what, bit, inverted) = match place {
+            Place::Input(bit) => ("input", bit, p.input_invert),
+            Place::Output(bit) => ("output", bit, p.output_invert),
+        };
+        println!(
+            "  line     {line:<10} {what} {bit}{}",
+            if inverted >> bit & 1 == 1 { ", active low" } else { "" }
+        );
+    }
+    Ok(())
+}
+
+/// What a person calls the wired lines: name, bit, and whether it is an output.
+fn wired(config: &Config) -> Vec<(String, u8, bool)> {
+    let mut lines = Vec::new();
+    for axis in &config.axes {
+        let l = &axis.engine.lines;
+        let mut add = |key, bit, output| lines.push((format!("{}.{key}", axis.name), bit, output));
+        add("a", l.a, false);
+        add("b", l.b, false);
+        if let Some((a, b)) = l.read_back {
+            add("read_back_a", a, false);
+            add("read_back_b", b, false);
+        }
+        add("invert_a", l.invert_a, true);
+        add("invert_b", l.invert_b, true);
+    }
+    let l = config.lines;
+    for (key, bit, output) in
+        [("probe", l.probe, false), ("disable", l.disable, false), ("hold", l.hold, true)]
+    {
+        lines.extend(bit.map(|bit| (key.to_owned(), bit, output)));
+    }
+    lines
+}
+
+fn no_lines(config: &Config) -> anyhow::Error {
+    let text = format!(
+        "backend \"{}\" has no lines outside the daemon: there is nothing to probe",
+        config.card.backend()
+    );
+    Outcome::Bad(text).into()
+}
+
+fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
+    Outcome::Unreachable(error.to_string()).into()
+}
+
+/// Reads every line without requesting, enabling or setting up anything.
+fn probe(config: &Config) -> anyhow::Result<()> {
+    let (inputs, outputs) = match &config.card {
+        CardConfig::Mock | CardConfig::Replay { .. } => return Err(no_lines(config)),
+        CardConfig::Gpio(setup) => return probe_gpio(config, setup),
+        CardConfig::Mapped { place, profile } => {
+            let (file, map) = match place {
+                MappedPlace::File(file) => (file.clone(), 0),
+                MappedPlace::Uio(file, map) => (file.clone(), *map),
+                MappedPlace::Pci(id, bar) => {
+                    let card = pci::find(id).map_err(unreachable)?;
+                    (card.check(*bar, Space::Memory, profile.size()).map_err(unreachable)?.file, 0)
+                }
+            };
+            let registers = Registers::open_map(&file, map, profile.size(), &profile.name);
+            read_registers(&registers.map_err(unreachable)?, profile)?
+        }
+        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
+            read_registers(&Parport::open(file).map_err(unreachable)?, profile)?
+        }
+        CardConfig::Port { place: PortPlace::Io(base), profile } => {
+            read_registers(&Ports::open(*base, profile.size()).map_err(unreachable)?, profile)?
+        }
+        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
+            let card = pci::find(id).map_err(unreachable)?;
+            let base = card.check(*bar, Space::Io, profile.size()).map_err(unreachable)?.start as u16;
+            read_registers(&Ports::open(base, profile.size()).map_err(unreachable)?, profile)?
+        }
+    };
+    for (name, bit, output) in wired(config) {
+        let word = if output { outputs } else { inputs };
+        println!(
+            "  {name:<16} {:<6} bit {bit:<3} {}",
+            if output { "output" } else { "input" },
+            word >> bit & 1
+        );
+    }
+    Ok(())
+}
+
+/// Prints every register and returns the input and the output word, polarity taken out.
+fn read_registers(bus: &impl Bus, profile: &Profile) -> anyhow::Result<(u64, u64)> {
+    println!("{}", profile.name);
+    let read = |registers: &[rtec_driver::profile::Register], what: &str| -> anyhow::Result<u64> {
+        let (mut word, mut shift) = (0, 0);
+        for r in registers {
+            let value = bus.read(r.offset, r.width).map_err(unreachable)?;
+            println!(
+                "  register {:#04x} {what:<7} {value:#0width$x}",
+                r.offset,
+                width = r.width.bits() as usize / 4 + 2
+            );
+            word |= u64::from(value) << shift;
+            shift += r.width.bits();
+        }
+        Ok(word)
+    };
+    let inputs = read(&profile.inputs, "input")? ^ profile.input_invert;
+    let outputs = read(&profile.outputs, "output")? ^ profile.output_invert;
+    for s in &profile.setup {
+        let register = s.order.register;
+        let found = bus.read(register.offset, register.width).map_err(unreachable)?;
+        let is = match found {
+            found if found == s.order.value => "set up",
+            found if found == s.after_reset => "after a reset: rtecd sets it up",
+            _ => "neither set up nor after a reset: is this the card?",
+        };
+        println!("  register {:#04x} set-up  {found:#x}: {is}", register.offset);
+    }
+    Ok((inputs, outputs))
+}
+
+/// What the kernel says of the lines, without requesting them: requesting an output makes it one.
+fn probe_gpio(config: &Config, setup: &GpioSetup) -> anyhow::Result<()> {
+    for (name, bit, output) in wired(config) {
+        let line = if output {
+            setup.outputs.iter().find(|o| o.bit == bit).map(|o| &o.line)
+        } else {
+            setup.inputs.iter().find(|i| i.bit == bit).map(|i| &i.line)
+        };
+        let line = line.context("a wired line is in the set-up")?;
+        let found = gpio::look(line).map_err(unreachable)?;
+        println!("  {name:<16} {:<6} {found}", if output { "output" } else { "input" });
+    }
+    Ok(())
+}
+
+fn confirm() -> anyhow::Result<()> {
+    const PHRASE: &str = "the MTC is off";
+    eprintln!(
+        "WARNING: every output of this card is switched on and off again, one after the other. An inverter that is switched\n\
+         makes the MTC count, and its axis MOVES. Switch the MTC off first. Type: {PHRASE}"
+    );
+    std::io::stderr().flush()?;
+    let mut answer = String::new();
+    std::io::stdin().lock().read_line(&mut answer)?;
+    if answer.trim() != PHRASE {
+        return Err(Outcome::No("nothing was written".to_owned()).into());
+    }
+    Ok(())
+}
+
+fn drive_outputs(config: &Config) -> anyhow::Result<()> {
+    match &config.card {
+        CardConfig::Mock | CardConfig::Replay { .. } => Err(no_lines(config)),
+        CardConfig::Gpio(setup) => {
+            // Levels are read as they are at the moment; edges would have to be waited for.
+            let setup = GpioSetup { events: false, ..setup.clone() };
+            drive(config, &mut card::gpio(&setup, Vec::new()).map_err(unreachable)?)
+        }
+        CardConfig::Mapped { place, profile } => {
+            let (file, map) = card::register_file(place, profile).map_err(unreachable)?;
+            drive(config, &mut card::mapped(&file, map, profile).map_err(unreachable)?)
+        }
+        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
+            drive(config, &mut card::parport(file, profile).map_err(unreachable)?)
+        }
+        CardConfig::Port { place: PortPlace::Io(base), profile } => {
+            drive(config, &mut card::ports(*base, profile).map_err(unreachable)?)
+        }
+        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
+            let base = card::io_bar(id, *bar, profile).map_err(unreachable)?;
+            drive(config, &mut card::ports(base, profile).map_err(unreachable)?)
+        }
+    }
+}
+
+/// Switches each output over and back, reads it back each time, and says which inputs follow.
+fn drive<C: Card>(config: &Config, card: &mut C) -> anyhow::Result<()> {
+    let lines = wired(config);
+    let mut wrong = 0;
+    for (name, bit, _) in lines.iter().filter(|(_, _, output)| *output) {
+        let mask = 1 << bit;
+        let before = card.outputs().map_err(unreachable)?;
+        let inputs = card.sample(0).map_err(unreachable)?.inputs;
+        card.write(mask, !before & mask).map_err(unreachable)?;
+        let (switched, followed) = (card.outputs(), card.sample(0));
+        // Whatever was read: the line goes back first.
+        card.write(mask, before & mask).map_err(unreachable)?;
+        let back = card.outputs().map_err(unreachable)?;
+        let changed = followed.map_err(unreachable)?.inputs ^ inputs;
+        let ok = switched.map_err(unreachable)? == before ^ mask && back == before;
+        wrong += usize::from(!ok);
+        let follows: Vec<&str> = lines
+            .iter()
+            .filter(|(_, bit, output)| !output && changed >> bit & 1 == 1)
+            .map(|(name, ..)| name.as_str())
+            .collect();
+        println!(
+            "  {name:<16} {}; {}",
+            if ok { "switched, read back, switched back" } else { "DOES NOT READ BACK what was written" },
+            if follows.is_empty() {
+                "no input followed".to_owned()
+            } else {
+                format!("followed by {}", follows.join(", "))
+            }
+        );
+    }
+    if wrong > 0 {
+        return Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into());
+    }
+    Ok(())
+}
