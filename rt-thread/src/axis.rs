@@ -318,6 +318,22 @@ impl Axis {
     }
 
     /// Latches a fault; `true` when it is new.
+    /// Whether four counts may have passed unseen since the look at `since_ns`: the axis was on its way, and the time
+    /// was enough for them. Four counts look like none.
+    pub(crate) fn may_have_turned_round(&self, sample: &Sample, since_ns: u64) -> bool {
+        let Some((_, last_ns)) = self.last_edge else { return false };
+        let gap_ns = sample.t_ns - since_ns;
+        self.homed
+            && sample.complete >> self.config.lines.a & 1 == 0
+            && gap_ns > self.gate.need_ns()
+            && self.period_ns.is_none_or(|ns| since_ns.saturating_sub(last_ns) < ns.saturating_mul(2))
+            && self.gate.travel_ns(self.period_ns.unwrap_or(u64::MAX), 4.0) < gap_ns as f64
+    }
+
+    pub(crate) fn need_ns(&self) -> u64 {
+        self.gate.need_ns()
+    }
+
     pub(crate) fn latch(&mut self, fault: Fault) -> bool {
         if fault.loses_home() {
             self.homed = false;

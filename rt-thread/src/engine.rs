@@ -65,6 +65,8 @@ pub struct Engine {
     faults: Faults,
     mode: Mode,
     journal: Option<Journal>,
+    /// A look that comes later than this after the one before may have missed counts of some axis.
+    late_ns: u64,
     poll_gap_ns: Recorder,
     edge_to_done_ns: Recorder,
     timing: Timing,
@@ -109,6 +111,7 @@ impl Engine {
         }
         let (poll_gap_ns, gap_reader) = histogram();
         let (edge_to_done_ns, done_reader) = histogram();
+        let late_ns = all.iter().map(Axis::need_ns).min().unwrap_or(u64::MAX);
         let mut engine = Self {
             axes: all.into_boxed_slice(),
             machine,
@@ -128,6 +131,7 @@ impl Engine {
             faults: Faults::NONE,
             mode: Mode::Disabled,
             journal: None,
+            late_ns,
             poll_gap_ns,
             edge_to_done_ns,
             timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
@@ -211,7 +215,12 @@ impl Engine {
         // The first look comes after the thread's set-up, not after another look.
         match sample.edge_ns {
             Some(edge_ns) if C::SLEEPS => self.poll_gap_ns.record(sample.t_ns.saturating_sub(edge_ns)),
-            None if !C::SLEEPS && self.polls > 1 => self.poll_gap_ns.record(sample.t_ns - since_ns),
+            None if !C::SLEEPS && self.polls > 1 => {
+                self.poll_gap_ns.record(sample.t_ns - since_ns);
+                if sample.t_ns - since_ns > self.late_ns {
+                    self.looked_late(&sample, since_ns, tell);
+                }
+            }
             _ => {}
         }
         if let Some(trouble) = sample.trouble {
@@ -222,6 +231,23 @@ impl Engine {
             return Ok(());
         }
         self.work(card, sample, changed, since_ns, tell)
+    }
+
+    /// After a look that came late, an axis that was moving and shows no change may have moved by whole cycles.
+    #[cold]
+    fn looked_late(&mut self, sample: &Sample, since_ns: u64, tell: &mut impl FnMut(Event) -> bool) {
+        let changed = sample.inputs ^ self.inputs;
+        for n in 0..self.axes.len() {
+            let axis = &mut self.axes[n];
+            if changed & axis.lines().input_mask() == 0
+                && axis.may_have_turned_round(sample, since_ns)
+                && axis.latch(Fault::PollGap)
+            {
+                self.say(Some(n as u8), EventKind::Fault(Fault::PollGap), tell);
+                // The mode is worked out anew at this very look.
+                self.wake_ns = 0;
+            }
+        }
     }
 
     /// Latches what the card found, for every axis that it concerns, or for the machine where it concerns none.

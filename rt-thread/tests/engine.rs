@@ -454,6 +454,28 @@ fn an_axis_that_is_not_there_is_refused() {
 }
 
 #[test]
+fn an_axis_on_its_way_that_shows_no_change_after_a_late_look_may_have_gone_round() {
+    for (late_ns, latched) in [(1_000_000, false), (10_000_000, true)] {
+        let mut rig = Rig::running(windowed());
+        rig.step(1);
+        // Four counts later the lines are as they were.
+        rig.card.count += 4;
+        rig.card.t_ns += late_ns;
+        rig.looks(1);
+        assert_eq!(rig.faults().contains(&Fault::PollGap), latched, "{late_ns} ns late");
+        assert_eq!(rig.status().mode == Mode::Fault, latched, "{late_ns} ns late");
+    }
+    // One that came to rest is not accused.
+    let mut rig = Rig::running(windowed());
+    rig.step(3);
+    rig.looks(1000);
+    rig.faults();
+    rig.card.t_ns += 10_000_000;
+    rig.looks(1);
+    assert!(!rig.faults().contains(&Fault::PollGap));
+}
+
+#[test]
 fn a_late_look_before_the_second_edge_is_judged_from_rest() {
     // From rest at 1e6 counts/s² three counts take 2.4 ms: 1 ms is no loss of counts, 10 ms may be.
     for (late_ns, latched) in [(1_000_000, false), (10_000_000, true)] {
