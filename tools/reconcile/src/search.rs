@@ -37,6 +37,13 @@ pub(crate) struct AtPhi {
 /// How far from a grid the places may lie that a wave cannot tell from it, in periods.
 pub(crate) const GRID_SHARE: f64 = 0.02;
 
+/// Rows from which on frequencies far up are tried: among a million of them one fits a few dozen rows by chance.
+const FAR_ROWS: usize = 300;
+/// Largest amplitude of an interpolation error, in periods of the signal: within a period it is an error of the reading.
+const MOST_PERIODS: f64 = 2.0;
+/// Turns over the whole extent below which what a wave shows on a grid is no wave.
+const SLOWEST_TURNS: f64 = 1.5;
+
 /// An accepted explanation inside a set.
 #[derive(Debug, Clone)]
 pub(crate) struct Member {
@@ -432,7 +439,7 @@ impl<'p, 'r> Search<'p, 'r> {
             }
             peaks(&mut power, from, step, list);
         }
-        if wanted > MOST_FREQUENCIES {
+        if wanted > MOST_FREQUENCIES && rows.len() >= FAR_ROWS {
             // Far up every wave is as good as random from row to row, so that one look with the noise's own
             // coefficient serves, on a coarser grid.
             let from = from + step * MOST_FREQUENCIES;
@@ -474,7 +481,12 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut best: Option<(f64, f64, Vec<Vec<f64>>)> = None;
         for f0 in peaks {
             let best_before = best.as_ref().map(|b| b.0);
+            let grid = wave.effect.as_ref().and_then(|_| pitch(&places, GRID_SHARE / f0));
             let mut eval = |f: f64| {
+                // On a grid whose pitch is a whole number of periods a wave is a constant or a slow bow, and no wave.
+                if grid.is_some_and(|pitch| ((f * pitch).round() / pitch - f).abs() * span < SLOWEST_TURNS) {
+                    return f64::NEG_INFINITY;
+                }
                 let columns = self.wave_columns(wave, f);
                 let score = self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, 2);
                 if best.as_ref().is_none_or(|b| score > b.0) {
@@ -523,6 +535,9 @@ impl<'p, 'r> Search<'p, 'r> {
                 (score, f, columns) = near[i].clone();
             }
         }
+        if wave.unit < 1.0 && self.amplitude(set, &columns) > MOST_PERIODS / (f * wave.unit) {
+            return None;
+        }
         let cause = match (&wave.effect, &wave.shape) {
             (Some(e), _) => {
                 let mut effect = e.clone();
@@ -545,6 +560,16 @@ impl<'p, 'r> Search<'p, 'r> {
             evidence: score,
             columns: Source::Made(columns),
         })
+    }
+
+    /// Size of a wave of two columns in what a set leaves.
+    fn amplitude(&self, set: &Set, columns: &[Vec<f64>]) -> f64 {
+        let (left, _) = self.residual(set);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let [s, c] = [&columns[0], &columns[1]];
+        let (ss, sc, cc, sl, cl) = (dot(s, s), dot(s, c), dot(c, c), dot(s, &left), dot(c, &left));
+        let det = ss * cc - sc * sc;
+        ((cc * sl - sc * cl) / det).hypot((ss * cl - sc * sl) / det)
     }
 
     fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
@@ -909,6 +934,8 @@ impl Search<'_, '_> {
         let all = std::mem::replace(&mut self.usable, short);
         let second = self.beam();
         self.usable = all;
+        let mut beside = Vec::new();
+        let first = found.named.score;
         for set in second.visited.into_iter().chain([second.any]) {
             let set = self.set(set.members);
             let set = self.thinned(set);
@@ -916,11 +943,15 @@ impl Search<'_, '_> {
                 if set.score > found.named.score + SHORT_MARGIN {
                     found.named = set.clone();
                 }
-                found.visited.push(set.clone());
+                beside.push(set.clone());
             }
             if set.score > found.any.score + SHORT_MARGIN {
                 found.any = set;
             }
+        }
+        // Its other sets are rivals only of what it found itself.
+        if found.named.score > first {
+            found.visited.append(&mut beside);
         }
         found.visited.sort_by(|a, b| b.score.total_cmp(&a.score));
         found
