@@ -20,11 +20,17 @@ backend = "mock"
 name = "z"
 count_um = 1.0
 travel_mm = 900.0
+max_correction_counts = 1000
+window_counts = 50
+min_separation_ns = 500
 home_mm = 480.0
 [[axis]]
 name = "x"
 count_um = 1.0
 travel_mm = 400.0
+max_correction_counts = 1000
+window_counts = 50
+min_separation_ns = 500
 home_mm = 100.0
 "#;
 const SEMI_MM: f64 = 38.354;

@@ -20,7 +20,7 @@ effect = [
     { name = "thermal_growth.x", sensor = "T6", minus = "T18", um_per_K = 5.0, um_per_K2 = 0.1 },
     { name = "thermal_growth.y", sensor = "T12", minus = "T18", um_per_K = 12.0, um_per_K2 = 0.1 },
     { name = "thermal_growth.y", sensor = "T9", minus = "T8", um_per_K = 18.0 },
-    { name = "thermal_lag.z", sensor = "T13", minus = "T18", um_per_K = -23.5, tau_s = 900.0 },
+    { name = "thermal_lag.z", sensor = "T13", minus = "T18", um_per_K = -22.0, tau_s = 900.0 },
     { name = "thermal_growth.z", sensor = "T9", minus = "T8", um_per_K = -8.0 },
     { name = "coolant.z", um = -5.0 },
 ]

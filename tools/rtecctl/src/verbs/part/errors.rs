@@ -32,7 +32,7 @@ pub(crate) struct Args {
     #[arg(long)]
     machine: Option<PathBuf>,
     /// Machine position at the part's zero, in mm, for the model
-    #[arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 2, allow_negative_numbers = true)]
+    #[arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 1, allow_negative_numbers = true)]
     origin_mm: Option<Vec<f64>>,
     /// The expected trips: every point must be near its own
     #[arg(long, value_name = "PROBPATH.CDL")]

@@ -62,7 +62,7 @@ struct LiveArgs {
     #[arg(long, requires = "daemon")]
     start: bool,
     /// Machine position at the part's origin with the probe in place
-    #[arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 2, allow_negative_numbers = true)]
+    #[arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 1, allow_negative_numbers = true)]
     origin_mm: Option<Vec<f64>>,
     /// The daemon's axis along the part
     #[arg(long, default_value = "z")]
