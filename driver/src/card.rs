@@ -104,11 +104,11 @@ impl Sample {
         Self { t_ns, inputs, edge_ns: None, complete: 0, more: false, fresh: u64::MAX, trouble: None }
     }
 
-    /// The same, with the time of its change where the card stamps it.
+    /// The same from a card that stamps its changes and shows every one, with the time of this one.
     #[inline]
     #[must_use]
     pub const fn stamped(t_ns: u64, inputs: u64, edge_ns: Option<u64>) -> Self {
-        Self { edge_ns, ..Self::level(t_ns, inputs) }
+        Self { edge_ns, complete: u64::MAX, ..Self::level(t_ns, inputs) }
     }
 }
 

@@ -185,7 +185,7 @@ mod tests {
         let mut card =
             ReplayCard::new(Xor, points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();
         assert_eq!(card.sample(u64::MAX).unwrap().edge_ns, Some(20));
-        assert_eq!(card.sample(25).unwrap(), Sample::level(25, 1));
+        assert_eq!(card.sample(25).unwrap(), Sample::stamped(25, 1, None));
         assert_eq!(card.write(1, 1).unwrap(), Some(25));
         assert_eq!(card.sample(40).unwrap(), Sample::stamped(30, 3, Some(30)));
         assert_eq!(card.sample(u64::MAX), Err(CardError::Ended));

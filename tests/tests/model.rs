@@ -202,6 +202,9 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     let daemon = Daemon::start(&socket, Some(&file));
     ready(&daemon);
     daemon.expect(0, &["model", "load", "--yes"]);
+    // What the log has never seen cold, a restart cannot know.
+    let logged = || std::fs::read_to_string(directory.path().join("temperatures.csv")).unwrap_or_default();
+    until("a cold row in the log", || logged().lines().any(|l| l.ends_with(",20,20")));
     sensors.set(30.0);
     // Cold at its start, so known from there: after warming by 10 K it goes towards 100 µm, late.
     until("half way", || part_um(&daemon, "z", "thermal_lag.z").is_some_and(|um| um > 40.0));

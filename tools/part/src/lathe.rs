@@ -648,7 +648,7 @@ impl Card for Lathe {
         }
         let inputs = self.inputs() | u64::from(self.tripped) << PROBE_LINE;
         self.look_ns = look_ns;
-        Ok(Sample::level(look_ns.ceil() as u64, inputs))
+        Ok(Sample { complete: u64::MAX, ..Sample::level(look_ns.ceil() as u64, inputs) })
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

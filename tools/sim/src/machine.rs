@@ -520,7 +520,7 @@ impl Card for Machine {
             }
             if wake_ns <= self.step_end_ns {
                 self.t_ns = self.t_ns.max(wake_ns);
-                return Ok(Sample::level(self.t_ns, self.inputs));
+                return Ok(Sample::stamped(self.t_ns, self.inputs, None));
             }
             self.t_ns = self.step_end_ns;
             self.step(wake_ns);
