@@ -389,7 +389,8 @@ fn port_seen(log: &Path, console: &Path) -> anyhow::Result<()> {
         .filter_map(|line| {
             let mut words = line.split_whitespace().skip_while(|w| *w != "addr").skip(1);
             let (address, _, value) = (words.next()?, words.next()?, words.next()?);
-            (hex(address)? % 8 == 0).then(|| hex(value))?
+            // The inverters' two bits; the third is the feed hold.
+            (hex(address)? % 8 == 0).then(|| hex(value).map(|v| v & 3))?
         })
         .collect();
     let mut from = 0;
