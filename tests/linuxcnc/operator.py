@@ -15,8 +15,13 @@ command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_ch
 
 
 def complaints():
+    """Logs what LinuxCNC says; a program that it refuses ends idle like one that has run, so an error ends us too."""
+    failed = False
     while (message := errors.poll()) is not None:
         log.write(f"LinuxCNC: {message[1]}\n")
+        failed |= message[0] in (linuxcnc.OPERATOR_ERROR, linuxcnc.NML_ERROR)
+    if failed:
+        sys.exit(1)
 
 
 def until(what, condition, patience_s):
@@ -53,6 +58,7 @@ command.program_open("part.ngc")
 command.auto(linuxcnc.AUTO_RUN, 0)
 until("running", lambda: status.interp_state != linuxcnc.INTERP_IDLE, 10)
 until("idle", lambda: status.interp_state == linuxcnc.INTERP_IDLE, 300)
+complaints()
 if status.task_state != linuxcnc.STATE_ON:
     log.write("switched off before the end\n")
     sys.exit(1)

@@ -9,7 +9,8 @@
  *   0x08 0x0c       speed command of axis 0, 1, in nm/s                             (we write)
  *   0x10 0x14       commanded position of axis 0, 1, in nm: for the record only     (we write)
  *   0x18 0x1c       the counter card's counts of axis 0, 1                          (the machine writes)
- *   0x20            bit 0 feed hold, bit 1 the decoder saw an illegal transition    (the machine writes)
+ *   0x20            bit 0 feed hold, bit 1 the decoder saw an illegal transition,
+ *                   bit 2 the probe touches                                         (the machine writes)
  *
  * Licence: MIT OR Apache-2.0, as the project. Compiled against LinuxCNC's headers on the machine that runs it.
  */
@@ -39,7 +40,7 @@ struct words {
 static struct pins {
     hal_float_t *speed[AXES], *command[AXES], *scale[AXES], *position[AXES];
     hal_s32_t *counts[AXES];
-    hal_bit_t *hold, *fault, *lost;
+    hal_bit_t *hold, *fault, *probe, *lost;
 } *pins;
 
 static struct words *words;
@@ -91,6 +92,7 @@ static void period(void *unused, long period_ns)
     }
     *pins->hold = words->lines & 1;
     *pins->fault = words->lines >> 1 & 1;
+    *pins->probe = words->lines >> 2 & 1;
 }
 
 static int export(void)
@@ -105,6 +107,7 @@ static int export(void)
     }
     failed |= hal_pin_bit_newf(HAL_OUT, &pins->hold, component, "rtec-machine.hold");
     failed |= hal_pin_bit_newf(HAL_OUT, &pins->fault, component, "rtec-machine.fault");
+    failed |= hal_pin_bit_newf(HAL_OUT, &pins->probe, component, "rtec-machine.probe");
     failed |= hal_pin_bit_newf(HAL_OUT, &pins->lost, component, "rtec-machine.lost");
     failed |= hal_export_funct("rtec-machine.period", period, NULL, 1, 0, component);
     return failed;

@@ -75,7 +75,7 @@ pub enum Job {
     Plain,
     /// Follow a path, the corrector knowing the machine's error.
     Correct,
-    /// Probe a part; the probe is wired to the corrector alone.
+    /// Probe a part; the probe is wired to the corrector and to the controller.
     Probe(Round),
 }
 
@@ -104,6 +104,8 @@ pub struct Run {
     pub events: Vec<Event>,
     /// Where the scales were when the probe tripped, mm.
     pub trips_mm: Vec<[f64; AXES]>,
+    /// What LinuxCNC itself measured by G38 (#5061 and #5063), mm; filled where the program opens [`PROBE_LOG`].
+    pub controller_trips_mm: Vec<[f64; AXES]>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -118,6 +120,8 @@ enum Change {
     Probe(bool),
 }
 
+/// The file that a program opens by `(PROBEOPEN …)` for what LinuxCNC measures.
+pub const PROBE_LOG: &str = "probed.txt";
 /// The corrector's input for the probe.
 const PROBE: u8 = 29;
 /// The probe's contact opens again this far off the surface.
@@ -252,7 +256,24 @@ pub fn run(program: &str, error: [AxisError; AXES], job: Job) -> anyhow::Result<
     }
     let ended = linuxcnc.wait_with_output()?;
     ensure!(ended.status.success(), "LinuxCNC: {}", String::from_utf8_lossy(&ended.stderr));
-    Ok(machine.finish())
+    let mut run = machine.finish();
+    let log = directory.path().join(PROBE_LOG);
+    if log.exists() {
+        run.controller_trips_mm = probe_log(&std::fs::read_to_string(log)?)?;
+    }
+    Ok(run)
+}
+
+/// LinuxCNC's log of straight probes: a line each, X Y Z A B C U V W.
+fn probe_log(text: &str) -> anyhow::Result<Vec<[f64; AXES]>> {
+    let line = |line: &str| {
+        let words: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+        match words?.as_slice() {
+            [x, _, z, ..] => Ok([*x, *z]),
+            _ => anyhow::bail!("LinuxCNC's probe log: '{line}'"),
+        }
+    };
+    text.lines().map(line).collect()
 }
 
 /// Waits for the controller's next period; `None` when it has ended.
@@ -359,7 +380,8 @@ impl Machine {
             illegal += counter.illegal();
         }
         let hold = (self.card.outputs >> 28 & 1) as u32;
-        words.write(place::LINES, Width::Bits32, hold | u32::from(illegal > 0) << 1);
+        let lines = hold | u32::from(illegal > 0) << 1 | u32::from(self.card.probe) << 2;
+        words.write(place::LINES, Width::Bits32, lines);
         self.run.illegal = illegal;
         self.run.periods += 1;
 

@@ -1,6 +1,6 @@
 //! `controller`: LinuxCNC runs a part (a taper, arcs, a full circle) on a simulated lathe with a known error, without
-//! and with the corrector, and the tool's path is compared with the part's. Then it runs a probing program, and what the
-//! corrector captured is compared with the plan.
+//! and with the corrector, and the tool's path is compared with the part's. Then it probes a part, fast and slowly, and
+//! what the corrector captured is compared with the contact and with LinuxCNC's own probing result.
 //!
 //! `cargo run --release -p rtec-tests --bin controller`; exit 1 when the corrector does not bring the path error down
 //! to the machine's own plus its resolution, or when a point is not probed where it is.
@@ -12,7 +12,7 @@ use rtec_part::fit::Zx;
 use rtec_part::path::{Motion, Plan, Probe};
 use rtec_part::probe::{assign, captured};
 use rtec_part::program::{Controller, Job as Program, Parameters};
-use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, Round, Run, run};
+use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, PROBE_LOG, Round, Run, run};
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
 use std::path::Path;
@@ -116,21 +116,33 @@ fn main() -> anyhow::Result<()> {
     println!("allowed: {allowed:.2} µm (the ideal machine's {ideal:.2} and the resolution)");
     ensure!(wrong > 3.0 * allowed, "the error of {wrong:.2} µm is too small to show anything");
     ensure!(corrected <= allowed, "corrected {corrected:.2} µm, allowed {allowed:.2} µm");
-    probe()
+    fast_and_slow()
 }
 
-/// The nose of NISTIR 4854, probed at its feed by a program in LinuxCNC's dialect. The probe is wired to the corrector
-/// alone: LinuxCNC would stop at a trip in a G1 move.
-fn probe() -> anyhow::Result<()> {
+/// What a probing session came to.
+struct Session {
+    /// From the first trip to the last.
+    seconds: f64,
+    /// Largest distance along the touch from the machine's own record of the contact: the corrector's capture.
+    captured_um: f64,
+    /// The same of LinuxCNC's own #5061 and #5063: smallest and largest, beyond the surface positive.
+    controller_um: (f64, f64),
+    /// Half the width that the corrector gives its positions, the largest.
+    stated_um: f64,
+}
+
+/// The nose of NISTIR 4854 probed by a program in LinuxCNC's dialect, twenty G38.2 touches. LinuxCNC sees the probe too
+/// and judges: it samples once a servo period, so what it says lies up to a period's travel behind the contact.
+fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
     let (centre, radius_mm, tip_mm) = (Zx::new(-100.0, 0.0), 38.1, 2.5);
     let nose = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
     let part = Contour::new(vec![(nose, "NOSE".to_owned())], false);
-    let motion = Motion { accel_mm_s2: 500.0, decel_mm_s2: 500.0, ..Motion::REPORT };
+    let motion = Motion { feed_mm_min, accel_mm_s2: 500.0, decel_mm_s2: 500.0, ..Motion::REPORT };
     let (stand_off_mm, over_travel_mm) = (motion.stand_off_mm(), motion.over_travel_mm());
     let mut plan = Plan::new(Probe { tip_mm, stand_off_mm, over_travel_mm, stem: None });
     plan.add_number(&part, 0, 20, 0.0);
     let mut parameters = Parameters::default();
-    for (name, value) in [("probing_start_z", "50"), ("feed", "2500")] {
+    for (name, value) in [("probing_start_z", "50"), ("feed", &feed_mm_min.to_string())] {
         parameters
             .set(name, value)
             .map_err(|(found, expected)| anyhow::anyhow!("{found}, expected {expected}"))?;
@@ -145,26 +157,59 @@ fn probe() -> anyhow::Result<()> {
         made: "today",
     }
     .text(Path::new("template.prb"))?;
+    let logged = format!("(PROBEOPEN {PROBE_LOG})\n{program}");
     let round = Round { centre_mm: [centre.x, centre.z], reach_mm: radius_mm + tip_mm };
-    let mut run = run(&program, Default::default(), Job::Probe(round))?;
+    let mut run = run(&logged, Default::default(), Job::Probe(round))?;
     check("probing", &run)?;
     // Axis 0 is X here; the part's first is Z.
     run.events.iter_mut().for_each(|e| e.axis = e.axis.map(|n| 1 - n));
-    let trips = assign(&captured(&run.events), &plan.expected(), COUNT_UM, Zx::new(0.0, 0.0), 0.5)?;
-    ensure!(trips.len() == 20 && run.trips_mm.len() == 20, "{} trips, 20 points", run.trips_mm.len());
-    let (mut off_um, mut missed_um) = (0.0_f64, 0.0_f64);
-    for ((trip, [x, z]), expected) in trips.iter().zip(&run.trips_mm).zip(plan.expected()) {
-        off_um = off_um.max((trip.tip_centre - Zx::new(*z, *x)).norm() * 1e3);
-        // Along the touch: the path itself may be off to the side.
-        let normal = (expected - centre).unit().context("a point at the centre")?;
-        missed_um = missed_um.max((trip.tip_centre - expected).dot(normal).abs() * 1e3);
+    let expected = plan.expected();
+    let trips = assign(&captured(&run.events), &expected, COUNT_UM, Zx::new(0.0, 0.0), 0.5)?;
+    ensure!(run.trips_mm.len() == 20, "{} contacts, 20 points", run.trips_mm.len());
+    ensure!(run.controller_trips_mm.len() == 20, "LinuxCNC logged {} probes", run.controller_trips_mm.len());
+
+    let mut session = Session {
+        seconds: trips[19].t_s - trips[0].t_s,
+        captured_um: 0.0,
+        controller_um: (f64::INFINITY, f64::NEG_INFINITY),
+        stated_um: 0.0,
+    };
+    let at = |[x, z]: Point| Zx::new(z, x);
+    for (n, trip) in trips.iter().enumerate() {
+        let inward = (centre - expected[n]).unit().context("a point at the centre")?;
+        let contact = at(run.trips_mm[n]);
+        session.captured_um = session.captured_um.max((trip.tip_centre - contact).dot(inward).abs() * 1e3);
+        session.stated_um = session.stated_um.max(trip.uncertainty_um);
+        let late_um = (at(run.controller_trips_mm[n]) - contact).dot(inward) * 1e3;
+        session.controller_um = (session.controller_um.0.min(late_um), session.controller_um.1.max(late_um));
     }
+    Ok(session)
+}
+
+/// Fast and slow probing side by side, both captured by the corrector and measured by LinuxCNC itself.
+fn fast_and_slow() -> anyhow::Result<()> {
+    println!("twenty points probed by LinuxCNC (G38.2), µm along the touch from where the contact was");
     println!(
-        "probing program in LinuxCNC, 2.5 m/min: {} points, captured within {off_um:.2} µm of the machine's own record, \
-         {missed_um:.2} µm of the plan; {} periods",
-        trips.len(),
-        run.periods
+        "{:>8} {:>10} {:>12} {:>12} {:>22}",
+        "mm/min", "time s", "captured µm", "stated ± µm", "LinuxCNC's own µm"
     );
-    ensure!(off_um < 1.0 && missed_um < 1.0, "more than the micrometre that fast probing is for");
+    for feed_mm_min in [2500.0, 125.0] {
+        let s = probe(feed_mm_min)?;
+        println!(
+            "{feed_mm_min:>8} {:>10.1} {:>12.2} {:>12.2} {:>22}",
+            s.seconds,
+            s.captured_um,
+            s.stated_um,
+            format!("{:+.1} to {:+.1}", s.controller_um.0, s.controller_um.1)
+        );
+        ensure!(s.captured_um < 1.0, "more than the micrometre that fast probing is for");
+        // LinuxCNC looks once a servo period and in whole counts.
+        let period_um = feed_mm_min / 60.0;
+        let (low, high) = s.controller_um;
+        ensure!(
+            low > -COUNT_UM && high < period_um + COUNT_UM,
+            "LinuxCNC measured {low:+.1} to {high:+.1} µm beyond the contact, a servo period is {period_um:.1} µm"
+        );
+    }
     Ok(())
 }

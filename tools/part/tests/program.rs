@@ -4,7 +4,7 @@
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::drawing::Unit;
 use rtec_part::fit::Zx;
-use rtec_part::path::{Plan, Probe, Record};
+use rtec_part::path::{Plan, Probe, Record, Role};
 use rtec_part::program::{BUILT_IN, Controller, Job, Parameters};
 use std::path::Path;
 use std::process::Command;
@@ -87,7 +87,7 @@ fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
             let touches: Vec<&str> = program.lines().filter(|l| l.contains("TOUCH POINT")).collect();
             assert_eq!(touches.len(), 20, "{name}");
             assert!(touches.iter().all(|l| word(l, 'F') == Some(2500.0)), "{name}");
-            let targets = records().into_iter().filter(|r| matches!(r.role, rtec_part::path::Role::Touch(_)));
+            let targets = records().into_iter().filter(|r| matches!(r.role, Role::Touch(_)));
             for (line, r) in touches.iter().zip(targets) {
                 assert!(near(word(line, 'X').unwrap(), r.at.x * diameter / unit.0), "{name} {line}");
             }
@@ -170,26 +170,26 @@ fn linuxcnc_runs_its_dialect() {
             .unwrap();
         let canon = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(output.status.success(), "{canon}{}", String::from_utf8_lossy(&output.stderr));
-        // "   58 N0230  STRAIGHT_FEED(5.123, 0.0, 130.2, 0, …)"; x, y, z in the program's unit
-        let moves: Vec<(bool, Zx)> = canon
+        // "   58 N0230  STRAIGHT_PROBE(5.123, 0.0, 130.2, 0, …)"; x, y, z in the program's unit
+        let moves: Vec<(&str, Zx)> = canon
             .lines()
             .filter_map(|l| {
-                let (_, rest) = l.split_once("STRAIGHT_")?;
+                let (kind, values) = l.split_once("STRAIGHT_")?.1.split_once('(')?;
                 let values: Vec<f64> =
-                    rest.split_once('(')?.1.split([',', ')']).filter_map(|v| v.trim().parse().ok()).collect();
-                Some((rest.starts_with("FEED"), Zx::new(*values.get(2)?, *values.first()?) * unit.0))
+                    values.split([',', ')']).filter_map(|v| v.trim().parse().ok()).collect();
+                Some((kind, Zx::new(*values.get(2)?, *values.first()?) * unit.0))
             })
             .collect();
-        let feeds: Vec<Zx> = moves.iter().filter(|m| m.0).map(|m| m.1).collect();
-        assert_eq!(feeds.len(), 40, "20 touches and 20 retracts:\n{canon}");
-        let expected: Vec<Zx> = records()
-            .iter()
-            .filter(|r| matches!(r.role, rtec_part::path::Role::Touch(_) | rtec_part::path::Role::Finish))
-            .map(|r| r.at)
-            .collect();
-        for (got, want) in feeds.iter().zip(&expected) {
-            // The interpreter prints four decimals.
-            assert!((*got - *want).norm() < 1e-4 * unit.0, "{got:?} {want:?}");
+        for (kind, role) in [("PROBE", Role::Touch(0)), ("FEED", Role::Finish)] {
+            let got: Vec<Zx> = moves.iter().filter(|m| m.0 == kind).map(|m| m.1).collect();
+            let same = |r: &&Record| std::mem::discriminant(&r.role) == std::mem::discriminant(&role);
+            let records = records();
+            let wanted: Vec<Zx> = records.iter().filter(same).map(|r| r.at).collect();
+            assert_eq!((got.len(), wanted.len()), (20, 20), "{kind}:\n{canon}");
+            for (got, want) in got.iter().zip(&wanted) {
+                // The interpreter prints four decimals.
+                assert!((*got - *want).norm() < 1e-4 * unit.0, "{got:?} {want:?}");
+            }
         }
     }
 }
