@@ -106,6 +106,12 @@ impl Table {
         Self { cut, axes, errors }
     }
 
+    /// How many points it came from.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        self.errors.len()
+    }
+
     /// Error at an angle: linear between the probed points, the end values beyond them, so that there is no step
     /// where the tool enters.
     #[must_use]
@@ -164,27 +170,59 @@ impl Table {
             .collect()
     }
 
-    /// The same compensation written into the NC program instead: end points of the straight moves whose chords stay
-    /// within `off_mm` of the corrected path once their coordinates are rounded to `decimals`, in part coordinates.
+    /// The same compensation written into the NC program instead: end points of the straight moves, none longer than
+    /// what stays within `off_mm` of the corrected path with coordinates rounded to `decimals`, in part coordinates.
     /// The first point is where the cut starts.
     #[must_use]
     pub fn straight_moves(&self, off_mm: f64, decimals: i32) -> Vec<Zx> {
         let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return Vec::new() };
-        let sweep = last.angle_rad - first.angle_rad;
         let scale = 10_f64.powi(decimals);
-        // Rounding moves a corner by at most half a last digit in each coordinate.
-        let rounding_mm = std::f64::consts::FRAC_1_SQRT_2 / scale;
-        let chord_mm = (off_mm - rounding_mm).max(0.1 * off_mm);
-        let count = crate::contour::chords_of_arc(self.cut.radius_mm + self.cut.nose_mm, sweep, chord_mm);
-        (0..=count)
-            .map(|k| {
-                let angle = first.angle_rad + sweep * k as f64 / count as f64;
-                let p = self.cut.part_at(angle) - Zx::at_angle(angle) * (self.error_um(angle) * 1e-3);
-                Zx::new((p.z * scale).round() / scale, (p.x * scale).round() / scale)
-            })
-            .collect()
+        let corner = |angle: f64| {
+            let p = self.cut.part_at(angle) - Zx::at_angle(angle) * (self.error_um(angle) * 1e-3);
+            Zx::new((p.z * scale).round() / scale, (p.x * scale).round() / scale)
+        };
+        let radius_mm = self.cut.radius_mm + self.cut.nose_mm;
+        let plain_rad = 2.0 * (1.0 - off_mm / radius_mm).clamp(-1.0, 1.0).acos();
+        let (mut from, mut at) = (first.angle_rad, corner(first.angle_rad));
+        let mut corners = vec![at];
+        while from < last.angle_rad && corners.len() <= MAX_MOVES {
+            let fits = |to: f64| self.chord_off_mm([from, to], [at, corner(to)]) <= off_mm * SAMPLED;
+            // No longer than on the plain arc, though a hollow of the errors would allow it: the feed stays even.
+            let (mut short, mut long) = (from, last.angle_rad.min(from + plain_rad));
+            if fits(long) {
+                short = long;
+            }
+            while long - short > 1e-6 * plain_rad {
+                let middle = f64::midpoint(short, long);
+                if fits(middle) { short = middle } else { long = middle }
+            }
+            // Where rounding alone is more than what is allowed, on all the same.
+            from = if short > from { short } else { last.angle_rad.min(from + 0.1 * plain_rad) };
+            at = corner(from);
+            corners.push(at);
+        }
+        corners
+    }
+
+    /// How far a chord between two angles is off the corrected path, along the radius.
+    fn chord_off_mm(&self, [from, to]: [f64; 2], ends: [Zx; 2]) -> f64 {
+        let [a, b] = ends.map(|p| p - self.cut.centre);
+        let cross = |p: Zx, q: Zx| p.z * q.x - p.x * q.z;
+        let kinks = self.errors.iter().map(|e| e.angle_rad).filter(|k| (from..to).contains(k));
+        let even = (0..=SAMPLES).map(|k| from + (to - from) * f64::from(k) / f64::from(SAMPLES));
+        even.chain(kinks).fold(0.0, |worst, angle| {
+            let chord_mm = cross(a, b) / cross(Zx::at_angle(angle), b - a);
+            let path_mm = self.cut.radius_mm + self.cut.nose_mm - self.error_um(angle) * 1e-3;
+            (chord_mm - path_mm).abs().max(worst)
+        })
     }
 }
+
+/// Places along a chord that are looked at, and the share of the allowance that is safe between them.
+const SAMPLES: u32 = 32;
+const SAMPLED: f64 = 0.998;
+/// More straight moves than any program should have.
+const MAX_MOVES: usize = 100_000;
 
 /// The table as CSV. `lead_mm` is how far before each position its totals are to be sent along the cut, which runs
 /// towards larger angles, or with `backwards` towards smaller ones.
