@@ -194,9 +194,29 @@ impl Parameters {
         Ok(())
     }
 
-    /// Machine positions that nobody has set: a program that moves to them is not ready for a machine.
-    pub fn untold(&self) -> impl Iterator<Item = &'static str> {
-        let positions = PARAMETERS.iter().filter(|p| matches!(p.number, 13 | 19 | 22 | 23));
+    /// The values where none are given, in a program's unit.
+    #[must_use]
+    pub fn in_unit(unit: Unit) -> Self {
+        let mut all = Self::default();
+        for p in PARAMETERS.iter().filter(|p| matches!(p.number, 11 | 12 | 14)) {
+            if let Ok(mm) = p.default.parse::<f64>() {
+                all.0.insert(p.number, format!("{}", (mm / unit.0 * 1e4).round() / 1e4));
+            }
+        }
+        all
+    }
+
+    /// Machine positions of a template that nobody has set: a program that moves to them is not ready for a machine.
+    pub fn untold(&self, template: &str) -> impl Iterator<Item = &'static str> {
+        let asked = |n: u32| {
+            let symbol = format!("${n}");
+            let ends = |(at, _): (usize, &str)| {
+                !template[at + symbol.len()..].starts_with(|c: char| c.is_ascii_digit())
+            };
+            template.match_indices(&symbol).any(ends)
+        };
+        let positions =
+            PARAMETERS.iter().filter(move |p| matches!(p.number, 13 | 19 | 22 | 23) && asked(p.number));
         positions.filter(|p| self.get(p.number) == p.default).map(|p| p.name)
     }
 

@@ -80,7 +80,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(template) = &args.template {
         controller.template = rtec_part::sheet::read_text(template)?;
     }
-    let mut parameters = Parameters::default();
+    let mut parameters = Parameters::in_unit(unit);
     let feed = positive("--feed-mm-min", args.feed_mm_min)? / unit.0;
     let mut set = vec![("feed".to_owned(), format!("{}", (feed * 1e4).round() / 1e4))];
     for pair in &args.set {
@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             parameters.read(file)?;
         }
     }
-    let untold: Vec<&str> = parameters.untold().collect();
+    let untold: Vec<&str> = parameters.untold(&controller.template).collect();
     if !untold.is_empty() {
         eprintln!(
             "rtecctl: machine positions left at 0: {}; set them before the program runs",
