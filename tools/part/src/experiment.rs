@@ -3,11 +3,13 @@
 
 use crate::batch::{self, Batch, Judgement};
 use crate::contour::{Contour, Segment};
+use crate::drawing::Unit;
 use crate::errors::{Nominal, Probed, Report, error_cor};
 use crate::fit::{Zx, sd};
 use crate::lathe::{self, Bench, Job, Move, Ran, RunError, Stand, Workpiece};
 use crate::path::{Motion, Plan, Probe, Record, Role};
 use crate::probe::{Trip, TripFault, assign, captured, probed_csv, run_record};
+use crate::program::{self, Controller, Parameters};
 use crate::svg::escaped;
 use crate::table::{Cut, Table, csv};
 use rtec_driver::input::InputError;
@@ -90,6 +92,9 @@ pub enum ExperimentError {
     /// The probed points give no errors.
     #[error(transparent)]
     Points(#[from] InputError),
+    /// The error bars could not be drawn.
+    #[error(transparent)]
+    Drawing(#[from] dxf::DxfError),
     /// The corrector latched a fault.
     #[error("the corrector latched a fault: {0}")]
     Fault(String),
@@ -440,7 +445,7 @@ impl Setup {
         now = now.later(session.seconds + PAUSE_S);
         let report = self.errors(&session, semi_mm)?;
         let semi_finish = self.result(&report, &part, semi_mm)?;
-        add(&mut files, "semi_finish", &plan, &session, &report);
+        self.add(&mut files, "semi_finish", semi_mm, &session, &report)?;
         decisions.push(format!(
             "{} of {} points left out of the second fit: SD {:.2} -> {:.2} µm",
             report.rejected.len(),
@@ -469,7 +474,7 @@ impl Setup {
         let inspection = after.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 3)?;
         let inspected = self.errors(&inspection, self.radius_mm)?;
         let finish = self.result(&inspected, &part, self.radius_mm)?;
-        add(&mut files, "inspection", &plan, &inspection, &inspected);
+        self.add(&mut files, "inspection", self.radius_mm, &inspection, &inspected)?;
 
         progress("the same by G01 lines");
         let corners = table.straight_moves(0.0015, 4);
@@ -496,7 +501,9 @@ impl Setup {
         let off_machine = if self.machine.effects().next().is_none() {
             None
         } else {
-            Some(now.off_machine(&table, &inspected, progress)?)
+            let (batch, csv) = now.off_machine(&table, &inspected, progress)?;
+            files.push(("post_process/batch.csv".into(), csv.into_bytes()));
+            Some(batch)
         };
         if let Some(batch) = &off_machine {
             decisions.extend(batch.offers.iter().map(|o| format!("offered, not applied: {o}")));
@@ -529,7 +536,7 @@ impl Setup {
         table: &Table,
         inspected: &Report,
         progress: &mut dyn FnMut(&str),
-    ) -> Result<Batch, ExperimentError> {
+    ) -> Result<(Batch, String), ExperimentError> {
         let mut text = "part,feature,angle_rad,error_um\n".to_owned();
         for k in 0..4 {
             progress("a further part for the measuring machine");
@@ -542,7 +549,67 @@ impl Setup {
             }
         }
         let judgement = Judgement { alpha: 0.01, least_um: 1.0 };
-        Ok(batch::evaluate_text(Path::new("batch.csv"), &text, Some(&inspected.errors), judgement)?)
+        Ok((batch::evaluate_text(Path::new("batch.csv"), &text, Some(&inspected.errors), judgement)?, text))
+    }
+
+    /// The files of a probing session: its plan, the NC program that makes it, what was captured, the errors.
+    fn add(
+        &self,
+        files: &mut Vec<(String, Vec<u8>)>,
+        step: &str,
+        radius_mm: f64,
+        session: &Session,
+        report: &Report,
+    ) -> Result<(), ExperimentError> {
+        let (plan, unit) = (self.plan(radius_mm), Unit::MM);
+        let mut push = |name: &str, content: Vec<u8>| files.push((format!("{step}/{name}"), content));
+        for (name, text) in crate::web::files(&nose(self.centre, radius_mm), &plan, unit) {
+            push(name, text.into_bytes());
+        }
+        let (name, program) = self.program(&plan, if step == "inspection" { "4" } else { "2" })?;
+        push(&name, program.into_bytes());
+        push("probed.csv", session.csv.clone().into_bytes());
+        if let Some(record) = &session.record {
+            push("probing.csv", record.to_csv().into_bytes());
+            push("probing.run.toml", record.to_sidecar().into_bytes());
+        }
+        push("error.cor", error_cor(&report.errors).into_bytes());
+        push("whisker.svg", report.whisker_svg().into_bytes());
+        push("whisker.dxf", report.whisker_dxf()?);
+        Ok(())
+    }
+
+    /// The probing program of the report's controller, and its name.
+    fn program(&self, plan: &Plan, segment: &str) -> Result<(String, String), ExperimentError> {
+        let template = Path::new("template.prb");
+        let bad = |(found, expected)| InputError::whole(template, found, expected);
+        let mut parameters = Parameters::default();
+        let (feed, tip) = (self.motion.feed_mm_min.to_string(), (2.0 * self.tip_mm).to_string());
+        for (name, value) in
+            [("segment", segment), ("title", "NOSE"), ("feed", &feed), ("tip_diameter", &tip)]
+        {
+            parameters.set(name, value).map_err(bad)?;
+        }
+        for (name, mm) in [
+            ("probing_start_z", ORIGIN.z + self.centre.z + self.radius_mm + 50.0),
+            ("reference_z", self.centre.z + self.radius_mm + 50.0),
+            ("reference_x", 0.0),
+        ] {
+            parameters.set(name, &mm.to_string()).map_err(bad)?;
+        }
+        let controller = Controller::built_in("report").transpose()?.ok_or_else(|| {
+            InputError::whole(template, "no dialect report", "a dialect that comes with the program")
+        })?;
+        let (records, made) = (plan.records(), "BY PART RUN");
+        let job = program::Job {
+            controller: &controller,
+            parameters: &parameters,
+            records: &records,
+            unit: Unit::MM,
+            comments: true,
+            made,
+        };
+        Ok((parameters.file_name(), job.text(template)?))
     }
 }
 
@@ -557,21 +624,6 @@ fn compare(feed_mm_min: f64, session: &Session) -> Probing {
         stated_um: session.trips.iter().map(|t| t.uncertainty_um).filter(|u| *u < 0.9).fold(0.0, f64::max),
         late_25us_um: 25.0 * um_per_us,
         late_1ms_um: 1000.0 * um_per_us,
-    }
-}
-
-fn add(files: &mut Vec<(String, Vec<u8>)>, step: &str, plan: &Plan, session: &Session, report: &Report) {
-    let unit = crate::drawing::Unit::MM;
-    files.push((format!("{step}/pathfin.cdl"), crate::path::pathfin(&plan.records(), unit).into_bytes()));
-    files.push((format!("{step}/probed.csv"), session.csv.clone().into_bytes()));
-    if let Some(record) = &session.record {
-        files.push((format!("{step}/probing.csv"), record.to_csv().into_bytes()));
-        files.push((format!("{step}/probing.run.toml"), record.to_sidecar().into_bytes()));
-    }
-    files.push((format!("{step}/error.cor"), error_cor(&report.errors).into_bytes()));
-    files.push((format!("{step}/whisker.svg"), report.whisker_svg().into_bytes()));
-    if let Ok(dxf) = report.whisker_dxf() {
-        files.push((format!("{step}/whisker.dxf"), dxf));
     }
 }
 

@@ -67,7 +67,11 @@ fn the_same_seed_gives_the_same_bytes() {
     let (a, b) = (run(&setup("c", 5)), run(&setup("c", 5)));
     assert_eq!(serde_json::to_string(&a).unwrap(), serde_json::to_string(&b).unwrap());
     assert_eq!(a.files, b.files);
-    assert!(a.files.iter().any(|(name, _)| name == "report.html"));
+    for file in
+        ["report.html", "semi_finish/pt0101s2.dnc", "semi_finish/points.svg", "inspection/pt0101s4.dnc"]
+    {
+        assert!(a.files.iter().any(|(name, _)| name == file), "{file}");
+    }
     assert_ne!(a.files, run(&setup("c", 6)).files);
 }
 
