@@ -372,11 +372,32 @@ pub struct Status {
     /// The part table that is loaded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<PartTable>,
+    /// What it does now.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table_now: Option<TableNow>,
     /// The temperature sensors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Reading>,
     /// The axes.
     pub axes: Vec<Axis>,
+}
+
+/// What a loaded part table does now.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TableNow {
+    /// Probed points in it.
+    pub points: usize,
+    /// `in_force`, `ready` where the tool is elsewhere, or `off`.
+    pub state: String,
+    /// From the tool to the arc, mm: 0 on it.
+    pub off_mm: f64,
+    /// Within this distance of the arc it acts, mm.
+    pub acts_within_mm: f64,
+    /// What it takes out here, µm, in the order of its axes; when it is not in force, what it would.
+    pub um: [f64; 2],
+    /// Why it is off.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
 }
 
 /// The real-time thread.

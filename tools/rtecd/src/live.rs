@@ -6,7 +6,7 @@
 
 use crate::temperatures;
 use rtec_control::config::{Axis as AxisConfig, Config};
-use rtec_control::protocol::{Change, Explained, ModelPreview, Part, PartTable, Reading, Trip};
+use rtec_control::protocol::{Change, Explained, ModelPreview, Part, PartTable, Reading, TableNow, Trip};
 use rtec_driver::input::InputError;
 use rtec_model::date;
 use rtec_model::effect::{Difference, Effect, Naming, Need, STANDARD_DEGC};
@@ -53,12 +53,16 @@ impl PartErrors {
     /// What it takes out at a machine position that is reached in the table's lead, µm.
     fn components_um(&self, place: Zx, velocity_mm_s: Zx) -> Zx {
         let lead_s = self.shown.lead_ms * 1e-3;
-        let cut = &self.table.cut;
-        let ahead = place + velocity_mm_s * lead_s - cut.origin - cut.centre;
-        let off_mm = (ahead.norm() - cut.radius_mm - cut.nose_mm).abs();
+        let off_mm = self.off_mm(place + velocity_mm_s * lead_s);
         let [near, far] = TABLE_NEAR_MM;
         let share = ((far - off_mm) / (far - near)).clamp(0.0, 1.0);
         self.table.components_um(place, velocity_mm_s, lead_s) * share
+    }
+
+    /// From a machine position to the arc that the tool's nose runs on.
+    fn off_mm(&self, place: Zx) -> f64 {
+        let cut = &self.table.cut;
+        ((place - cut.origin - cut.centre).norm() - cut.radius_mm - cut.nose_mm).abs()
     }
 }
 
@@ -322,6 +326,44 @@ impl Corrector {
     /// The part table, for the status.
     pub(crate) fn table_shown(&self) -> Option<PartTable> {
         self.table.as_ref().map(|t| t.shown.clone())
+    }
+
+    /// What the part table does now, for the status.
+    pub(crate) fn table_now(&self, status: &Status) -> Option<TableNow> {
+        let table = self.table.as_ref()?;
+        let um = table.axes.map(|n| self.axes[n].table_um);
+        let [z_mm, x_mm] =
+            table.axes.map(|n| status.axes[n].position_counts as f64 * self.axes[n].count_um / 1000.0);
+        let off_mm = table.off_mm(Zx::new(z_mm, x_mm));
+        let axis = table.axes.into_iter().find_map(|n| {
+            let (name, s) = (&self.axes[n].name, &status.axes[n]);
+            let why = match &self.axes[n].holds {
+                _ if !s.homed => "is not homed",
+                _ if s.faults.any() => "has a fault",
+                Some(why) => why,
+                None => return None,
+            };
+            Some(format!("axis {name}: {why}"))
+        });
+        let why = match status.mode {
+            Mode::Run => axis,
+            Mode::Shadow => Some("shadow mode: computed, not written".to_owned()),
+            Mode::Probe => Some("probing: positions are taken as the scales read".to_owned()),
+            Mode::Disabled | Mode::Hold | Mode::Fault => Some("corrections are off".to_owned()),
+        };
+        let state = match why {
+            Some(_) => "off",
+            None if um.iter().all(|um| *um == 0.0) && off_mm >= TABLE_NEAR_MM[1] => "ready",
+            None => "in_force",
+        };
+        Some(TableNow {
+            points: table.table.points(),
+            state: state.to_owned(),
+            off_mm,
+            acts_within_mm: TABLE_NEAR_MM[1],
+            um,
+            why,
+        })
     }
 
     /// What a model would change now.
@@ -1002,6 +1044,85 @@ mod tests {
         assert!(bench.corrector.unload() && !bench.corrector.unload());
         assert!(bench.run(6.0, 0, |_| None) <= 2);
         assert_eq!(bench.status.axes[0].requested, 0);
+    }
+
+    /// A nose of 40 mm about the machine's zero, on z and x; 10 µm too large at the tip.
+    fn part(bench: &Bench, axes: [&str; 2]) -> PartTable {
+        let file = bench.log.path().join("error.cor");
+        std::fs::write(&file, "0.0 10.0\n0.5 0.0\n1.6 0.0\n").unwrap();
+        PartTable {
+            errors: file.display().to_string(),
+            axes: axes.map(str::to_owned),
+            centre_mm: [0.0; 2],
+            radius_mm: 39.0,
+            nose_mm: 1.0,
+            origin_mm: [0.0; 2],
+            lead_ms: 0.0,
+        }
+    }
+
+    #[test]
+    fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
+        let mut bench = Bench::new("");
+        assert_eq!(bench.corrector.table_now(&bench.status), None);
+        let wanted = part(&bench, ["z", "x"]);
+        bench.corrector.load_table(wanted.clone()).unwrap();
+        assert_eq!(bench.corrector.table_shown(), Some(wanted));
+        let mut seen = |z_mm: i64, change: fn(&mut Status)| {
+            let kept = bench.status;
+            bench.status.axes[2].position_counts = z_mm * 1000;
+            change(&mut bench.status);
+            bench.run(0.5, 2, |_| None);
+            let now = bench.corrector.table_now(&bench.status).unwrap();
+            bench.status = Status { t_ns: bench.status.t_ns, ..kept };
+            now
+        };
+        let on = seen(40, |_| {});
+        assert_eq!((on.state.as_str(), on.points, on.um, on.why), ("in_force", 3, [10.0, 0.0], None));
+        assert!(on.off_mm.abs() < 1e-9);
+        let far = seen(140, |_| {});
+        assert_eq!((far.state.as_str(), far.off_mm, far.um), ("ready", 100.0, [0.0; 2]));
+        for (change, why) in [
+            ((|s| s.mode = Mode::Disabled) as fn(&mut Status), "corrections are off"),
+            (|s| s.mode = Mode::Shadow, "shadow mode"),
+            (|s| s.mode = Mode::Probe, "probing"),
+            (|s| s.axes[0].homed = false, "axis x: is not homed"),
+            (
+                |s| {
+                    s.axes[2].faults.latch(rtec_rt::event::Fault::PollGap);
+                },
+                "axis z: has a fault",
+            ),
+        ] {
+            let now = seen(40, change);
+            assert!(now.state == "off" && now.why.as_deref().is_some_and(|w| w.starts_with(why)), "{now:?}");
+        }
+        assert!(bench.corrector.unload_table() && !bench.corrector.unload_table());
+        assert_eq!(bench.corrector.table_now(&bench.status), None);
+    }
+
+    #[test]
+    fn a_part_table_that_does_not_fit_the_machine_is_refused_and_the_one_before_it_stays() {
+        let mut bench = Bench::new("");
+        let good = part(&bench, ["z", "x"]);
+        bench.corrector.load_table(good.clone()).unwrap();
+        let beside = |change: fn(&mut PartTable)| {
+            let mut wanted = good.clone();
+            change(&mut wanted);
+            wanted
+        };
+        for (wanted, said) in [
+            (part(&bench, ["b", "x"]), "found axis \"b\" for the part table, expected one of x, y, z"),
+            (part(&bench, ["z", "z"]), "two axes"),
+            (beside(|t| t.radius_mm = -1.0), "a positive radius_mm"),
+            (beside(|t| t.origin_mm[1] = f64::NAN), "finite places"),
+            (beside(|t| t.lead_ms = 2000.0), "lead_ms of 0 to 1000"),
+            (beside(|t| t.errors.push_str(".none")), "error.cor.none: found an unreadable file"),
+        ] {
+            let text = bench.corrector.load_table(wanted).unwrap_err();
+            assert!(text.contains(said), "{text}");
+        }
+        assert_eq!(bench.corrector.table_shown(), Some(good));
     }
 
     #[test]

@@ -584,6 +584,7 @@ impl Session {
             rt,
             model: self.corrector.shown(),
             table: self.corrector.table_shown(),
+            table_now: self.corrector.table_now(&now),
             sensors: self
                 .temperatures
                 .sensors()

@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
-use rtec_control::protocol::{Distribution, Request, Response, Status};
+use rtec_control::protocol::{Distribution, PartTable, Request, Response, Status, TableNow};
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
 use std::time::Duration;
@@ -119,6 +119,9 @@ fn table(s: &Status) -> String {
             let _ = writeln!(text, "  {line}");
         }
     }
+    if let Some(part) = &s.table {
+        text.push_str(&part_table(part, s.table_now.as_ref()));
+    }
     if !s.sensors.is_empty() {
         let good = s.sensors.iter().filter(|r| r.state == "good").count();
         let _ = writeln!(text, "sensors: {good} of {} good", s.sensors.len());
@@ -135,9 +138,59 @@ fn table(s: &Status) -> String {
     text
 }
 
+fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
+    let PartTable { errors, axes: [along, across], centre_mm: [z, x], radius_mm, lead_ms, .. } = part;
+    let mut text = format!("part table {errors}");
+    if let Some(now) = now {
+        let _ = write!(text, ", {} points", now.points);
+    }
+    let _ = writeln!(
+        text,
+        "; radius {radius_mm} mm about {z}, {x} mm; axes {along}, {across}; {lead_ms} ms ahead"
+    );
+    let Some(TableNow { state, off_mm, acts_within_mm, um: [um_z, um_x], why, .. }) = now else {
+        return text;
+    };
+    let _ = match (why, state.as_str()) {
+        (Some(why), _) => writeln!(text, "  not in force: {why}"),
+        (None, "ready") => writeln!(
+            text,
+            "  ready: the tool is {off_mm:.1} mm off the arc, in force within {acts_within_mm} mm of it"
+        ),
+        (None, _) => {
+            writeln!(text, "  in force: takes out {um_z:+.2} µm in {along}, {um_x:+.2} µm in {across}")
+        }
+    };
+    text
+}
+
 fn times(d: &Distribution) -> String {
     if d.samples == 0 {
         return "-".to_owned();
     }
     format!("p50 {} ns, p99.99 {} ns, max {} ns", d.p50, d.p9999, d.max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_that_is_known_and_what_the_part_table_does() {
+        let mut status: Status =
+            serde_json::from_str(include_str!("../../tests/golden/status.json")).unwrap();
+        let mut text = table(&status);
+        let now = status.table_now.take().unwrap();
+        let mut also = |now: Option<TableNow>| {
+            text.push_str("---\n");
+            text.push_str(&part_table(status.table.as_ref().unwrap(), now.as_ref()));
+        };
+        also(Some(TableNow { state: "ready".into(), off_mm: 84.25, um: [0.0; 2], ..now.clone() }));
+        let why = Some("axis x: is not homed".to_owned());
+        also(Some(TableNow { state: "off".into(), why, ..now }));
+        also(None);
+        crate::golden("status.txt", &text);
+        status.table = None;
+        assert!(!table(&status).contains("part table"));
+    }
 }
