@@ -67,6 +67,12 @@ impl Daemon {
     }
 }
 
+/// A user's file as the daemon finds it, which has a directory of its own. One that is not there is the daemon's to
+/// refuse, by the name as it was given.
+pub(crate) fn absolute(file: &Path) -> String {
+    file.canonicalize().unwrap_or_else(|_| file.to_owned()).display().to_string()
+}
+
 /// "Done", a status or an event; anything else as the error that it is.
 pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
     match response {

@@ -26,7 +26,8 @@ enum Verb {
     Rehearse(validate::RehearseArgs),
     SelectSensors(fit::SelectArgs),
     Show(show::ShowArgs),
-    Unload(load::UnloadArgs),
+    /// Run without a model: corrections go back in a ramp
+    Unload(crate::daemon::Daemon),
     Validate(validate::ValidateArgs),
 }
 

@@ -1,7 +1,7 @@
 //! `rtecctl model load` and `unload`: which machine model the daemon runs.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, check, unreachable};
+use crate::daemon::{Daemon, absolute, check, unreachable};
 use rtec_control::protocol::{Change, ModelPreview, Request, Response};
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
@@ -22,17 +22,8 @@ pub(crate) struct LoadArgs {
     daemon: Daemon,
 }
 
-/// Run without a model: corrections go back in a ramp
-#[derive(Debug, clap::Args)]
-pub(crate) struct UnloadArgs {
-    #[command(flatten)]
-    daemon: Daemon,
-}
-
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
-    // The daemon has a directory of its own.
-    let absolute = args.file.as_ref().map(|f| f.canonicalize().unwrap_or_else(|_| f.clone()));
-    let file = absolute.map(|f| f.display().to_string());
+    let file = args.file.as_deref().map(absolute);
     let mut client = args.daemon.connect()?;
     let shown = client.ask(&Request::ModelLoad { file: file.clone(), take: None }).map_err(unreachable)?;
     let Response::ModelPreview(preview) = check(shown)? else {
@@ -54,8 +45,8 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-pub(crate) fn unload(args: &UnloadArgs) -> anyhow::Result<()> {
-    args.daemon.order(&Request::ModelUnload {}, "model unloaded; corrections go back in a ramp")
+pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
+    daemon.order(&Request::ModelUnload {}, "model unloaded; corrections go back in a ramp")
 }
 
 /// Asks the person; nobody there is a no.

@@ -2,7 +2,7 @@
 
 use super::table::CutArgs;
 use super::usage;
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, absolute};
 use rtec_control::protocol::{PartTable, Request};
 use rtec_part::errors::read_error_cor;
 use std::path::PathBuf;
@@ -31,13 +31,6 @@ pub(crate) struct LoadArgs {
     daemon: Daemon,
 }
 
-/// Take the part table out: corrections go back in a ramp
-#[derive(Debug, clap::Args)]
-pub(crate) struct UnloadArgs {
-    #[command(flatten)]
-    daemon: Daemon,
-}
-
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let cut = args.cut.cut()?;
     if !(0.0..=1000.0).contains(&args.lead_ms) {
@@ -45,10 +38,8 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     }
     // Found here, with line and column, before the daemon is asked.
     let points = read_error_cor(&args.errors)?.len();
-    // The daemon has a directory of its own.
-    let errors = args.errors.canonicalize().unwrap_or_else(|_| args.errors.clone()).display().to_string();
     let table = PartTable {
-        errors,
+        errors: absolute(&args.errors),
         axes: [args.z_axis.clone(), args.x_axis.clone()],
         centre_mm: [cut.centre.z, cut.centre.x],
         radius_mm: cut.radius_mm,
@@ -59,6 +50,6 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     args.daemon.order(&Request::TableLoad(table), &format!("part table of {points} points loaded"))
 }
 
-pub(crate) fn unload(args: &UnloadArgs) -> anyhow::Result<()> {
-    args.daemon.order(&Request::TableUnload {}, "part table unloaded; corrections go back in a ramp")
+pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
+    daemon.order(&Request::TableUnload {}, "part table unloaded; corrections go back in a ramp")
 }

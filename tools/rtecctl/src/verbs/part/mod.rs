@@ -34,7 +34,8 @@ enum Step {
     Errors(Box<errors::Args>),
     Table(Box<table::Args>),
     Load(Box<load::LoadArgs>),
-    Unload(Box<load::UnloadArgs>),
+    /// Take the part table out: corrections go back in a ramp
+    Unload(crate::daemon::Daemon),
     Finish(Box<finish::Args>),
     Inspect(Box<inspect::Args>),
     PostProcess(Box<post_process::Args>),
