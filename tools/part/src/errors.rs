@@ -193,7 +193,12 @@ impl Probed {
     /// A missing or surplus point, or the first trip further than `window_mm` from its place; both name the point.
     pub fn check_expected(&self, expected: &[Zx], window_mm: f64) -> Result<(), InputError> {
         if self.tip_centre.len() != expected.len() {
-            let found = format!("{} trips", self.tip_centre.len());
+            let away = self.tip_centre.iter().zip(expected).position(|(p, e)| (*p - *e).norm() > window_mm);
+            let point = away.unwrap_or(self.tip_centre.len().min(expected.len())) + 1;
+            let found = format!(
+                "{} trips, the first that is not in its place is point {point}",
+                self.tip_centre.len()
+            );
             let expected = format!("{} trips: one was missed or doubled", expected.len());
             return Err(InputError::whole(self.sheet.file(), found, expected));
         }
