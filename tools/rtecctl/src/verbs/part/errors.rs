@@ -43,7 +43,7 @@ pub(crate) struct Args {
     /// How near a trip must be to its expected place, in mm
     #[arg(long, default_value_t = 1.0)]
     trip_window_mm: f64,
-    /// Write error.cor, whisker.svg and whisker.dxf into this folder
+    /// Write whisker.svg, whisker.dxf and, of a circle, error.cor into this folder
     #[arg(long)]
     out: Option<PathBuf>,
     /// Print one JSON document
@@ -84,14 +84,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let report = probed.errors(nominal, args.tip_mm)?;
     if let Some(folder) = &args.out {
-        write_all(
-            folder,
-            &[
-                ("error.cor", error_cor(&report.errors).as_bytes()),
-                ("whisker.svg", report.whisker_svg().as_bytes()),
-                ("whisker.dxf", &report.whisker_dxf()?),
-            ],
-        )?;
+        let (table, svg, dxf) = (error_cor(&report.errors), report.whisker_svg(), report.whisker_dxf()?);
+        let mut files = vec![("whisker.svg", svg.as_bytes()), ("whisker.dxf", dxf.as_slice())];
+        if args.feature == Feature::Circle {
+            files.push(("error.cor", table.as_bytes()));
+        } else {
+            eprintln!("rtecctl: no error.cor, which is by angle: a straight feature has only one");
+        }
+        write_all(folder, &files)?;
     }
     if args.json { print(&(serde_json::to_string_pretty(&report)? + "\n")) } else { print(&text(&report)) }
 }

@@ -42,7 +42,7 @@ pub(crate) struct Args {
         long,
         value_name = "LENGTH,RADIUS,DEG",
         value_delimiter = ',',
-        num_args = 3,
+        num_args = 1,
         allow_negative_numbers = true
     )]
     stem: Option<Vec<f64>>,
@@ -134,11 +134,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (contour, unit) = args.drawing.read()?;
     let motion = args.motion.motion()?;
     let stem = match args.stem.as_deref() {
-        Some(&[length_mm, radius_mm, deg]) => {
+        None => None,
+        Some(&[length_mm, radius_mm, deg]) if length_mm > 0.0 && radius_mm > 0.0 && deg.is_finite() => {
             Some(Stem { length_mm, radius_mm, angle_rad: deg.to_radians() })
         }
-        _ => None,
+        Some(other) => {
+            let found = other.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+            return Err(usage("--stem", found, "LENGTH,RADIUS,DEG, the first two above 0, as 60,2,90"));
+        }
     };
+    if !(args.margin_mm.is_finite() && args.margin_mm >= 0.0) {
+        return Err(usage("--margin-mm", args.margin_mm.to_string(), "a length in mm, 0 or more"));
+    }
+    positive("--off-mm", args.off_mm)?;
+    args.bypass.map(|clear_mm| positive("--bypass", clear_mm)).transpose()?;
     let probe = Probe {
         tip_mm: positive("--tip-mm", args.tip_mm)?,
         stand_off_mm: positive("--stand-off-mm", args.stand_off_mm.unwrap_or(motion.stand_off_mm()))?,
