@@ -94,6 +94,13 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
     assert!(o.finish.largest_um < 3.0 && o.finish.true_form_um > 8.0, "{:?}", o.finish);
     let batch = o.off_machine.unwrap();
     let count = |f: Finding| batch.places.iter().filter(|p| p.finding == f).count();
+    println!(
+        "after the finish cut the probe sees {:.1} µm at most, the true surface's form is {:.1} µm; {} of {} places not observable",
+        o.finish.largest_um,
+        o.finish.true_form_um,
+        count(Finding::NotObservable),
+        batch.places.len()
+    );
     assert!(count(Finding::NotObservable) >= 4, "{:?}", batch.offers);
     assert!(batch.offers.iter().any(|o| o.contains("not observable")));
     assert!(run(&setup("c", 7)).off_machine.is_none());
