@@ -196,8 +196,8 @@ pub(crate) struct Axis {
     requested: i64,
     insertion: Insertion,
     unsettled: Option<Unsettled>,
-    /// The last inversion is in effect; A' and B' have yet to be looked at.
-    back_due: bool,
+    /// The last inversion is in effect since then; A' and B' have yet to be looked at.
+    back_due: Option<u64>,
     /// The last edge came between these two times.
     last_edge: Option<(u64, u64)>,
     /// Lower bound of the last period, ns; `None` before the second edge.
@@ -268,7 +268,7 @@ impl Axis {
                 Insertion::Idle
             },
             unsettled: None,
-            back_due: false,
+            back_due: None,
             last_edge: None,
             period_ns: None,
             next_allowed_ns: found.t_ns,
@@ -460,15 +460,18 @@ impl Axis {
             if u.done_ns.is_none_or(|done| now_ns > done) {
                 self.unsettled = None;
                 self.settle(Some(look.sample.t_ns));
-                self.back_due = self.real.is_none() && self.config.lines.read_back.is_some();
+                let wired_back = self.real.is_none() && self.config.lines.read_back.is_some();
+                self.back_due = wired_back.then(|| u.done_ns.unwrap_or(look.sample.t_ns));
             }
         }
-        if self.back_due
+        // Gates, receivers and the card's input filter take their time; what the MTC is given, they are given too.
+        if let Some(effective_ns) = self.back_due
             && self.unsettled.is_none()
+            && look.sample.t_ns >= self.apart_ns(effective_ns)
             && !look.sample.more
             && look.sample.fresh & self.config.lines.input_mask() == self.config.lines.input_mask()
         {
-            self.back_due = false;
+            self.back_due = None;
             if self.config.lines.back(look.sample.inputs).is_some_and(|back| back != self.wire.mtc) {
                 self.fault(Fault::ReadBackMismatch, tell);
             }
@@ -623,7 +626,6 @@ impl Axis {
     /// What is due at this look.
     fn act(&mut self, look: &Look, tell: &mut impl FnMut(EventKind)) -> u8 {
         let t_ns = look.sample.t_ns;
-        let separation_ns = self.config.min_separation_ns;
         match self.insertion {
             Insertion::Idle => {
                 let RestPolicy::Insert { after_ns } = self.config.rest else { return 0 };
@@ -646,19 +648,17 @@ impl Axis {
                     tell(EventKind::Late);
                     return 0;
                 }
-                self.invert_first(add, pairs, t_ns, from_ns - separation_ns)
+                self.invert_first(add, pairs, t_ns, from_ns - self.config.min_separation_ns)
             }
             Insertion::Half { add, pairs, effective_ns: Some(effective), edges, seen_ns } => {
-                let last_out = self.last_edge.map_or(effective, |(_, edge)| edge.max(effective));
                 // Two real edges inside: the axis is too fast for a separation, and the MTC counts mirrored.
-                if t_ns < last_out + separation_ns && edges < 2 {
+                if t_ns < self.apart_ns(effective) && edges < 2 {
                     return 0;
                 }
                 self.invert_second(add, pairs, edges > 0, t_ns, seen_ns, tell)
             }
             Insertion::Between { add, pairs, effective_ns: Some(effective), seen_ns } => {
-                let last_out = self.last_edge.map_or(effective, |(_, edge)| edge.max(effective));
-                if t_ns < last_out + separation_ns {
+                if t_ns < self.apart_ns(effective) {
                     return 0;
                 }
                 self.invert_first(add, pairs, t_ns, seen_ns)
@@ -722,15 +722,18 @@ impl Axis {
         signal as u8
     }
 
+    /// The MTC has had its separation from an inversion in effect since then, and from the last edge.
+    fn apart_ns(&self, effective_ns: u64) -> u64 {
+        let last_out = self.last_edge.map_or(effective_ns, |(_, edge)| edge.max(effective_ns));
+        last_out + self.config.min_separation_ns
+    }
+
     /// Sets the appointment for the next look that matters without a change of lines.
     fn appoint(&mut self) {
-        let separation_ns = self.config.min_separation_ns;
-        let after =
-            |effective: u64| self.last_edge.map_or(effective, |(_, e)| e.max(effective)) + separation_ns;
         let mut wake = match self.insertion {
             Insertion::Opened { from_ns, .. } => from_ns,
             Insertion::Half { effective_ns: Some(e), edges: 0..2, .. }
-            | Insertion::Between { effective_ns: Some(e), .. } => after(e),
+            | Insertion::Between { effective_ns: Some(e), .. } => self.apart_ns(e),
             Insertion::Half { .. } | Insertion::Between { .. } => 0,
             Insertion::Idle => match self.config.rest {
                 RestPolicy::Insert { after_ns } if self.ready() && self.place() => {
@@ -739,8 +742,11 @@ impl Axis {
                 _ => u64::MAX,
             },
         };
-        if self.back_due || self.unsettled.is_some_and(|u| u.done_ns.is_none()) {
+        if self.unsettled.is_some_and(|u| u.done_ns.is_none()) {
             wake = 0;
+        }
+        if let Some(effective_ns) = self.back_due {
+            wake = wake.min(self.apart_ns(effective_ns));
         }
         if let Some(c) = self.capture {
             wake = wake.min(c.trip_ns.1 + CAPTURE_LIMIT_NS + 1);

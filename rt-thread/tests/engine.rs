@@ -561,3 +561,66 @@ fn the_read_back_waits_for_levels_of_this_very_moment() {
     rig.looks(2);
     assert_eq!(rig.faults(), [Fault::ReadBackMismatch]);
 }
+
+/// Gates and receivers that follow after a while: A' and B' as they were `behind_ns` ago.
+struct Following {
+    bench: Bench,
+    behind_ns: u64,
+    was: Vec<(u64, u64)>,
+}
+
+impl Card for Following {
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        let sample = self.bench.sample(wake_ns)?;
+        let now = (self.bench.inputs ^ self.bench.outputs) & 0b11;
+        if self.was.last().is_none_or(|(_, back)| *back != now) {
+            self.was.push((sample.t_ns, now));
+        }
+        let back = self.was.iter().rev().find(|(t_ns, _)| t_ns + self.behind_ns <= sample.t_ns);
+        Ok(Sample { inputs: sample.inputs | back.map_or(0, |(_, back)| back << 2), ..sample })
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.bench.write(mask, value)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        self.bench.outputs()
+    }
+}
+
+/// A bug once: A' and B' were compared at the first look after a write, and an input filter of a microsecond was a fault.
+#[test]
+fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
+    for (behind_ns, follows) in [(0, true), (100, true), (400, true), (2_000, false)] {
+        let mut card = Following { bench: Bench::default(), behind_ns, was: Vec::new() };
+        let config = AxisConfig { lines: AxisLines::standard(0, true), ..AxisConfig::default() };
+        let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+        let mut engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
+        let mut faults = Vec::new();
+        let mut tell = |e: Event| {
+            if let EventKind::Fault(f) = e.kind {
+                faults.push(f);
+            }
+            true
+        };
+        engine.start_homed(&mut card, &mut tell).unwrap();
+        for n in 0..200_u64 {
+            let total_counts = if n % 40 < 20 { 6 } else { -6 };
+            engine
+                .take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, &mut tell)
+                .unwrap();
+            card.bench.inputs = [0, 1, 3, 2][n as usize % 4];
+            // An edge every 5 µs, looked at ten times a microsecond.
+            for _ in 0..50 {
+                engine.poll(&mut card, u64::MAX, &mut tell).unwrap();
+            }
+        }
+        let axis = engine.status().axes[0];
+        if follows {
+            assert!(faults.is_empty() && axis.insertions > 20, "{behind_ns} ns behind: {faults:?}, {axis:?}");
+        } else {
+            assert_eq!(faults, [Fault::ReadBackMismatch], "{behind_ns} ns behind");
+        }
+    }
+}
