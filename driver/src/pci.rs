@@ -12,6 +12,8 @@ const SYSFS: &str = "/sys/bus/pci/devices";
 /// Flags of a resource, from the kernel's ioport.h.
 const RESOURCE_IO: u64 = 0x100;
 const RESOURCE_MEM: u64 = 0x200;
+/// Drivers that hold a card for a program, or for nobody, and leave its registers alone.
+const FOR_PROGRAMS: [&str; 3] = ["pci-stub", "uio_pci_generic", "vfio-pci"];
 
 /// Which function is meant.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -86,6 +88,18 @@ pub enum PciError {
         command: u16,
         /// `memory` or `I/O`.
         space: &'static str,
+    },
+    /// A driver of the kernel works with the card.
+    #[error(
+        "PCI card {address} is in the hands of the kernel's driver {driver}: use that driver's device (/dev/parportN, \
+         /dev/uioN, a GPIO chip), or free the card: cd /sys/bus/pci/devices/{address} && echo pci-stub > driver_override && \
+         echo {address} > driver/unbind"
+    )]
+    Held {
+        /// The card's place.
+        address: String,
+        /// The driver.
+        driver: String,
     },
     /// The system refused.
     #[error("{op} {}: {source}", path.display())]
@@ -209,6 +223,7 @@ impl Function {
     /// # Errors
     /// When it is not as wanted, or the system refuses.
     pub fn prepare(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+        self.free()?;
         self.fits(bar, space, size)?;
         let enable = &self.directory.join("enable");
         let io = |op| move |source| PciError::Io { op, path: enable.clone(), source };
@@ -218,11 +233,24 @@ impl Function {
         self.check(bar, space, size)
     }
 
-    /// Checks that the BAR is in `space`, has `size` bytes, and is switched on. Nothing is written.
+    /// No driver of the kernel works with it: two masters would write the same registers, and a driver that takes the memory
+    /// takes our mapping away.
+    fn free(&self) -> Result<(), PciError> {
+        let Ok(driver) = fs::read_link(self.directory.join("driver")) else { return Ok(()) };
+        let driver = driver.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        if FOR_PROGRAMS.contains(&driver.as_str()) {
+            return Ok(());
+        }
+        Err(PciError::Held { address: self.address.clone(), driver })
+    }
+
+    /// Checks that no driver has the card, and that the BAR is in `space`, has `size` bytes, and is switched on. Nothing is
+    /// written.
     ///
     /// # Errors
     /// When it is not so, or the system refuses.
     pub fn check(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+        self.free()?;
         let found = self.fits(bar, space, size)?;
         let path = self.directory.join("config");
         let bytes = fs::read(&path).map_err(|source| PciError::Io { op: "reading", path, source })?;
@@ -318,6 +346,31 @@ mod tests {
         ] {
             let found = card.prepare(bar, space, size).unwrap_err().to_string();
             assert!(found.contains(wants), "{found}\n  wants {wants}");
+        }
+    }
+
+    #[test]
+    fn a_card_that_a_driver_works_with_is_left_alone() {
+        let sysfs = bus(2);
+        let card = &functions_in(sysfs.path())[0];
+        let driver = |name: &str| {
+            let link = sysfs.path().join("0000:00:04.0/driver");
+            let _ = fs::remove_file(&link);
+            std::os::unix::fs::symlink(format!("../../../bus/pci/drivers/{name}"), link).unwrap();
+        };
+        driver("8255_pci");
+        for refused in [card.prepare(2, Space::Memory, 8), card.check(2, Space::Memory, 8)] {
+            let text = refused.unwrap_err().to_string();
+            assert!(
+                text.starts_with("PCI card 0000:00:04.0 is in the hands of the kernel's driver 8255_pci"),
+                "{text}"
+            );
+            assert!(text.ends_with("echo 0000:00:04.0 > driver/unbind"), "{text}");
+        }
+        assert_eq!(fs::read_to_string(sysfs.path().join("0000:00:04.0/enable")).unwrap(), "0\n");
+        for name in FOR_PROGRAMS {
+            driver(name);
+            assert!(card.prepare(2, Space::Memory, 8).is_ok(), "{name}");
         }
     }
 }
