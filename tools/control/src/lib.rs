@@ -5,9 +5,14 @@
 //! | [`config`] | `rtec.toml`, read strictly: every finding with its line |
 //! | [`protocol`] | requests and answers of the control socket |
 //! | [`client`] | the client's end of it |
+//! | [`card`] | the real card that a configuration names, opened |
+//! | [`lock`] | one program at a time on a socket, on a card |
 
 pub mod card;
 pub mod client;
 pub mod config;
+pub mod lock;
 pub mod protocol;
 mod section;
+
+pub use section::nearest;

@@ -312,7 +312,8 @@ fn shown(text: &str, key: &str, span: &Range<usize>) -> String {
 }
 
 /// The word that was probably meant.
-pub(crate) fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
+#[must_use]
+pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     let scored = words.iter().map(|w| (strsim::damerau_levenshtein(word, w), *w));
     let (distance, near) = scored.min_by_key(|(d, _)| *d)?;
     let length = word.chars().count();

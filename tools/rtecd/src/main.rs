@@ -22,12 +22,11 @@ use anyhow::Context;
 use clap::Parser;
 use log::{Level, Log};
 use manager::Manager;
-use nix::errno::Errno;
-use nix::fcntl::{Flock, FlockArg};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use rtec_control::card::{self, OpenError};
 use rtec_control::config::{CardConfig, Config, Findings, PortPlace};
+use rtec_control::lock::{self, LockError};
 use rtec_driver::card::Card;
 use rtec_driver::input::InputError;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
@@ -36,8 +35,6 @@ use rtec_rt::journal::{Journal, Record, resume};
 use rtec_rt::setup::{Report, System, Wanted};
 use rtec_rt::thread::{Options, spawn};
 use session::Session;
-use std::fs::File;
-use std::io::{Read, Seek, Write};
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -75,6 +72,15 @@ enum Failure {
     /// Exit 4: the card's state forbids it.
     #[error("{0}")]
     Fault(String),
+}
+
+impl From<LockError> for Failure {
+    fn from(error: LockError) -> Self {
+        match error {
+            LockError::Io { what: "card", .. } => Self::Unreachable(error.to_string()),
+            _ => Self::Taken(error.to_string()),
+        }
+    }
 }
 
 fn main() -> ExitCode {
@@ -177,7 +183,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
         }
         CardConfig::Mapped { place, profile } => {
             let (file, map) = card::register_file(&place, &profile)?;
-            let _card_lock = lock(&file, "card")?;
+            let _card_lock = lock::card(&file).map_err(Failure::from)?;
             let card = card::mapped(&file, map, &profile)?;
             let real = cards::drives_a_machine(&file)?;
             work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside, log)
@@ -196,41 +202,6 @@ enum Kind {
     Harmless,
     /// A simulated machine, and who stands at it.
     Simulated(cards::Stand),
-}
-
-/// Takes a file for this process alone.
-fn lock(file: &Path, what: &str) -> anyhow::Result<Flock<File>> {
-    let opened = File::options().read(true).write(true).open(file);
-    let opened = opened.map_err(|e| Failure::Unreachable(format!("{what} {}: {e}", file.display())))?;
-    Flock::lock(opened, FlockArg::LockExclusiveNonblock).map_err(|(mut held, errno)| {
-        let mut holder = String::new();
-        if what == "lock" {
-            // The holder's number is a courtesy; without it the message is shorter.
-            let _ = held.read_to_string(&mut holder);
-        }
-        let holder = holder.trim();
-        let by = if holder.is_empty() { String::new() } else { format!(" (process {holder})") };
-        let why = match errno {
-            Errno::EWOULDBLOCK => format!("another rtecd{by} holds the {what} {}", file.display()),
-            other => format!("locking the {what} {}: {}", file.display(), other.desc()),
-        };
-        Failure::Taken(why).into()
-    })
-}
-
-/// Locks the file beside the socket and puts our process number in it.
-fn lock_beside(socket: &Path) -> anyhow::Result<Flock<File>> {
-    let mut name = socket.as_os_str().to_owned();
-    name.push(".lock");
-    let path = PathBuf::from(name);
-    if !path.exists() {
-        File::create(&path).with_context(|| format!("creating {}", path.display()))?;
-    }
-    let mut held = lock(&path, "lock")?;
-    held.set_len(0)?;
-    held.rewind()?;
-    writeln!(held, "{}", std::process::id())?;
-    Ok(held)
 }
 
 /// Whom the daemon listens to and tells: clients, signals, the service manager.

@@ -2,16 +2,16 @@
 
 use crate::log::{Level, Log};
 use crate::session::Session;
-use crate::{Failure, Outside, lock_beside};
+use crate::{Failure, Outside};
 use anyhow::Context;
-use nix::fcntl::Flock;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::stat::{Mode, umask};
 use nix::unistd::{Group, chown};
 use rtec_control::config::ControlConfig;
+use rtec_control::lock;
 use rtec_control::protocol::{MAX_LINE, Request, Response};
 use rtec_rt::link::ControlEnd;
-use std::fs::{DirBuilder, File, Permissions};
+use std::fs::{DirBuilder, Permissions};
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
@@ -29,7 +29,7 @@ const MAX_UNREAD: usize = 256 * 1024;
 const IDLE: Duration = Duration::from_secs(30);
 
 /// The listening socket, for its group only, and the lock that makes it ours.
-pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<(UnixListener, Flock<File>)> {
+pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<(UnixListener, lock::Held)> {
     let socket = &control.socket;
     let group = match &control.group {
         None => None,
@@ -49,7 +49,7 @@ pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<(UnixListener, F
         chown(directory, None, group)
             .with_context(|| format!("giving {} to its group", directory.display()))?;
     }
-    let held = lock_beside(socket)?;
+    let held = lock::socket(socket).map_err(Failure::from)?;
     clear_stale(socket)?;
     // Born without access for anybody else; the group gets its own before the first client can be served.
     let before = umask(Mode::from_bits_truncate(0o177));

@@ -5,17 +5,20 @@ use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::card;
 use rtec_control::config::{CardConfig, Config, MappedPlace, PortPlace};
+use rtec_control::lock::{self, Held, LockError};
+use rtec_control::nearest;
 use rtec_driver::card::Card;
 use rtec_driver::gpio::{self, GpioSetup};
 use rtec_driver::input::InputError;
 use rtec_driver::mapped::Registers;
 use rtec_driver::pci;
 use rtec_driver::port::{Parport, Ports};
-use rtec_driver::profile::{Place, Profile, SHIPPED, Space};
+use rtec_driver::profile::{Place, Profile, Register, SHIPPED, Space};
 use rtec_driver::registers::Bus;
 use serde_json::{Value, json};
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Cards: those known, those in this machine, and the lines of one
 #[derive(Debug, clap::Args)]
@@ -37,8 +40,11 @@ enum What {
         /// Name of a profile, or a profile's file
         profile: String,
         /// Print its text, as a start for your own
-        #[arg(long)]
+        #[arg(long, conflicts_with = "json")]
         toml: bool,
+        /// Print one JSON document
+        #[arg(long)]
+        json: bool,
     },
     /// Read the lines of the card that a configuration names; nothing is written unless --drive says so
     Probe {
@@ -51,22 +57,26 @@ enum What {
         /// The MTC is off: do not ask
         #[arg(long, requires = "drive")]
         mtc_is_off: bool,
+        /// Print one JSON document
+        #[arg(long)]
+        json: bool,
     },
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::List { json } => list(*json),
-        What::Show { profile, toml } => show(profile, *toml),
-        What::Probe { config, drive, mtc_is_off } => {
+        What::Show { profile, toml, json } => show(profile, *toml, *json),
+        What::Probe { config, drive, mtc_is_off, json } => {
             let config = Config::load(config)?;
             if !drive {
-                return probe(&config);
+                return probe(&config)?.print(*json);
             }
+            let _alone = alone(&config)?;
             if !mtc_is_off {
                 confirm()?;
             }
-            drive_outputs(&config)
+            drive_outputs(&config, *json)
         }
     }
 }
@@ -147,14 +157,17 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn show(name: &str, as_toml: bool) -> anyhow::Result<()> {
+fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
     let path = Path::new(name);
     let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
     let text = match shipped {
         Some((_, text)) => (*text).to_owned(),
         None => std::fs::read_to_string(path).map_err(|e| {
-            let names = SHIPPED.map(|(name, _)| name).join(", ");
-            InputError::whole(path, e.to_string(), format!("the path of a card profile, or one of {names}"))
+            let names = SHIPPED.map(|(name, _)| name);
+            let hint =
+                nearest(name, &names).map_or(String::new(), |near| format!("; did you mean \"{near}\"?"));
+            let expected = format!("the path of a card profile, or one of {}{hint}", names.join(", "));
+            InputError::whole(path, e.to_string(), expected)
         })?,
     };
     if as_toml {
@@ -162,11 +175,48 @@ fn show(name: &str, as_toml: bool) -> anyhow::Result<()> {
         return Ok(());
     }
     let p = Profile::parse(path, &text)?;
+    let space = |space| if space == Space::Io { "I/O ports" } else { "memory" };
+    if as_json {
+        let register = |r: &Register| json!({"offset": r.offset, "bits": r.width.bits()});
+        let registers = |list: &[Register]| list.iter().map(register).collect::<Vec<_>>();
+        let lines: Vec<_> = p
+            .lines
+            .iter()
+            .map(|(line, place)| {
+                let (what, bit, low) = described(&p, *place);
+                json!({"line": line, "direction": what, "bit": bit, "active_low": low})
+            })
+            .collect();
+        let setup = p.setup.iter().map(|s| {
+            json!({"offset": s.order.register.offset, "value": s.order.value, "after_reset": s.after_reset})
+        });
+        let counters = p.counters.iter().map(|c| {
+            json!({"a": c.lines.0, "b": c.lines.1, "offset": c.count.offset, "bits": c.count.width.bits(),
+                   "overflow": c.overflow.is_some(), "error": c.error.is_some()})
+        });
+        let pci = p.pci.map(|place| {
+            let id = format!("{:04x}:{:04x}", place.id.0, place.id.1);
+            json!({"id": id, "bar": place.bar, "space": space(place.space)})
+        });
+        let document = json!({
+            "name": p.name, "source": p.source, "backend": backend(&p, name), "pci": pci,
+            "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines,
+            "setup": setup.collect::<Vec<_>>(), "counters": counters.collect::<Vec<_>>(),
+        });
+        println!("{}", serde_json::to_string_pretty(&document)?);
+        return Ok(());
+    }
     println!("{}", p.name);
     println!("  source   {}", p.source);
     println!("  backend  {}", backend(&p, name));
     if let Some(place) = p.pci {
-        println!("  pci      {:04x}:{:04x}, BAR {}, {:?}", place.id.0, place.id.1, place.bar, place.space);
+        println!(
+            "  pci      {:04x}:{:04x}, BAR {}, {}",
+            place.id.0,
+            place.id.1,
+            place.bar,
+            space(place.space)
+        );
     }
     for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
         let at: Vec<_> =
@@ -188,20 +238,23 @@ fn show(name: &str, as_toml: bool) -> anyhow::Result<()> {
             c.lines.0,
             c.lines.1,
             c.count.offset,
-            flags.join(", ")
+            if flags.is_empty() { "none".to_owned() } else { flags.join(", ") }
         );
     }
     for (line, place) in &p.lines {
-        let (what, bit, inverted) = match place {
-            Place::Input(bit) => ("input", bit, p.input_invert),
-            Place::Output(bit) => ("output", bit, p.output_invert),
-        };
-        println!(
-            "  line     {line:<10} {what} {bit}{}",
-            if inverted >> bit & 1 == 1 { ", active low" } else { "" }
-        );
+        let (what, bit, low) = described(&p, *place);
+        println!("  line     {line:<10} {what} {bit}{}", if low { ", active low" } else { "" });
     }
     Ok(())
+}
+
+/// Direction, bit, and whether it is active low.
+fn described(profile: &Profile, place: Place) -> (&'static str, u8, bool) {
+    let (what, bit, inverted) = match place {
+        Place::Input(bit) => ("input", bit, profile.input_invert),
+        Place::Output(bit) => ("output", bit, profile.output_invert),
+    };
+    (what, bit, inverted >> bit & 1 == 1)
 }
 
 /// What a person calls the wired lines: name, bit, and whether it is an output.
@@ -240,11 +293,63 @@ fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
     Outcome::Unreachable(error.to_string()).into()
 }
 
+/// What was found without writing anything.
+struct Reading {
+    /// The profile's name; of GPIO lines there is none.
+    card: Option<String>,
+    registers: Vec<(Register, &'static str, u32, String)>,
+    lines: Vec<LineReading>,
+}
+
+/// One wired line: its bit and level, or what the kernel says of it.
+struct LineReading {
+    name: String,
+    output: bool,
+    level: Option<(u8, bool)>,
+    kernel: Option<String>,
+}
+
+impl Reading {
+    fn print(&self, as_json: bool) -> anyhow::Result<()> {
+        let way = |output| if output { "output" } else { "input" };
+        if as_json {
+            let registers = self.registers.iter().map(|(r, what, value, means)| {
+                json!({"offset": r.offset, "bits": r.width.bits(), "use": what, "value": value, "means": means})
+            });
+            let lines = self.lines.iter().map(|l| {
+                json!({"line": l.name, "direction": way(l.output), "bit": l.level.map(|(bit, _)| bit),
+                       "level": l.level.map(|(_, on)| u8::from(on)), "kernel": l.kernel})
+            });
+            let document = json!({
+                "card": self.card, "registers": registers.collect::<Vec<_>>(), "lines": lines.collect::<Vec<_>>(),
+            });
+            println!("{}", serde_json::to_string_pretty(&document)?);
+            return Ok(());
+        }
+        if let Some(card) = &self.card {
+            println!("{card}");
+        }
+        for (r, what, value, means) in &self.registers {
+            let (width, means) = (r.width.bits() as usize / 4 + 2, if means.is_empty() { "" } else { means });
+            let colon = if means.is_empty() { "" } else { ": " };
+            println!("  register {:#04x} {what:<8} {value:#0width$x}{colon}{means}", r.offset);
+        }
+        for l in &self.lines {
+            let found = match (&l.level, &l.kernel) {
+                (Some((bit, on)), _) => format!("bit {bit:<3} {}", u8::from(*on)),
+                (None, kernel) => kernel.clone().unwrap_or_default(),
+            };
+            println!("  {:<16} {:<6} {found}", l.name, way(l.output));
+        }
+        Ok(())
+    }
+}
+
 /// Reads every line without requesting, enabling or setting up anything.
-fn probe(config: &Config) -> anyhow::Result<()> {
-    let (inputs, outputs) = match &config.card {
-        CardConfig::Mock | CardConfig::Replay { .. } => return Err(no_lines(config)),
-        CardConfig::Gpio(setup) => return probe_gpio(config, setup),
+fn probe(config: &Config) -> anyhow::Result<Reading> {
+    match &config.card {
+        CardConfig::Mock | CardConfig::Replay { .. } => Err(no_lines(config)),
+        CardConfig::Gpio(setup) => probe_gpio(config, setup),
         CardConfig::Mapped { place, profile } => {
             let (file, map) = match place {
                 MappedPlace::File(file) => (file.clone(), 0),
@@ -255,65 +360,69 @@ fn probe(config: &Config) -> anyhow::Result<()> {
                 }
             };
             let registers = Registers::open_map(&file, map, profile.size(), &profile.name);
-            read_registers(&registers.map_err(unreachable)?, profile)?
+            read_registers(config, &registers.map_err(unreachable)?, profile)
         }
         CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            read_registers(&Parport::open(file).map_err(unreachable)?, profile)?
+            read_registers(config, &Parport::open(file).map_err(unreachable)?, profile)
         }
         CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            read_registers(&Ports::open(*base, profile.size()).map_err(unreachable)?, profile)?
+            read_registers(config, &Ports::open(*base, profile.size()).map_err(unreachable)?, profile)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
             let card = pci::find(id).map_err(unreachable)?;
             let base = card.check(*bar, Space::Io, profile.size()).map_err(unreachable)?.start as u16;
-            read_registers(&Ports::open(base, profile.size()).map_err(unreachable)?, profile)?
+            read_registers(config, &Ports::open(base, profile.size()).map_err(unreachable)?, profile)
         }
-    };
-    for (name, bit, output) in wired(config) {
-        let word = if output { outputs } else { inputs };
-        println!(
-            "  {name:<16} {:<6} bit {bit:<3} {}",
-            if output { "output" } else { "input" },
-            word >> bit & 1
-        );
     }
-    Ok(())
 }
 
-/// Prints every register and returns the input and the output word, polarity taken out.
-fn read_registers(bus: &impl Bus, profile: &Profile) -> anyhow::Result<(u64, u64)> {
-    println!("{}", profile.name);
-    let read = |registers: &[rtec_driver::profile::Register], what: &str| -> anyhow::Result<u64> {
-        let (mut word, mut shift) = (0, 0);
+/// Every register, and the wired lines with polarity taken out.
+fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> anyhow::Result<Reading> {
+    let mut found = Vec::new();
+    let mut read = |r: Register, what, means: &dyn Fn(u32) -> String| -> anyhow::Result<u32> {
+        let value = bus.read(r.offset, r.width).map_err(unreachable)?;
+        found.push((r, what, value, means(value)));
+        Ok(value)
+    };
+    let nothing = &|_| String::new();
+    let mut words = [0, 0];
+    for (word, (registers, what)) in
+        words.iter_mut().zip([(&profile.inputs, "input"), (&profile.outputs, "output")])
+    {
+        let mut shift = 0;
         for r in registers {
-            let value = bus.read(r.offset, r.width).map_err(unreachable)?;
-            println!(
-                "  register {:#04x} {what:<7} {value:#0width$x}",
-                r.offset,
-                width = r.width.bits() as usize / 4 + 2
-            );
-            word |= u64::from(value) << shift;
+            *word |= u64::from(read(*r, what, nothing)?) << shift;
             shift += r.width.bits();
         }
-        Ok(word)
-    };
-    let inputs = read(&profile.inputs, "input")? ^ profile.input_invert;
-    let outputs = read(&profile.outputs, "output")? ^ profile.output_invert;
+    }
     for s in &profile.setup {
-        let register = s.order.register;
-        let found = bus.read(register.offset, register.width).map_err(unreachable)?;
-        let is = match found {
-            found if found == s.order.value => "set up",
-            found if found == s.after_reset => "after a reset: rtecd sets it up",
+        let is = |value| match value {
+            value if value == s.order.value => "set up",
+            value if value == s.after_reset => "after a reset: rtecd sets it up",
             _ => "neither set up nor after a reset: is this the card?",
         };
-        println!("  register {:#04x} set-up  {found:#x}: {is}", register.offset);
+        read(s.order.register, "set-up", &|value| is(value).to_owned())?;
     }
-    Ok((inputs, outputs))
+    for c in &profile.counters {
+        let latched = if c.latch.is_some() { "as last latched" } else { "as it stands" };
+        read(c.count, "count", &|_| format!("of inputs {} and {}, {latched}", c.lines.0, c.lines.1))?;
+        for (what, flag) in [("overflow", c.overflow), ("error", c.error)] {
+            let Some(flag) = flag else { continue };
+            let is = |value: u32| if value >> flag.bit & 1 == 1 { "SET" } else { "clear" };
+            read(flag.register, what, &|value| format!("bit {} is {}", flag.bit, is(value)))?;
+        }
+    }
+    let words = [words[0] ^ profile.input_invert, words[1] ^ profile.output_invert];
+    let lines = wired(config).into_iter().map(|(name, bit, output)| {
+        let on = words[usize::from(output)] >> bit & 1 == 1;
+        LineReading { name, output, level: Some((bit, on)), kernel: None }
+    });
+    Ok(Reading { card: Some(profile.name.clone()), registers: found, lines: lines.collect() })
 }
 
 /// What the kernel says of the lines, without requesting them: requesting an output makes it one.
-fn probe_gpio(config: &Config, setup: &GpioSetup) -> anyhow::Result<()> {
+fn probe_gpio(config: &Config, setup: &GpioSetup) -> anyhow::Result<Reading> {
+    let mut lines = Vec::new();
     for (name, bit, output) in wired(config) {
         let line = if output {
             setup.outputs.iter().find(|o| o.bit == bit).map(|o| &o.line)
@@ -321,10 +430,25 @@ fn probe_gpio(config: &Config, setup: &GpioSetup) -> anyhow::Result<()> {
             setup.inputs.iter().find(|i| i.bit == bit).map(|i| &i.line)
         };
         let line = line.context("a wired line is in the set-up")?;
-        let found = gpio::look(line).map_err(unreachable)?;
-        println!("  {name:<16} {:<6} {found}", if output { "output" } else { "input" });
+        let kernel = Some(gpio::look(line).map_err(unreachable)?);
+        lines.push(LineReading { name, output, level: None, kernel });
     }
-    Ok(())
+    Ok(Reading { card: None, registers: Vec::new(), lines })
+}
+
+/// Keeps the daemon away from the card for as long as the value lives: it would correct against what is switched here.
+fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
+    let stop =
+        |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
+    let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
+    if let CardConfig::Mapped { place, profile } = &config.card {
+        let (file, _) = card::register_file(place, profile).map_err(unreachable)?;
+        held.push(lock::card(&file).map_err(|e| match e {
+            LockError::Taken { .. } => stop(e),
+            LockError::Io { .. } => Outcome::Unreachable(e.to_string()),
+        })?);
+    }
+    Ok(held)
 }
 
 fn confirm() -> anyhow::Result<()> {
@@ -342,43 +466,48 @@ fn confirm() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn drive_outputs(config: &Config) -> anyhow::Result<()> {
+fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
     match &config.card {
         CardConfig::Mock | CardConfig::Replay { .. } => Err(no_lines(config)),
         CardConfig::Gpio(setup) => {
             // Levels are read as they are at the moment; edges would have to be waited for.
             let setup = GpioSetup { events: false, ..setup.clone() };
-            drive(config, &mut card::gpio(&setup, Vec::new()).map_err(unreachable)?)
+            drive(config, as_json, &mut card::gpio(&setup, Vec::new()).map_err(unreachable)?)
         }
         CardConfig::Mapped { place, profile } => {
             let (file, map) = card::register_file(place, profile).map_err(unreachable)?;
-            drive(config, &mut card::mapped(&file, map, profile).map_err(unreachable)?)
+            drive(config, as_json, &mut card::mapped(&file, map, profile).map_err(unreachable)?)
         }
         CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            drive(config, &mut card::parport(file, profile).map_err(unreachable)?)
+            drive(config, as_json, &mut card::parport(file, profile).map_err(unreachable)?)
         }
         CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            drive(config, &mut card::ports(*base, profile).map_err(unreachable)?)
+            drive(config, as_json, &mut card::ports(*base, profile).map_err(unreachable)?)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
             let base = card::io_bar(id, *bar, profile).map_err(unreachable)?;
-            drive(config, &mut card::ports(base, profile).map_err(unreachable)?)
+            drive(config, as_json, &mut card::ports(base, profile).map_err(unreachable)?)
         }
     }
 }
 
+/// Time that gates, receivers and the card's input filter are given.
+const SETTLED: Duration = Duration::from_millis(20);
+
 /// Switches each output over and back, reads it back each time, and says which inputs follow.
-fn drive<C: Card>(config: &Config, card: &mut C) -> anyhow::Result<()> {
+fn drive<C: Card>(config: &Config, as_json: bool, card: &mut C) -> anyhow::Result<()> {
     let lines = wired(config);
-    let mut wrong = 0;
+    let (mut wrong, mut found) = (0, Vec::new());
     for (name, bit, _) in lines.iter().filter(|(_, _, output)| *output) {
         let mask = 1 << bit;
         let before = card.outputs().map_err(unreachable)?;
         let inputs = card.sample(0).map_err(unreachable)?.inputs;
         card.write(mask, !before & mask).map_err(unreachable)?;
+        std::thread::sleep(SETTLED);
         let (switched, followed) = (card.outputs(), card.sample(0));
         // Whatever was read: the line goes back first.
         card.write(mask, before & mask).map_err(unreachable)?;
+        std::thread::sleep(SETTLED);
         let back = card.outputs().map_err(unreachable)?;
         let changed = followed.map_err(unreachable)?.inputs ^ inputs;
         let ok = switched.map_err(unreachable)? == before ^ mask && back == before;
@@ -388,6 +517,10 @@ fn drive<C: Card>(config: &Config, card: &mut C) -> anyhow::Result<()> {
             .filter(|(_, bit, output)| !output && changed >> bit & 1 == 1)
             .map(|(name, ..)| name.as_str())
             .collect();
+        if as_json {
+            found.push(json!({"line": name, "reads_back": ok, "followed_by": follows}));
+            continue;
+        }
         println!(
             "  {name:<16} {}; {}",
             if ok { "switched, read back, switched back" } else { "DOES NOT READ BACK what was written" },
@@ -397,6 +530,9 @@ fn drive<C: Card>(config: &Config, card: &mut C) -> anyhow::Result<()> {
                 format!("followed by {}", follows.join(", "))
             }
         );
+    }
+    if as_json {
+        println!("{}", serde_json::to_string_pretty(&json!({ "outputs": found }))?);
     }
     if wrong > 0 {
         return Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into());

@@ -1,0 +1,92 @@
+//! One program at a time: the lock beside a control socket, and the lock of a card's file.
+
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use std::fs::File;
+use std::io::{self, Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+/// A lock that lasts as long as this value.
+pub type Held = Flock<File>;
+
+/// Why a lock could not be had.
+#[derive(Debug, thiserror::Error)]
+pub enum LockError {
+    /// Somebody else has it.
+    #[error("another rtecd{by} holds the {what} {}", path.display())]
+    Taken {
+        /// The process, where it is known: ` (process 123)`.
+        by: String,
+        /// `lock` or `card`.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+    },
+    /// The system refused.
+    #[error("{what} {}: {source}", path.display())]
+    Io {
+        /// `lock` or `card`.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+fn lock(path: &Path, what: &'static str) -> Result<Held, LockError> {
+    let io = |source| LockError::Io { what, path: path.to_owned(), source };
+    let file = File::options().read(true).write(true).open(path).map_err(io)?;
+    Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(mut held, errno)| {
+        if errno != Errno::EWOULDBLOCK {
+            return io(errno.into());
+        }
+        let mut holder = String::new();
+        if what == "lock" {
+            // The holder's number is a courtesy; without it the message is shorter.
+            let _ = held.read_to_string(&mut holder);
+        }
+        let holder = holder.trim();
+        let by = if holder.is_empty() { String::new() } else { format!(" (process {holder})") };
+        LockError::Taken { by, what, path: path.to_owned() }
+    })
+}
+
+/// Takes a card's file of registers.
+///
+/// # Errors
+/// When somebody else has it, or it cannot be opened.
+pub fn card(file: &Path) -> Result<Held, LockError> {
+    lock(file, "card")
+}
+
+fn beside(socket: &Path) -> PathBuf {
+    let mut name = socket.as_os_str().to_owned();
+    name.push(".lock");
+    PathBuf::from(name)
+}
+
+/// Takes the lock beside a control socket and puts our process number in it.
+///
+/// # Errors
+/// When somebody else has it, or it cannot be made.
+pub fn socket(socket: &Path) -> Result<Held, LockError> {
+    let path = beside(socket);
+    let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
+    if !path.exists() {
+        File::create(&path).map_err(io)?;
+    }
+    let mut held = lock(&path, "lock")?;
+    held.set_len(0).and_then(|()| held.rewind()).map_err(io)?;
+    writeln!(held, "{}", std::process::id()).map_err(io)?;
+    Ok(held)
+}
+
+/// Keeps the daemon of a control socket from starting for as long as the value lives; `None` where none has ever run.
+///
+/// # Errors
+/// When it runs.
+pub fn keep_out(socket: &Path) -> Result<Option<Held>, LockError> {
+    let path = beside(socket);
+    if path.exists() { lock(&path, "lock").map(Some) } else { Ok(None) }
+}
