@@ -213,6 +213,8 @@ pub trait Lines: Send {
     fn outputs(&mut self) -> u64;
     /// Sets A (bit 0) and B (bit 1).
     fn show(&mut self, scale: State);
+    /// Sets A' and B', on cards to which they are wired back.
+    fn show_mtc(&mut self, _mtc: State) {}
 }
 
 /// Shared memory as the profile of that name has it.
@@ -280,6 +282,7 @@ impl Machine {
             while !end.load(Ordering::Relaxed) {
                 let outputs = card.outputs();
                 mtc.update(state.inverted(lines.inverters(outputs)));
+                card.show_mtc(mtc.state());
                 if both.swap(false, Ordering::Relaxed) {
                     state = state.inverted(3);
                 } else if go.load(Ordering::Relaxed) && edge.elapsed() >= between {
@@ -290,6 +293,7 @@ impl Machine {
                 }
                 card.show(state);
                 mtc.update(state.inverted(lines.inverters(outputs)));
+                card.show_mtc(mtc.state());
                 show.offset.store(mtc.count() - scale, Ordering::Relaxed);
                 show.illegal.store(mtc.illegal(), Ordering::Relaxed);
                 show.outputs.store(outputs, Ordering::Relaxed);

@@ -38,6 +38,16 @@ pub fn pull(directory: &Path, line: u32, up: bool) -> anyhow::Result<()> {
     fs::write(&path, if up { "pull-up" } else { "pull-down" }).with_context(|| format!("{}", path.display()))
 }
 
+/// How a line is pulled now: `pull-up` or `pull-down`.
+///
+/// # Errors
+/// When there is no such line.
+pub fn pulled(directory: &Path, line: u32) -> anyhow::Result<String> {
+    let path = directory.join(format!("sim_gpio{line}/pull"));
+    let text = fs::read_to_string(&path).with_context(|| format!("{}", path.display()))?;
+    Ok(text.trim().to_owned())
+}
+
 /// The level of a line.
 ///
 /// # Errors
@@ -54,6 +64,9 @@ pub struct GpioSim {
     pulls: [File; 2],
     values: [File; 2],
     shown: Option<State>,
+    /// A' and B', where they are wired back: what they are pulled by, and how they are now.
+    back: Option<([File; 2], Option<State>)>,
+    active_low: bool,
 }
 
 impl GpioSim {
@@ -65,14 +78,44 @@ impl GpioSim {
     /// # Panics
     /// With fewer than four lines.
     pub fn open(directory: &Path, lines: &[u32]) -> anyhow::Result<Self> {
-        let open = |line: u32, name: &str| {
-            let path = directory.join(format!("sim_gpio{line}/{name}"));
-            let file = File::options().read(true).write(name == "pull").open(&path);
-            file.with_context(|| format!("{}", path.display()))
-        };
-        let pulls = [open(lines[0], "pull")?, open(lines[1], "pull")?];
-        let values = [open(lines[2], "value")?, open(lines[3], "value")?];
-        Ok(Self { pulls, values, shown: None })
+        let pulls = [attribute(directory, lines[0], "pull")?, attribute(directory, lines[1], "pull")?];
+        let values = [attribute(directory, lines[2], "value")?, attribute(directory, lines[3], "value")?];
+        Ok(Self { pulls, values, shown: None, back: None, active_low: false })
+    }
+
+    /// The same with A' and B' wired back to these lines.
+    ///
+    /// # Errors
+    /// When there are no such lines.
+    pub fn wired_back(mut self, directory: &Path, lines: [u32; 2]) -> anyhow::Result<Self> {
+        self.back =
+            Some(([attribute(directory, lines[0], "pull")?, attribute(directory, lines[1], "pull")?], None));
+        Ok(self)
+    }
+
+    /// The same with every line active low.
+    #[must_use]
+    pub fn active_low(mut self) -> Self {
+        self.active_low = true;
+        self
+    }
+}
+
+fn attribute(directory: &Path, line: u32, name: &str) -> anyhow::Result<File> {
+    let path = directory.join(format!("sim_gpio{line}/{name}"));
+    let file = File::options().read(true).write(name == "pull").open(&path);
+    file.with_context(|| format!("{}", path.display()))
+}
+
+/// Pulls two lines to a state, as far as it differs from what they show.
+fn pull_to(pulls: &[File; 2], shown: &mut Option<State>, state: State) {
+    let before = shown.replace(state);
+    for (n, pull) in pulls.iter().enumerate() {
+        let high = |s: State| s.bits() >> n & 1 == 1;
+        if before.is_none_or(|b| high(b) != high(state)) {
+            let text: &[u8] = if high(state) { b"pull-up" } else { b"pull-down" };
+            let _ = pull.write_at(text, 0); // an edge that does not come shows as a jump
+        }
     }
 }
 
@@ -83,19 +126,20 @@ impl Lines for GpioSim {
             let mut text = [0];
             // A line that cannot be read is not on: the trial ends with a jump, as it should.
             let read = value.read_at(&mut text, 0).is_ok();
-            outputs |= u64::from(read && text[0] == b'1') << n;
+            let on = if self.active_low { b'0' } else { b'1' };
+            outputs |= u64::from(read && text[0] == on) << n;
         }
         outputs
     }
 
     fn show(&mut self, scale: State) {
-        let before = self.shown.replace(scale);
-        for (n, pull) in self.pulls.iter().enumerate() {
-            let high = |s: State| s.bits() >> n & 1 == 1;
-            if before.is_none_or(|b| high(b) != high(scale)) {
-                let text: &[u8] = if high(scale) { b"pull-up" } else { b"pull-down" };
-                let _ = pull.write_at(text, 0); // an edge that does not come shows as a jump
-            }
+        let levels = if self.active_low { scale.inverted(3) } else { scale };
+        pull_to(&self.pulls, &mut self.shown, levels);
+    }
+
+    fn show_mtc(&mut self, mtc: State) {
+        if let Some((pulls, shown)) = &mut self.back {
+            pull_to(pulls, shown, mtc);
         }
     }
 }
