@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read};
 use std::net::{TcpStream, ToSocketAddrs};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -298,7 +298,12 @@ pub struct Feed {
     values: BTreeMap<String, f64>,
     trouble: String,
     retry_at: f64,
+    /// When it is next made sure that the device is still the one that was opened.
+    check_at: f64,
 }
+
+/// Time between two tries to connect, and between two looks whether a device is still there, s.
+const RETRY_S: f64 = 5.0;
 
 #[derive(Debug)]
 enum Stream {
@@ -317,6 +322,7 @@ impl Feed {
             values: BTreeMap::new(),
             trouble: "not connected yet".to_owned(),
             retry_at: f64::NEG_INFINITY,
+            check_at: f64::NEG_INFINITY,
         }
     }
 
@@ -346,12 +352,22 @@ impl Feed {
     /// Takes in what has come; values are taken once, so that silence shows.
     pub fn poll(&mut self, now_s: f64) {
         self.values.clear();
+        if let Some(Stream::Serial(file)) = &self.stream
+            && now_s >= self.check_at
+        {
+            self.check_at = now_s + RETRY_S;
+            // A device that was pulled out reads as one that has nothing to say, and comes back as another file.
+            if let Err(gone) = same(file, Path::new(&self.from)) {
+                self.trouble = gone.to_string();
+                self.stream = None;
+            }
+        }
         if self.stream.is_none() && now_s >= self.retry_at {
             match self.connect() {
                 Ok(s) => self.stream = Some(s),
                 Err(e) => {
                     self.trouble = e.to_string();
-                    self.retry_at = now_s + 5.0;
+                    self.retry_at = now_s + RETRY_S;
                 }
             }
         }
@@ -372,7 +388,7 @@ impl Feed {
                 end => {
                     self.trouble = end.err().map_or("closed by the other side".to_owned(), |e| e.to_string());
                     self.stream = None;
-                    self.retry_at = now_s + 5.0;
+                    self.retry_at = now_s + RETRY_S;
                 }
             }
         }
@@ -397,6 +413,15 @@ impl Feed {
             "a line longer than 64 KiB".clone_into(&mut self.trouble);
         }
     }
+}
+
+/// Whether a path still names the file that was opened.
+fn same(file: &fs::File, path: &Path) -> io::Result<()> {
+    let (open, now) = (file.metadata()?, fs::metadata(path)?);
+    if (open.dev(), open.ino()) == (now.dev(), now.ino()) {
+        return Ok(());
+    }
+    Err(io::Error::other("it was taken away, and is another one now"))
 }
 
 /// All sensors of a machine.
@@ -712,5 +737,28 @@ mod tests {
             bank.sensors()[0].fault()
         );
         assert_eq!(bank.usable(&["T1".into()], 20.0).0, Use::Hold);
+    }
+
+    /// A bug once: a serial adapter that was pulled out and put in again stayed silent for good.
+    #[test]
+    fn a_device_that_comes_back_is_opened_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let device = directory.path().join("ttyUSB0");
+        fs::write(&device, "T1 20\n").unwrap();
+        let mut feed = Feed::new(device.to_str().unwrap());
+        feed.poll(0.0);
+        assert_eq!(feed.value("T1"), Ok(20.0));
+        fs::remove_file(&device).unwrap();
+        feed.poll(6.0);
+        assert!(feed.value("T1").is_err_and(|why| why.contains("No such file")), "{:?}", feed.value("T1"));
+        fs::write(&device, "T1 21\n").unwrap();
+        feed.poll(12.0);
+        assert_eq!(feed.value("T1"), Ok(21.0));
+        // Another one at once in its place.
+        let other = directory.path().join("other");
+        fs::write(&other, "T1 22\n").unwrap();
+        fs::rename(&other, &device).unwrap();
+        feed.poll(18.0);
+        assert_eq!(feed.value("T1"), Ok(22.0));
     }
 }
