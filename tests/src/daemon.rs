@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -196,6 +196,8 @@ pub fn user(socket: &Path, args: &[&str]) -> Output {
 /// What the machine and its controller at the end of a shared-memory card show.
 #[derive(Debug, Default)]
 pub struct Seen {
+    /// The scale's count.
+    pub scale: AtomicI64,
     /// The controller's count minus the scale's.
     pub offset: AtomicI64,
     /// Illegal transitions that the controller has seen.
@@ -215,6 +217,20 @@ pub trait Lines: Send {
     fn show(&mut self, scale: State);
     /// Sets A' and B', on cards to which they are wired back.
     fn show_mtc(&mut self, _mtc: State) {}
+}
+
+impl Lines for Box<dyn Lines> {
+    fn outputs(&mut self) -> u64 {
+        (**self).outputs()
+    }
+
+    fn show(&mut self, scale: State) {
+        (**self).show(scale);
+    }
+
+    fn show_mtc(&mut self, mtc: State) {
+        (**self).show_mtc(mtc);
+    }
 }
 
 /// Shared memory as the profile of that name has it.
@@ -258,7 +274,7 @@ impl Machine {
     pub fn start(card: &Path) -> Self {
         let made = std::fs::File::create(card).and_then(|f| f.set_len(4096));
         assert!(made.is_ok(), "{made:?}");
-        Self::on(Registers::open(card, 8, "machine").unwrap_or_else(|e| panic!("{e}")))
+        Self::on(shared_memory(card))
     }
 
     /// Starts the machine on a card's lines, at rest.
@@ -294,6 +310,7 @@ impl Machine {
                 card.show(state);
                 mtc.update(state.inverted(lines.inverters(outputs)));
                 card.show_mtc(mtc.state());
+                show.scale.store(scale, Ordering::Relaxed);
                 show.offset.store(mtc.count() - scale, Ordering::Relaxed);
                 show.illegal.store(mtc.illegal(), Ordering::Relaxed);
                 show.outputs.store(outputs, Ordering::Relaxed);
@@ -352,4 +369,136 @@ impl Drop for Machine {
             let _ = thread.join();
         }
     }
+}
+
+/// Each daemon keeps a CPU busy: one at a time.
+pub fn alone() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A bench: machine and controller on a card of shared memory, in a directory with the daemon's configuration and socket.
+#[derive(Debug)]
+pub struct Bench {
+    /// The machine.
+    pub machine: Machine,
+    directory: tempfile::TempDir,
+}
+
+impl Default for Bench {
+    fn default() -> Self {
+        Self::with("")
+    }
+}
+
+impl Bench {
+    /// With more in its configuration than [`CONFIG`].
+    ///
+    /// # Panics
+    /// When it cannot be set up.
+    #[must_use]
+    pub fn with(more: &str) -> Self {
+        Self::on(&format!("{}{more}", CONFIG.replace("CARD", "card")), |file| Box::new(shared_memory(file)))
+    }
+
+    /// With a configuration of its own, and the far side of its card, made from the path of the file of registers.
+    ///
+    /// # Panics
+    /// When it cannot be set up.
+    #[must_use]
+    pub fn on(config: &str, card: impl FnOnce(&Path) -> Box<dyn Lines>) -> Self {
+        let directory = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+        let file = directory.path().join("card");
+        let made = std::fs::File::create(&file).and_then(|f| f.set_len(4096));
+        let made = made.and_then(|()| std::fs::write(directory.path().join("rtec.toml"), config));
+        assert!(made.is_ok(), "{made:?}");
+        Self { machine: Machine::on(card(&file)), directory }
+    }
+
+    /// A file of the bench.
+    #[must_use]
+    pub fn at(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
+    }
+
+    /// How its daemon is started.
+    #[must_use]
+    pub fn command(&self) -> Command {
+        let mut command = Command::new(program("rtecd"));
+        command.arg("--config").arg(self.at("rtec.toml")).arg("--socket").arg(self.at("s"));
+        command
+    }
+
+    /// Its daemon.
+    #[must_use]
+    pub fn daemon(&self) -> Daemon {
+        Daemon::spawn(&mut self.command(), &self.at("s"))
+    }
+
+    /// Runs `rtecctl`: exit code, and what was said.
+    #[must_use]
+    pub fn user(&self, args: &[&str]) -> (Option<i32>, String) {
+        let run = user(&self.at("s"), args);
+        (run.status.code(), String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned())
+    }
+
+    /// The axis in the status.
+    #[must_use]
+    pub fn x(&self) -> Value {
+        let run = user(&self.at("s"), &["status", "--json"]);
+        let status: Value = serde_json::from_slice(&run.stdout).unwrap_or_default();
+        status["axes"][0].clone()
+    }
+
+    /// Sets the axis going, homes it and enables corrections. A speed is known only from the second edge on; before,
+    /// every late look is a fault.
+    ///
+    /// # Panics
+    /// When the daemon does not do it.
+    pub fn go(&self) {
+        self.machine.move_axis(true);
+        let place = || self.x()["position_counts"].as_i64();
+        until("an answer", || place().is_some());
+        let from = place();
+        until("two edges", || place().zip(from).is_some_and(|(p, from)| (p - from).abs() >= 2));
+        for order in ["home", "enable"] {
+            let (code, text) = self.user(&[order]);
+            assert_eq!(code, Some(0), "{order}: {text}");
+        }
+    }
+
+    /// Asks for a total and waits until it is made.
+    ///
+    /// # Panics
+    /// When it is refused, or a fault keeps it from being made.
+    pub fn correct(&self, counts: i64) {
+        let (code, text) = self.user(&["correct", "x", &counts.to_string(), "--large"]);
+        assert_eq!(code, Some(0), "{text}");
+        until("completed", || {
+            let x = self.x();
+            assert!(x["faults"].as_array().is_none_or(Vec::is_empty), "{x}");
+            x["completed"] == counts
+        });
+    }
+
+    /// The MTC has what the daemon says, and has seen nothing illegal.
+    ///
+    /// # Panics
+    /// When it has not.
+    pub fn balances(&self) {
+        until("an insertion is finished", || !self.machine.halfway());
+        self.machine.look_twice();
+        assert_eq!(self.machine.illegal(), 0);
+        assert_eq!(self.x()["in_effect"], self.machine.offset());
+    }
+
+    /// Outputs of the card.
+    #[must_use]
+    pub fn outputs(&self) -> u64 {
+        self.machine.seen.outputs.load(Ordering::Relaxed)
+    }
+}
+
+fn shared_memory(file: &Path) -> Registers {
+    Registers::open(file, 8, "machine").unwrap_or_else(|e| panic!("{e}"))
 }

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{CONFIG, Daemon, Machine, program, until, user};
+use rtec_tests::daemon::{Bench, CONFIG, Daemon, alone, program, until, user};
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -10,15 +10,7 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::Ordering;
-use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
-
-/// Each daemon keeps a CPU busy: one at a time.
-fn alone() -> MutexGuard<'static, ()> {
-    static ONE: Mutex<()> = Mutex::new(());
-    ONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
 
 /// The daemon's exit code and what it said, where it is not to start.
 fn refused_start(args: &[(&str, &Path)]) -> (Option<i32>, String) {
@@ -335,50 +327,12 @@ fn nonsense_and_floods_hurt_nobody_else() {
     assert!(!daemon.log().contains("control side is silent"), "{}", daemon.log());
 }
 
-/// A bench: daemon, machine and controller on a card of shared memory.
-struct Bench {
-    machine: Machine,
-    directory: tempfile::TempDir,
-}
-
-impl Bench {
-    fn new() -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        write(directory.path(), "rtec.toml", &CONFIG.replace("CARD", "card"));
-        Self { machine: Machine::start(&directory.path().join("card")), directory }
-    }
-
-    fn daemon(&self) -> Daemon {
-        Daemon::start(&self.directory.path().join("s"), Some(&self.directory.path().join("rtec.toml")))
-    }
-
-    /// Sets the axis going, homes it and enables corrections. A speed is known only from the second edge on; before,
-    /// every late look is a fault.
-    fn go(&self, daemon: &Daemon) {
-        self.machine.move_axis(true);
-        let from = axis(&daemon.status(), 0)["position_counts"].clone();
-        let moved =
-            |status: &Value| axis(status, 0)["position_counts"].as_i64().unwrap() - from.as_i64().unwrap();
-        until("two edges", || moved(&daemon.status()).abs() >= 2);
-        daemon.expect(0, &["home"]);
-        daemon.expect(0, &["enable"]);
-    }
-
-    fn outputs(&self) -> u64 {
-        self.machine.seen.outputs.load(Ordering::Relaxed)
-    }
-
-    fn illegal(&self) -> u64 {
-        self.machine.seen.illegal.load(Ordering::Relaxed)
-    }
-}
-
 #[test]
 fn a_killed_daemon_leaves_no_jump_and_its_successor_takes_over() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let mut daemon = bench.daemon();
-    bench.go(&daemon);
+    bench.go();
     let mut total = 0;
     // An odd number of insertions leaves the inverters on, an even one off.
     for (counts, signal) in [(2, "KILL"), (4, "TERM")] {
@@ -399,20 +353,20 @@ fn a_killed_daemon_leaves_no_jump_and_its_successor_takes_over() {
         assert_eq!((&x["completed"], &x["inverted"]), (&counts.into(), &inverted), "{status}");
         assert_eq!((&status["mode"], &x["homed"]), (&"disabled".into(), &false.into()));
         assert!(daemon.expect(1, &["enable"]).contains("not homed"));
-        bench.go(&daemon);
+        bench.go();
     }
     drop(daemon);
-    assert_eq!(bench.illegal(), 0);
+    assert_eq!(bench.machine.illegal(), 0);
 }
 
 #[test]
 fn inverters_that_moved_while_nobody_looked_are_a_fault() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let daemon = bench.daemon();
     daemon.expect(0, &["home"]);
     assert_eq!(daemon.end("TERM").0, Some(0));
-    let card = std::fs::File::options().write(true).open(bench.directory.path().join("card")).unwrap();
+    let card = std::fs::File::options().write(true).open(bench.at("card")).unwrap();
     std::os::unix::fs::FileExt::write_at(&card, &[3], 4).unwrap();
     let daemon = bench.daemon();
     let status = daemon.status();
@@ -422,9 +376,8 @@ fn inverters_that_moved_while_nobody_looked_are_a_fault() {
     // One of the two only: nothing starts, nothing is written.
     assert_eq!(daemon.end("TERM").0, Some(0));
     std::os::unix::fs::FileExt::write_at(&card, &[1], 4).unwrap();
-    let config = bench.directory.path().join("rtec.toml");
-    let (code, text) =
-        refused_start(&[("--config", &config), ("--socket", &bench.directory.path().join("s"))]);
+    let config = bench.at("rtec.toml");
+    let (code, text) = refused_start(&[("--config", &config), ("--socket", &bench.at("s"))]);
     assert!(code == Some(4) && text.contains("two inverters are not equal"), "{code:?} {text}");
     until("the outputs", || bench.outputs() & 3 == 1);
 }
@@ -432,20 +385,19 @@ fn inverters_that_moved_while_nobody_looked_are_a_fault() {
 #[test]
 fn two_daemons_cannot_share_a_card() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let _daemon = bench.daemon();
-    let config = bench.directory.path().join("rtec.toml");
-    let (code, text) =
-        refused_start(&[("--config", &config), ("--socket", &bench.directory.path().join("other"))]);
+    let config = bench.at("rtec.toml");
+    let (code, text) = refused_start(&[("--config", &config), ("--socket", &bench.at("other"))]);
     assert!(code == Some(1) && text.contains("another rtecd holds the card"), "{code:?} {text}");
 }
 
 #[test]
 fn an_illegal_transition_holds_the_machine_until_cleared_and_homed() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let daemon = bench.daemon();
-    bench.go(&daemon);
+    bench.go();
     daemon.expect(0, &["correct", "x", "2"]);
     completed(&daemon, 2);
     bench.machine.move_axis(false);

@@ -3,22 +3,17 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{CONFIG, Daemon, Machine, program, until, user};
+use rtec_tests::daemon::{Bench, CONFIG, Daemon, Machine, alone, program, until};
 use rtec_tests::skipped;
 use rtec_tests::supervisor::Trial;
-use serde_json::Value;
 use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-
-/// Each daemon keeps a CPU busy: one at a time.
-fn alone() -> MutexGuard<'static, ()> {
-    static ONE: Mutex<()> = Mutex::new(());
-    ONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
 
 #[test]
 fn killed_twenty_times_it_leaves_no_jump_and_no_illegal_state() {
@@ -32,70 +27,6 @@ fn killed_twenty_times_it_leaves_no_jump_and_no_illegal_state() {
     let tally = trial.run(&machine, std::io::stderr()).unwrap();
     assert!(tally.kills == 20 && tally.halfway >= 5 && tally.inverted >= 1, "{tally:?}");
     assert!(tally.faults.len() as u32 >= tally.halfway, "{tally:?}");
-}
-
-/// A bench: machine and controller on a card of shared memory.
-struct Bench {
-    machine: Machine,
-    directory: tempfile::TempDir,
-}
-
-impl Bench {
-    fn new() -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        std::fs::write(directory.path().join("rtec.toml"), CONFIG.replace("CARD", "card")).unwrap();
-        Self { machine: Machine::start(&directory.path().join("card")), directory }
-    }
-
-    fn at(&self, name: &str) -> PathBuf {
-        self.directory.path().join(name)
-    }
-
-    fn command(&self) -> Command {
-        let mut command = Command::new(program("rtecd"));
-        command.arg("--config").arg(self.at("rtec.toml")).arg("--socket").arg(self.at("s"));
-        command
-    }
-
-    fn daemon(&self) -> Daemon {
-        Daemon::spawn(&mut self.command(), &self.at("s"))
-    }
-
-    fn user(&self, args: &[&str]) -> (Option<i32>, String) {
-        let run = user(&self.at("s"), args);
-        (run.status.code(), String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned())
-    }
-
-    fn x(&self) -> Value {
-        let run = user(&self.at("s"), &["status", "--json"]);
-        let status: Value = serde_json::from_slice(&run.stdout).unwrap_or_default();
-        status["axes"][0].clone()
-    }
-
-    /// Sets the axis going, homes it and enables corrections.
-    fn go(&self) {
-        self.machine.move_axis(true);
-        let place = || self.x()["position_counts"].as_i64();
-        until("an answer", || place().is_some());
-        let from = place().unwrap();
-        until("two edges", || place().is_some_and(|p| (p - from).abs() >= 2));
-        assert_eq!(self.user(&["home"]).0, Some(0));
-        assert_eq!(self.user(&["enable"]).0, Some(0));
-    }
-
-    fn correct(&self, counts: i64) {
-        let (code, text) = self.user(&["correct", "x", &counts.to_string(), "--large"]);
-        assert_eq!(code, Some(0), "{text}");
-        until("completed", || self.x()["completed"] == counts);
-    }
-
-    /// The MTC has what the daemon says, and has seen nothing illegal.
-    fn balances(&self) {
-        until("an insertion is finished", || !self.machine.halfway());
-        self.machine.look_twice();
-        assert_eq!(self.machine.illegal(), 0);
-        assert_eq!(self.x()["in_effect"], self.machine.offset());
-    }
 }
 
 /// A process that is ended with its test.
@@ -119,7 +50,7 @@ fn a_log_that_is_full_or_not_read_stops_nothing() {
     while (&writer).write(&[b'.'; 4096]).is_ok() {}
     nix::fcntl::fcntl(&writer, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::empty())).unwrap();
     for stderr in [Stdio::from(full), Stdio::from(writer)] {
-        let bench = Bench::new();
+        let bench = Bench::default();
         let _daemon = Running(bench.command().stderr(stderr).spawn().unwrap());
         bench.go();
         bench.correct(2);
@@ -139,7 +70,7 @@ impl Drop for Mounted {
 #[test]
 fn a_full_disk_is_an_error_before_the_start_and_nothing_after_it() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let disk = bench.at("disk");
     std::fs::create_dir(&disk).unwrap();
     let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=16k", "tmpfs"]).arg(&disk).output();
@@ -175,7 +106,7 @@ fn a_full_disk_is_an_error_before_the_start_and_nothing_after_it() {
 #[test]
 fn a_daemon_that_was_stopped_for_a_while_latches_or_balances() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let daemon = bench.daemon();
     bench.go();
     bench.correct(2);
@@ -196,7 +127,7 @@ fn a_daemon_that_was_stopped_for_a_while_latches_or_balances() {
 #[test]
 fn a_flooded_socket_changes_nothing_at_the_mtc() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let daemon = bench.daemon();
     bench.go();
     let deaf: Vec<_> = (0..4).map(|_| UnixStream::connect(bench.at("s")).unwrap()).collect();
@@ -219,7 +150,7 @@ fn a_stepped_clock_changes_nothing() {
     if !Path::new(LIBRARY).exists() {
         return skipped("libfaketime is not installed (Debian: faketime)");
     }
-    let bench = Bench::new();
+    let bench = Bench::default();
     let clock = bench.at("clock");
     let stepped = |command: &mut Command| {
         command.env("LD_PRELOAD", LIBRARY).env("FAKETIME_TIMESTAMP_FILE", &clock);
@@ -250,7 +181,7 @@ fn a_stepped_clock_changes_nothing() {
 #[test]
 fn parking_freezes_or_takes_the_correction_out_in_gated_steps() {
     let _alone = alone();
-    let bench = Bench::new();
+    let bench = Bench::default();
     let daemon = bench.daemon();
     assert!(bench.user(&["park", "--patience", "1s"]).1.contains("--to-zero"));
     bench.go();
@@ -276,4 +207,161 @@ fn parking_freezes_or_takes_the_correction_out_in_gated_steps() {
     assert!(code == Some(0) && text.contains("nothing is in effect"), "{code:?} {text}");
     bench.balances();
     assert_eq!((bench.machine.offset(), &daemon.status()["mode"]), (0, &"disabled".into()));
+}
+
+/// One thread of a process, stopped; the others go on.
+struct Stopped(i32);
+
+impl Stopped {
+    fn thread(tid: i32) -> Self {
+        // SAFETY: both requests have no arguments and touch no memory of this process.
+        let done = unsafe {
+            libc::ptrace(libc::PTRACE_SEIZE, tid, 0, 0) == 0
+                && libc::ptrace(libc::PTRACE_INTERRUPT, tid, 0, 0) == 0
+        };
+        assert!(done, "ptrace: {}", std::io::Error::last_os_error());
+        let mut status = 0;
+        // SAFETY: the call writes one integer that lives through it.
+        let stopped = unsafe { libc::waitpid(tid, &raw mut status, libc::__WALL) };
+        assert!(stopped == tid && libc::WIFSTOPPED(status), "{stopped} {status:#x}");
+        Self(tid)
+    }
+}
+
+impl Drop for Stopped {
+    fn drop(&mut self) {
+        // SAFETY: as above; the thread goes on.
+        unsafe { libc::ptrace(libc::PTRACE_DETACH, self.0, 0, 0) };
+    }
+}
+
+#[test]
+fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
+    let _alone = alone();
+    let bench = Bench::default();
+    let daemon = bench.daemon();
+    bench.go();
+    bench.correct(2);
+    let edges = |n: u32| {
+        for _ in 0..n {
+            let scale = || bench.machine.seen.scale.load(Ordering::Relaxed);
+            let from = scale();
+            until("an edge", || scale() != from);
+        }
+    };
+    assert_eq!(bench.user(&["correct", "x", "40"]).0, Some(0));
+    let stopped = Stopped::thread(daemon.id() as i32);
+    // Beyond `stale_ms`, and what was begun is finished.
+    edges(4);
+    until("an insertion is finished", || !bench.machine.halfway());
+    let frozen = bench.machine.offset();
+    edges(6);
+    assert_eq!((bench.machine.offset(), bench.machine.illegal()), (frozen, 0), "no insertion begins");
+    assert!((2..40).contains(&frozen), "{frozen}");
+    drop(stopped);
+    // Named, heard again, and not one edge of the meantime is lost.
+    until("it is named", || daemon.log().contains("the control side is silent"));
+    until("corrections go on", || bench.machine.offset() > frozen);
+    let status = daemon.status();
+    assert_eq!(
+        (&status["mode"], &status["balanced"], &status["rt"]["control_stale"]),
+        (&"run".into(), &true.into(), &false.into())
+    );
+    assert_eq!(bench.x()["faults"], serde_json::json!([]));
+    bench.correct(2);
+    bench.balances();
+}
+
+fn in_effect(bench: &Bench) -> i64 {
+    bench.x()["in_effect"].as_i64().unwrap_or(i64::MIN)
+}
+
+/// A sensor at the end of a line that is a file: it can go away.
+struct Line {
+    file: PathBuf,
+    stop: Arc<AtomicBool>,
+    writer: Option<JoinHandle<()>>,
+}
+
+impl Line {
+    fn reading(file: &Path, degc: f64) -> Self {
+        nix::unistd::mkfifo(file, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        // Read and write: opening it waits for nobody.
+        let mut pipe = std::fs::File::options().read(true).write(true).open(file).unwrap();
+        let end = Arc::clone(&stop);
+        let writer = std::thread::spawn(move || {
+            while !end.load(Ordering::Relaxed) && writeln!(pipe, "T1 {degc}").is_ok() {
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        });
+        Self { file: file.to_owned(), stop, writer: Some(writer) }
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        std::fs::remove_file(&self.file).unwrap();
+        self.stop.store(true, Ordering::Relaxed);
+        self.writer.take().map(JoinHandle::join);
+    }
+}
+
+#[test]
+fn a_sensor_whose_file_goes_away_is_named_and_its_correction_stands() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let sensor = directory.path().join("sensor");
+    let bench = Bench::with(&format!(
+        "[model]\nfile = 'machine.toml'\nramp_um_s = 200\n[[sensor]]\nname = 'T1'\nplace = 'spindle'\nsource = 'line'\n\
+         from = '{}'\nperiod_s = 0.2\ntimeout_s = 1\nfreeze_s = 2\nmax_rate_K_per_min = 10000\n",
+        sensor.display()
+    ));
+    let growth = "name = 'bench'\n[[effect]]\nname = 'thermal_growth.x'\nsensor = 'T1'\nreference_degC = 20.0\num_per_K = 2.0\n";
+    std::fs::write(bench.at("machine.toml"), growth).unwrap();
+    let line = Line::reading(&sensor, 23.0);
+    let daemon = bench.daemon();
+    bench.go();
+    let says = |what: &str| until(what, || bench.user(&["status"]).1.contains(what));
+    says("sensors: 1 of 1 good");
+    let (code, text) = bench.user(&["model", "load", "--yes"]);
+    assert_eq!(code, Some(0), "{text}");
+    until("the model's correction", || in_effect(&bench).abs() == 6);
+    let grown = in_effect(&bench);
+
+    drop(line);
+    says("sensors: 0 of 1 good");
+    until("its last good value stands", || {
+        let (_, text) = bench.user(&["explain", "x"]);
+        text.contains("sensor T1: ") && text.contains("its last good value is")
+    });
+    bench.balances();
+    assert_eq!((in_effect(&bench), daemon.status()["mode"].clone()), (grown, "run".into()));
+
+    // It is there again, and two degrees warmer.
+    let _line = Line::reading(&sensor, 25.0);
+    says("sensors: 1 of 1 good");
+    until("the model goes on", || in_effect(&bench).abs() == 10);
+    bench.balances();
+}
+
+#[test]
+fn parking_with_a_model_takes_its_correction_out_and_leaves_it_out() {
+    let _alone = alone();
+    let bench = Bench::with("[model]\nfile = 'machine.toml'\nramp_um_s = 200\n");
+    std::fs::write(bench.at("machine.toml"), "name = 'bench'\n[[effect]]\nname = 'offset.x'\num = 6.0\n")
+        .unwrap();
+    let daemon = bench.daemon();
+    bench.go();
+    assert_eq!(bench.user(&["model", "load", "--yes"]).0, Some(0));
+    until("the model's correction", || in_effect(&bench).abs() == 6);
+    bench.balances();
+    let (code, text) = bench.user(&["park", "--to-zero"]);
+    assert!(code == Some(0) && text.contains("the machine model is unloaded"), "{code:?} {text}");
+    bench.balances();
+    assert_eq!((bench.machine.offset(), daemon.status()["mode"].clone()), (0, "disabled".into()));
+    // Enabled again, nothing comes back by itself.
+    let (code, text) = bench.user(&["enable"]);
+    assert!(code == Some(0) && text.contains("nothing moves"), "{code:?} {text}");
+    assert_eq!((bench.x()["requested"].clone(), in_effect(&bench)), (0.into(), 0));
 }
