@@ -51,10 +51,12 @@ impl<W: Wires, K: Clock> MockCard<W, K> {
 impl<W: Wires, K: Clock> Card for MockCard<W, K> {
     #[inline]
     fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
-        let now = self.clock.now_ns();
-        self.t_ns += (now - self.seen_ns).min(self.wires.step_limit_ns());
+        let (now, limit_ns) = (self.clock.now_ns(), self.wires.step_limit_ns());
+        self.t_ns += (now - self.seen_ns).min(limit_ns);
         self.seen_ns = now;
-        Ok(Sample::level(self.t_ns, self.wires.levels(self.t_ns, self.outputs)))
+        // A machine that waits shows every change, however late the look.
+        let complete = if limit_ns == u64::MAX { 0 } else { u64::MAX };
+        Ok(Sample { complete, ..Sample::level(self.t_ns, self.wires.levels(self.t_ns, self.outputs)) })
     }
 
     #[inline]
@@ -113,8 +115,9 @@ mod tests {
             }
         }
         let mut card = MockCard::new(Slow, Jumpy(0));
-        let first = card.sample(0).unwrap().t_ns;
-        assert_eq!(card.sample(0).unwrap().t_ns - first, 100);
+        let first = card.sample(0).unwrap();
+        assert_eq!(card.sample(0).unwrap().t_ns - first.t_ns, 100);
+        assert_eq!(first.complete, u64::MAX, "no count can pass unseen");
     }
 
     #[test]
@@ -122,7 +125,8 @@ mod tests {
         let wires = SharedWires::default();
         let mut card = MockCard::new(wires.clone(), Virtual { now_ns: 5 });
         wires.inputs.store(6, Ordering::Release);
-        assert_eq!(card.sample(0).unwrap().inputs, 6);
+        let sample = card.sample(0).unwrap();
+        assert_eq!((sample.inputs, sample.complete), (6, 0), "whoever drives them does not wait");
         card.write(0b11, 0b10).unwrap();
         assert_eq!(wires.outputs.load(Ordering::Acquire), 0b10);
         assert_eq!(card.outputs().unwrap(), 0b10);
