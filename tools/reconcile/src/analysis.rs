@@ -113,12 +113,12 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
     stack.sigma = noise_guess(&stack, &missing);
     let mut anchor = file.clone();
     retune(&stack, &mut anchor, &mut now, &[]);
+    let (mut all, mut waves) = Hypotheses::new(&stack, machine.dictionary());
     for pass in 0.. {
         let simulated = stack.predict(&now);
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
         stack.weigh(&mut missing);
         let parameters = known(&stack, &anchor, &now);
-        let (all, waves) = Hypotheses::new(&stack, machine.dictionary());
         let mut search = Search::new(&stack, &all, &waves, &parameters, missing);
         let found = search.run();
         let (residual, _) = search.residual(&found.any);
@@ -156,6 +156,11 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
             let new: Vec<f64> = stack.sigma.iter().zip(&sigma).map(|(a, b)| a * b).collect();
             now = moved;
             stack.sigma = new;
+            if sigma.len() == 1 {
+                all.scale_noise(sigma[0]);
+            } else {
+                (all, waves) = Hypotheses::new(&stack, machine.dictionary());
+            }
             continue;
         }
         return Answer { file, anchor, ..conclude(&mut search, &found, &now, level) };

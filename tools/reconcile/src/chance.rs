@@ -131,7 +131,7 @@ impl Search<'_, '_> {
                 for (c, column) in atom.columns.iter().enumerate() {
                     let row = &mut a[c * b..(c + 1) * b];
                     for (x, id) in row.iter_mut().zip(&empty.ids) {
-                        *x = self.with_bank[*id][*column].at(at.phi);
+                        *x = self.against_bank(*id)[*column].at(at.phi);
                     }
                     at.factor.forward(row);
                 }
@@ -139,7 +139,7 @@ impl Search<'_, '_> {
                 let mut p = 0;
                 for r in 0..k {
                     for c in 0..=r {
-                        let full = self.own[i][p].at(at.phi);
+                        let full = self.all.own[i][p].at(at.phi);
                         p += 1;
                         let left = full - dot(&a[r * b..(r + 1) * b], &a[c * b..(c + 1) * b]);
                         m[r * k + c] = if r == c && left < 1e-6 * full { f64::INFINITY } else { left };

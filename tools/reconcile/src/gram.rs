@@ -45,11 +45,8 @@ impl Vector {
     }
 
     pub(crate) fn products(&self, other: &[f64], segments: &[Range<usize>]) -> Products {
-        Products {
-            plain: dot(&self.data, other),
-            lagged: dot(&self.neighbours, other),
-            ends: ends(&self.data, other, segments),
-        }
+        let [plain, lagged] = dots(&self.data, &self.neighbours, other);
+        Products { plain, lagged, ends: ends(&self.data, other, segments) }
     }
 }
 
@@ -57,18 +54,101 @@ fn ends(x: &[f64], v: &[f64], segments: &[Range<usize>]) -> f64 {
     segments.iter().map(|s| x[s.start] * v[s.start] + x[s.end - 1] * v[s.end - 1]).sum()
 }
 
-/// Dot product in four lanes, in a fixed order of summation.
+/// Products of two columns of which neither's neighbours are at hand.
+pub(crate) fn products(x: &[f64], v: &[f64], segments: &[Range<usize>]) -> Products {
+    let lagged = segments
+        .iter()
+        .map(|s| {
+            let (x, v) = (&x[s.clone()], &v[s.clone()]);
+            let last = x.len() - 1;
+            dot(&x[1..], &v[..last]) + dot(&x[..last], &v[1..])
+        })
+        .sum();
+    Products { plain: dot(x, v), lagged, ends: ends(x, v, segments) }
+}
+
+/// Lanes of a dot product: enough for the additions not to wait for one another.
+const LANES: usize = 8;
+
+/// Dot product in several lanes, in a fixed order of summation.
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut lanes = [0.0; 4];
-    let (ca, cb) = (a.chunks_exact(4), b.chunks_exact(4));
+    if a.len() < LANES {
+        return a.iter().zip(b).map(|(x, y)| x * y).sum();
+    }
+    let mut lanes = [0.0; LANES];
+    let (ca, cb) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
     let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
     for (x, y) in ca.zip(cb) {
-        for k in 0..4 {
+        for k in 0..LANES {
             lanes[k] += x[k] * y[k];
         }
     }
-    (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + tail
+    fold(lanes) + tail
 }
+
+fn fold(lanes: [f64; LANES]) -> f64 {
+    let mut half = LANES;
+    let mut lanes = lanes;
+    while half > 1 {
+        half /= 2;
+        for k in 0..half {
+            lanes[k] += lanes[k + half];
+        }
+    }
+    lanes[0]
+}
+
+/// `[a·c, b·c]` in one run through the memory.
+fn dots(a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2] {
+    let (mut first, mut second) = ([0.0; LANES], [0.0; LANES]);
+    let (ca, cb, cc) = (a.chunks_exact(LANES), b.chunks_exact(LANES), c.chunks_exact(LANES));
+    let mut tail = [0.0; 2];
+    for ((x, y), z) in ca.remainder().iter().zip(cb.remainder()).zip(cc.remainder()) {
+        tail[0] += x * z;
+        tail[1] += y * z;
+    }
+    for ((x, y), z) in ca.zip(cb).zip(cc) {
+        for k in 0..LANES {
+            first[k] += x[k] * z[k];
+            second[k] += y[k] * z[k];
+        }
+    }
+    [fold(first) + tail[0], fold(second) + tail[1]]
+}
+
+/// Sine and cosine of so many turns, to the last digit or two, the same on every machine and quick over many values:
+/// polynomials over an eighth of a turn either way.
+pub(crate) fn wave(turns: f64) -> (f64, f64) {
+    // Adding this puts the nearest whole number into the last bits.
+    const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
+    let quarters = turns * 4.0;
+    let shifted = quarters + ROUND;
+    let quadrant = shifted.to_bits() & 3;
+    let x = (quarters - (shifted - ROUND)) * std::f64::consts::FRAC_PI_2;
+    let y = x * x;
+    let sin = x
+        * (1.0
+            + y * (-1.0 / 6.0
+                + y * (1.0 / 120.0
+                    + y * (-1.0 / 5040.0
+                        + y * (1.0 / 362_880.0
+                            + y * (-1.0 / 39_916_800.0
+                                + y * (1.0 / 6_227_020_800.0 - y / 1_307_674_368_000.0)))))));
+    let cos = 1.0
+        + y * (-0.5
+            + y * (1.0 / 24.0
+                + y * (-1.0 / 720.0
+                    + y * (1.0 / 40_320.0
+                        + y * (-1.0 / 3_628_800.0
+                            + y * (1.0 / 479_001_600.0
+                                + y * (-1.0 / 87_178_291_200.0 + y / 20_922_789_888_000.0)))))));
+    let (s, c) = if quadrant & 1 == 0 { (sin, cos) } else { (cos, sin) };
+    let sign = |value: f64, minus: u64| f64::from_bits(value.to_bits() ^ (minus << 63));
+    (sign(s, quadrant >> 1), sign(c, (quadrant ^ (quadrant >> 1)) & 1))
+}
+
+/// Up to so many vectors a matrix product spends its time on putting the columns in order.
+const FEW: usize = 3;
 
 /// Candidate columns, one after the other, all of the same number of rows.
 #[derive(Debug, Clone, Default)]
@@ -106,6 +186,16 @@ impl Bank {
         let (c, n, m) = (self.len(), self.rows, vectors.len());
         if c == 0 || m == 0 || n == 0 {
             return vec![Vec::new(); m];
+        }
+        if m <= FEW {
+            let mut out = vec![Vec::with_capacity(c); m];
+            for j in 0..c {
+                let column = self.column(j);
+                for (v, out) in vectors.iter().zip(&mut out) {
+                    out.push(v.products(column, segments));
+                }
+            }
+            return out;
         }
         let mut right = Vec::with_capacity(2 * m * n);
         for v in vectors {
@@ -205,6 +295,25 @@ impl Cholesky {
     }
 }
 
+/// L⁻¹b in place of b, L the Cholesky factor that takes the place of a matrix's lower triangle: [`Cholesky`] for what is
+/// needed once.
+pub(crate) fn reduce(a: &mut [f64], b: &mut [f64]) {
+    let n = b.len();
+    for i in 0..n {
+        for j in 0..=i {
+            let s = a[i * n + j] - dot(&a[i * n..i * n + j], &a[j * n..j * n + j]);
+            a[i * n + j] = if i != j {
+                s / a[j * n + j]
+            } else if s > 1e-9 * a[i * n + i] {
+                s.sqrt()
+            } else {
+                f64::INFINITY
+            };
+        }
+        b[i] = (b[i] - dot(&a[i * n..i * n + i], &b[..i])) / a[i * n + i];
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -233,6 +342,17 @@ mod tests {
             let slow = dot(&whiten(&x, phi, &segments), &whiten(&v, phi, &segments));
             assert!((vector.products(&v, &segments).at(phi) - slow).abs() < 1e-12);
             assert!((fast.at(phi) * bank.scale[0] - slow).abs() < 1e-12);
+            assert!((products(&x, &v, &segments).at(phi) - slow).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn wave_is_sine_and_cosine() {
+        for i in -4000..4000 {
+            let turns = f64::from(i) * 0.000_731;
+            let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
+            let (s, c) = wave(turns);
+            assert!((s - sin).abs() < 1e-14 && (c - cos).abs() < 1e-14, "{turns}: {s} {c}");
         }
     }
 
@@ -243,6 +363,9 @@ mod tests {
         let c = Cholesky::new(&a, 3);
         let mut b = [8.0, 8.0, 16.0];
         c.forward(&mut b);
+        let (mut m, mut once) = (a, [8.0, 8.0, 16.0]);
+        reduce(&mut m, &mut once);
+        assert_eq!(once.map(f64::to_bits), b.map(f64::to_bits));
         c.backward(&mut b);
         assert!((b[0] - 1.0).abs() < 1e-12 && (b[1] - 2.0).abs() < 1e-12 && b[2] == 0.0);
     }

@@ -1,7 +1,7 @@
 //! What may be missing: every effect of the dictionary that these runs could show, over a grid of its non-linear
 //! parameters, and shapes of no name that stand for "something else".
 
-use crate::gram::Bank;
+use crate::gram::{Bank, Products, products};
 use crate::problem::Stack;
 use rtec_model::effect::{Dictionary, Difference, Effect};
 use rtec_model::record::{Record, Role};
@@ -106,6 +106,8 @@ pub(crate) struct Hypotheses {
     pub(crate) list: Vec<Hypothesis>,
     pub(crate) atoms: Vec<Atom>,
     pub(crate) bank: Bank,
+    /// Products among the columns of each atom, packed by rows of the lower triangle.
+    pub(crate) own: Vec<Vec<Products>>,
     /// Price of the family choice alone, per law and per shape.
     pub(crate) family_cost: f64,
 }
@@ -156,7 +158,22 @@ impl Hypotheses {
             all.effect(stack, effect, cost, &mut waves);
         }
         all.shapes(stack, &mut waves);
+        all.square(stack);
         (all, waves)
+    }
+
+    fn square(&mut self, stack: &Stack<'_>) {
+        let of = |atom: &Atom| {
+            let at = &atom.columns;
+            let pairs = (0..at.len()).flat_map(|i| (0..=i).map(move |j| (at[i], at[j])));
+            pairs.map(|(a, b)| products(self.bank.column(a), self.bank.column(b), &stack.ranges)).collect()
+        };
+        self.own = self.atoms.iter().map(of).collect();
+    }
+
+    /// The same for noise that is so many times larger in every response.
+    pub(crate) fn scale_noise(&mut self, by: f64) {
+        self.bank.scale.iter_mut().for_each(|s| *s /= by);
     }
 
     /// Only the periods near a periodic effect's own: 3 % either way.
@@ -168,6 +185,7 @@ impl Hypotheses {
             let own = 1.0 / (effect.scalar(0) * w.unit);
             (w.from, w.to) = (own * 0.97, own * 1.03);
         }
+        all.square(stack);
         (all, waves)
     }
 
@@ -716,12 +734,10 @@ fn distinct(stack: &Stack<'_>, role: &Role) -> Option<Vec<f64>> {
     Some(out.into_iter().map(|(s, c)| s / c).collect())
 }
 
-/// The pitch of a grid that all places lie on to within `close`; `None` where they lie on none, or hardly repeat.
+/// The pitch of a grid that all places, in rising order, lie on to within `close`; `None` where they lie on none, or hardly repeat.
 pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
-    let mut all = places.to_vec();
-    all.sort_by(f64::total_cmp);
     let mut distinct: Vec<f64> = Vec::new();
-    for x in &all {
+    for x in places {
         if distinct.last().is_none_or(|d| x - d > 2.0 * close) {
             distinct.push(*x);
         }
@@ -737,7 +753,7 @@ pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
         let k = (x - first) / pitch;
         (k - k.round()).abs() * pitch > close
     };
-    (!all.iter().any(off)).then_some(pitch)
+    (!places.iter().any(off)).then_some(pitch)
 }
 
 /// Frequencies that look the same as `f` on a grid, inside a range, slowest first; at most `most`.

@@ -1,7 +1,7 @@
 //! The search for the set of effects that explains what the model does not: a beam over sets, every hypothesis fitted
 //! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
 
-use crate::gram::{Bank, Cholesky, Products, Vector, dot};
+use crate::gram::{self, Cholesky, Products, Vector, dot, products};
 use crate::hypotheses::{
     Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
 };
@@ -9,7 +9,8 @@ use crate::problem::{Known, Stack};
 use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
-use std::cell::RefCell;
+use std::cell::{Cell, OnceCell, RefCell};
+use std::collections::HashMap;
 use std::f64::consts::TAU;
 
 /// Noise coefficients that every fit is tried at: tanh of an even grid.
@@ -33,6 +34,13 @@ pub(crate) struct AtPhi {
     pub(crate) z: Vec<f64>,
     pub(crate) rss: f64,
 }
+
+/// A wave is given up where tuning cannot make it the best, nor a rival: it gains at most so many times more by it, and
+/// so much beyond that.
+const NEARBY: f64 = 1.15;
+const SLACK: f64 = 3.0;
+/// Below the set's own score by so much an offer plays no part.
+const HOPELESS: f64 = 12.0;
 
 /// How far from a grid the places may lie that a wave cannot tell from it, in periods.
 pub(crate) const GRID_SHARE: f64 = 0.02;
@@ -97,12 +105,12 @@ pub(crate) struct Search<'p, 'r> {
     pub(crate) waves: &'p [Wave],
     pub(crate) known: &'p [Known],
     pub(crate) vectors: Vec<Vector>,
-    /// Products of each vector with the bank's columns.
-    pub(crate) with_bank: Vec<Vec<Products>>,
-    /// Products among vectors: `pairs[i][j]`, j ≤ i.
-    pairs: Vec<Vec<Products>>,
-    /// Products among the columns of each atom, packed by rows of the lower triangle.
-    pub(crate) own: Vec<Vec<Products>>,
+    /// Products of each vector with the bank's columns, once they are asked for.
+    with_bank: Vec<OnceCell<Vec<Products>>>,
+    /// Products among vectors, once they are asked for: `pairs[i][j]`, j ≤ i.
+    pairs: Vec<Vec<OnceCell<Products>>>,
+    /// Vectors by their bits.
+    places: HashMap<u64, Vec<usize>>,
     /// Degrees of freedom that noise is judged by.
     pub(crate) nu: f64,
     pub(crate) phis: Vec<f64>,
@@ -111,7 +119,23 @@ pub(crate) struct Search<'p, 'r> {
     planner: RefCell<FftPlanner<f32>>,
     /// Frequencies worth a look, per wave: the highest peaks met so far.
     peaks: RefCell<Vec<Vec<f64>>>,
+    /// Waves that were looked at, by hypothesis and frequency.
+    seen: RefCell<HashMap<(usize, u64), Seen>>,
+    /// Values that the waves may still keep.
+    room: Cell<usize>,
 }
+
+/// A wave of one frequency.
+struct Seen {
+    /// Where there is room for them.
+    columns: Option<Vec<Vec<f64>>>,
+    own: Vec<Products>,
+    /// Products with vectors, those that were asked for.
+    with: Vec<Option<[Products; 2]>>,
+}
+
+/// Values that the waves that were looked at may keep: 64 MB.
+const ROOM: usize = 8_000_000;
 
 /// A name with everything that speaks for it.
 pub(crate) struct Ranked {
@@ -119,6 +143,15 @@ pub(crate) struct Ranked {
     pub(crate) evidence: f64,
     /// One per sensor, best first.
     pub(crate) offers: Vec<Offer>,
+}
+
+/// Room for the sums of one fit after the other.
+#[derive(Default)]
+struct Scratch {
+    values: Vec<f64>,
+    a: Vec<f64>,
+    m: Vec<f64>,
+    g: Vec<f64>,
 }
 
 /// The columns of a hypothesis against a set: products with the set's vectors, with the response, among themselves.
@@ -140,7 +173,6 @@ impl<'p, 'r> Search<'p, 'r> {
     ) -> Self {
         let phis: Vec<f64> = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
         let usable = phis.len();
-        let own = all.atoms.iter().map(|a| own_products(&a.columns, &all.bank, stack)).collect();
         let nu = (stack.n as f64 - known.len() as f64).max(stack.n as f64 / 2.0);
         let mut s = Self {
             stack,
@@ -150,49 +182,81 @@ impl<'p, 'r> Search<'p, 'r> {
             vectors: Vec::new(),
             with_bank: Vec::new(),
             pairs: Vec::new(),
-            own,
+            places: HashMap::new(),
             nu,
             phis,
             usable,
             planner: RefCell::new(FftPlanner::new()),
             peaks: RefCell::new(vec![Vec::new(); waves.len()]),
+            seen: RefCell::new(HashMap::new()),
+            room: Cell::new(ROOM),
         };
-        let mut start = vec![missing];
-        start.extend(known.iter().map(|k| k.column.clone()));
-        s.register(start);
+        s.add(missing);
+        for k in known {
+            s.add(k.column.clone());
+        }
         s
     }
 
-    /// Adds vectors; gives the number of the first.
-    fn register(&mut self, columns: Vec<Vec<f64>>) -> usize {
-        let first = self.vectors.len();
-        let made: Vec<Vector> = columns.into_iter().map(|c| Vector::new(c, &self.stack.ranges)).collect();
-        let with_bank = self.all.bank.products(&made.iter().collect::<Vec<_>>(), &self.stack.ranges);
-        for (v, b) in made.into_iter().zip(with_bank) {
-            self.vectors.push(v);
-            self.with_bank.push(b);
-            let last = self.vectors.len() - 1;
-            let row = (0..=last)
-                .map(|j| self.vectors[last].products(&self.vectors[j].data, &self.stack.ranges))
-                .collect();
-            self.pairs.push(row);
+    fn add(&mut self, column: Vec<f64>) -> usize {
+        let at = self.vectors.len();
+        self.vectors.push(Vector::new(column, &self.stack.ranges));
+        self.with_bank.push(OnceCell::new());
+        self.pairs.push(vec![OnceCell::new(); at + 1]);
+        at
+    }
+
+    /// The number of a vector, that of one with the same values where there is one.
+    fn register(&mut self, column: Vec<f64>) -> usize {
+        let key = column
+            .iter()
+            .fold(0u64, |h, x| (h.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        if let Some(at) =
+            self.places.get(&key).and_then(|p| p.iter().find(|i| self.vectors[**i].data == column))
+        {
+            return *at;
         }
-        first
+        let at = self.add(column);
+        self.places.entry(key).or_default().push(at);
+        at
+    }
+
+    /// Products of a vector with the bank's columns.
+    pub(crate) fn against_bank(&self, vector: usize) -> &[Products] {
+        self.with_bank[vector].get_or_init(|| {
+            self.all.bank.products(&[&self.vectors[vector]], &self.stack.ranges).swap_remove(0)
+        })
+    }
+
+    /// The same for several vectors in one go.
+    fn meet_bank(&self, ids: impl IntoIterator<Item = usize>) {
+        let mut missing: Vec<usize> =
+            ids.into_iter().filter(|i| self.with_bank[*i].get().is_none()).collect();
+        missing.sort_unstable();
+        missing.dedup();
+        let vectors: Vec<&Vector> = missing.iter().map(|i| &self.vectors[*i]).collect();
+        for (i, products) in missing.iter().zip(self.all.bank.products(&vectors, &self.stack.ranges)) {
+            // It was empty a moment ago.
+            let _set = self.with_bank[*i].set(products);
+        }
     }
 
     fn pair(&self, a: usize, b: usize) -> Products {
-        if a >= b { self.pairs[a][b] } else { self.pairs[b][a] }
+        let (a, b) = (a.max(b), a.min(b));
+        *self.pairs[a][b].get_or_init(|| self.vectors[a].products(&self.vectors[b].data, &self.stack.ranges))
     }
 
     fn fits(&self, ids: &[usize]) -> Vec<AtPhi> {
         let b = ids.len();
+        let pairs: Vec<Vec<Products>> =
+            (0..b).map(|i| (0..=i).map(|j| self.pair(ids[i], ids[j])).collect()).collect();
         self.phis[..self.usable]
             .iter()
             .map(|&phi| {
                 let mut a = vec![0.0; b * b];
-                for i in 0..b {
-                    for j in 0..=i {
-                        a[i * b + j] = self.pair(ids[i], ids[j]).at(phi);
+                for (i, row) in pairs.iter().enumerate() {
+                    for (j, p) in row.iter().enumerate() {
+                        a[i * b + j] = p.at(phi);
                     }
                 }
                 let mut g: Vec<f64> = ids.iter().map(|i| self.pair(*i, 0).at(phi)).collect();
@@ -267,71 +331,123 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// Log likelihood of the set with further columns.
     fn extended(&self, set: &Set, cross: &Cross) -> f64 {
-        let k = cross.with_y.len();
+        let with = |c: usize, i: usize| cross.with_set[c][i];
+        self.joined(set, cross.with_y.len(), &mut Scratch::default(), with, |c| cross.with_y[c], &cross.own)
+    }
+
+    /// The same with a grid point's columns.
+    fn with_atom(&self, set: &Set, atom: usize, scratch: &mut Scratch) -> f64 {
+        let columns = &self.all.atoms[atom].columns;
+        let bank: Vec<&[Products]> = set.ids.iter().map(|i| self.against_bank(*i)).collect();
+        let y = self.against_bank(0);
+        self.joined(
+            set,
+            columns.len(),
+            scratch,
+            |c, i| bank[i][columns[c]],
+            |c| y[columns[c]],
+            &self.all.own[atom],
+        )
+    }
+
+    /// The same with `k` columns of which only products are needed: with the set's vectors, with the response, and
+    /// among themselves.
+    fn joined(
+        &self,
+        set: &Set,
+        k: usize,
+        scratch: &mut Scratch,
+        with_set: impl Fn(usize, usize) -> Products,
+        with_y: impl Fn(usize) -> Products,
+        own: &[Products],
+    ) -> f64 {
         let b = set.ids.len();
-        let mut values = Vec::with_capacity(self.phis.len());
-        let (mut a, mut m, mut g) = (vec![0.0; k * b], vec![0.0; k * k], vec![0.0; k]);
+        let Scratch { values, a, m, g } = scratch;
+        values.clear();
+        a.resize(k * b, 0.0);
+        m.resize(k * k, 0.0);
+        g.resize(k, 0.0);
         for at in &set.fits {
             for c in 0..k {
                 let row = &mut a[c * b..(c + 1) * b];
-                for (x, p) in row.iter_mut().zip(&cross.with_set[c]) {
-                    *x = p.at(at.phi);
+                for (i, x) in row.iter_mut().enumerate() {
+                    *x = with_set(c, i).at(at.phi);
                 }
                 at.factor.forward(row);
-                g[c] = cross.with_y[c].at(at.phi) - dot(row, &at.z);
+                g[c] = with_y(c).at(at.phi) - dot(row, &at.z);
             }
             let mut p = 0;
             for i in 0..k {
                 for j in 0..=i {
-                    let full = cross.own[p].at(at.phi);
+                    let full = own[p].at(at.phi);
                     p += 1;
                     let left = full - dot(&a[i * b..(i + 1) * b], &a[j * b..(j + 1) * b]);
                     // What the set explains already to 1 part in 10⁶ is no new explanation.
                     m[i * k + j] = if i == j && left < 1e-6 * full { f64::INFINITY } else { left };
                 }
             }
-            let factor = Cholesky::new(&m, k);
-            factor.forward(&mut g);
+            gram::reduce(m, g);
             let gain: f64 = g.iter().filter(|x| x.is_finite()).map(|x| x * x).sum();
             values.push(self.loglik(at, gain));
         }
-        self.best_phi(&values).0
-    }
-
-    fn bank_cross(&self, set: &Set, atom: usize) -> Cross {
-        let columns = &self.all.atoms[atom].columns;
-        Cross {
-            with_set: columns
-                .iter()
-                .map(|c| set.ids.iter().map(|i| self.with_bank[*i][*c]).collect())
-                .collect(),
-            with_y: columns.iter().map(|c| self.with_bank[0][*c]).collect(),
-            own: self.own[atom].clone(),
-        }
+        self.best_phi(values).0
     }
 
     fn made_cross(&self, set: &Set, columns: &[Vec<f64>]) -> Cross {
         let ranges = &self.stack.ranges;
-        let made: Vec<Vector> = columns.iter().map(|c| Vector::new(c.clone(), ranges)).collect();
         let mut own = Vec::new();
-        for i in 0..made.len() {
-            own.extend((0..=i).map(|j| made[i].products(&made[j].data, ranges)));
+        for i in 0..columns.len() {
+            own.extend((0..=i).map(|j| products(&columns[i], &columns[j], ranges)));
         }
+        let with = |id: usize, c: &Vec<f64>| self.vectors[id].products(c, ranges);
         Cross {
-            with_set: made
-                .iter()
-                .map(|m| set.ids.iter().map(|i| m.products(&self.vectors[*i].data, ranges)).collect())
-                .collect(),
-            with_y: made.iter().map(|m| m.products(&self.vectors[0].data, ranges)).collect(),
+            with_set: columns.iter().map(|c| set.ids.iter().map(|i| with(*i, c)).collect()).collect(),
+            with_y: columns.iter().map(|c| with(0, c)).collect(),
             own,
+        }
+    }
+
+    /// The columns of a wave against a set; what was worked out once is kept.
+    fn wave_cross(&self, set: &Set, wave: &Wave, f: f64) -> Cross {
+        let ranges = &self.stack.ranges;
+        let mut all = self.seen.borrow_mut();
+        let seen = all.entry((wave.hypothesis, f.to_bits())).or_insert_with(|| {
+            let c = self.wave_columns(wave, f);
+            let own =
+                [(0, 0), (1, 0), (1, 1)].iter().map(|(i, j)| products(&c[*i], &c[*j], ranges)).collect();
+            let kept = self.room.get().checked_sub(2 * self.stack.n);
+            if let Some(left) = kept {
+                self.room.set(left);
+            }
+            Seen { columns: kept.map(|_| c), own, with: Vec::new() }
+        });
+        seen.with.resize(self.vectors.len(), None);
+        let mut made = None;
+        let mut with = |id: usize| -> [Products; 2] {
+            *seen.with[id].get_or_insert_with(|| {
+                let c = seen
+                    .columns
+                    .as_ref()
+                    .unwrap_or_else(|| made.get_or_insert_with(|| self.wave_columns(wave, f)));
+                let v = &self.vectors[id];
+                [v.products(&c[0], ranges), v.products(&c[1], ranges)]
+            })
+        };
+        let y = with(0);
+        let each: Vec<[Products; 2]> = set.ids.iter().map(|i| with(*i)).collect();
+        Cross {
+            with_set: (0..2).map(|k| each.iter().map(|p| p[k]).collect()).collect(),
+            with_y: y.to_vec(),
+            own: seen.own.clone(),
         }
     }
 
     /// The best grid point of one hypothesis as an addition to a set.
     pub(crate) fn offer_of(&self, set: &Set, hypothesis: usize) -> Option<Offer> {
-        let scored = |i: usize| {
+        let mut scratch = Scratch::default();
+        let mut scored = |i: usize| {
             let atom = &self.all.atoms[i];
-            self.extended(set, &self.bank_cross(set, i)) - self.price(set, atom.cost, atom.columns.len())
+            self.with_atom(set, i, &mut scratch) - self.price(set, atom.cost, atom.columns.len())
         };
         (0..self.all.atoms.len())
             .filter(|i| self.all.atoms[*i].hypothesis == hypothesis)
@@ -354,10 +470,11 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The best grid point of every hypothesis as an addition to a set, best first.
     pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
+        self.meet_bank(set.ids.iter().copied().chain([0]));
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
+        let mut scratch = Scratch::default();
         for (i, atom) in self.all.atoms.iter().enumerate() {
-            let cross = self.bank_cross(set, i);
-            let score = self.extended(set, &cross) - self.price(set, atom.cost, atom.columns.len());
+            let score = self.with_atom(set, i, &mut scratch) - self.price(set, atom.cost, atom.columns.len());
             let place = &mut best[atom.hypothesis];
             *place = Some(match *place {
                 None => (score, i, score),
@@ -474,28 +591,32 @@ impl<'p, 'r> Search<'p, 'r> {
         let step = FREQUENCY_STEP / span;
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
         let cost_of_search = ((wave.to - from) * span).max(2.0);
-        let places: Vec<f64> = rows.iter().map(|r| wave.along[*r]).collect();
+        let mut places: Vec<f64> = rows.iter().map(|r| wave.along[*r]).collect();
+        places.sort_by(f64::total_cmp);
         let hypothesis = &self.all.list[wave.hypothesis];
         let extra = if hypothesis.named { 0.0 } else { 3.0 };
         let cost = self.all.family_cost + cost_of_search.ln() + extra;
-        let mut best: Option<(f64, f64, Vec<Vec<f64>>)> = None;
+        // What a wave that explains nothing scores.
+        let nothing = set.loglik - self.price(set, cost, 2);
+        let mut best: Option<(f64, f64)> = None;
         for f0 in peaks {
-            let best_before = best.as_ref().map(|b| b.0);
+            let best_before = best.map_or(f64::NEG_INFINITY, |b| b.0);
             let grid = wave.effect.as_ref().and_then(|_| pitch(&places, GRID_SHARE / f0));
             let mut eval = |f: f64| {
                 // On a grid whose pitch is a whole number of periods a wave is a constant or a slow bow, and no wave.
                 if grid.is_some_and(|pitch| ((f * pitch).round() / pitch - f).abs() * span < SLOWEST_TURNS) {
                     return f64::NEG_INFINITY;
                 }
-                let columns = self.wave_columns(wave, f);
-                let score = self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, 2);
+                let score = self.extended(set, &self.wave_cross(set, wave, f)) - self.price(set, cost, 2);
                 if best.as_ref().is_none_or(|b| score > b.0) {
-                    best = Some((score, f, columns));
+                    best = Some((score, f));
                 }
                 score
             };
             let mut centre = (eval(*f0), *f0);
-            if best_before.is_some_and(|b: f64| centre.0 < b - 30.0) {
+            // Between two frequencies of the grid a wave shows at least 0.93 of its power.
+            let most = (centre.0 - nothing) * NEARBY + nothing + SLACK;
+            if most < best_before.max(set.score - HOPELESS) {
                 continue;
             }
             let mut h = step;
@@ -511,7 +632,7 @@ impl<'p, 'r> Search<'p, 'r> {
                 }
             }
         }
-        let (mut score, mut f, mut columns) = best?;
+        let (mut score, mut f) = best?;
         let mut cost = cost;
         if wave.effect.is_some()
             && let Some(pitch) = pitch(&places, GRID_SHARE / f)
@@ -520,21 +641,21 @@ impl<'p, 'r> Search<'p, 'r> {
             let paid = cost_of_search.min((span / pitch).max(2.0)).ln();
             let saved = cost_of_search.ln() - paid;
             (cost, score) = (cost - saved, score + saved);
-            let near: Vec<(f64, f64, Vec<Vec<f64>>)> = aliases(f, pitch, [from, wave.to], 8)
+            let near: Vec<(f64, f64)> = aliases(f, pitch, [from, wave.to], 8)
                 .into_iter()
                 .map(|g| {
-                    let columns = self.wave_columns(wave, g);
-                    let s = self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, 2);
-                    (s, g, columns)
+                    let s = self.extended(set, &self.wave_cross(set, wave, g)) - self.price(set, cost, 2);
+                    (s, g)
                 })
-                .filter(|(s, ..)| *s > score - 1.0)
+                .filter(|(s, _)| *s > score - 1.0)
                 .collect();
-            let periods: Vec<f64> = near.iter().map(|(_, g, _)| 1.0 / g).collect();
+            let periods: Vec<f64> = near.iter().map(|(_, g)| 1.0 / g).collect();
             let screw = wave.unit.total_cmp(&1.0).is_eq();
             if let Some(i) = likeliest(&periods, screw) {
-                (score, f, columns) = near[i].clone();
+                (score, f) = near[i];
             }
         }
+        let columns = self.wave_columns(wave, f);
         if wave.unit < 1.0 && self.amplitude(set, &columns) > MOST_PERIODS / (f * wave.unit) {
             return None;
         }
@@ -575,10 +696,11 @@ impl<'p, 'r> Search<'p, 'r> {
     fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
         let mut out = vec![vec![0.0; self.stack.n]; 2];
         for s in self.stack.segments.iter().filter(|s| s.response == wave.response) {
-            for r in s.rows.clone() {
-                let (sin, cos) = (TAU * (wave.along[r] * f).fract()).sin_cos();
-                out[0][r] = sin;
-                out[1][r] = cos;
+            let [sines, cosines] = &mut out[..] else { continue };
+            let along = &wave.along[s.rows.clone()];
+            for ((x, a), b) in along.iter().zip(&mut sines[s.rows.clone()]).zip(&mut cosines[s.rows.clone()])
+            {
+                (*a, *b) = gram::wave(x * f);
             }
         }
         out.iter_mut().for_each(|c| self.stack.weigh(c));
@@ -719,14 +841,13 @@ impl<'p, 'r> Search<'p, 'r> {
                 .collect(),
             Source::Made(columns) => columns.clone(),
         };
-        let count = columns.len();
-        let first = self.register(columns);
+        let vectors = columns.into_iter().map(|c| self.register(c)).collect();
         let mut members = set.members.clone();
         members.push(Member {
             cause: offer.cause.clone(),
             hypothesis: offer.hypothesis,
             cost: offer.cost,
-            vectors: (first..first + count).collect(),
+            vectors,
         });
         self.set(members)
     }
@@ -816,16 +937,6 @@ fn log_sum(a: f64, b: f64) -> f64 {
     hi + (lo - hi).exp().ln_1p()
 }
 
-/// Products among the columns of an atom, packed.
-fn own_products(columns: &[usize], bank: &Bank, stack: &Stack<'_>) -> Vec<Products> {
-    let mut out = Vec::new();
-    for i in 0..columns.len() {
-        let v = Vector::new(bank.column(columns[i]).to_vec(), &stack.ranges);
-        out.extend((0..=i).map(|j| v.products(bank.column(columns[j]), &stack.ranges)));
-    }
-    out
-}
-
 /// K·r with K = `WᵀW`, the inverse covariance of the noise.
 fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f64> {
     let mut out: Vec<f64> = r.iter().map(|x| (1.0 + phi * phi) * x).collect();
@@ -847,7 +958,12 @@ fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f6
 /// The three highest peaks of a periodogram, added to a list of frequencies.
 fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>) {
     for _ in 0..3 {
-        let top = (0..power.len()).max_by(|a, b| power[*a].total_cmp(&power[*b])).unwrap_or(0);
+        let mut top = 0;
+        for (i, p) in power.iter().enumerate() {
+            if *p > power[top] {
+                top = i;
+            }
+        }
         let f = from + step * top as f64;
         if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
             list.push(f);
@@ -978,6 +1094,7 @@ impl Search<'_, '_> {
         let (mut named, mut any) = (empty.clone(), empty.clone());
         let mut visited = vec![empty];
         for _ in 0..DEPTH {
+            self.meet_bank(beam.iter().flat_map(|s| s.ids.iter().copied()).chain([0]));
             let mut next: Vec<(usize, Offer)> = Vec::new();
             for (i, set) in beam.iter().enumerate() {
                 let pure = self.named(set);

@@ -464,7 +464,8 @@ fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
         _ => return None,
     };
     let role = Role::Position(effect.axes()[0].clone());
-    let places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
+    let mut places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
+    places.sort_by(f64::total_cmp);
     let period_mm = effect.scalar(0) * unit_mm;
     let pitch = hypotheses::pitch(&places, GRID_SHARE * period_mm)?;
     let [lo, hi] = card.parameters[0].limits;
