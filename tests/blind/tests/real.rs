@@ -95,17 +95,165 @@ fn the_iso_230_axis_has_a_map_and_a_reversal() {
     ];
     let record = Record::new(&PathBuf::from("axis.run.toml"), Kind::Positioning, columns).unwrap();
     let r = reconcile(&[record], &[], &Machine::ideal("ecmc"), &Options::default()).unwrap();
-    assert_eq!(names(&r)[..2], ["position_map.y", "reversal.y"]);
-    // The owners' mean reversal: 12.77 µm, forward above backward here.
-    // The way down follows the way up, so that theirs holds what the axis drifted in between.
-    let drift = r.effects.iter().find(|(f, _)| f.effect.name() == "warm_up.y").map_or(0.0, |(f, _)| {
-        let at = |row: f64| f.effect.scalar(0) * (1.0 - (-row / f.effect.scalar(1)).exp());
-        let mean = |from: u32| {
-            (0..5).flat_map(|c| (0..9).map(move |i| f64::from(18 * c + from + i))).map(at).sum::<f64>() / 45.0
-        };
-        mean(0) - mean(9)
-    });
-    let reversal = (r.effects[1].0.effect.scalar(0) + drift).abs();
-    assert!((reversal - 12.77).abs() < 1.0, "{reversal}");
+    // A map, a reversal, and what came over the cycles: a warm-up from a zero that was set on the warm machine.
+    assert_eq!(names(&r), ["position_map.y", "reversal.y", "offset.y", "warm_up.y"]);
     assert!(r.places.iter().any(|p| p.against == "cycle" && p.q_value < 0.01), "the drift over the cycles");
+    // The owners' mean reversal, 12.77 µm, holds the drift from the way up to the way down, 20 µm in five cycles.
+    let of = |n: usize, key: &str| r.effects[n].0.effect.value(key).unwrap()[0];
+    let (reversal, drift) = (of(1, "um").abs(), of(3, "um").abs());
+    println!("reversal {reversal:.2} µm, drift {drift:.1} µm; {:?}", r.gap);
+    assert!((reversal - 12.77).abs() < 0.15 * drift, "{reversal}");
+    assert!(r.gap[0].closed().unwrap() > 0.9);
+}
+
+/// Time, position, speed, acceleration and force of the EMPS axis, every `every` ms, position and force through the
+/// same Gaussian filter with its corner at `corner_hz`, no shift of phase.
+fn emps(text: &str, corner_hz: f64, every: usize) -> Record {
+    let rows: Vec<[f64; 2]> = text
+        .lines()
+        .skip(1)
+        .map(|l| {
+            let f: Vec<f64> = l.split(',').map(|f| f.parse().unwrap()).collect();
+            [1e3 * f[2], 35.1507 * f[3]]
+        })
+        .collect();
+    let sd = 2f64.ln().sqrt() / (std::f64::consts::TAU * corner_hz) * 1e3;
+    let reach = (4.0 * sd).ceil() as usize;
+    let weights: Vec<f64> =
+        (0..=2 * reach).map(|k| (-0.5 * ((k as f64 - reach as f64) / sd).powi(2)).exp()).collect();
+    let total: f64 = weights.iter().sum();
+    let smooth = |at: usize, k: usize| -> f64 {
+        weights.iter().zip(&rows[at - reach..]).map(|(w, r)| w * r[k]).sum::<f64>() / total
+    };
+    let places: Vec<usize> = (reach + 1..rows.len() - reach - 1).step_by(every).collect();
+    let pick = |f: &dyn Fn(usize) -> f64| places.iter().map(|r| f(*r)).collect::<Vec<_>>();
+    let columns = vec![
+        column("t", Role::Time, pick(&|r| r as f64 * 1e-3)),
+        column("x", Role::Position(axis("x")), pick(&|r| smooth(r, 0))),
+        column("v", Role::Velocity(axis("x")), pick(&|r| (smooth(r + 1, 0) - smooth(r - 1, 0)) / 2e-3)),
+        column(
+            "a",
+            Role::Acceleration(axis("x")),
+            pick(&|r| (smooth(r + 1, 0) - 2.0 * smooth(r, 0) + smooth(r - 1, 0)) / 1e-6),
+        ),
+        column("f", Role::Force(axis("x")), pick(&|r| smooth(r, 1))),
+    ];
+    Record::new(&PathBuf::from("emps.run.toml"), Kind::Dynamics, columns).unwrap()
+}
+
+/// Inertia and viscous friction known (the owners' figures): what else moves the axis? However it was filtered and
+/// sampled, Coulomb friction first, then that the way back is easier than the way out, and nothing more. The owners'
+/// offset, 3.2 N, is what a constant makes of the difference between the ways: beside that difference it is 0.25 N.
+#[test]
+fn a_driven_axis_has_coulomb_friction_that_differs_by_direction() {
+    let Some(text) = data("axis_dynamics/identification.csv") else { return };
+    let model = "name = \"emps\"\n[[effect]]\nname = \"inertia.x\"\nkg = 95.11\n[[effect]]\n\
+                 name = \"friction_viscous.x\"\nN_s_per_m = 203.5\n";
+    let machine = Machine::parse(Path::new("emps.toml"), model).unwrap();
+    for (corner_hz, every) in [(20.0, 10), (40.0, 10), (30.0, 4), (20.0, 25), (60.0, 20)] {
+        let record = emps(&text, corner_hz, every);
+        let force = record.data(&Role::Force(axis("x"))).unwrap();
+        let size = (force.iter().map(|f| f * f).sum::<f64>() / force.len() as f64).sqrt();
+        let r = reconcile(&[record], &[], &machine, &Options::default()).unwrap();
+        let [before, after] = r.gap[0].train;
+        println!(
+            "{corner_hz} Hz, every {every} ms: {:?} {:.2} %, before {:.1} %, every {} rows",
+            names(&r),
+            100.0 * after / size,
+            100.0 * before / size,
+            r.every
+        );
+        assert_eq!(r.verdict, "named");
+        assert_eq!(names(&r), ["friction_coulomb.x", "friction_asymmetric.x"]);
+        let coulomb = r.effects[0].0.effect.scalar(0);
+        assert!((coulomb - 20.39).abs() < 0.5, "the owners' Coulomb friction: {coulomb} N");
+        assert!(after / size < 0.035, "the owners' best: 3.11 %");
+    }
+}
+
+/// Rows of the spindle run: growth and its sixteen temperatures, with further temperatures and channels beside them.
+fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<f64>)]) -> Record {
+    let lines: Vec<Vec<f64>> =
+        text.lines().skip(1).map(|l| l.split(',').map(|f| f.parse().unwrap()).collect()).collect();
+    let pick = |k: usize, by: f64| lines[rows.clone()].iter().map(|l| l[k] * by).collect::<Vec<_>>();
+    let mut columns =
+        vec![column("t", Role::Time, pick(0, 60.0)), column("e", Role::Error(axis("z")), pick(1, 1.0))];
+    columns.extend((0..16).map(|k| column(&format!("T{k}"), Role::Temperature, pick(k + 2, 1.0))));
+    columns.extend(decoys.iter().map(|(n, r, d)| column(n, r.clone(), d[rows.clone()].to_vec())));
+    Record::new(&PathBuf::from("spindle.run.toml"), Kind::Drift, columns).unwrap()
+}
+
+/// Learned from the rows before a moment, the model foretells those after it: always far better than the mean it
+/// learned, and from the moment on at which the machine has once been warm and cooler again, better than the later
+/// rows' own mean, which nobody knew. Sensors that cannot be told apart are called that.
+#[test]
+fn a_spindle_grows_with_its_heat_and_later_hours_are_foretold() {
+    let Some(text) = data("spindle_thermal/first_half.csv") else { return };
+    let model = Machine::ideal("spindle");
+    for (split, better_than_own_mean) in [(1200, false), (1600, true), (1800, true)] {
+        let (early, late) = (spindle(&text, 0..split, &[]), spindle(&text, split..2341, &[]));
+        let about = |r: &Record, centre: f64| -> f64 {
+            let e = r.data(&Role::Error(axis("z"))).unwrap();
+            (e.iter().map(|x| (x - centre).powi(2)).sum::<f64>() / e.len() as f64).sqrt()
+        };
+        let mean = |r: &Record| -> f64 {
+            let e = r.data(&Role::Error(axis("z"))).unwrap();
+            e.iter().sum::<f64>() / e.len() as f64
+        };
+        let (learned, own) = (about(&late, mean(&early)), about(&late, mean(&late)));
+        let r = reconcile(&[early], &[late], &model, &Options::default()).unwrap();
+        let after = r.gap[0].holdout.unwrap()[1];
+        println!(
+            "{split} min: {} {:?}, later {after:.3} µm; by the mean learned {learned:.3}, by their own {own:.3}",
+            r.verdict,
+            r.effects.iter().map(|(f, _)| (f.effect.name(), &f.effect.delta)).collect::<Vec<_>>()
+        );
+        assert_eq!(r.verdict, "not_separable");
+        assert_eq!(names(&r)[0], "thermal_lag.z");
+        assert!(after < 0.3 * learned, "{after} and {learned}");
+        assert!(!better_than_own_mean || after < own, "{after} and {own}");
+    }
+}
+
+/// Every fourth minute of the whole run, with a random walk and a sensor whose rows were shuffled among the temperatures, and a random walk
+/// among the channels: heat is named, in relation to the surroundings and with a lag, and no decoy is.
+#[test]
+fn a_decoy_is_never_the_cause_of_growth() {
+    use rand_xoshiro::rand_core::{RngCore, SeedableRng};
+    let Some(text) = data("spindle_thermal/first_half.csv") else { return };
+    let t3: Vec<f64> = text.lines().skip(1).map(|l| l.split(',').nth(5).unwrap().parse().unwrap()).collect();
+    for seed in [1, 2] {
+        let mut rng = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut walk = |start: f64, step: f64| -> Vec<f64> {
+            let mut x = start;
+            t3.iter()
+                .map(|_| {
+                    x += step * (rng.next_u64() as f64 / u64::MAX as f64 - 0.5);
+                    x
+                })
+                .collect()
+        };
+        let (warm, logged) = (walk(24.0, 0.3), walk(0.0, 1.0));
+        let mut shuffled = t3.clone();
+        for i in (1..shuffled.len()).rev() {
+            shuffled.swap(i, (rng.next_u64() % (i as u64 + 1)) as usize);
+        }
+        let decoys = [
+            ("D1", Role::Temperature, warm),
+            ("D2", Role::Temperature, shuffled),
+            ("D3", Role::Channel, logged),
+        ];
+        let run = spindle(&text, 0..2341, &decoys).select(&(0..2341).step_by(4).collect::<Vec<_>>());
+        let r = reconcile(&[run], &[], &Machine::ideal("spindle"), &Options::default()).unwrap();
+        println!(
+            "{} {:?}",
+            r.verdict,
+            r.effects.iter().map(|(f, _)| (f.effect.name(), &f.effect.delta)).collect::<Vec<_>>()
+        );
+        assert_eq!(names(&r)[0], "thermal_lag.z");
+        for (f, _) in &r.effects {
+            let told = format!("{} {:?} {:?}", f.effect.name(), f.effect.delta, f.rivals);
+            assert!(!told.contains("D1") && !told.contains("D2") && !told.contains("D3"), "{told}");
+        }
+    }
 }

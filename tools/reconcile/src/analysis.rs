@@ -22,6 +22,9 @@ const SHAPE_INSTEAD: f64 = 12.0;
 const WORTH: f64 = 0.015;
 /// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
 const EXPLAINED: f64 = 0.2;
+/// Where named effects leave less than this share of the gap, they are not exchanged for a shape without a name,
+/// however well it fits: no law is true to a fiftieth.
+const NEARLY_ALL: f64 = 0.05;
 /// Most rivals that are listed for one effect.
 const MOST_RIVALS: usize = 12;
 
@@ -102,9 +105,9 @@ fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Finds and names what is missing.
-#[must_use]
-pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
+/// Finds and names what is missing. With `thinnable`, `None` when the rows are too close together for that: fewer of
+/// them say more.
+pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnable: bool) -> Option<Answer> {
     let mut stack = Stack::new(records);
     let file: Vec<Effect> = machine.effects().cloned().collect();
     let mut now = file.clone();
@@ -121,6 +124,9 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
         let parameters = known(&stack, &anchor, &now);
         let mut search = Search::new(&stack, &all, &waves, &parameters, missing);
         let found = search.run();
+        if thinnable && (search.contradicted(&found.named) || search.contradicted(&found.any)) {
+            return None;
+        }
         let (residual, _) = search.residual(&found.any);
         let beta = search.coefficients(&found.any);
         let mut moved = moved(&now, &parameters, &beta);
@@ -163,7 +169,7 @@ pub fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
             }
             continue;
         }
-        return Answer { file, anchor, ..conclude(&mut search, &found, &now, level) };
+        return Some(Answer { file, anchor, ..conclude(&mut search, &found, &now, level) });
     }
     unreachable!("the loop ends at its last pass")
 }
@@ -241,7 +247,7 @@ fn bend(stack: &Stack<'_>, now: &[Effect], moved: &[Effect], parameters: &[Known
 }
 
 /// The effect that a member stands for, with its coefficients.
-fn effect_of(cause: &Cause, gamma: &[f64]) -> Option<Effect> {
+pub(crate) fn effect_of(cause: &Cause, gamma: &[f64]) -> Option<Effect> {
     let Cause::Effect { effect, free, reference } = cause else { return None };
     let mut effect = effect.clone();
     let k = effect.coefficient_count();
@@ -373,9 +379,16 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             _ => break,
         }
     }
+    let steadier = search.steadier(&named);
+    let equals = steadier.map(|(set, equals)| {
+        named = set;
+        equals
+    });
     let left = rms(&search.residual(&named).0);
     let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
-    let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
+    // Names that leave next to nothing, or that the shape only stands beside, keep their place.
+    let beside = left < NEARLY_ALL * whole
+        || named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
     // A shape in place of the names, not beside them, has to be the far better account where they leave little.
     let needed = if mostly { SHAPE_INSTEAD } else { SHAPE_DECISIVE };
     let unexplained: Vec<Shape> = if !(mostly && beside) && any.score > named.score + needed {
@@ -422,7 +435,15 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             continue;
         }
         let mut list: Vec<Rival> = Vec::new();
-        if unexplained.is_empty() {
+        if let Some(equals) = &equals {
+            // What foretells as well, not what fits as well.
+            if effect.delta.is_some() {
+                list.extend(equals.iter().map(|h| {
+                    let h = &search.all.list[*h];
+                    Rival { name: h.name.clone(), sensor: h.sensor.clone(), margin: 0.0 }
+                }));
+            }
+        } else if unexplained.is_empty() {
             let own_name = &search.all.list[m.hypothesis].name;
             let ranking = search.ranking(&search.without(&set, i));
             let top =

@@ -12,11 +12,12 @@ mod hypotheses;
 mod problem;
 mod report;
 mod search;
+mod steady;
 mod unexplained;
 mod verdict;
 mod wherein;
 
-pub use analysis::{Answer, Finding, Rival, Tried, analyse};
+pub use analysis::{Answer, Finding, Rival, Tried};
 pub use chance::SEED;
 pub use hypotheses::Shape;
 pub use report::html;

@@ -25,6 +25,11 @@ const FREQUENCY_STEP: f64 = 0.3;
 /// The same beyond the first [`MOST_FREQUENCIES`]: four fifths of a wave's power are seen between two of them.
 const FAST_STEP: f64 = 0.5;
 
+/// Noise of a smaller coefficient is not asked whether plain least squares agrees.
+const LONG_MEMORY: f64 = 0.5;
+/// F value beyond which plain least squares contradicts a fit.
+const CONTRADICTION: f64 = 25.0;
+
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
 pub(crate) struct AtPhi {
@@ -503,13 +508,18 @@ impl<'p, 'r> Search<'p, 'r> {
             .max_by(|a, b| self.loglik(&set.fits[*a], 0.0).total_cmp(&self.loglik(&set.fits[*b], 0.0)))
             .unwrap_or(0);
         let fit = &set.fits[top];
+        (self.left(set, fit), fit.phi)
+    }
+
+    /// What a set leaves with the coefficients of one of its fits.
+    fn left(&self, set: &Set, fit: &AtPhi) -> Vec<f64> {
         let mut beta = fit.z.clone();
         fit.factor.backward(&mut beta);
         let mut r = self.vectors[0].data.clone();
         for (b, i) in beta.iter().zip(&set.ids) {
             r.iter_mut().zip(&self.vectors[*i].data).for_each(|(r, x)| *r -= b * x);
         }
-        (r, fit.phi)
+        r
     }
 
     /// Coefficients of the set at its best noise coefficient: known parameters' changes, then members' in order.
@@ -521,6 +531,27 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut beta = fits[top].z.clone();
         fits[top].factor.backward(&mut beta);
         beta
+    }
+
+    /// Whether the noise coefficient that fits best is bought with coefficients that plain least squares contradicts:
+    /// noise that wanders so slowly would not have let plain least squares explain so much more (Hausman,
+    /// Econometrica 46 (1978) 1251: two estimates that differ where they should not show a wrong model). A law whose
+    /// steps the record has smoothed does that: all it has left to say then lies in a few rows.
+    pub(crate) fn contradicted(&self, set: &Set) -> bool {
+        let top = set.fits.iter().max_by(|a, b| self.loglik(a, 0.0).total_cmp(&self.loglik(b, 0.0)));
+        let plain = set.fits.iter().find(|f| f.phi == 0.0);
+        let (Some(top), Some(plain)) = (top, plain) else { return false };
+        if top.phi < LONG_MEMORY {
+            return false;
+        }
+        let left = |fit: &AtPhi| {
+            let r = self.left(set, fit);
+            dot(&r, &r)
+        };
+        let (fitted, plain) = (left(top), left(plain));
+        let k = set.ids.len().max(1) as f64;
+        let independent = self.stack.n as f64 * (1.0 - top.phi) / (1.0 + top.phi);
+        (fitted - plain) / k > CONTRADICTION * plain / (independent - k).max(1.0)
     }
 
     /// Frequencies at which the periodogram of what a set leaves is highest, added to the wave's list.
@@ -1094,6 +1125,8 @@ impl Search<'_, '_> {
         let (mut named, mut any) = (empty.clone(), empty.clone());
         let mut visited = vec![empty];
         for _ in 0..DEPTH {
+            let lifted = self.lifted(&beam);
+            beam.extend(lifted);
             self.meet_bank(beam.iter().flat_map(|s| s.ids.iter().copied()).chain([0]));
             let mut next: Vec<(usize, Offer)> = Vec::new();
             for (i, set) in beam.iter().enumerate() {
@@ -1143,6 +1176,33 @@ impl Search<'_, '_> {
         }
         visited.sort_by(|a, b| b.score.total_cmp(&a.score));
         Found { named, any, visited }
+    }
+
+    /// The best set of names with a constant beside it: what starts from anywhere (a drift from the mean that the
+    /// record was zeroed at) pays only together with its constant, and neither pays alone.
+    fn lifted(&mut self, beam: &[Set]) -> Vec<Set> {
+        let Some(set) = beam.iter().find(|s| self.named(s)).cloned() else { return Vec::new() };
+        let offsets: Vec<Offer> = (0..self.all.atoms.len())
+            .filter(|a| self.all.list[self.all.atoms[*a].hypothesis].name.starts_with("offset."))
+            .filter(|a| set.members.iter().all(|m| m.hypothesis != self.all.atoms[*a].hypothesis))
+            .map(|a| self.offer(&set, &self.all.atoms[a]))
+            .collect();
+        offsets.iter().map(|o| self.take(&set, o)).collect()
+    }
+
+    /// A grid point as an addition to a set.
+    pub(crate) fn offer(&self, set: &Set, atom: &Atom) -> Offer {
+        let columns: Vec<Vec<f64>> = atom.columns.iter().map(|c| self.all.bank.column(*c).to_vec()).collect();
+        let score = self.extended(set, &self.made_cross(set, &columns))
+            - self.price(set, atom.cost, atom.columns.len());
+        Offer {
+            cause: atom.cause.clone(),
+            hypothesis: atom.hypothesis,
+            cost: atom.cost,
+            score,
+            evidence: score,
+            columns: Source::Bank(atom.columns.clone()),
+        }
     }
 
     /// Refines each member's non-linear parameters with the others in place.

@@ -1,6 +1,6 @@
 //! From the analysis to the document, the better model and the figures of the gap.
 
-use crate::analysis::{Answer, Finding, Rival, Tried};
+use crate::analysis::{Answer, Finding, Rival, Tried, analyse};
 use crate::fit::{self, Term};
 use crate::hypotheses::{self, Shape};
 use crate::problem::{Stack, known, rms};
@@ -13,6 +13,7 @@ use rtec_model::effect::{Against, Difference, Effect, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
 use serde_json::{Map, Value, json};
+use std::borrow::Cow;
 
 /// How far measured and simulated are apart, for the responses of one unit.
 #[derive(Debug, Clone)]
@@ -78,6 +79,8 @@ pub struct Reconciliation {
     pub level: f64,
     /// Autocorrelation of the noise from row to row.
     pub phi: f64,
+    /// Every so many rows were analysed: 1 for all.
+    pub every: usize,
 }
 
 /// What the simulation leaves of one response of one record.
@@ -99,6 +102,8 @@ pub struct Trace {
 
 /// How far a value must move from the model's, in standard errors: about one in ten thousand by chance.
 const BEYOND_CHANCE: f64 = 3.9;
+/// Rows are not thinned to fewer than this.
+const FEWEST_ROWS: usize = 300;
 /// Folds of the blocked cross-validation.
 const FOLDS: usize = 5;
 
@@ -115,8 +120,8 @@ pub fn reconcile(
     for record in train.iter().chain(holdout) {
         machine.predict(record)?;
     }
-    let answer = crate::analysis::analyse(train, machine, options.level);
-    let mut stack = Stack::new(train);
+    let (answer, used, every) = thinned(train, machine, options.level);
+    let mut stack = Stack::new(&used);
     stack.sigma.clone_from(&answer.sigma);
     let file: Vec<Effect> = machine.effects().cloned().collect();
     let trust = |effects: &[Effect]| -> Vec<Vec<f64>> {
@@ -212,7 +217,7 @@ pub fn reconcile(
         "named"
     };
     let traces = traces(train, holdout, machine, &model);
-    let gap = gaps(&stack, train, &traces, &terms, &answer, holdout.is_empty());
+    let gap = gaps(&stack, &used, &traces, &terms, &answer, holdout.is_empty());
     let mut advice = advice(verdict, &effects, &answer.unexplained, machine);
     for text in effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train)) {
         advice = if advice.is_empty() { text } else { format!("{advice}; {text}") };
@@ -232,6 +237,7 @@ pub fn reconcile(
         traces,
         level: options.level,
         phi: answer.phi,
+        every,
     })
 }
 
@@ -260,6 +266,22 @@ fn stand_in(
     let (_, machine, all, laws) = best?;
     (*model, *terms) = (machine, all);
     Some(laws)
+}
+
+/// The analysis of every nth row, n the least power of two at which noise and effects are told apart: rows much closer
+/// than the noise forgets (a filtered force, sampled fast) say the same thing over and over.
+fn thinned<'r>(train: &'r [Record], machine: &Machine, level: f64) -> (Answer, Cow<'r, [Record]>, usize) {
+    let mut every = 1;
+    let mut used = Cow::Borrowed(train);
+    loop {
+        let rows: usize = used.iter().map(Record::rows).sum();
+        if let Some(answer) = analyse(&used, machine, level, rows >= 2 * FEWEST_ROWS) {
+            return (answer, used, every);
+        }
+        every *= 2;
+        let of = |r: &Record| r.select(&(0..r.rows()).step_by(every).collect::<Vec<_>>());
+        used = train.iter().map(of).collect();
+    }
 }
 
 /// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
@@ -654,7 +676,7 @@ impl Reconciliation {
             })).collect::<Vec<_>>(),
             "level": self.level,
             "seed": SEED,
-            "noise": {"autocorrelation": self.phi},
+            "noise": {"autocorrelation": self.phi, "every_nth_row": self.every},
         })
     }
 }
