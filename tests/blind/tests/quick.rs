@@ -145,3 +145,38 @@ fn what_has_no_name_gets_a_marked_curve_when_asked_for() {
     };
     assert!(left(&model) < 0.35 * left(&machine), "{} of {}", left(&model), left(&machine));
 }
+
+#[test]
+fn two_bumps_of_a_part_are_both_added() {
+    use rtec_model::record::{Axis, Column, Kind, Record, Role};
+    let n = 720;
+    let angle: Vec<f64> = (0..n).map(|i| f64::from(i) * std::f64::consts::TAU / f64::from(n)).collect();
+    let bump = |w: f64, um: f64, centre: f64, width: f64| {
+        let d = w - centre;
+        if d.abs() < width / 2.0 { um * (1.0 + (std::f64::consts::TAU * d / width).cos()) / 2.0 } else { 0.0 }
+    };
+    let hidden = |w: f64| bump(w, 9.0, 1.2, 0.9) + bump(w, -7.0, 4.1, 0.7);
+    let e: Vec<f64> = angle.iter().zip(noise(5, angle.len())).map(|(w, n)| hidden(*w) + n).collect();
+    let column = |name: &str, role: Role, data| {
+        let unit = role.unit().unwrap_or("1").to_owned();
+        Column { name: name.to_owned(), role, unit, data }
+    };
+    let error = Role::Error(Axis::new("r").unwrap());
+    let columns = vec![column("w", Role::Angle, angle.clone()), column("e", error, e)];
+    let record = Record::new(std::path::Path::new("part.run.toml"), Kind::Part, columns).unwrap();
+    let machine = rtec_model::machine::Machine::ideal("m");
+    let r = rtec_reconcile::reconcile(&[record], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    assert_eq!(r.verdict, "named");
+    let mut centres: Vec<f64> = r
+        .effects
+        .iter()
+        .inspect(|(f, _)| assert_eq!(f.effect.name(), "form_bump"))
+        .map(|(f, _)| f.effect.value("centre_rad").unwrap()[0])
+        .collect();
+    centres.sort_by(f64::total_cmp);
+    assert!(
+        centres.len() == 2 && (centres[0] - 1.2).abs() < 0.05 && (centres[1] - 4.1).abs() < 0.05,
+        "{centres:?}"
+    );
+    assert_eq!(r.model.effects().count(), 2);
+}

@@ -947,6 +947,8 @@ mod tests {
         assert!(two(&screw(5.0), &screw(10.0)) && !two(&screw(5.0), &screw(5.0)));
         let lost = |t: f64| format!("name = \"lost_counts.z\"\num = 1\nat_s = {t}");
         assert!(two(&lost(5.0), &lost(10.0)) && !two(&lost(5.0), &lost(5.0)));
+        let bump = |c: f64| format!("name = \"form_bump\"\num = 1\nwidth_rad = 0.5\ncentre_rad = {c}");
+        assert!(two(&bump(1.0), &bump(2.0)) && !two(&bump(1.0), &bump(1.0)));
         let rotation = |n: &str| format!("name = \"rotation.{n}\"\nurad = 1");
         assert!(!two(&rotation("x.y"), &rotation("y.x")));
         let angular = |n: &str| format!("name = \"angular.{n}\"\nurad_per_m = 1");

@@ -575,7 +575,7 @@ impl Effect {
         }
     }
 
-    /// What tells effects of one name apart in one model: sensors, periods, knots, times.
+    /// What tells effects of one name apart in one model: sensors, periods, knots, times, the place of a bump.
     #[must_use]
     pub fn identity(&self) -> String {
         let mut id = self.name();
@@ -589,7 +589,8 @@ impl Effect {
             }
         }
         for (i, p) in self.card().parameters.iter().enumerate() {
-            if ["period_mm", "period_um", "lobes", "knots_mm", "at_s", "tau_s"].contains(&p.name.as_str()) {
+            let apart = ["period_mm", "period_um", "lobes", "knots_mm", "at_s", "tau_s", "centre_rad"];
+            if apart.contains(&p.name.as_str()) {
                 let _ = write!(id, " {}={:?}", p.name, self.get(i));
             }
         }
