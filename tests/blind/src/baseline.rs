@@ -1,5 +1,6 @@
-//! What an able analyst's afternoon gives: forward selection over the same dictionary by the Bayesian information
-//! criterion, ordinary least squares, the model's own parameters fitted along.
+//! What an able analyst's afternoon gives, twice, over the same dictionary, non-linear parameters on a grid, the model's
+//! own parameters fitted along: forward selection by the Bayesian information criterion, and the LASSO with
+//! cross-validation.
 
 use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::machine::Machine;
@@ -111,9 +112,14 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
     }
 }
 
-/// Names it would add.
-#[must_use]
-pub fn forward_bic(records: &[Record], machine: &Machine) -> Vec<String> {
+/// What is to be explained, what the model's own parameters explain, and every grid point of every candidate.
+struct Problem {
+    y: Vec<f64>,
+    basis: Basis,
+    candidates: Vec<(String, Vec<Vec<f64>>)>,
+}
+
+fn problem(records: &[Record], machine: &Machine) -> Problem {
     let mut y: Vec<f64> =
         records.iter().flat_map(|r| r.responses().flat_map(|c| c.data.iter().copied())).collect();
     let mut basis = Basis::default();
@@ -146,6 +152,13 @@ pub fn forward_bic(records: &[Record], machine: &Machine) -> Vec<String> {
             (name.clone(), columns)
         }));
     }
+    Problem { y, basis, candidates }
+}
+
+/// Names that forward selection by BIC would add.
+#[must_use]
+pub fn forward_bic(records: &[Record], machine: &Machine) -> Vec<String> {
+    let Problem { y, mut basis, candidates } = problem(records, machine);
     let n = y.len() as f64;
     let mut names: Vec<String> = Vec::new();
     for _ in 0..6 {
@@ -181,4 +194,143 @@ pub fn forward_bic(records: &[Record], machine: &Machine) -> Vec<String> {
         }
     }
     names
+}
+
+/// Folds of the cross-validation, each a block of rows.
+const FOLDS: usize = 5;
+/// Penalties, from the largest down, each this share of the one before.
+const STEP: f64 = 0.8;
+const STEPS: i32 = 18;
+/// Grid points per name that are taken into the LASSO: those that go with the response most closely (Fan and Lv,
+/// J. R. Statist. Soc. B 70 (2008) 849).
+const SCREENED: usize = 12;
+/// Share of the explained size below which an effect is put down to the LASSO's habit of taking a little of everything.
+const WORTH: f64 = 0.1;
+
+/// A least-squares problem with an absolute penalty, its columns of unit length.
+struct Lasso<'c> {
+    y: Vec<f64>,
+    columns: Vec<&'c [f64]>,
+}
+
+impl Lasso<'_> {
+    /// Coefficients for falling penalties, on the rows that count, by coordinate descent from the solution before
+    /// (Friedman, Hastie and Tibshirani, J. Stat. Softw. 33 (2010) 1).
+    fn path(&self, penalties: &[f64], keep: &dyn Fn(usize) -> bool) -> Vec<Vec<f64>> {
+        let rows: Vec<usize> = (0..self.y.len()).filter(|r| keep(*r)).collect();
+        let share = rows.len() as f64 / self.y.len() as f64;
+        let columns: Vec<Vec<f64>> =
+            self.columns.iter().map(|c| rows.iter().map(|r| c[*r]).collect()).collect();
+        let squares: Vec<f64> = columns.iter().map(|c| dot(c, c).max(1e-12)).collect();
+        let mut left: Vec<f64> = rows.iter().map(|r| self.y[*r]).collect();
+        let mut beta = vec![0.0; columns.len()];
+        let mut out = Vec::new();
+        let mut active: Vec<usize> = Vec::new();
+        for penalty in penalties {
+            let bound = penalty * share;
+            for _ in 0..20 {
+                for _ in 0..60 {
+                    let mut moved = 0.0_f64;
+                    for &j in &active {
+                        let g = dot(&columns[j], &left) + squares[j] * beta[j];
+                        let next = g.signum() * (g.abs() - bound).max(0.0) / squares[j];
+                        let change = next - beta[j];
+                        if change != 0.0 {
+                            left.iter_mut().zip(&columns[j]).for_each(|(l, c)| *l -= change * c);
+                            beta[j] = next;
+                            moved = moved.max(change.abs());
+                        }
+                    }
+                    if moved < 1e-3 * bound {
+                        break;
+                    }
+                }
+                // Those at rest that would move join in.
+                let before = active.len();
+                let joining = (0..columns.len())
+                    .filter(|j| !active.contains(j) && dot(&columns[*j], &left).abs() > bound * 1.001)
+                    .collect::<Vec<_>>();
+                active.extend(joining);
+                if active.len() == before {
+                    break;
+                }
+            }
+            out.push(beta.clone());
+        }
+        out
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut lanes = [0.0; 8];
+    let (ca, cb) = (a.chunks_exact(8), b.chunks_exact(8));
+    let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in ca.zip(cb) {
+        for k in 0..8 {
+            lanes[k] += x[k] * y[k];
+        }
+    }
+    lanes.iter().sum::<f64>() + tail
+}
+
+/// Names that the LASSO would add: the largest penalty within one standard error of the best of a cross-validation in
+/// blocks of rows, and of what it takes the names that make up a fair share.
+#[must_use]
+pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {
+    let Problem { y, basis, candidates } = problem(records, machine);
+    let y = basis.rest(&y);
+    // Unit columns without what the model's own parameters explain, the closest of each name.
+    let mut screened: Vec<(usize, f64, Vec<Vec<f64>>)> = Vec::new();
+    for (i, (_, columns)) in candidates.iter().enumerate() {
+        let mut own = Basis::default();
+        for c in columns {
+            let c = basis.rest(c);
+            if length(&c) > 1e-6 * columns.iter().map(|c| length(c)).fold(0.0, f64::max) {
+                own.add(&c);
+            }
+        }
+        let closeness = own.0.iter().map(|q| dot(q, &y).powi(2)).sum::<f64>() / own.0.len().max(1) as f64;
+        screened.push((i, closeness, own.0));
+    }
+    screened.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut taken: std::collections::BTreeMap<&str, usize> = std::collections::BTreeMap::new();
+    screened.retain(|(i, ..)| {
+        let n = taken.entry(candidates[*i].0.as_str()).or_default();
+        *n += 1;
+        *n <= SCREENED
+    });
+    let owner: Vec<usize> = screened.iter().flat_map(|(i, _, c)| c.iter().map(move |_| *i)).collect();
+    let columns: Vec<&[f64]> = screened.iter().flat_map(|(_, _, c)| c.iter().map(Vec::as_slice)).collect();
+    let lasso = Lasso { y, columns };
+    let n = lasso.y.len();
+    let most = lasso.columns.iter().map(|c| dot(c, &lasso.y).abs()).fold(0.0, f64::max);
+    let penalties: Vec<f64> = (0..STEPS).map(|k| most * STEP.powi(k)).collect();
+    let folds: Vec<Vec<f64>> = (0..FOLDS)
+        .map(|fold| {
+            let held = n * fold / FOLDS..n * (fold + 1) / FOLDS;
+            let path = lasso.path(&penalties, &|r| !held.contains(&r));
+            path.iter()
+                .map(|beta| {
+                    let mut left = lasso.y[held.clone()].to_vec();
+                    for (b, c) in beta.iter().zip(&lasso.columns).filter(|(b, _)| **b != 0.0) {
+                        left.iter_mut().zip(&c[held.clone()]).for_each(|(l, c)| *l -= b * c);
+                    }
+                    dot(&left, &left) / left.len().max(1) as f64
+                })
+                .collect()
+        })
+        .collect();
+    let mean = |k: usize| folds.iter().map(|f| f[k]).sum::<f64>() / FOLDS as f64;
+    let best = (0..penalties.len()).min_by(|a, b| mean(*a).total_cmp(&mean(*b))).unwrap_or(0);
+    let spread = folds.iter().map(|f| (f[best] - mean(best)).powi(2)).sum::<f64>() / (FOLDS - 1) as f64;
+    let within = mean(best) + (spread / FOLDS as f64).sqrt();
+    let chosen = (0..=best).find(|k| mean(*k) <= within).unwrap_or(best);
+    let beta = lasso.path(&penalties[..=chosen], &|_| true).pop().unwrap_or_default();
+    let mut sizes: std::collections::BTreeMap<&str, Vec<f64>> = std::collections::BTreeMap::new();
+    for ((b, c), i) in beta.iter().zip(&lasso.columns).zip(&owner).filter(|((b, _), _)| **b != 0.0) {
+        let sum = sizes.entry(candidates[*i].0.as_str()).or_insert_with(|| vec![0.0; n]);
+        sum.iter_mut().zip(*c).for_each(|(s, c)| *s += b * c);
+    }
+    let all: f64 = sizes.values().map(|v| length(v)).sum();
+    sizes.iter().filter(|(_, v)| length(v) >= WORTH * all).map(|(n, _)| (*n).to_owned()).collect()
 }
