@@ -105,6 +105,25 @@ fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
         .collect()
 }
 
+/// The runs as one stack, the model's effects, and rounds of noise made from what the model leaves once its own
+/// parameters are fitted.
+pub(crate) fn noise_of<'r>(
+    records: &'r [Record],
+    machine: &Machine,
+) -> (Stack<'r>, Vec<Effect>, Vec<Vec<f64>>) {
+    let mut stack = Stack::new(records);
+    let file: Vec<Effect> = machine.effects().cloned().collect();
+    let simulated = stack.predict(&file);
+    let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+    stack.sigma = noise_guess(&stack, &missing);
+    stack.weigh(&mut missing);
+    let parameters = known(&stack, &file, &file);
+    let none = Hypotheses::default();
+    let search = Search::new(&stack, &none, &[], &parameters, missing);
+    let noise = search.chance(&search.empty(), ROUNDS).draws;
+    (stack, file, noise)
+}
+
 /// Finds and names what is missing. With `thinnable`, `None` when the rows are too close together for that: fewer of
 /// them say more.
 pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnable: bool) -> Option<Answer> {

@@ -22,7 +22,7 @@ pub use chance::SEED;
 pub use hypotheses::Shape;
 pub use report::html;
 pub use unexplained::LAWS_FILE;
-pub use verdict::{Gap, Reconciliation, Refined, Trace, reconcile};
+pub use verdict::{Gap, Reconciliation, Refined, Trace, find, reconcile};
 pub use wherein::Place;
 
 /// What a reconciliation may be told.
@@ -34,10 +34,12 @@ pub struct Options {
     pub date: Option<String>,
     /// Where something is unexplained, add a bounded curve that stands for it, marked as such.
     pub unexplained: bool,
+    /// Whether the figures of the gap and the traces are wanted too: the last stage's work.
+    pub figures: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { level: 0.01, date: None, unexplained: false }
+        Self { level: 0.01, date: None, unexplained: false, figures: true }
     }
 }

@@ -107,6 +107,19 @@ const FEWEST_ROWS: usize = 300;
 /// Folds of the blocked cross-validation.
 const FOLDS: usize = 5;
 
+/// The first stage alone: where measured and simulated disagree. Noise is taken from what the model leaves, so that
+/// structure which is named later counts as noise here: less is found than beside an answer, never more.
+///
+/// # Errors
+/// The model reads a sensor or channel that a record lacks.
+pub fn find(train: &[Record], machine: &Machine) -> Result<Vec<Place>, InputError> {
+    for record in train {
+        machine.predict(record)?;
+    }
+    let (stack, file, noise) = crate::analysis::noise_of(train, machine);
+    Ok(wherein::places(&stack, &file, &noise))
+}
+
 /// Reconciles: the whole workflow.
 ///
 /// # Errors
@@ -216,13 +229,16 @@ pub fn reconcile(
     } else {
         "named"
     };
-    let traces = traces(train, holdout, machine, &model);
-    let gap = gaps(&stack, &used, &traces, &terms, &answer, holdout.is_empty());
+    let (mut traces_of, mut gap) = (Vec::new(), Vec::new());
+    if options.figures {
+        traces_of = traces(train, holdout, machine, &model);
+        gap = gaps(&stack, &used, &traces_of, &terms, &answer, holdout.is_empty());
+    }
     let mut advice = advice(verdict, &effects, &answer.unexplained, machine);
     for text in effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train)) {
         advice = if advice.is_empty() { text } else { format!("{advice}; {text}") };
     }
-    let places = wherein::places(&stack, &answer);
+    let places = wherein::places(&stack, &answer.file, &answer.draws);
     Ok(Reconciliation {
         verdict,
         places,
@@ -234,7 +250,7 @@ pub fn reconcile(
         advice,
         ranking: answer.ranking,
         model,
-        traces,
+        traces: traces_of,
         level: options.level,
         phi: answer.phi,
         every,

@@ -1,9 +1,9 @@
 //! Where measured and simulated disagree: structure of the residual against every channel, each with a p-value that
 //! holds for autocorrelated noise, and which of them survive a false-discovery rate.
 
-use crate::analysis::Answer;
 use crate::gram::dot;
 use crate::problem::{Segment, Stack};
+use rtec_model::effect::Effect;
 use rtec_model::record::Role;
 use serde_json::{Value, json};
 
@@ -42,9 +42,9 @@ impl Place {
 /// Stretches of a channel that a smooth function is made of.
 const STRETCHES: usize = 8;
 
-/// Every response against every channel, strongest first.
-pub(crate) fn places(stack: &Stack<'_>, answer: &Answer) -> Vec<Place> {
-    let before = missing(stack, answer);
+/// Every response against every channel, strongest first: what the model as it was leaves, beside noise.
+pub(crate) fn places(stack: &Stack<'_>, file: &[Effect], noise: &[Vec<f64>]) -> Vec<Place> {
+    let before = missing(stack, file);
     let mut out = Vec::new();
     for (j, response) in stack.responses.iter().enumerate() {
         let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == j).collect();
@@ -85,7 +85,7 @@ pub(crate) fn places(stack: &Stack<'_>, answer: &Answer) -> Vec<Place> {
             segments.iter().flat_map(|s| all[s.rows.clone()].iter().copied()).collect()
         };
         let residual = pick(&before);
-        let draws: Vec<Vec<f64>> = answer.draws.iter().map(|d| pick(d)).collect();
+        let draws: Vec<Vec<f64>> = noise.iter().map(|d| pick(d)).collect();
         for (label, x) in channels {
             let Some(bins) = stretches(&x) else { continue };
             let explained = |r: &[f64]| -> f64 {
@@ -137,8 +137,8 @@ pub(crate) fn places(stack: &Stack<'_>, answer: &Answer) -> Vec<Place> {
 }
 
 /// Measured minus simulated by the model as it was, weighed.
-fn missing(stack: &Stack<'_>, answer: &Answer) -> Vec<f64> {
-    let simulated = stack.predict(&answer.file);
+fn missing(stack: &Stack<'_>, file: &[Effect]) -> Vec<f64> {
+    let simulated = stack.predict(file);
     let mut r: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
     stack.weigh(&mut r);
     r

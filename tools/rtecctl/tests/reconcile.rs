@@ -63,3 +63,69 @@ fn what_a_live_run_needs_is_asked_for() {
         assert!(!folder.path().join("run.run.toml").exists());
     }
 }
+
+/// A record of one axis that is off by 6 µm, and an empty model.
+fn offset(folder: &std::path::Path) {
+    let row = |i: u32| format!("{i},{}\n", 6.0 + f64::from(i * 7919 % 1000) / 1000.0);
+    let rows: String = (0..120).map(row).collect();
+    std::fs::write(folder.join("run.csv"), format!("t,e\n{rows}")).unwrap();
+    let columns =
+        "[columns]\nt = { role = \"time\", unit = \"s\" }\ne = { role = \"error.z\", unit = \"um\" }\n";
+    std::fs::write(folder.join("run.run.toml"), format!("file = \"run.csv\"\nkind = \"drift\"\n{columns}"))
+        .unwrap();
+    std::fs::write(folder.join("machine.toml"), "name = \"m\"\n").unwrap();
+}
+
+#[test]
+fn each_stage_does_its_own_part() {
+    let folder = tempfile::tempdir().unwrap();
+    offset(folder.path());
+    for (stage, keys, files) in [
+        ("find", vec!["level", "seed", "where"], vec!["verdict.json"]),
+        ("name", vec!["verdict", "effects"], vec!["verdict.json"]),
+        ("add", vec!["verdict", "effects"], vec!["model.toml", "verdict.json"]),
+        ("show", vec!["verdict", "effects", "gap"], vec!["model.toml", "report.html", "verdict.json"]),
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--json"])
+            .args(["--stage", stage, "--out", stage])
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let map = document.as_object().unwrap();
+        assert!(keys.iter().all(|k| map.contains_key(*k)), "{stage}: {document}");
+        assert_eq!(map.contains_key("gap"), stage == "show");
+        if stage == "find" {
+            assert_eq!(map.len(), keys.len(), "{document}");
+        } else {
+            assert_eq!(document["effects"][0]["name"], "offset.z");
+        }
+        let mut written: Vec<String> = std::fs::read_dir(folder.path().join(stage))
+            .unwrap()
+            .map(|f| f.unwrap().file_name().into_string().unwrap())
+            .collect();
+        written.sort();
+        assert_eq!(written, files, "{stage}");
+    }
+}
+
+#[test]
+fn recorder_options_without_a_live_run_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    offset(folder.path());
+    for (option, value) in
+        [("--duration", "3"), ("--feed", "localhost:1"), ("--kind", "drift"), ("--period", "1")]
+    {
+        let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--out", "found", option, value])
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(&format!("{option} without --live")), "{said}");
+        assert!(!folder.path().join("found").exists());
+    }
+}

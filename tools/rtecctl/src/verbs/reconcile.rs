@@ -2,11 +2,14 @@
 
 use super::characterise::record::{Recorder, record};
 use anyhow::Context;
+use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, write_whole};
-use rtec_reconcile::{LAWS_FILE, Options, Reconciliation, html, reconcile};
-use std::path::PathBuf;
-use std::time::SystemTime;
+use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, SEED, find, html, reconcile};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::{Duration, Instant, SystemTime};
 
 /// Find what the model of a machine lacks: name it, add it, show the gap shrink
 #[derive(Debug, clap::Args)]
@@ -22,7 +25,7 @@ pub(crate) struct Args {
     /// The machine model as it stands; never touched
     #[arg(long)]
     model: PathBuf,
-    /// A later run, for the last figures only; may repeat
+    /// A later run, for the last stage's figures only; may repeat
     #[arg(long, value_name = "LATER.run.toml")]
     holdout: Vec<PathBuf>,
     /// Directory for verdict.json, model.toml and report.html, created where it is missing
@@ -60,6 +63,14 @@ fn level(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let read = |paths: &[PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, _>>();
+    let usage = |found: String, expected: &str| InputError::whole(Path::new("reconcile"), found, expected);
+    if let (None, Some(option)) = (&args.live, args.recorder.given()) {
+        return Err(usage(
+            format!("{option} without --live"),
+            "--live NAME.run.toml with it: it says how a run is recorded; records that are there need it not",
+        )
+        .into());
+    }
     let machine = Machine::read(&args.model)?;
     let mut runs = args.train.clone();
     if let Some(live) = &args.live {
@@ -67,51 +78,78 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         runs.push(live.clone());
     }
     let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
-    let rows: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
-    if rows > 8000 {
-        eprintln!("reconciling {rows} measured values …");
+    let values: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
+    if args.stage == Stage::Find {
+        let places = patiently(values, || find(&train, &machine))?;
+        let document = json!({
+            "where": places.iter().map(Place::to_json).collect::<Vec<_>>(), "level": args.level, "seed": SEED,
+        });
+        return tell(args, &document, &found(&places), &[]);
     }
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
-    let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained };
-    let answer = reconcile(&train, &holdout, &machine, &options)?;
+    let figures = args.stage == Stage::Show;
+    let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
+    let answer = patiently(values, || reconcile(&train, &holdout, &machine, &options))?;
     let mut document = answer.to_json();
-    if let Some(map) = document.as_object_mut() {
-        if args.stage == Stage::Find {
-            map.retain(|k, _| ["where", "level", "seed"].contains(&k.as_str()));
-        } else if args.stage < Stage::Show {
-            map.remove("gap");
-        }
+    if let (false, Some(map)) = (figures, document.as_object_mut()) {
+        map.remove("gap");
     }
+    let mut files = Vec::new();
+    if args.stage >= Stage::Add {
+        files.extend(answer.curve.as_ref().map(|(_, laws)| (LAWS_FILE, laws.clone())));
+        files.push(("model.toml", answer.model.to_text()));
+    }
+    if figures {
+        files.push(("report.html", html(&answer, machine.name())));
+    }
+    tell(args, &document, &summary(&answer), &files)
+}
+
+/// Writes the verdict and further files where a directory is given, and prints what was asked for.
+fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(document)?;
     if let Some(dir) = &args.out {
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         let write = |name: &str, text: &str| {
             let path = dir.join(name);
             write_whole(&path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
         };
-        write("verdict.json", &(serde_json::to_string_pretty(&document)? + "\n"))?;
-        if args.stage >= Stage::Add {
-            if let Some((_, laws)) = &answer.curve {
-                write(LAWS_FILE, laws)?;
-            }
-            write("model.toml", &answer.model.to_text())?;
-        }
-        if args.stage >= Stage::Show {
-            write("report.html", &html(&answer, machine.name()))?;
+        write("verdict.json", &format!("{text}\n"))?;
+        for (name, text) in files {
+            write(name, text)?;
         }
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&document)?);
+        println!("{text}");
     } else {
-        print!("{}", summary(&answer, args.stage));
+        print!("{summary}");
     }
     Ok(())
 }
 
-fn summary(r: &Reconciliation, stage: Stage) -> String {
+/// Nothing is said for so long, and then as often.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Does it, and says from time to time that it is still being done.
+fn patiently<T>(values: usize, work: impl FnOnce() -> T) -> T {
+    let start = Instant::now();
+    let (done, waiting) = mpsc::channel::<()>();
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            while waiting.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
+                eprintln!("reconciling {values} measured values, {:.0} s …", start.elapsed().as_secs_f64());
+            }
+        });
+        let result = work();
+        drop(done);
+        result
+    })
+}
+
+fn found(places: &[Place]) -> String {
     use std::fmt::Write as _;
-    let mut s = String::new();
-    let found: Vec<_> = r.places.iter().filter(|p| p.q_value <= 0.05).collect();
-    let _ = writeln!(s, "Where measured and simulated disagree (false-discovery rate 5 %):");
+    let mut s = String::from("Where measured and simulated disagree (false-discovery rate 5 %):\n");
+    let found: Vec<_> = places.iter().filter(|p| p.q_value <= 0.05).collect();
     for p in found.iter().take(8) {
         let _ = writeln!(
             s,
@@ -125,9 +163,12 @@ fn summary(r: &Reconciliation, stage: Stage) -> String {
     if found.is_empty() {
         s.push_str("  nowhere\n");
     }
-    if stage == Stage::Find {
-        return s;
-    }
+    s
+}
+
+fn summary(r: &Reconciliation) -> String {
+    use std::fmt::Write as _;
+    let mut s = found(&r.places);
     let _ = writeln!(s, "Verdict: {}", r.verdict);
     for (f, half) in &r.effects {
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
@@ -155,16 +196,11 @@ fn summary(r: &Reconciliation, stage: Stage) -> String {
     for x in &r.refined {
         let _ = writeln!(s, "  {} corrected", x.before.name());
     }
-    if stage == Stage::Show {
-        for g in &r.gap {
-            let [before, after] = g.holdout.or(g.blocked).unwrap_or(g.train);
-            let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} %", 100.0 * c));
-            let _ = writeln!(
-                s,
-                "Gap: {before:.4} -> {after:.4} {}, floor {:.4}, closed {closed}",
-                g.unit, g.floor
-            );
-        }
+    for g in &r.gap {
+        let [before, after] = g.holdout.or(g.blocked).unwrap_or(g.train);
+        let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} %", 100.0 * c));
+        let _ =
+            writeln!(s, "Gap: {before:.4} -> {after:.4} {}, floor {:.4}, closed {closed}", g.unit, g.floor);
     }
     if !r.advice.is_empty() {
         let _ = writeln!(s, "Next: {}", r.advice);

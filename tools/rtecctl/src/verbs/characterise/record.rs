@@ -25,9 +25,9 @@ pub(crate) struct Args {
 /// What is recorded, and for how long.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Recorder {
-    /// What kind of run it is
-    #[arg(long, default_value = "drift")]
-    kind: String,
+    /// What kind of run it is [default: drift]
+    #[arg(long)]
+    kind: Option<String>,
     /// File of `[[sensor]]` tables
     #[arg(long, value_name = "FILE")]
     sensors: Option<PathBuf>,
@@ -41,15 +41,31 @@ pub(crate) struct Recorder {
     /// Columns of the feed with their roles, as gz=error.z,y=position.y
     #[arg(long, value_delimiter = ',', value_name = "NAME=ROLE")]
     columns: Vec<String>,
-    /// Time between rows, s
-    #[arg(long, default_value_t = 1.0)]
-    period: f64,
+    /// Time between rows, s [default: 1]
+    #[arg(long)]
+    period: Option<f64>,
     /// How long to record, s
     #[arg(long)]
     duration: Option<f64>,
     /// Where /sys is found
     #[arg(long, default_value = "/", hide = true)]
     root: PathBuf,
+}
+
+impl Recorder {
+    /// The first option that was given.
+    pub(crate) fn given(&self) -> Option<&'static str> {
+        let given = [
+            (self.kind.is_some(), "--kind"),
+            (self.sensors.is_some(), "--sensors"),
+            (self.socket.is_some(), "--socket"),
+            (self.feed.is_some(), "--feed"),
+            (!self.columns.is_empty(), "--columns"),
+            (self.period.is_some(), "--period"),
+            (self.duration.is_some(), "--duration"),
+        ];
+        given.into_iter().find_map(|(is, name)| is.then_some(name))
+    }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -59,11 +75,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// Records a run into `out`.
 pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("recording"), found, expected);
-    let kind =
-        Kind::parse(&args.kind).ok_or_else(|| usage(format!("--kind {}", args.kind), "a kind of run"))?;
+    let kind = args.kind.as_deref().unwrap_or("drift");
+    let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
+    let period = args.period.unwrap_or(1.0);
     let duration = args.duration.ok_or_else(|| usage("no --duration".into(), "how long to record, s"))?;
-    if !(args.period >= 0.001 && duration >= args.period && duration.is_finite()) {
-        let found = format!("--period {} --duration {duration}", args.period);
+    if !(period >= 0.001 && duration >= period && duration.is_finite()) {
+        let found = format!("--period {period} --duration {duration}");
         return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
     }
     let mut columns = vec![column("t", Role::Time)];
@@ -91,11 +108,11 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
     writeln!(file, "{}", names.join(","))?;
     let start = Instant::now();
-    let rows = (duration / args.period).floor() as u64 + 1;
+    let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
     let (mut taken, mut told) = (0_u64, 0.0);
     for row in 0..rows {
-        let due = row as f64 * args.period;
+        let due = row as f64 * period;
         wait_until(start, due);
         let now = start.elapsed().as_secs_f64();
         bank.poll(now);
