@@ -1,0 +1,93 @@
+//! The closed loop of reconciliation, through `rtecctl` alone: a machine with something hidden is corrected by a model
+//! that lacks it; what was measured is reconciled; corrected again, the parts are better.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use rtec_tests::daemon::program;
+use serde_json::Value;
+use std::path::Path;
+use std::process::Command;
+
+fn json(folder: &Path, arguments: &[&str]) -> Value {
+    let run =
+        Command::new(program("rtecctl")).args(arguments).arg("--json").current_dir(folder).output().unwrap();
+    assert!(run.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&run.stderr));
+    serde_json::from_slice(&run.stdout).unwrap()
+}
+
+const KNOWN: &str = "name = \"lathe\"\n[[effect]]\nname = \"scale.x\"\nppm = 12.0\n";
+
+/// The hidden thing is the tool's wear: the nose is turned, probed on the machine, reconciled and turned again. The
+/// probed points' errors are judged by `rtecctl part errors`.
+#[test]
+fn a_worn_tool_is_named_from_probed_points_and_the_next_nose_is_round() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("true.toml"), KNOWN).unwrap();
+    std::fs::write(at.join("known.toml"), KNOWN).unwrap();
+    let turn = |model: &str, out: &str| {
+        let arguments = ["simulate", "hemisphere", "--machine", "true.toml", "--model", model, "--out", out];
+        json(at, &arguments)["summary"]["form"].clone()
+    };
+    let before = turn("known.toml", "first");
+    let arguments = ["reconcile", "first/hemisphere.run.toml", "--model", "known.toml", "--out", "found"];
+    let verdict = json(at, &arguments);
+    assert_eq!(verdict["effects"][0]["name"], "form_bump", "{verdict}");
+    let after = turn("found/model.toml", "second");
+    eprintln!("form without {before}, with what was found {after}");
+    // Largest error of the probed points, from their positions.
+    let probed = |run: &str| -> f64 {
+        let csv = std::fs::read_to_string(at.join(run)).unwrap();
+        let point = |line: &str| {
+            let fields: Vec<f64> = line.split(',').map(|f| f.parse().unwrap()).collect();
+            let [angle, error_um] = fields[fields.len() - 2..] else { panic!("angle and error end a row") };
+            let r = 38.1 + error_um / 1000.0;
+            format!("{},{}\n", r * angle.cos(), r * angle.sin())
+        };
+        let points: String = csv.lines().skip(1).map(point).collect();
+        std::fs::write(at.join("points.csv"), format!("z_mm,x_mm\n{points}")).unwrap();
+        let document = json(at, &["part", "errors", "--points", "points.csv", "--radius-mm", "38.1"]);
+        let errors = document["errors"].as_array().unwrap();
+        errors.iter().map(|e| e["error_um"].as_f64().unwrap().abs()).fold(0.0, f64::max)
+    };
+    let (worn, mended) = (probed("first/hemisphere.csv"), probed("second/hemisphere-compensated.csv"));
+    eprintln!("largest probed error {worn:.2} µm, then {mended:.2} µm");
+    assert!(worn > 15.0 && mended < worn / 4.0, "{worn} and {mended}");
+}
+
+/// The hidden thing is growth with the spindle's heat: found in a drift test, taken out of the drilled part.
+#[test]
+fn a_growth_found_in_a_drift_test_is_gone_from_the_drilled_part() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let growth = "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 1.9\n\
+                  um_per_K2 = 0.0\n";
+    std::fs::write(at.join("true.toml"), format!("{KNOWN}{growth}")).unwrap();
+    std::fs::write(at.join("known.toml"), KNOWN).unwrap();
+    let simulate = |what: &str, model: &str, out: &str| {
+        json(at, &["simulate", what, "--machine", "true.toml", "--model", model, "--out", out])["summary"]
+            .clone()
+    };
+    simulate("drift", "known.toml", "drift");
+    let arguments = [
+        "reconcile",
+        "drift/drift-dry.run.toml",
+        "--model",
+        "known.toml",
+        "--holdout",
+        "drift/drift-wet.run.toml",
+        "--out",
+        "found",
+    ];
+    let verdict = json(at, &arguments);
+    assert_eq!(
+        (&verdict["verdict"], &verdict["effects"][0]["name"]),
+        (&"named".into(), &"thermal_growth.z".into())
+    );
+    assert!(verdict["gap"]["closed"].as_f64().unwrap() > 0.99, "{}", verdict["gap"]);
+    let depth = |summary: &Value| summary["drilling"]["z_with"]["max"].as_f64().unwrap();
+    let before = depth(&simulate("drilling", "known.toml", "before"));
+    let after = depth(&simulate("drilling", "found/model.toml", "after"));
+    eprintln!("drilled depth, largest error: {before:.2} µm, then {after:.2} µm");
+    assert!(before > 5.0 && after < before / 3.0, "{before} and {after}");
+}
