@@ -42,6 +42,9 @@ pub struct ChainReport {
     pub terms: Vec<TermFound>,
     /// RMS per record and response, its own zero taken off, µm: before, and after.
     pub rms_um: Vec<(PathBuf, String, [f64; 2])>,
+    /// What is left at every row of the same, µm: before, and after. For plots.
+    #[serde(skip)]
+    pub left_um: Vec<[Vec<f64>; 2]>,
 }
 
 /// A record with the point that it measured.
@@ -153,8 +156,8 @@ pub fn fit(
             InputError::whole(
                 Path::new("--component"),
                 format!("records that do not determine {name}, p = {p}, dT = {dt}, beside the terms before it"),
-                "records in which its axis moves and its temperature varies, a gauge at another offset (--tool-mm) \
-                 for a rotation beside a displacement; a constant displacement is the gauge's zero",
+                "records in which its axis moves and its temperature varies, a gauge at another offset (@x,y,z behind its \
+                 record) for a rotation beside a displacement; a constant displacement is the gauge's zero",
             )
         })?;
         for (place, f) in places.iter().zip(&mut found) {
@@ -164,16 +167,21 @@ pub fn fit(
             set(&mut now, *place, f.value);
         }
     }
-    let mut rms_um = Vec::new();
+    let (mut rms_um, mut left_um) = (Vec::new(), Vec::new());
     for run in runs {
         for (role, y) in measured(run.record) {
-            let rms = |c: &Chain| {
+            let left = |c: &Chain| {
                 let left: Vec<f64> = y.iter().zip(says(c, run, &role)?).map(|(y, s)| y - s).collect();
+                Ok::<_, InputError>(left)
+            };
+            let both = [left(chain)?, left(&now)?];
+            let rms = both.each_ref().map(|left| {
                 let n = left.len() as f64;
                 let m = left.iter().sum::<f64>() / n;
-                Ok::<_, InputError>((left.iter().map(|v| (v - m).powi(2)).sum::<f64>() / n).sqrt())
-            };
-            rms_um.push((run.record.path.clone(), role.to_string(), [rms(chain)?, rms(&now)?]));
+                (left.iter().map(|v| (v - m).powi(2)).sum::<f64>() / n).sqrt()
+            });
+            rms_um.push((run.record.path.clone(), role.to_string(), rms));
+            left_um.push(both);
         }
     }
     let term = |(&[j, c, t], f): (&Place, &Found)| {
@@ -189,7 +197,7 @@ pub fn fit(
         }
     };
     let terms = places.iter().zip(&found).map(term).collect();
-    Ok((now, ChainReport { terms, rms_um }))
+    Ok((now, ChainReport { terms, rms_um, left_um }))
 }
 
 /// Writes a fitted chain: the file it was read from with its coefficients (and the intervals of those that the fit

@@ -10,7 +10,7 @@
 //! body's, any difference to the environment keeps the sign of its own correlation, and no gain is beyond what the
 //! dictionary holds plausible.
 //!
-//! The 95 % interval of a row is √(h² + x²): h from what the blocks left, and x for what the fit cannot know there: a
+//! The 95 % interval of a row is √(h² + x²): h from what the worst of the blocks left, and x for what the fit cannot know there: a
 //! difference beyond the range it was fitted on (held at the bound, so that gain · excess is left out), any difference,
 //! chosen or not, beyond the range it was seen in, and, just after a start, how far the lagged difference was from
 //! equilibrium (fading with its lag).
@@ -474,7 +474,9 @@ impl Problem {
             let data: Vec<Vec<f64>> = (0..records.len()).map(of).collect();
             bins.iter().map(|(n, b)| data[*n][b.clone()].iter().sum::<f64>() / b.len() as f64).collect()
         };
-        let column = |n: usize, role: &Role| records[n].data(role).unwrap_or_default().to_vec();
+        let column = |n: usize, role: &Role| {
+            records[n].data(role).map_or_else(|| vec![0.0; records[n].rows()], <[f64]>::to_vec)
+        };
         let binned = sensors
             .iter()
             .map(|s| {
@@ -487,7 +489,9 @@ impl Problem {
                 taus.iter().map(|tau| of(*tau)).collect()
             })
             .collect();
-        let everywhere = |role: &Role| records.iter().all(|r| r.column(role).is_some());
+        // A dry run that logs no coolant is dry; one that logs no speed may have had any.
+        let everywhere =
+            |role: &Role| *role == Role::Coolant || records.iter().all(|r| r.column(role).is_some());
         let varies = |v: &Vec<f64>| v.iter().any(|x| (x - v[0]).abs() > 1e-9);
         let optional = |role: Role, effect: &str, of: fn(f64) -> f64| {
             let all = everywhere(&role).then(|| average(&|n| column(n, &role).into_iter().map(of).collect()));
@@ -817,8 +821,11 @@ impl Problem {
                 if let Some(best) = best.filter(|b| b.beats(&now)) {
                     let out = now.terms[k];
                     now = self.retune(best, folds);
-                    swaps.push((now.clone(), out));
                     swapped = true;
+                    // The same difference with its lag found anew is no other one.
+                    if now.terms.last().and_then(|t| pair_of(*t)) != pair_of(out) {
+                        swaps.push((now.clone(), out));
+                    }
                 }
             }
         }
@@ -924,6 +931,12 @@ impl Selection {
     }
 }
 
+/// 1 at the rows of a record at which coolant is on; a record that logs none is dry.
+fn wet(record: &Record) -> Vec<f64> {
+    let logged = record.data(&Role::Coolant).map(|c| c.iter().map(|v| f64::from(*v > 0.5)).collect());
+    logged.unwrap_or_else(|| vec![0.0; record.rows()])
+}
+
 /// The columns of a structure at every row of a record.
 fn full_columns(problem: &Problem, terms: &[Term], record: &Record) -> Result<Vec<Vec<f64>>, InputError> {
     let lacks =
@@ -940,7 +953,7 @@ fn full_columns(problem: &Problem, terms: &[Term], record: &Record) -> Result<Ve
     terms
         .iter()
         .map(|t| match *t {
-            Term::Coolant => role(Role::Coolant, |v| f64::from(v > 0.5)),
+            Term::Coolant => Ok(wet(record)),
             Term::Speed => role(Role::SpindleSpeed, |v| v / 1000.0),
             Term::Thermal { sensor: s, minus, lag, square } => {
                 let mut u = sensor(s, lag)?;
@@ -1222,10 +1235,15 @@ fn nested(problem: &Problem, train: &[&Record], response: &Role) -> Result<Optio
         folds.push(rms(own.iter().map(|l| l.0)));
         left.push(own);
     }
-    // h so that 95 % of the rows lie within √(h² + x²).
+    // h so that 95 % of a block's rows lie within √(h² + x²), in the worst of the blocks: neighbours in time are off
+    // together, so a new stretch of time is one more block, not a thousand more rows, and of n + 1 blocks n are no worse than
+    // the worst of n.
+    let of_block = |rows: &Vec<(f64, f64)>| {
+        quantile(rows.iter().map(|(r, x)| (r * r - x * x).max(0.0).sqrt()).collect(), 0.95)
+    };
+    let widths: Vec<f64> = left.iter().map(of_block).collect();
     let width_without = |f: Option<usize>| {
-        let others = left.iter().enumerate().filter(|(g, _)| Some(*g) != f).flat_map(|(_, r)| r);
-        quantile(others.map(|(r, x)| (r * r - x * x).max(0.0).sqrt()).collect(), 0.95)
+        widths.iter().enumerate().filter(|(g, _)| Some(*g) != f).map(|(_, w)| *w).fold(0.0, f64::max)
     };
     let inside = |(f, own): (usize, &Vec<(f64, f64)>)| {
         let h = width_without(Some(f));
@@ -1337,6 +1355,10 @@ fn fit_response(
     machine.note_fit(note);
     let later = judge_holdouts(&own, holdout, response)?;
     let mut warnings = later.warnings;
+    if problem.coolant.is_some() {
+        let silent = train.iter().filter(|r| r.column(&Role::Coolant).is_none());
+        warnings.extend(silent.map(|r| format!("{}: no coolant logged, taken as dry", r.path.display())));
+    }
     let ranked = |j: &Judged| problem.ranked(j, &all);
     let kept: Vec<Ranked> = chosen.kept.iter().map(ranked).collect();
     let mut pairs: Vec<Ranked> = problem
@@ -1559,8 +1581,7 @@ fn effects(
 }
 
 fn dry_wet(problem: &Problem, terms: &[Term], train: &[&Record], rows: &Rows) -> Option<DryWet> {
-    let wet: Vec<bool> =
-        train.iter().filter_map(|r| r.data(&Role::Coolant)).flatten().map(|v| *v > 0.5).collect();
+    let wet: Vec<bool> = train.iter().flat_map(|r| wet(r)).map(|v| v > 0.5).collect();
     let enough = |w: bool| wet.iter().filter(|v| **v == w).count() >= 20 * (terms.len() + 1);
     if wet.len() != rows.y.len() || !enough(true) || !enough(false) {
         return None;
@@ -1614,29 +1635,51 @@ pub fn prediction_chart(
     chart
 }
 
+/// What is left of a response before and after a fit, each less its mean (a gauge's zero is arbitrary): over the position
+/// that moves most, or over time where none does.
+#[must_use]
+pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after_um: &[f64]) -> Chart {
+    let span = |v: &[f64]| {
+        v.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - v.iter().fold(f64::INFINITY, |a, b| a.min(*b))
+    };
+    let moves = record.columns.iter().filter(|c| matches!(c.role, Role::Position(_)) && span(&c.data) > 0.0);
+    let along = moves.max_by(|a, b| span(&a.data).total_cmp(&span(&b.data)));
+    let (name, x): (String, Vec<f64>) = match along {
+        Some(c) => (format!("{}, mm", c.role), c.data.clone()),
+        None => ("time, min".to_owned(), record.time_s().iter().map(|t| t / 60.0).collect()),
+    };
+    let points = |v: &[f64]| {
+        let m = mean(v);
+        x.iter().copied().zip(v.iter().map(|v| v - m)).collect::<Vec<(f64, f64)>>()
+    };
+    Chart::new(&format!("{}: {response} before and after the fit", record.file), &name, "error, µm")
+        .with(Series::new("before", Style::Dots, points(before_um)))
+        .with(Series::new("left", Style::Dots, points(after_um)))
+}
+
 impl Report {
-    /// The patent's figure 17: γ of every sensor as a bar upwards, its temperature range (as a share of the largest)
-    /// downwards, best to the right.
+    /// The patent's figure 17: γ of every sensor as a bar upwards, its temperature range downwards, best to the right;
+    /// and, which the patent has not, γ of the difference behind its lag as a dot.
     #[must_use]
     pub fn chart(&self) -> Chart {
-        let mut all: Vec<(String, f64, f64)> =
-            self.kept.iter().map(|k| (k.sensor.clone(), k.gamma_lagged, k.range_k)).collect();
-        all.extend(self.dropped.iter().map(|d| (format!("({})", d.sensor), d.gamma_lagged, d.range_k)));
-        all.sort_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-        let widest = all.iter().map(|a| a.2).fold(1e-9, f64::max);
+        let kept = self.kept.iter().map(|k| (k.sensor.clone(), [k.gamma, k.gamma_lagged, k.range_k]));
+        let redundant =
+            self.dropped.iter().map(|d| (format!("({})", d.sensor), [d.gamma, d.gamma_lagged, d.range_k]));
+        let mut all: Vec<(String, [f64; 3])> = kept.chain(redundant).collect();
+        all.sort_by(|a, b| a.1[0].abs().total_cmp(&b.1[0].abs()));
+        let widest = all.iter().map(|a| a.1[2]).fold(1e-9, f64::max);
         let title = format!(
             "{}: correlation γ (up) and temperature range (down); in brackets: redundant",
             self.response
         );
-        let bars = |of: &dyn Fn(&(String, f64, f64)) -> f64| {
-            all.iter().enumerate().map(|(i, a)| (i as f64, of(a))).collect::<Vec<_>>()
+        let points = |of: &dyn Fn([f64; 3]) -> f64| {
+            all.iter().enumerate().map(|(i, a)| (i as f64, of(a.1))).collect::<Vec<_>>()
         };
-        let mut chart = Chart::new(&title, "difference", "|γ|, range / largest range");
+        let mut chart = Chart::new(&title, "difference", &format!("|γ| up, range down (1 is {widest:.1} K)"));
         chart.x_names = all.iter().map(|a| a.0.clone()).collect();
-        chart.with(Series::new("|γ|", Style::Bars, bars(&|a| a.1.abs()))).with(Series::new(
-            "range",
-            Style::Bars,
-            bars(&|a| -a.2 / widest),
-        ))
+        chart
+            .with(Series::new("|γ|", Style::Bars, points(&|v| v[0].abs())))
+            .with(Series::new("range", Style::Bars, points(&|v| -v[2] / widest)))
+            .with(Series::new("|γ| behind its lag", Style::Dots, points(&|v| v[1].abs())))
     }
 }

@@ -160,6 +160,12 @@ fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
     assert!(r.rms_um.holdout[0] <= 0.1 * drift);
     let wet = r.dry_wet.as_ref().unwrap();
     assert!(wet.wet_model_on_wet_rms_um < wet.dry_model_on_wet_rms_um);
+    // Drawn like the patent's figure 17: every sensor once, γ upwards and best to the right, range downwards.
+    let chart = r.chart();
+    assert_eq!(chart.x_names.len(), 19);
+    let (gamma, range) = (&chart.series[0].points, &chart.series[1].points);
+    assert!(gamma.windows(2).all(|w| w[0].1 <= w[1].1) && gamma.iter().all(|p| (0.0..=1.0).contains(&p.1)));
+    assert!(range.iter().all(|p| (-1.0..0.0).contains(&p.1)) && range.iter().any(|p| p.1 <= -1.0));
     // The model that is written is the model that was judged.
     let again = Machine::parse(Path::new("m.toml"), &machine.to_text()).unwrap();
     let left: Vec<f64> =

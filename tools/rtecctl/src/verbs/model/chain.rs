@@ -1,9 +1,11 @@
 //! `rtecctl model fit-chain`: a chain's polynomials from records, component by component.
 
+use super::fit::draw;
 use rtec_driver::input::InputError;
 use rtec_model::chain::Chain;
 use rtec_model::chain_fit::{self, Run};
-use rtec_model::record::Record;
+use rtec_model::fit::residual_chart;
+use rtec_model::record::{Record, Role};
 use std::path::{Path, PathBuf};
 
 /// Fit components of a kinematic chain on the records that measure them
@@ -22,6 +24,9 @@ pub(crate) struct Args {
     /// The chain to write; comments and order of the first stay
     #[arg(long, value_name = "chain.toml")]
     out: PathBuf,
+    /// Draw what is left into this SVG file, one per record and response
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -35,6 +40,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         records.iter().zip(&points).map(|(record, (_, tool_mm))| Run { record, tool_mm: *tool_mm }).collect();
     let (fitted, report) = chain_fit::fit(&chain, &args.components, &runs)?;
     chain_fit::write(&args.chain, &fitted, &report, &args.out)?;
+    if let Some(path) = &args.plot {
+        let charts = report.rms_um.iter().zip(&report.left_um).filter_map(|((of, response, _), left)| {
+            let record = records.iter().find(|r| r.path == *of)?;
+            Some(residual_chart(record, &Role::parse(response)?, &left[0], &left[1]))
+        });
+        draw(path, &charts.collect::<Vec<_>>())?;
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
         return Ok(());

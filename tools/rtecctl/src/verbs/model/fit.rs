@@ -7,6 +7,7 @@ use rtec_model::effect::Difference;
 use rtec_model::fit::{self, Fitted, Options, Report};
 use rtec_model::least;
 use rtec_model::machine::Machine;
+use rtec_model::plot::Chart;
 use rtec_model::record::{Record, write_whole};
 use std::path::{Path, PathBuf};
 
@@ -34,7 +35,8 @@ pub(crate) struct Common {
     /// What is known already: its effects are kept, and only what they leave is fitted
     #[arg(long, value_name = "machine.toml")]
     base: Option<PathBuf>,
-    /// Draw correlation and range of every sensor into this SVG file, as the patent's figure 17
+    /// Draw correlation and range of every sensor into this SVG file, as the patent's figure 17; with --effects what is
+    /// left, one file per record and response
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
     /// Print one JSON document
@@ -59,7 +61,7 @@ pub(crate) struct FitArgs {
     holdout: Vec<PathBuf>,
     /// Fit these effects alone, by name, beside what the base holds: scale.x, squareness.x.y, thermal_expansion.x:T3-T20
     #[arg(long, value_delimiter = ',', value_name = "NAME[:SENSOR[-SENSOR]]",
-          conflicts_with_all = ["sensors", "environment", "no_lag", "no_square", "plot", "holdout"])]
+          conflicts_with_all = ["sensors", "environment", "no_lag", "no_square", "holdout"])]
     effects: Vec<String>,
     /// The machine model to write
     #[arg(long, value_name = "machine.toml")]
@@ -100,9 +102,6 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
         return named(args, day);
     }
     let (machine, reports) = run_fit(&args.common, &args.holdout, day, i64::from(args.valid_days))?;
-    if let Some(base) = &args.common.base {
-        beside(base, &args.out, &machine)?;
-    }
     machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
     if args.common.json {
         return print_json(&reports, |r| serde_json::to_value(r).unwrap_or_default());
@@ -159,8 +158,14 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     let date = date::format(day.unwrap_or_else(|| day_of(&records)));
     let records: Vec<&Record> = records.iter().collect();
     let (machine, report) = least::fit_named(&base, &args.effects, &records, &date)?;
-    if let Some(base) = &args.common.base {
-        beside(base, &args.out, &machine)?;
+    if let Some(path) = &args.common.plot {
+        let mut charts = Vec::new();
+        for record in &records {
+            let (before, after) = (base.beyond(record)?, machine.beyond(record)?);
+            let both = before.responses().zip(after.responses());
+            charts.extend(both.map(|(b, a)| fit::residual_chart(record, &b.role, &b.data, &a.data)));
+        }
+        draw(path, &charts)?;
     }
     machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
     if args.common.json {
@@ -220,24 +225,17 @@ fn run_fit(
         }
     }
     if let Some(path) = &common.plot {
-        for (i, r) in reports.iter().enumerate() {
-            let path = if i == 0 { path.clone() } else { path.with_extension(format!("{}.svg", i + 1)) };
-            let svg = r.chart().svg(1000, 520)?;
-            write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
-        }
+        draw(path, &reports.iter().map(Report::chart).collect::<Vec<_>>())?;
     }
     Ok((machine, reports))
 }
 
-/// What a model refers to stands beside it: one that goes on in another folder would lose it.
-fn beside(base: &Path, out: &Path, machine: &Machine) -> Result<(), InputError> {
-    let folder = |p: &Path| {
-        let parent = p.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        parent.canonicalize().unwrap_or_else(|_| parent.to_owned())
-    };
-    if machine.refers_to_files() && folder(base) != folder(out) {
-        let found = "a base that refers to a chain or a dictionary beside it";
-        return Err(InputError::whole(out, found, format!("--out in {}", folder(base).display())));
+/// The first chart into the file, every other one beside it with its number.
+pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
+    for (i, chart) in charts.iter().enumerate() {
+        let path = if i == 0 { path.to_owned() } else { path.with_extension(format!("{}.svg", i + 1)) };
+        let svg = chart.svg(1000, 520)?;
+        write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())
 }
