@@ -1,7 +1,8 @@
-//! What other tools wrote, as run records: the data file of ecmc's ISO 230-2 test, LinuxCNC's compensation file.
+//! What other tools wrote, as run records: the data file of ecmc's ISO 230-2 test, LinuxCNC's compensation file, tables of
+//! holes, and any CSV whose columns somebody names.
 
 use crate::plate::NOMINAL_DIAMETER;
-use crate::record::{Axis, Column, Kind, Record, Role};
+use crate::record::{Axis, Column, Kind, Record, Role, column_of, rows, unquote};
 use rtec_driver::input::InputError;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -135,6 +136,131 @@ pub fn linuxcnc_comp(
         column("error", Role::Error(axis.clone()), all.iter().map(|r| r.2).collect()),
     ];
     Record::new(to, Kind::Positioning, columns)
+}
+
+/// A column of a CSV that is to be imported.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Wanted {
+    /// Its name in the header.
+    pub column: String,
+    /// What it is.
+    pub role: Role,
+    /// What the file has it in: factor to the role's own unit, and what to add then.
+    pub scale: [f64; 2],
+}
+
+/// Units that are turned into a role's own: name, factor, what to add.
+const UNITS: [(&str, &[(&str, f64, f64)]); 8] = [
+    ("s", &[("ns", 1e-9, 0.0), ("us", 1e-6, 0.0), ("ms", 1e-3, 0.0), ("min", 60.0, 0.0), ("h", 3600.0, 0.0)]),
+    ("mm", &[("um", 1e-3, 0.0), ("m", 1e3, 0.0), ("in", 25.4, 0.0)]),
+    ("um", &[("nm", 1e-3, 0.0), ("mm", 1e3, 0.0), ("m", 1e6, 0.0), ("in", 25_400.0, 0.0)]),
+    (
+        "mm/s",
+        &[
+            ("mm/min", 1.0 / 60.0, 0.0),
+            ("m/min", 1000.0 / 60.0, 0.0),
+            ("m/s", 1e3, 0.0),
+            ("in/min", 25.4 / 60.0, 0.0),
+        ],
+    ),
+    ("mm/s2", &[("m/s2", 1e3, 0.0)]),
+    ("degC", &[("K", 1.0, -273.15), ("degF", 5.0 / 9.0, -160.0 / 9.0)]),
+    ("rad", &[("deg", std::f64::consts::PI / 180.0, 0.0)]),
+    ("N", &[("kN", 1e3, 0.0), ("lbf", 4.448_221_615_260_5, 0.0)]),
+];
+
+impl Wanted {
+    /// `NAME=ROLE` or `NAME=ROLE:UNIT`, as `gauge=error.z:mm`.
+    ///
+    /// # Errors
+    /// What was found and what was expected.
+    pub fn parse(text: &str) -> Result<Self, (String, String)> {
+        let form = "NAME=ROLE or NAME=ROLE:UNIT, as t=time:min or gauge=error.z:mm";
+        let bad = |found: &str, expected: &str| (format!("`{found}`"), expected.to_owned());
+        let (column, rest) = text.rsplit_once('=').ok_or_else(|| bad(text, form))?;
+        let (role, unit) = rest.split_once(':').map_or((rest, None), |(r, u)| (r, Some(u)));
+        let role = Role::parse(role)
+            .ok_or_else(|| bad(role, "a role, as time, position.y, temperature, error.z"))?;
+        let own = role.unit().unwrap_or("1");
+        let others = UNITS.iter().find(|(u, _)| *u == own).map_or(&[][..], |(_, others)| others);
+        let scale = match unit {
+            None => [1.0, 0.0],
+            Some(u) if u == own => [1.0, 0.0],
+            Some(u) => {
+                let known: Vec<&str> = std::iter::once(own).chain(others.iter().map(|o| o.0)).collect();
+                let (_, factor, add) = others
+                    .iter()
+                    .find(|o| o.0 == u)
+                    .ok_or_else(|| bad(u, &format!("a unit of {role}: {}", known.join(", "))))?;
+                [*factor, *add]
+            }
+        };
+        Ok(Self { column: column.to_owned(), role, scale })
+    }
+}
+
+/// Reads the wanted columns of a CSV with a header line. Fields are parted by commas, by semicolons (numbers may then have
+/// a decimal comma) or by tabs, whichever the header has.
+///
+/// # Errors
+/// A wanted column that is not there or there twice, a row that is too short or too long, a field that is no number; and
+/// what [`Record::new`] finds.
+pub fn csv(from: &Path, text: &str, wanted: &[Wanted], kind: Kind, to: &Path) -> Result<Record, InputError> {
+    let mut lines = rows(text);
+    let empty = || InputError::whole(from, "an empty file", "a header line");
+    let (header_line, header) = lines.next().ok_or_else(empty)?;
+    let by = [';', '\t'].into_iter().find(|by| header.contains(*by)).unwrap_or(',');
+    let names: Vec<&str> = header.split(by).map(unquote).collect();
+    let mut places = Vec::new();
+    for w in wanted {
+        let mut own = names.iter().enumerate().filter(|(_, n)| **n == w.column).map(|(i, _)| i);
+        let found = match (own.next(), own.next()) {
+            (Some(place), None) => {
+                places.push(place);
+                continue;
+            }
+            (None, _) => format!("no column `{}`", w.column),
+            (Some(_), Some(_)) => format!("column `{}` twice", w.column),
+        };
+        return Err(InputError::at(
+            from,
+            header_line,
+            1,
+            found,
+            format!("one of each of {}", names.join(", ")),
+        ));
+    }
+    let mut data = vec![Vec::new(); wanted.len()];
+    for (number, line) in lines {
+        let fields: Vec<&str> = line.split(by).collect();
+        if fields.len() != names.len() {
+            let expected = format!("{}, one per column of the header", names.len());
+            let found = format!("{} values", fields.len());
+            return Err(InputError::at(from, number, line.chars().count() + 1, found, expected));
+        }
+        for ((w, place), data) in wanted.iter().zip(&places).zip(&mut data) {
+            let field = unquote(fields[*place]);
+            let point = if by == ';' { field.replace(',', ".") } else { field.to_owned() };
+            let number_of = point.parse::<f64>().ok().filter(|v| v.is_finite());
+            let v = number_of.ok_or_else(|| {
+                let found = if field.is_empty() { "no value".to_owned() } else { format!("`{field}`") };
+                let column = column_of(line, fields[*place].trim_start());
+                InputError::at(
+                    from,
+                    number,
+                    column,
+                    format!("{found} in column `{}`", w.column),
+                    "a finite number",
+                )
+            })?;
+            data.push(v * w.scale[0] + w.scale[1]);
+        }
+    }
+    if data.first().is_none_or(Vec::is_empty) {
+        return Err(InputError::at(from, header_line + 1, 0, "no rows", "at least one row of values"));
+    }
+    let columns = wanted.iter().zip(data).map(|(w, data)| column(&w.column, w.role.clone(), data)).collect();
+    Record::new(to, kind, columns)
 }
 
 /// Reads a hole table of a coordinate measuring machine (`Meas X`, `Meas Y`, `Nom X`, `Nom Y`, `Nom D`, …, mm) as a plate.

@@ -557,7 +557,7 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
 }
 
 /// The lines of a CSV that carry something: comments cut, ends trimmed, with their numbers from 1.
-fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
+pub(crate) fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().filter_map(|(i, line)| {
         let line = comment_start(line).map_or(line, |at| &line[..at]);
         let line = line.trim_end();
@@ -575,7 +575,7 @@ fn comment_start(line: &str) -> Option<usize> {
     })
 }
 
-fn unquote(field: &str) -> &str {
+pub(crate) fn unquote(field: &str) -> &str {
     // A bare number, as nearly every field is, has nothing to take off.
     if let [first, .., last] = field.as_bytes()
         && first.is_ascii_graphic()
@@ -600,7 +600,7 @@ fn fields_of(line: &str) -> impl Iterator<Item = &str> {
 }
 
 /// Column in characters, from 1, of a part of a line.
-fn column_of(line: &str, part: &str) -> usize {
+pub(crate) fn column_of(line: &str, part: &str) -> usize {
     let at = (part.as_ptr() as usize).saturating_sub(line.as_ptr() as usize).min(line.len());
     line.get(..at).map_or(0, |s| s.chars().count()) + 1
 }

@@ -100,6 +100,50 @@ fn drift_ranges_and_rate() {
 }
 
 #[test]
+fn a_csv_comes_in_with_its_own_names_units_and_commas() {
+    let text = "\u{feff}Zeit;T1;\"Luft\";Weg\r\n0;20,0;68,0;0,0000\r\n1;20,5;69,8;-0,0010\r\n";
+    let text = text.trim_start_matches('\u{feff}');
+    let wanted =
+        |columns: &[&str]| columns.iter().map(|c| import::Wanted::parse(c).unwrap()).collect::<Vec<_>>();
+    let read = |text: &str, columns: &[&str]| {
+        import::csv(Path::new("g.csv"), text, &wanted(columns), Kind::Drift, Path::new("g.run.toml"))
+    };
+    let all = ["Zeit=time:min", "T1=temperature", "Luft=temperature:degF", "Weg=error.z:mm"];
+    let record = read(text, &all).unwrap();
+    assert_eq!(record.time_s(), [0.0, 60.0]);
+    assert_eq!(record.temperature("T1").unwrap(), [20.0, 20.5]);
+    assert!(record.temperature("Luft").unwrap().iter().zip([20.0, 21.0]).all(|(a, b)| (a - b).abs() < 1e-12));
+    assert_eq!(record.data(&Role::parse("error.z").unwrap()).unwrap(), [0.0, -1.0]);
+    let plain = "t\tx\te\n0\t1\t2\n1\t1\t3\n";
+    assert_eq!(read(plain, &["t=time", "x=position.x:in", "e=error.x"]).unwrap().rows(), 2);
+    for (text, line, column, found) in [
+        ("", 0, 0, "an empty file"),
+        ("t,e\n", 2, 0, "no rows"),
+        ("t,f\n0,1\n", 1, 1, "no column `e`"),
+        ("t,e,e\n0,1,1\n", 1, 1, "column `e` twice"),
+        ("t,e\n0,1\n1\n", 3, 2, "1 values"),
+        ("t,e\n0,1\n1, ,\n", 3, 5, "3 values"),
+        ("t,e\n0,1\n1, x\n", 3, 4, "`x` in column `e`"),
+        ("t,e\n0,1\n1,\n", 3, 3, "no value"),
+        ("t,e\n0,inf\n", 2, 3, "`inf`"),
+    ] {
+        let e = read(text, &["t=time", "e=error.x"]).unwrap_err();
+        assert_eq!((e.line, e.column), (line, column), "{text:?}: {e}");
+        assert!(e.found.contains(found), "{text:?}: {e}");
+    }
+    assert!(read("t,e\n1,1\n0,1\n", &["t=time", "e=error.x"]).is_err(), "time runs backwards");
+    for (text, expected) in [
+        ("t", "NAME=ROLE"),
+        ("t=zeit", "a role"),
+        ("t=time:day", "s, ns, us, ms, min, h"),
+        ("t=cycle:s", "a unit of cycle: 1"),
+    ] {
+        let (_, wants) = import::Wanted::parse(text).unwrap_err();
+        assert!(wants.contains(expected), "{text}: {wants}");
+    }
+}
+
+#[test]
 fn linuxcnc_files_of_both_types_mean_the_same_errors() {
     let x = Axis::new("x").unwrap();
     let read = |text: &str, trims: bool| {

@@ -2,9 +2,10 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
-use rtec_model::record::Axis;
+use rtec_model::import::Wanted;
+use rtec_model::record::{Axis, Kind};
 use rtec_model::{document, import};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Turn another tool's file into a run record
 #[derive(Debug, clap::Args)]
@@ -14,9 +15,15 @@ pub(crate) struct Args {
     /// What it is
     #[arg(long, value_enum)]
     format: Format,
-    /// The axis that was measured (not for plates)
+    /// The axis that was measured (not for plates and CSV)
     #[arg(long)]
     axis: Option<String>,
+    /// CSV: its columns with their roles, and the unit where it is not the role's own, as t=time:min,gz=error.z:mm
+    #[arg(long, value_delimiter = ',', value_name = "NAME=ROLE[:UNIT]", required_if_eq("format", "csv"))]
+    columns: Vec<String>,
+    /// CSV: what kind of run it is
+    #[arg(long, default_value = "drift")]
+    kind: String,
     /// The run record to write; its CSV stands beside it
     #[arg(long, value_name = "NAME.run.toml")]
     out: PathBuf,
@@ -30,6 +37,8 @@ enum Format {
     LinuxcncComp0,
     /// LinuxCNC compensation file of type 1: nominal, forward, backward correction
     LinuxcncComp1,
+    /// A table with a header line, parted by commas, semicolons or tabs; --columns says what is in it
+    Csv,
     /// Coordinate measuring machine's table of holes: Meas X, Meas Y, Nom X, Nom Y, Nom D
     CmmPlate,
 }
@@ -45,6 +54,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Format::EcmcDat => import::ecmc_dat(&args.file, &text, &axis()?, &args.out)?,
         Format::LinuxcncComp0 => import::linuxcnc_comp(&args.file, &text, &axis()?, false, &args.out)?,
         Format::LinuxcncComp1 => import::linuxcnc_comp(&args.file, &text, &axis()?, true, &args.out)?,
+        Format::Csv => {
+            let usage = |(found, expected)| InputError::whole(Path::new("--columns"), found, expected);
+            let wanted = args.columns.iter().map(|c| Wanted::parse(c)).collect::<Result<Vec<_>, _>>();
+            let kind = Kind::parse(&args.kind).ok_or_else(|| {
+                let kinds = "positioning, drift, ballbar, plate, dynamics, probing, feed_sweep or part";
+                InputError::whole(Path::new("--kind"), format!("`{}`", args.kind), kinds)
+            })?;
+            import::csv(&args.file, &text, &wanted.map_err(usage)?, kind, &args.out)?
+        }
         Format::CmmPlate => import::cmm_plate(&args.file, &text, &args.out)?,
     };
     record.write().with_context(|| format!("writing {}", args.out.display()))?;

@@ -39,7 +39,7 @@ pub(crate) struct Recorder {
     #[arg(long, value_name = "host:port|/dev/tty…")]
     feed: Option<String>,
     /// Columns of the feed with their roles, as gz=error.z,y=position.y
-    #[arg(long, value_delimiter = ',', value_name = "NAME=ROLE")]
+    #[arg(long, value_delimiter = ',', value_name = "NAME=ROLE", requires = "feed")]
     columns: Vec<String>,
     /// Time between rows, s [default: 1]
     #[arg(long)]
@@ -135,6 +135,11 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
             if w.usable(now) != Use::Good {
                 let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
                 silent.push(format!("{} {why}", w.config().name));
+            }
+        }
+        for (value, c) in last[own..].iter().zip(&columns[own..]) {
+            if value.is_none() {
+                silent.push(format!("{} no reading yet", c.name));
             }
         }
         // A row is whole or not there.
