@@ -18,14 +18,51 @@ pub struct Source {
     pub file: String,
     /// SHA-256 of it, in hexadecimal.
     pub sha256: String,
+    /// Where it lies; none for beside the model.
+    pub folder: Option<PathBuf>,
 }
 
 impl Source {
     /// The source that a record is.
     #[must_use]
     pub fn of(record: &Record) -> Self {
-        Self { file: record.file.clone(), sha256: record.sha256.clone() }
+        let folder = Some(folder_of(&record.path));
+        Self { file: record.file.clone(), sha256: record.sha256.clone(), folder }
     }
+}
+
+/// The folder that a file stands in, whole where it exists.
+fn folder_of(path: &Path) -> PathBuf {
+    let parent = path.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    whole(parent)
+}
+
+/// A folder's path from the root on, without `..`.
+fn whole(folder: &Path) -> PathBuf {
+    folder.canonicalize().unwrap_or_else(|_| {
+        // It is not there: by its name.
+        let mut plain = PathBuf::new();
+        for part in std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned()).components() {
+            if part == std::path::Component::ParentDir {
+                plain.pop();
+            } else {
+                plain.push(part);
+            }
+        }
+        plain
+    })
+}
+
+/// A path as it is named from a folder; both whole.
+fn named_from(folder: &Path, path: &Path) -> PathBuf {
+    let (mut here, mut there) = (folder.components().peekable(), path.components().peekable());
+    if here.peek() != there.peek() {
+        return path.to_owned();
+    }
+    while here.peek().is_some() && here.peek() == there.peek() {
+        (here.next(), there.next());
+    }
+    here.map(|_| Path::new("..").as_os_str()).chain(there.map(|c| c.as_os_str())).collect()
 }
 
 /// Where an effect comes from. All of it may be absent, as in what a person writes.
@@ -99,6 +136,8 @@ pub struct Machine {
     fits: Vec<FitNote>,
     chain: Option<Chain>,
     dictionary: Dictionary,
+    /// The dictionary will stand beside the model wherever that is written.
+    adopted: bool,
     doc: DocumentMut,
 }
 
@@ -116,6 +155,7 @@ impl Machine {
             fits: Vec::new(),
             chain: None,
             dictionary: Dictionary::default(),
+            adopted: false,
             doc,
         }
     }
@@ -176,7 +216,7 @@ impl Machine {
         }
         let name = name.to_owned();
         let doc = doc.into_mut();
-        Ok(Self { path: path.to_owned(), sha256, name, listed, fits, chain, dictionary, doc })
+        Ok(Self { path: path.to_owned(), sha256, name, listed, fits, chain, dictionary, adopted: false, doc })
     }
 
     /// SHA-256 of the file as it was read, with the dictionary and the chain that it names behind it.
@@ -309,12 +349,6 @@ impl Machine {
         self.fits.push(note);
     }
 
-    /// It refers to files beside it: a chain, a dictionary.
-    #[must_use]
-    pub fn refers_to_files(&self) -> bool {
-        ["chain", "dictionary"].iter().any(|key| self.doc.get(key).is_some())
-    }
-
     /// The dictionary it was read with.
     #[must_use]
     pub fn dictionary(&self) -> &Dictionary {
@@ -335,6 +369,7 @@ impl Machine {
         let mut dictionary = Dictionary::default();
         dictionary.add_own(Path::new(file), &text)?;
         self.dictionary = dictionary;
+        self.adopted = true;
         self.doc["dictionary"] = value(file);
         Ok(text)
     }
@@ -409,18 +444,57 @@ impl Machine {
         item.as_array_of_tables_mut().expect("an array of tables was put there just above")
     }
 
-    /// The file's text.
+    /// The file's text, for the place that it was read from.
     #[must_use]
     pub fn to_text(&self) -> String {
         self.doc.to_string()
     }
 
-    /// Writes the model, whole or not at all.
+    /// The file's text for another place: the chain, the dictionary and the records that it names are named from there.
+    #[must_use]
+    pub fn text_at(&self, path: &Path) -> String {
+        let (from, to) = (folder_of(&self.path), folder_of(path));
+        let mut moved = self.clone();
+        for key in ["chain", "dictionary"] {
+            if key == "dictionary" && self.adopted {
+                continue;
+            }
+            let Some(file) = moved.doc.get(key).and_then(Item::as_str).map(PathBuf::from) else { continue };
+            if file.is_relative() && from != to {
+                let lies = from.join(&file);
+                let name = file.file_name().map_or_else(PathBuf::new, PathBuf::from);
+                let named = named_from(&to, &folder_of(&lies).join(name));
+                replace(moved.doc.as_table_mut(), key, named.display().to_string().into());
+            }
+        }
+        let place = |s: &Source| {
+            let lies = s.folder.as_ref().map_or_else(|| from.clone(), |f| whole(&from.join(f)));
+            let folder = named_from(&to, &lies);
+            (!folder.as_os_str().is_empty()).then_some(folder)
+        };
+        let rename = |table: &mut toml_edit::Table, old: &[Source]| {
+            let new: Vec<Source> = old.iter().map(|s| Source { folder: place(s), ..s.clone() }).collect();
+            if new != old {
+                table["from"] = sources(&new);
+            }
+        };
+        let effects = moved.listed.clone();
+        for (table, l) in moved.tables().iter_mut().zip(&effects) {
+            rename(table, &l.provenance.from);
+        }
+        let notes = moved.doc.get_mut("fit").and_then(Item::as_array_of_tables_mut);
+        for (table, fit) in notes.into_iter().flat_map(|t| t.iter_mut()).zip(&self.fits) {
+            rename(table, &fit.from);
+        }
+        moved.to_text()
+    }
+
+    /// Writes the model, whole or not at all; what it names stays what it was.
     ///
     /// # Errors
     /// The directory cannot be written.
     pub fn write(&self, path: &Path) -> std::io::Result<()> {
-        write_whole(path, self.to_text().as_bytes())
+        write_whole(path, self.text_at(path).as_bytes())
     }
 
     /// The sum of the effects at every row of a record, for each response in the record's order; and what the record
@@ -479,12 +553,23 @@ impl Machine {
                 }
             }
         }
-        for f in self.fits() {
-            if date::parse(&f.valid_until).is_some_and(|d| d < today) {
-                found.push(format!("{}: the fit's validity ended on {}", f.response, f.valid_until));
-            }
-        }
+        found.extend(self.expired(today));
+        let early = self.fits().iter().filter(|f| date::parse(&f.date).is_some_and(|d| d > today));
+        found.extend(early.map(|f| {
+            let now = date::format(today);
+            format!(
+                "{}: fitted on {}, and it is {now} by this machine's clock: is the clock right?",
+                f.response, f.date
+            )
+        }));
         found
+    }
+
+    /// Fits whose validity has ended before a day (days since 1970-01-01).
+    #[must_use]
+    pub fn expired(&self, today: i64) -> Vec<String> {
+        let ended = self.fits.iter().filter(|f| date::parse(&f.valid_until).is_some_and(|d| d < today));
+        ended.map(|f| format!("{}: the fit's validity ended on {}", f.response, f.valid_until)).collect()
     }
 
     /// Records it was fitted on that stand beside it and are no longer what they were.
@@ -493,7 +578,8 @@ impl Machine {
         let fits = self.fits.iter().flat_map(|f| &f.from);
         let mut found = Vec::new();
         for source in fits.chain(self.listed.iter().flat_map(|l| &l.provenance.from)) {
-            let path = self.path.parent().unwrap_or(Path::new("")).join(&source.file);
+            let folder = source.folder.clone().unwrap_or_default();
+            let path = folder_of(&self.path).join(folder).join(&source.file);
             if let Ok(bytes) = std::fs::read(path)
                 && hex(&Sha256::digest(bytes)) != source.sha256
             {
@@ -630,10 +716,11 @@ fn read_sources(table: Table<'_>) -> Result<Vec<Source>, InputError> {
     let form = "{ file = \"…\", sha256 = \"…\" }, or an array of them";
     let tables = from.table(form).map(|t| vec![t]).or_else(|_| from.tables(form))?;
     let read = |t: Table<'_>| {
-        t.only(&["file", "sha256"])?;
+        t.only(&["file", "sha256", "folder"])?;
         let get =
             |key: &str| -> Result<String, InputError> { Ok(t.required(key, form)?.str(form)?.to_owned()) };
-        Ok(Source { file: get("file")?, sha256: get("sha256")? })
+        let folder = t.get("folder").map(|e| e.str("a folder, as seen from the model")).transpose()?;
+        Ok(Source { file: get("file")?, sha256: get("sha256")?, folder: folder.map(PathBuf::from) })
     };
     tables.into_iter().map(read).collect()
 }
@@ -666,10 +753,19 @@ fn read_difference(table: Table<'_>) -> Result<Difference, InputError> {
 fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
     t.only(&["response", "date", "valid_until", "rms_um", "half_width_um", "valid", "from"])?;
     let text = |key: &str| Ok::<_, InputError>(t.required(key, "text")?.text());
+    // A date that is none would never be past.
+    let day = |key: &str| {
+        let entry = t.required(key, "a day as YYYY-MM-DD")?;
+        let text = entry.text();
+        match date::parse(&text) {
+            Some(_) => Ok(text),
+            None => Err(entry.error(format!("`{text}`"), "a day as YYYY-MM-DD")),
+        }
+    };
     Ok(FitNote {
         response: text("response")?,
-        date: text("date")?,
-        valid_until: text("valid_until")?,
+        date: day("date")?,
+        valid_until: day("valid_until")?,
         rms_um: t.required("rms_um", "µm")?.number("µm")?,
         half_width_um: t.required("half_width_um", "µm")?.positive("µm, above zero")?,
         valid: match t.get("valid") {
@@ -730,6 +826,9 @@ fn sources(from: &[Source]) -> Item {
         let mut t = InlineTable::new();
         t.insert("file", s.file.as_str().into());
         t.insert("sha256", s.sha256.as_str().into());
+        if let Some(folder) = &s.folder {
+            t.insert("folder", folder.display().to_string().into());
+        }
         t
     };
     match from {
@@ -811,7 +910,7 @@ mod tests {
         let provenance = Provenance {
             added_by: Some("reconcile".into()),
             date: Some("2026-05-01".into()),
-            from: vec![Source { file: "y.csv".into(), sha256: "ab".into() }],
+            from: vec![Source { file: "y.csv".into(), sha256: "ab".into(), folder: None }],
             interval: [("um".to_owned(), vec![[5.8, 6.4]])].into(),
         };
         m.push(added, provenance.clone()).unwrap();
@@ -923,7 +1022,7 @@ mod tests {
                 Validity { difference: Difference::pair("T8", "T18"), range_k: [0.5, 9.0], um_per_k: 3.0 },
                 Validity { difference: Difference::single("T9"), range_k: [-1.0, 2.0], um_per_k: 1.0 },
             ],
-            from: vec![Source { file: "a.csv".into(), sha256: "00".into() }],
+            from: vec![Source { file: "a.csv".into(), sha256: "00".into(), folder: None }],
         });
         let again = Machine::parse(&dir.path().join("m.toml"), &m.to_text()).unwrap();
         assert_eq!(again.fits(), m.fits());
@@ -933,6 +1032,90 @@ mod tests {
         assert!(e.file.ends_with("own.toml") && e.line == 2, "{e}");
         write("own.toml", &law.replace("p_B", "p_C"));
         assert!(Machine::read(&dir.path().join("m.toml")).unwrap_err().found.contains("p_C"));
+    }
+
+    /// A model written into another folder goes on with the same chain, laws and records.
+    #[test]
+    fn a_model_that_moves_takes_what_it_names_along() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for folder in ["a/parts", "b"] {
+            std::fs::create_dir_all(at(folder)).unwrap();
+        }
+        std::fs::write(
+            at("a/parts/chain.toml"),
+            "[[joint]]\nname = \"z\"\nbranch = \"tool\"\naxis = \"z\"\ncomponent = [{ of = \"dx\", \
+             terms = [{ p = 1, value = 2.0 }] }]\n",
+        )
+        .unwrap();
+        std::fs::write(
+            at("a/own.toml"),
+            "[[law]]\nname = \"quill_droop\"\nnaming = \"A.B\"\nlaw = \"e = um·(p_B/100)²\"\ncause = \"weight\"\n\
+             experiment = \"straightedge\"\nparameters = [{ name = \"um\", unit = \"um\", plausible = 50.0, \
+             terms = [{ factor = 1e-4, p_B = 2 }] }]\n",
+        )
+        .unwrap();
+        std::fs::write(at("a/r.csv"), "z,e\n0,1\n").unwrap();
+        let hash = hex(&Sha256::digest("z,e\n0,1\n"));
+        let text = format!(
+            "name = \"m\"\ndictionary = \"own.toml\" # mine\nchain = \"parts/chain.toml\"\n[[effect]]\n\
+             name = \"quill_droop.x.z\"\num = 3.0\nfrom = {{ file = \"r.csv\", sha256 = \"{hash}\" }}\n"
+        );
+        std::fs::write(at("a/m.toml"), text).unwrap();
+        let mut m = Machine::read(&at("a/m.toml")).unwrap();
+        let record = |file: &str| Source { file: file.into(), sha256: hash.clone(), folder: Some(at("a")) };
+        let note = |from| FitNote {
+            response: "error.x".into(),
+            date: "2026-05-01".into(),
+            valid_until: "2027-05-01".into(),
+            rms_um: 0.4,
+            half_width_um: 0.8,
+            valid: Vec::new(),
+            from,
+        };
+        m.note_fit(note(vec![record("r.csv")]));
+        assert_eq!(
+            m.text_at(&at("a/m.toml")).matches("folder").count(),
+            0,
+            "beside it, nothing is to be said"
+        );
+        m.write(&at("b/m.toml")).unwrap();
+        let text = std::fs::read_to_string(at("b/m.toml")).unwrap();
+        assert!(
+            text.contains("dictionary = \"../a/own.toml\" # mine\nchain = \"../a/parts/chain.toml\"\n"),
+            "{text}"
+        );
+        let there = Machine::read(&at("b/m.toml")).unwrap();
+        assert!(there.chain().is_some() && there.dictionary().effect("quill_droop.x.z").is_ok());
+        assert_eq!(there.fits()[0].from[0].folder, Some("../a".into()));
+        assert!(there.changed_sources().is_empty());
+        std::fs::write(at("a/r.csv"), "z,e\n0,2\n").unwrap();
+        assert_eq!(there.changed_sources(), ["r.csv has changed since the model was fitted on it"]);
+        // And home again.
+        there.write(&at("a/again.toml")).unwrap();
+        let text = std::fs::read_to_string(at("a/again.toml")).unwrap();
+        assert!(text.contains("dictionary = \"own.toml\" # mine\nchain = \"parts/chain.toml\"\n"), "{text}");
+        assert_eq!(text.matches("folder").count(), 0, "{text}");
+    }
+
+    #[test]
+    fn a_fit_has_days_and_ends() {
+        let fit = |date: &str, until: &str| {
+            parse(&format!(
+                "name = \"m\"\n[[fit]]\nresponse = \"error.x\"\ndate = {date}\nvalid_until = {until}\nrms_um = 1\n\
+                 half_width_um = 2\n"
+            ))
+        };
+        let day = |text: &str| date::parse(text).unwrap();
+        let m = fit("2026-05-01", "\"2027-05-01\"").unwrap();
+        assert!(m.expired(day("2027-05-01")).is_empty() && m.doubts(day("2026-05-01")).is_empty());
+        assert_eq!(m.expired(day("2027-05-02")), ["error.x: the fit's validity ended on 2027-05-01"]);
+        assert_eq!(m.doubts(day("2027-05-02")), m.expired(day("2027-05-02")));
+        assert!(m.doubts(0)[0].contains("1970-01-01 by this machine's clock"), "{:?}", m.doubts(0));
+        // What is no day would never end.
+        let e = fit("\"2026-05-01\"", "\"soon\"").unwrap_err();
+        assert_eq!((e.line, e.found.as_str(), e.expected.as_str()), (5, "`soon`", "a day as YYYY-MM-DD"));
+        assert!(fit("\"1. Mai 2026\"", "\"2027-05-01\"").is_err());
     }
 
     #[test]

@@ -95,9 +95,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         map.remove("gap");
     }
     let mut files = Vec::new();
-    if args.stage >= Stage::Add {
+    if let (true, Some(dir)) = (args.stage >= Stage::Add, &args.out) {
         files.extend(answer.curve.as_ref().map(|(_, laws)| (LAWS_FILE, laws.clone())));
-        files.push(("model.toml", answer.model.to_text()));
+        files.push(("model.toml", answer.model.text_at(&dir.join("model.toml"))));
     }
     if figures {
         files.push(("report.html", html(&answer, machine.name())));
