@@ -1,7 +1,11 @@
 //! `rtecctl commission` on a simulated machine that is as configured, and on those that are not.
 
-use rtec_tests::daemon::Daemon;
-use serde_json::Value;
+use rtec_tests::daemon::{Daemon, program, until};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 /// The axis as configured, 1 µm a count; `simulated` says what it is really like.
 fn config(simulated: &str) -> String {
@@ -42,5 +46,96 @@ fn right_and_everything_that_can_be_wrong_is_named() {
         // Whatever was found, nothing of it is left requested.
         let status = daemon.status();
         assert_eq!((&status["axes"][0]["requested"], &status["balanced"]), (&0.into(), &true.into()));
+    }
+}
+
+/// Whoever stands at the simulated machine: jogs to a place of the display and reads display and indicator there, mm.
+fn jog(socket: &Path, to_mm: f64) -> [f64; 2] {
+    let ask = |request: Value| {
+        let mut stream = UnixStream::connect(socket).unwrap();
+        writeln!(stream, "{request}").unwrap();
+        let mut line = String::new();
+        BufReader::new(stream).read_line(&mut line).unwrap();
+        let stands = serde_json::from_str::<Value>(&line).unwrap()["stands"].clone();
+        ["display_mm", "indicator_mm"].map(|key| stands[key].as_f64().unwrap())
+    };
+    ask(json!({"do": "jog", "axis": "x", "display_mm": to_mm}));
+    until("the axis is there", || (ask(json!({"do": "jog", "axis": "x"}))[0] - to_mm).abs() < 1e-6);
+    let mut before = ask(json!({"do": "jog", "axis": "x"}));
+    until("the axis stands", || {
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        std::mem::replace(&mut before, ask(json!({"do": "jog", "axis": "x"}))) == before
+    });
+    before
+}
+
+/// Somebody answers, wrongly at first, and then goes away in the middle: what was inserted is taken back, and what is still
+/// in the controller's count is said.
+#[test]
+fn whoever_leaves_in_the_middle_leaves_nothing_requested() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("rtec.toml");
+    std::fs::write(&file, config("")).unwrap();
+    let socket = directory.path().join("s");
+    let daemon = Daemon::start(&socket, Some(&file));
+    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["enable"]);
+    let places = [5.0, 7.0, 17.0, 5.0, 7.0, 5.0, 7.0, 5.0];
+    for (answers, leaves) in [(8, "proved"), (1, "INT"), (5, "INT"), (5, "nobody"), (6, "TERM")] {
+        jog(&socket, 5.0);
+        let mut guided = Command::new(program("rtecctl"))
+            .args(["commission", "x", "--by-hand", "--jog-mm", "2", "--far-mm", "12", "--socket"])
+            .arg(&socket)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = guided.stderr.take().unwrap();
+        let (mut hands, mut text) = (guided.stdin.take().unwrap(), String::new());
+        let mut asked = |text: &mut String| {
+            let mut byte = [0];
+            while !(text.ends_with("mm: ") || text.ends_with("9.998: ")) {
+                assert_eq!(said.read(&mut byte).unwrap(), 1, "{text}");
+                text.push(byte[0] as char);
+            }
+            text.push('\n');
+        };
+        for (n, place) in places.iter().take(answers).enumerate() {
+            asked(&mut text);
+            if n == 1 {
+                writeln!(hands, "7,000 7,000").unwrap();
+                asked(&mut text);
+            }
+            let [display, indicator] = jog(&socket, *place);
+            writeln!(hands, "{display:.4} {indicator:.4}").unwrap();
+        }
+        match leaves {
+            "proved" => {}
+            "nobody" => {
+                asked(&mut text);
+                drop(hands);
+            }
+            signal => {
+                asked(&mut text);
+                Command::new("kill").args([format!("-{signal}"), guided.id().to_string()]).status().unwrap();
+            }
+        }
+        let code = guided.wait().unwrap().code();
+        said.read_to_string(&mut text).unwrap();
+        assert_eq!(code, Some(i32::from(leaves != "proved")), "{text}");
+        assert!(text.contains("found \"7,000 7,000\", expected two numbers") || answers == 1, "{text}");
+        let axis = daemon.status()["axes"][0].clone();
+        assert_eq!(axis["requested"], 0, "{leaves} after {answers}: {text}");
+        let left = axis["in_effect"] != 0;
+        assert_eq!(left, answers == 5 || answers == 6, "{leaves} after {answers}: {axis} {text}");
+        assert_eq!(left, text.contains("+20 are still in the controller's count"), "{text}");
+        assert!(leaves == "proved" || text.contains("nothing is proved"), "{text}");
+        if left {
+            assert!(daemon.expect(1, &["commission", "x"]).contains("still on their way out"));
+        }
+        jog(&socket, 7.0);
+        jog(&socket, 5.0);
+        assert_eq!(daemon.status()["axes"][0]["in_effect"], 0);
     }
 }

@@ -7,7 +7,7 @@ use rtec_control::protocol::{Jump, Request, Response};
 use std::path::{Path, PathBuf};
 
 /// Which daemon, and in which form its answer is printed.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Daemon {
     /// The daemon's control socket [default: the configuration's]
     #[arg(long, value_name = "PATH", global = true)]

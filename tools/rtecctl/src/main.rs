@@ -99,7 +99,7 @@ fn main() -> ExitCode {
 }
 
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
-fn exit_code(error: &anyhow::Error) -> u8 {
+pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
         if cause.is::<InputError>() || cause.is::<rtec_control::config::Findings>() {
             return 2;

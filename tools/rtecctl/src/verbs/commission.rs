@@ -4,10 +4,12 @@
 //! Three numbers are compared: what the controller displays, what an indicator at the axis shows, and what the scale
 //! counts. Indicator against scale: sign and unit. Display against feedback: what the controller compensates by itself.
 //! Then counts are inserted and the axis is jogged back to where it was: as displayed it stands where it stood, on its
-//! scale it must stand away by exactly the inserted total.
+//! scale it must stand away by exactly the inserted total. However it ends, by an answer, a signal or nobody there, the
+//! total is requested back to zero, and what still waits for a motion of the axis is said.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
+use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::Client;
 use rtec_control::protocol::{Axis, Request, Response, Status};
 use std::io::Write;
@@ -16,7 +18,7 @@ use std::time::{Duration, Instant};
 /// Prove sign and unit of an axis, and that its controller does not compensate already, by a guided jog
 ///
 /// Put an indicator at the axis. A simulated axis (mock card) is jogged and read by itself.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Args {
     /// The axis
     axis: String,
@@ -32,6 +34,9 @@ pub(crate) struct Args {
     /// How well display and indicator can be read, µm
     #[arg(long, default_value_t = 5.0)]
     tolerance_um: f64,
+    /// Ask for the readings of a simulated axis too
+    #[arg(long)]
+    by_hand: bool,
     #[command(flatten)]
     daemon: Daemon,
 }
@@ -306,6 +311,7 @@ fn two_numbers(from: &mut impl std::io::BufRead) -> anyhow::Result<(f64, f64)> {
     loop {
         let mut line = String::new();
         if from.read_line(&mut line)? == 0 {
+            eprintln!();
             return Err(Outcome::No("nobody answers; nothing is proved".to_owned()).into());
         }
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -318,6 +324,44 @@ fn two_numbers(from: &mut impl std::io::BufRead) -> anyhow::Result<(f64, f64)> {
         }
         eprint!("found {:?}, expected two numbers, as 10.000 9.998: ", line.trim());
     }
+}
+
+/// Takes back what was inserted, and tells what of it the controller still has.
+fn take_back(args: &Args) -> anyhow::Result<()> {
+    let client = args.daemon.connect()?;
+    let mut guide = Guide { client, args, simulated: false };
+    guide.insert(0)?;
+    let axis = guide.status()?.1;
+    if axis.in_effect != 0 {
+        eprintln!(
+            "axis {}: 0 counts are requested; {:+} are still in the controller's count and go out as soon as the axis moves: \
+             jog it, then see `rtecctl status`",
+            axis.name, axis.in_effect
+        );
+    }
+    Ok(())
+}
+
+/// From here on a signal ends the run only after what was inserted has been taken back. The thread that is asked to wait
+/// for answers cannot do it: it waits.
+fn on_signal(args: &Args) -> anyhow::Result<()> {
+    let mut ends = SigSet::empty();
+    [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().for_each(|s| ends.add(s));
+    ends.thread_block()?;
+    let args = args.clone();
+    std::thread::spawn(move || {
+        let signal = ends.wait();
+        eprintln!("\n{}: nothing is proved", signal.map_or("interrupted", Signal::as_str));
+        let code = match take_back(&args) {
+            Ok(()) => 1,
+            Err(error) => {
+                eprintln!("rtecctl: not taken back: {error:#}; `rtecctl correct {} 0`", args.axis);
+                i32::from(crate::exit_code(&error))
+            }
+        };
+        std::process::exit(code);
+    });
+    Ok(())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -337,20 +381,40 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if status.mode != "run" || !axis.homed {
         return Err(Outcome::No(format!("corrections are not on: {}", status.why_not.join("; "))).into());
     }
-    if axis.requested != axis.completed || axis.requested != 0 && status.model.is_none() {
+    // Whatever else moves the axis meanwhile would be taken for what is inserted here.
+    for (is, what, unload, load) in [
+        (status.model.is_some(), "a model is running", "model unload", "model load"),
+        (status.table.is_some(), "a part table is loaded", "part unload", "part load"),
+    ] {
+        if is {
+            let text = format!(
+                "{what}, which moves the axis too: `rtecctl {unload}`, prove the axis, then `rtecctl {load}`"
+            );
+            return Err(Outcome::No(text).into());
+        }
+    }
+    if axis.requested != 0 {
         let text = format!(
             "axis {}: {:+} counts are requested already: `rtecctl correct {} 0`",
             axis.name, axis.requested, axis.name
         );
         return Err(Outcome::No(text).into());
     }
-    if status.model.is_some() {
-        let text = "a model is running, which moves the axis too: `rtecctl model unload` first".to_owned();
+    if axis.in_effect != 0 {
+        let text = format!(
+            "axis {}: {:+} counts of an earlier request are still on their way out: jog it until `rtecctl status` says 0 in \
+             effect",
+            axis.name, axis.in_effect
+        );
         return Err(Outcome::No(text).into());
     }
-    guide.simulated = status.rt.card == "mock";
+    guide.simulated = status.rt.card == "mock" && !args.by_hand;
+    on_signal(args)?;
     let mut figures = serde_json::Map::new();
-    let found = guide.prove(&mut figures)?;
+    let found = guide.prove(&mut figures);
+    let back = take_back(args);
+    let found = found?;
+    back?;
     if args.daemon.json {
         figures.insert("axis".to_owned(), args.axis.clone().into());
         figures.insert("verdict".to_owned(), found.verdict.into());
