@@ -227,3 +227,42 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     daemon.expect(0, &["model", "load", "--yes"]);
     assert!(part_um(&daemon, "z", "thermal_lag.z").is_some());
 }
+
+/// A model whose validity has ended is taken only by somebody who says that it is meant; that is remembered with it.
+#[test]
+fn an_expired_model_is_refused_unless_it_is_meant() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let sensors = Sensors::start(23.0);
+    let fit = "[[fit]]\nresponse = \"error.x\"\ndate = \"2001-01-01\"\nvalid_until = \"2002-01-01\"\nrms_um = 1\n\
+               half_width_um = 2\n[[effect]]\nname = \"scale.x\"\nppm = 1000.0\n";
+    let file = set_up(directory.path(), &sensors, fit);
+    let socket = directory.path().join("s");
+    let daemon = Daemon::start(&socket, Some(&file));
+    let ended = "error.x: the fit's validity ended on 2002-01-01";
+    let text = daemon.expect(1, &["model", "load", "--yes"]);
+    assert!(text.contains(ended) && text.contains("--expired"), "{text}");
+    assert!(daemon.status()["model"].is_null());
+    daemon.expect(0, &["model", "load", "--yes", "--expired"]);
+    assert_eq!(daemon.status()["model"]["expired"][0], ended);
+    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["enable"]);
+    until("it corrects", || daemon.status()["axes"][0]["requested"].as_i64().unwrap() >= 6);
+    assert!(daemon.expect(0, &["status"]).contains(ended));
+    daemon.end("TERM");
+
+    // Meant once, meant after a restart; not if nobody ever meant it.
+    let daemon = Daemon::start(&socket, Some(&file));
+    assert_eq!(daemon.status()["model"]["name"], "bench");
+    daemon.end("TERM");
+    let taken = directory.path().join("model.taken");
+    let text = std::fs::read_to_string(&taken).unwrap();
+    std::fs::write(&taken, text.lines().take(2).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
+    let daemon = Daemon::start(&socket, Some(&file));
+    let text = daemon.expect(0, &["status"]);
+    assert!(text.contains("not correcting: the model") && text.contains(ended), "{text}");
+    assert!(daemon.status()["model"].is_null());
+    // It goes on without, where that is said.
+    daemon.expect(0, &["model", "unload"]);
+    assert!(!daemon.expect(0, &["status"]).contains(ended));
+}

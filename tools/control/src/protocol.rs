@@ -83,6 +83,9 @@ pub enum Request {
         /// Take it, if its hash is still this one.
         #[serde(default)]
         take: Option<String>,
+        /// Take it although its validity has ended.
+        #[serde(default)]
+        expired: bool,
     },
     /// No model from now on.
     ModelUnload {},
@@ -202,6 +205,9 @@ pub struct ModelPreview {
     pub fits: Vec<String>,
     /// What to know before taking it.
     pub warnings: Vec<String>,
+    /// Fits whose validity has ended: it is not taken unless that is meant.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub expired: Vec<String>,
     /// Per axis.
     pub axes: Vec<Change>,
 }
@@ -287,6 +293,9 @@ pub struct Model {
     pub sha256: String,
     /// What its fits say about themselves.
     pub fits: Vec<String>,
+    /// Fits whose validity has ended.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub expired: Vec<String>,
     /// What to know now: past its date, outside the range it was fitted on, at a limit.
     pub notes: Vec<String>,
 }

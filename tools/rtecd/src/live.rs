@@ -85,6 +85,8 @@ struct Loaded {
     inputs: Inputs,
     /// What each configured sensor was good for at the last look.
     states: Vec<Use>,
+    /// It was taken although its validity had ended.
+    although_expired: bool,
 }
 
 /// What the model was told last.
@@ -192,6 +194,8 @@ pub(crate) struct Corrector {
     now: Vec<AxisNow>,
     /// A source has changed: what follows is a ramp.
     changed: bool,
+    /// The day, since 1970-01-01.
+    today: i64,
 }
 
 impl Corrector {
@@ -216,7 +220,22 @@ impl Corrector {
             last_s: now_s,
             seen: VecDeque::with_capacity(KEPT),
             changed: false,
+            today: date::today(),
         }
+    }
+
+    /// A day has begun, maybe. Fits whose validity ends with it are given back, once.
+    pub(crate) fn day_is(&mut self, today: i64) -> Vec<String> {
+        let before = std::mem::replace(&mut self.today, today);
+        let Some(model) = &self.model else { return Vec::new() };
+        let known = model.machine.expired(before);
+        model.machine.expired(today).into_iter().filter(|e| !known.contains(e)).collect()
+    }
+
+    /// Fits of the model whose validity has ended, and nobody has said that this is meant.
+    pub(crate) fn expired(&self) -> Vec<String> {
+        let model = self.model.as_ref().filter(|m| !m.although_expired);
+        model.map_or_else(Vec::new, |m| m.machine.expired(self.today))
     }
 
     /// Makes a model ready, its lags brought up from the log.
@@ -252,7 +271,8 @@ impl Corrector {
         log: &Path,
         now_s: f64,
     ) -> Result<(), InputError> {
-        self.model = Some(self.prepare(machine, watches, log, now_s)?);
+        let although_expired = !machine.expired(self.today).is_empty();
+        self.model = Some(Loaded { although_expired, ..self.prepare(machine, watches, log, now_s)? });
         self.changed = true;
         Ok(())
     }
@@ -399,7 +419,8 @@ impl Corrector {
             file: machine.path.display().to_string(),
             sha256: machine.sha256().to_owned(),
             fits: fits(machine),
-            warnings: then.notes(&self.axes),
+            warnings: then.notes(&self.axes, self.today),
+            expired: machine.expired(self.today),
             axes,
         })
     }
@@ -653,7 +674,8 @@ impl Corrector {
             file: model.machine.path.display().to_string(),
             sha256: model.machine.sha256().to_owned(),
             fits: fits(&model.machine),
-            notes: model.notes(&self.axes),
+            expired: model.machine.expired(self.today),
+            notes: model.notes(&self.axes, self.today),
         })
     }
 
@@ -817,6 +839,7 @@ impl Loaded {
                 ..Inputs::default()
             },
             states: vec![Use::Hold; watches.len()],
+            although_expired: false,
             rpm: of_role(&Role::SpindleSpeed),
             coolant: of_role(&Role::Coolant),
             machine,
@@ -884,8 +907,8 @@ impl Loaded {
     }
 
     /// What to know of it now.
-    fn notes(&self, axes: &[AxisLive]) -> Vec<String> {
-        let mut notes = self.machine.doubts(date::today());
+    fn notes(&self, axes: &[AxisLive], today: i64) -> Vec<String> {
+        let mut notes = self.machine.doubts(today);
         notes.extend(self.unheard.iter().cloned());
         for p in self.live.parts() {
             if p.outside_k > 0.0 {
@@ -1314,7 +1337,34 @@ mod tests {
         assert!(refuse("[[effect]]\nname = \"channel.x.flow\"\ngain = 1.0\n").contains("channel flow"));
         let coolant = machine("[[effect]]\nname = \"coolant.z\"\num = 5.0\n");
         let loaded = bench.corrector.prepare(coolant, &bench.watches, bench.log.path(), 0.0).unwrap();
-        assert!(loaded.notes(&[])[0].contains("no [[sensor]] of role coolant"));
+        assert!(loaded.notes(&[], 0)[0].contains("no [[sensor]] of role coolant"));
+    }
+
+    /// Whoever loads it has been asked; one that ends while it runs has not been meant, and says so once.
+    #[test]
+    fn a_model_that_ends_while_it_runs_goes_on_and_is_known_to_have_ended() {
+        let fit = "[[fit]]\nresponse = \"error.x\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\
+                   rms_um = 0.1\nhalf_width_um = 0.2\n";
+        let mut bench = Bench::new("");
+        bench.corrector.day_is(9);
+        bench.load(&[SCALE, fit].concat());
+        bench.status.axes[0].position_counts = 400_000;
+        bench.run(10.0, 0, |_| None);
+        assert_eq!(bench.corrector.day_is(10), [""; 0], "its last day");
+        assert!(bench.corrector.expired().is_empty());
+        let ended = "error.x: the fit's validity ended on 1970-01-11";
+        assert_eq!(bench.corrector.day_is(11), [ended]);
+        assert_eq!(bench.corrector.day_is(11), [""; 0], "said once");
+        assert_eq!(bench.corrector.expired(), [ended]);
+        bench.status.axes[0].position_counts = 420_000;
+        bench.tick();
+        assert_eq!(bench.status.axes[0].requested, 42, "what cuts now goes on");
+        let shown = bench.corrector.shown().unwrap();
+        assert!(shown.expired == [ended] && shown.notes.contains(&ended.to_owned()), "{shown:?}");
+        // Loaded again, somebody has meant it.
+        bench.load(&[SCALE, fit].concat());
+        assert!(bench.corrector.expired().is_empty());
+        assert_eq!(bench.corrector.shown().unwrap().expired, [ended]);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use rtec_control::protocol::{
     explain_fault, explain_refusal, word,
 };
 use rtec_driver::input::InputError;
+use rtec_model::date;
 use rtec_model::machine::Machine;
 use rtec_model::record::write_whole;
 use rtec_rt::engine::Timing;
@@ -49,10 +50,17 @@ pub(crate) struct Session {
     model_refused: Option<String>,
     /// What happened since the server last asked.
     happened: Vec<Happened>,
+    /// The day, since 1970-01-01.
+    today: fn() -> i64,
 }
 
-/// Which model was taken last: a file of this name beside the state file. Only that one runs after a restart.
+/// Which model was taken last: a file of this name beside the state file. Only that one runs after a restart. Its hash, its
+/// file, and [`MEANT`] where it was taken although its validity had ended.
 const TAKEN: &str = "model.taken";
+const MEANT: &str = "although expired";
+/// What to do about a model whose validity has ended.
+const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record and fit again where it is no longer true; `rtecctl model \
+                          load --expired` takes it as it is, `rtecctl model unload` goes on without";
 
 impl Session {
     pub(crate) fn new(config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
@@ -68,6 +76,7 @@ impl Session {
             stand: None,
             model_refused: None,
             happened: Vec::new(),
+            today: date::today,
         }
     }
 
@@ -97,9 +106,13 @@ impl Session {
         let wanted = self.config.model.file.clone();
         let mut lines = taken.lines();
         let (sha256, file) = (lines.next().unwrap_or_default(), lines.next().map(PathBuf::from));
+        let meant = lines.next() == Some(MEANT);
         let Some(file) = wanted.clone().or_else(|| file.clone()) else { return };
         let why = match Machine::read(&file) {
             Err(error) => error.to_string(),
+            Ok(machine) if machine.sha256() == sha256 && !meant && self.ended(&machine).is_some() => {
+                self.ended(&machine).unwrap_or_default()
+            }
             Ok(machine) if machine.sha256() == sha256 => match self.load(machine) {
                 Ok(()) => return log.say(Level::Notice, &format!("machine model {}", file.display())),
                 Err(error) => error.to_string(),
@@ -117,7 +130,15 @@ impl Session {
         self.model_refused = Some(why);
     }
 
+    /// Why a model is not to be used any more: nobody has looked at it since its validity ended.
+    fn ended(&self, machine: &Machine) -> Option<String> {
+        let ended = machine.expired((self.today)());
+        let file = machine.path.display();
+        (!ended.is_empty()).then(|| format!("the model {file}: {}: {LOOK_AGAIN}", ended.join("; ")))
+    }
+
     fn load(&mut self, machine: Machine) -> Result<(), InputError> {
+        self.corrector.day_is((self.today)());
         self.temperatures.look();
         let (directory, now_s) = (self.directory(), self.temperatures.now_s());
         self.corrector.load(machine, self.temperatures.sensors(), &directory, now_s)?;
@@ -134,6 +155,10 @@ impl Session {
         let period = Duration::from_millis(self.config.model.period_ms);
         self.due = (self.due + period).max(now);
         self.temperatures.look();
+        for ended in self.corrector.day_is((self.today)()) {
+            let text = format!("machine model: {ended}; it goes on until corrections are next enabled");
+            log.event(Level::Warning, "model_expired", &text);
+        }
         let status = control.status();
         let (now_s, sensors) = (self.temperatures.now_s(), self.temperatures.sensors());
         let totals = self.corrector.tick(now_s, &status, sensors);
@@ -294,8 +319,8 @@ impl Session {
                 let done = self.correct(axis, *total_counts, *large, control, log);
                 return done.unwrap_or_else(|e| e);
             }
-            Request::ModelLoad { file, take } => {
-                let done = self.model_load(file.as_deref(), take.as_deref(), control, log);
+            Request::ModelLoad { file, take, expired } => {
+                let done = self.model_load(file.as_deref(), take.as_deref(), *expired, control, log);
                 return done.unwrap_or_else(|e| e);
             }
             Request::Jog { axis, display_mm } => {
@@ -356,6 +381,7 @@ impl Session {
         &mut self,
         file: Option<&str>,
         take: Option<&str>,
+        expired: bool,
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Result<Response, Response> {
@@ -371,6 +397,7 @@ impl Session {
             self.temperatures.look();
             let (now_s, directory) = (self.temperatures.now_s(), self.directory());
             let mut warnings = machine.changed_sources();
+            self.corrector.day_is((self.today)());
             let status = control.status();
             let watches = self.temperatures.sensors();
             let preview =
@@ -382,9 +409,13 @@ impl Session {
             let text = format!("{} has changed since it was shown: nothing is taken", file.display());
             return Err(Response::Refused { why: "changed".to_owned(), text, jumps: Vec::new() });
         }
+        let ended = self.ended(&machine);
+        if let Some(text) = ended.clone().filter(|_| !expired) {
+            return Err(Response::Refused { why: "expired".to_owned(), text, jumps: Vec::new() });
+        }
         self.load(machine).map_err(bad)?;
-        let text = format!("{sha256}\n{}\n", file.display());
-        self.remember(&text, log);
+        let meant = ended.map_or(String::new(), |_| format!("{MEANT}\n"));
+        self.remember(&format!("{sha256}\n{}\n{meant}", file.display()), log);
         log.say(Level::Notice, &format!("machine model {} taken, SHA-256 {sha256}", file.display()));
         Ok(Response::Done { jumps: Vec::new() })
     }
@@ -398,7 +429,8 @@ impl Session {
     }
 
     fn model_unload(&mut self, log: &mut Log) -> Response {
-        if !self.corrector.unload() {
+        // One that was refused at the start is given up, too.
+        if !self.corrector.unload() && self.model_refused.take().is_none() {
             let text = "no model is loaded".to_owned();
             return Response::Refused { why: "no_model".to_owned(), text, jumps: Vec::new() };
         }
@@ -505,6 +537,11 @@ impl Session {
     fn forbidden(&self, jumps: &[Jump], accept_jump: bool) -> Option<Response> {
         if self.set_up.real && !self.config.rt.latency_measured {
             return Some(refused(Refusal::NotArmable));
+        }
+        let ended = self.corrector.expired();
+        if !ended.is_empty() {
+            let text = format!("{}: {LOOK_AGAIN}", ended.join("; "));
+            return Some(Response::Refused { why: "expired".to_owned(), text, jumps: Vec::new() });
         }
         let large = jumps.iter().any(|j| j.counts.abs() > j.window_counts);
         (large && !accept_jump).then(|| Response::Refused {
@@ -636,6 +673,9 @@ impl Session {
             Mode::Fault => why.push("when mended: `rtecctl clear`".to_owned()),
             Mode::Run => {}
         }
+        if matches!(now.mode, Mode::Disabled | Mode::Fault) {
+            why.extend(self.corrector.expired().iter().map(|e| format!("{e}: {LOOK_AGAIN}")));
+        }
         why.extend(self.model_refused.iter().cloned());
         why.extend(self.corrector.holding());
         why
@@ -705,6 +745,60 @@ mod tests {
         assert!(why == "ring_full" && text.contains("256 requests"), "{why}: {text}");
         // A status never waits for the real-time thread.
         assert!(matches!(session.answer(&Request::Status {}, &mut control, &mut log), Response::Status(_)));
+    }
+
+    /// A model that ends while it runs goes on with what is being cut; it is not armed again before somebody has meant it.
+    #[test]
+    fn corrections_are_not_enabled_on_a_model_that_has_ended() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut config = Config::embedded();
+        config.control.state_file = Some(directory.path().join("state"));
+        let (engine, card) = engine(&config);
+        let mut session = session(&engine);
+        session.config = config;
+        let options = Options { wanted: None, real: false, stale_after_ns: 10_000_000_000 };
+        let mut running = spawn(engine, card, options).unwrap();
+        let control = &mut running.control;
+        let mut log = Log::new();
+        let file = directory.path().join("m.toml");
+        let text = "name = \"m\"\n[[fit]]\nresponse = \"error.x\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\
+                    rms_um = 0.1\nhalf_width_um = 0.2\n";
+        std::fs::write(&file, text).unwrap();
+        let sha256 = Machine::read(&file).unwrap().sha256().to_owned();
+        let load = |expired| Request::ModelLoad {
+            file: Some(file.display().to_string()),
+            take: Some(sha256.clone()),
+            expired,
+        };
+        let (enable, done) = (Request::Enable { accept_jump: false }, Response::Done { jumps: Vec::new() });
+        let refused = |response: Response| match response {
+            Response::Refused { why, text, .. } => (why, text),
+            other => panic!("{other:?}"),
+        };
+        session.today = || 10;
+        assert_eq!(session.answer(&load(false), control, &mut log), done);
+        assert_eq!(session.answer(&Request::Home { axis: None }, control, &mut log), done);
+        assert_eq!(session.answer(&enable, control, &mut log), done);
+        session.today = || 11;
+        session.tick(control, &mut log);
+        let status = session.status(control);
+        assert!(status.why_not.is_empty(), "what is cut goes on: {:?}", status.why_not);
+        assert_eq!(status.model.unwrap().expired.len(), 1);
+        assert_eq!(session.answer(&Request::Disable {}, control, &mut log), done);
+        assert!(session.status(control).why_not.iter().any(|w| w.contains("validity ended on 1970-01-11")));
+        let (why, text) = refused(session.answer(&enable, control, &mut log));
+        assert!(why == "expired" && text.contains("load --expired"), "{why}: {text}");
+        assert_eq!(refused(session.answer(&load(false), control, &mut log)).0, "expired");
+        // A restart does not take it up either, unless it was meant; then it is armed.
+        session.corrector.unload();
+        session.take_up_model(&mut log);
+        assert!(session.status(control).model.is_none());
+        assert_eq!(session.answer(&load(true), control, &mut log), done);
+        session.corrector.unload();
+        session.take_up_model(&mut log);
+        assert!(session.status(control).model.is_some());
+        assert_eq!(session.answer(&enable, control, &mut log), done);
+        running.stop();
     }
 
     /// A control side that falls silent: corrections freeze, the status says so; heard again, they go on.

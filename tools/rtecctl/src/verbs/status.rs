@@ -135,7 +135,33 @@ fn table(s: &Status) -> String {
     for why in &s.why_not {
         let _ = writeln!(text, "not correcting: {why}");
     }
+    // One axis may hold while another corrects.
+    if s.mode == "run" {
+        let _ = writeln!(text, "{}", correcting(s));
+    }
     text
+}
+
+/// What is corrected, where nothing stands in the way.
+fn correcting(s: &Status) -> String {
+    let asked: Vec<String> = (s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0))
+        .map(|a| {
+            let gate = a.gate.replace('_', " ");
+            if a.in_effect == a.requested {
+                format!("{} {:+}", a.name, a.in_effect)
+            } else {
+                format!("{} {:+} of {:+} ({gate})", a.name, a.in_effect, a.requested)
+            }
+        })
+        .collect();
+    if !asked.is_empty() {
+        return format!("correcting: {} counts", asked.join(", "));
+    }
+    if s.model.is_none() && s.table.is_none() {
+        return "correcting nothing: no model, no part table, no total of the operator: `rtecctl model load`"
+            .to_owned();
+    }
+    "correcting: nothing to take out now".to_owned()
 }
 
 fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
@@ -174,6 +200,121 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_control::protocol::{Axis, Model, Reading, Rt};
+    use rtec_rt::event::Fault;
+
+    fn axis(name: &str, position_counts: i64, requested: i64, in_effect: i64, gate: &str) -> Axis {
+        Axis {
+            name: name.into(),
+            position_counts,
+            position_mm: position_counts as f64 * 0.5e-3,
+            requested,
+            completed: in_effect,
+            in_effect,
+            mtc_minus_scale: in_effect,
+            inverted: in_effect % 4 != 0,
+            homed: true,
+            gate: gate.into(),
+            edge_rate_hz: 12_000.4,
+            faults: Vec::new(),
+            max_correction_counts: 1000,
+            window_counts: 40,
+            insertions: 1234,
+            waited_for_gate: 7,
+            overlaps: 0,
+            late: 0,
+            illegal: 0,
+        }
+    }
+
+    fn reading(name: &str, degc: Option<f64>, state: &str, fault: Option<&str>) -> Reading {
+        Reading {
+            sensor: name.into(),
+            place: "spindle".into(),
+            degc,
+            age_s: degc.map(|_| 42.4),
+            state: state.into(),
+            fault: fault.map(str::to_owned),
+        }
+    }
+
+    /// A machine that corrects: a model live, one sensor standing in.
+    fn corrects() -> Status {
+        let times = Distribution { min: 20, p50: 26, p99: 37, p9999: 145, max: 2107, samples: 9 };
+        Status {
+            machine: "lathe 7".into(),
+            mode: "run".into(),
+            homed: true,
+            uptime_s: 3725.04,
+            balanced: true,
+            faults: Vec::new(),
+            why_not: Vec::new(),
+            rt: Rt {
+                alive: true,
+                card: "mapped".into(),
+                may_arm: true,
+                cpu: Some(3),
+                priority: Some(80),
+                missing: Vec::new(),
+                polls: 1,
+                events_lost: 0,
+                control_stale: false,
+                disable_switch: false,
+                poll_gap_ns: times,
+                edge_to_done_ns: Distribution::default(),
+            },
+            model: Some(Model {
+                name: "lathe 7".into(),
+                file: "/etc/rtec/machine.toml".into(),
+                sha256: "12ab".into(),
+                fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
+                expired: Vec::new(),
+                notes: vec![
+                    "thermal_growth.z (T8-T18) is 2.0 K outside the range it was fitted on: 40 % of it is left".into(),
+                ],
+            }),
+            table: None,
+            table_now: None,
+            sensors: vec![
+                reading("T8", Some(31.5), "good", None),
+                reading("T18", Some(21.04), "frozen", Some("silent (no such device)")),
+                reading("T19", None, "hold", None),
+            ],
+            axes: vec![axis("x", -24_691_357, -14, -14, "done"), axis("z", 10, 30, 28, "waiting_for_edge")],
+        }
+    }
+
+    #[test]
+    fn a_machine_that_corrects_says_what_with_its_model_and_sensors() {
+        crate::golden("status_corrects.txt", &table(&corrects()));
+    }
+
+    #[test]
+    fn a_machine_that_does_not_says_why_and_what_to_do() {
+        let mut status = corrects();
+        status.mode = "fault".into();
+        status.balanced = false;
+        status.axes[1].faults = vec![Fault::PollGap];
+        status.axes[1].gate = "fault".into();
+        status.rt.cpu = None;
+        status.rt.missing =
+            vec!["rt_throttling: wanted -1, found 950000; sysctl kernel.sched_rt_runtime_us=-1".into()];
+        status.why_not = vec![
+            format!("axis z: poll_gap: {}", rtec_control::protocol::explain_fault(Fault::PollGap)),
+            "when mended: `rtecctl clear`".into(),
+            "axis z: thermal corrections hold: sensor T18: silent; its last good value is 42 s old".into(),
+        ];
+        crate::golden("status_fault.txt", &table(&status));
+    }
+
+    #[test]
+    fn a_machine_that_nobody_asks_anything_of_says_so() {
+        let mut status = corrects();
+        status.axes.iter_mut().for_each(|a| (a.requested, a.in_effect) = (0, 0));
+        assert_eq!(correcting(&status), "correcting: nothing to take out now");
+        status.model = None;
+        assert!(correcting(&status).contains("`rtecctl model load`"));
+    }
 
     #[test]
     fn everything_that_is_known_and_what_the_part_table_does() {

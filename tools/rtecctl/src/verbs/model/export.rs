@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
+use rtec_model::date;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, write_whole};
@@ -51,6 +52,9 @@ const LINUXCNC_POINTS: usize = 256;
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("model export"), found, expected);
     let machine = Machine::read(&args.machine)?;
+    for warning in machine.doubts(date::today()) {
+        eprintln!("warning: {}: {warning}", args.machine.display());
+    }
     let axis =
         Axis::new(&args.axis).ok_or_else(|| usage(format!("--axis {}", args.axis), "an axis' name"))?;
     let span = args.to - args.from;

@@ -18,6 +18,9 @@ pub(crate) struct LoadArgs {
     /// Take it without asking
     #[arg(long)]
     yes: bool,
+    /// Take it although its validity has ended: somebody has looked at it
+    #[arg(long)]
+    expired: bool,
     #[command(flatten)]
     daemon: Daemon,
 }
@@ -25,17 +28,20 @@ pub(crate) struct LoadArgs {
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let file = args.file.as_deref().map(absolute);
     let mut client = args.daemon.connect()?;
-    let shown = client.ask(&Request::ModelLoad { file: file.clone(), take: None }).map_err(unreachable)?;
+    let shown = client
+        .ask(&Request::ModelLoad { file: file.clone(), take: None, expired: false })
+        .map_err(unreachable)?;
     let Response::ModelPreview(preview) = check(shown)? else {
         return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
     };
-    let take = Request::ModelLoad { file, take: Some(preview.sha256.clone()) };
+    let take = Request::ModelLoad { file, take: Some(preview.sha256.clone()), expired: args.expired };
     if args.daemon.json {
         println!("{}", serde_json::to_string(&*preview)?);
     } else {
         print!("{}", table(&preview));
     }
-    if !args.yes && !agreed()? {
+    let refused = !preview.expired.is_empty() && !args.expired;
+    if !refused && !args.yes && !agreed()? {
         return Err(Outcome::No("not taken; the daemon goes on as before".to_owned()).into());
     }
     check(client.ask(&take).map_err(unreachable)?)?;
@@ -109,6 +115,7 @@ mod tests {
             sha256: "12ab".into(),
             fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
             warnings: vec!["error.x: the fit's validity ended on 2026-01-01".into()],
+            expired: Vec::new(),
             axes: vec![
                 change("x", 0, -24, -12.2, None),
                 change("z", 10, 10, 5.1, Some("sensor T3: not read yet")),
