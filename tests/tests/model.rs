@@ -257,7 +257,7 @@ fn an_expired_model_is_refused_unless_it_is_meant() {
     daemon.end("TERM");
     let taken = directory.path().join("model.taken");
     let text = std::fs::read_to_string(&taken).unwrap();
-    std::fs::write(&taken, text.lines().take(2).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
+    std::fs::write(&taken, text.lines().take(2).collect::<Vec<_>>().join("\n")).unwrap();
     let daemon = Daemon::start(&socket, Some(&file));
     let text = daemon.expect(0, &["status"]);
     assert!(text.contains("not correcting: the model") && text.contains(ended), "{text}");

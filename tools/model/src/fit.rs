@@ -362,6 +362,16 @@ fn environment_of(sensors: &[String], records: &[&Record]) -> usize {
     near.max_by(|a, b| all[*a].1.total_cmp(&all[*b].1)).unwrap_or(0)
 }
 
+/// Rows by record in bins of so many, which never cross records; folds are stretches of bins.
+fn bins_of(records: &[&Record], per_bin: usize) -> Vec<(usize, std::ops::Range<usize>)> {
+    let mut bins = Vec::new();
+    for (n, r) in records.iter().enumerate() {
+        let starts = (0..r.rows()).step_by(per_bin);
+        bins.extend(starts.map(|at| (n, at..(at + per_bin).min(r.rows()))));
+    }
+    bins
+}
+
 /// A structure with its cross-validation.
 #[derive(Debug, Clone)]
 struct Judged {
@@ -459,17 +469,7 @@ impl Problem {
             return Err(InputError::whole(&first.path, format!("{rows} rows"), expected));
         }
         let taus = lag_grid(records, options.lag);
-        // Bins never cross records; folds are stretches of bins.
-        let per_bin = rows.div_ceil(BINS);
-        let mut bins: Vec<(usize, std::ops::Range<usize>)> = Vec::new();
-        for (n, r) in records.iter().enumerate() {
-            let mut at = 0;
-            while at < r.rows() {
-                let end = (at + per_bin).min(r.rows());
-                bins.push((n, at..end));
-                at = end;
-            }
-        }
+        let bins = bins_of(records, rows.div_ceil(BINS));
         let average = |of: &dyn Fn(usize) -> Vec<f64>| -> Vec<f64> {
             let data: Vec<Vec<f64>> = (0..records.len()).map(of).collect();
             bins.iter().map(|(n, b)| data[*n][b.clone()].iter().sum::<f64>() / b.len() as f64).collect()

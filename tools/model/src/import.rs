@@ -149,8 +149,11 @@ pub struct Wanted {
     pub scale: [f64; 2],
 }
 
-/// Units that are turned into a role's own: name, factor, what to add.
-const UNITS: [(&str, &[(&str, f64, f64)]); 8] = [
+/// Name, factor, what to add.
+type Unit = (&'static str, f64, f64);
+
+/// Units that are turned into a role's own.
+const UNITS: [(&str, &[Unit]); 8] = [
     ("s", &[("ns", 1e-9, 0.0), ("us", 1e-6, 0.0), ("ms", 1e-3, 0.0), ("min", 60.0, 0.0), ("h", 3600.0, 0.0)]),
     ("mm", &[("um", 1e-3, 0.0), ("m", 1e3, 0.0), ("in", 25.4, 0.0)]),
     ("um", &[("nm", 1e-3, 0.0), ("mm", 1e3, 0.0), ("m", 1e6, 0.0), ("in", 25_400.0, 0.0)]),

@@ -60,9 +60,10 @@ fn named_from(folder: &Path, path: &Path) -> PathBuf {
         return path.to_owned();
     }
     while here.peek().is_some() && here.peek() == there.peek() {
-        (here.next(), there.next());
+        here.next();
+        there.next();
     }
-    here.map(|_| Path::new("..").as_os_str()).chain(there.map(|c| c.as_os_str())).collect()
+    here.map(|_| Path::new("..").as_os_str()).chain(there.map(std::path::Component::as_os_str)).collect()
 }
 
 /// Where an effect comes from. All of it may be absent, as in what a person writes.

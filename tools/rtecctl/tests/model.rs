@@ -166,8 +166,8 @@ fn a_fit_on_a_base_with_a_chain_may_be_written_anywhere() {
     std::fs::write(at("base/chain.toml"), joint).unwrap();
     std::fs::write(at("base/m.toml"), "name = \"m\"\nchain = \"chain.toml\"\n").unwrap();
     // 2 µm per 100 mm are the chain's, 30 ppm are new.
-    let rows: String = (0..40).map(|k| format!("{},{}\n", 10 * k, 0.5 * f64::from(k))).collect();
-    std::fs::write(at("records/r.csv"), format!("x,e\n{rows}")).unwrap();
+    let rows: Vec<String> = (0..40).map(|k| format!("{},{}", 10 * k, 0.5 * f64::from(k))).collect();
+    std::fs::write(at("records/r.csv"), format!("x,e\n{}\n", rows.join("\n"))).unwrap();
     let sidecar = "file = \"r.csv\"\nkind = \"positioning\"\n[columns]\nx = { role = \"position.x\", unit = \"mm\" }\n\
                    e = { role = \"error.x\", unit = \"um\" }\n";
     std::fs::write(at("records/r.run.toml"), sidecar).unwrap();

@@ -346,7 +346,9 @@ fn take_back(args: &Args) -> anyhow::Result<()> {
 /// for answers cannot do it: it waits.
 fn on_signal(args: &Args) -> anyhow::Result<()> {
     let mut ends = SigSet::empty();
-    [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().for_each(|s| ends.add(s));
+    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
+        ends.add(signal);
+    }
     ends.thread_block()?;
     let args = args.clone();
     std::thread::spawn(move || {
