@@ -112,11 +112,28 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
     }
 }
 
-/// What is to be explained, what the model's own parameters explain, and every grid point of every candidate.
+/// How many parameters of a candidate its grid searches: each counts like one that is fitted.
+fn searched(effect: &Effect) -> usize {
+    match effect.card().name.as_str() {
+        "form_bump" => 2,
+        "thermal_lag" | "warm_up" | "reversal_spike" | "lost_counts" | "probe_lobing" | "screw_periodic"
+        | "subdivision" => 1,
+        _ => 0,
+    }
+}
+
+/// A grid point of an effect.
+struct Candidate {
+    name: String,
+    columns: Vec<Vec<f64>>,
+    searched: usize,
+}
+
+/// What is to be explained, what the model's own parameters explain, and every grid point of every effect.
 struct Problem {
     y: Vec<f64>,
     basis: Basis,
-    candidates: Vec<(String, Vec<Vec<f64>>)>,
+    candidates: Vec<Candidate>,
 }
 
 fn problem(records: &[Record], machine: &Machine) -> Problem {
@@ -140,7 +157,7 @@ fn problem(records: &[Record], machine: &Machine) -> Problem {
         }
     }
     let all: Vec<&Record> = records.iter().collect();
-    let mut candidates: Vec<(String, Vec<Vec<f64>>)> = Vec::new();
+    let mut candidates = Vec::new();
     for e in Dictionary::default().candidates(&all) {
         let name = e.name();
         candidates.extend(grid(records, &e).iter().map(|g| {
@@ -149,7 +166,7 @@ fn problem(records: &[Record], machine: &Machine) -> Problem {
             if ["thermal_growth", "thermal_lag"].contains(&g.card().name.as_str()) {
                 columns.truncate(1);
             }
-            (name.clone(), columns)
+            Candidate { name: name.clone(), columns, searched: searched(&e) }
         }));
     }
     Problem { y, basis, candidates }
@@ -165,7 +182,7 @@ pub fn forward_bic(records: &[Record], machine: &Machine) -> Vec<String> {
         let r = basis.rest(&y);
         let rss = r.iter().map(|x| x * x).sum::<f64>();
         let mut best: Option<(f64, usize)> = None;
-        for (i, (name, columns)) in candidates.iter().enumerate() {
+        for (i, Candidate { name, columns, searched }) in candidates.iter().enumerate() {
             if names.contains(name) {
                 continue;
             }
@@ -178,15 +195,15 @@ pub fn forward_bic(records: &[Record], machine: &Machine) -> Vec<String> {
                     left -= q.iter().zip(&r).map(|(a, b)| a * b).sum::<f64>().powi(2);
                 }
             }
-            let gain = n * (rss / left.max(1e-12 * rss)).ln() - own.0.len() as f64 * n.ln();
+            let gain = n * (rss / left.max(1e-12 * rss)).ln() - (own.0.len() + searched) as f64 * n.ln();
             if best.is_none_or(|(g, _)| gain > g) {
                 best = Some((gain, i));
             }
         }
         match best {
             Some((gain, i)) if gain > 0.0 => {
-                names.push(candidates[i].0.clone());
-                for column in &candidates[i].1 {
+                names.push(candidates[i].name.clone());
+                for column in &candidates[i].columns {
                     basis.add(column);
                 }
             }
@@ -281,7 +298,7 @@ pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {
     let y = basis.rest(&y);
     // Unit columns without what the model's own parameters explain, the closest of each name.
     let mut screened: Vec<(usize, f64, Vec<Vec<f64>>)> = Vec::new();
-    for (i, (_, columns)) in candidates.iter().enumerate() {
+    for (i, Candidate { columns, .. }) in candidates.iter().enumerate() {
         let mut own = Basis::default();
         for c in columns {
             let c = basis.rest(c);
@@ -295,7 +312,7 @@ pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {
     screened.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut taken: std::collections::BTreeMap<&str, usize> = std::collections::BTreeMap::new();
     screened.retain(|(i, ..)| {
-        let n = taken.entry(candidates[*i].0.as_str()).or_default();
+        let n = taken.entry(candidates[*i].name.as_str()).or_default();
         *n += 1;
         *n <= SCREENED
     });
@@ -328,7 +345,7 @@ pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {
     let beta = lasso.path(&penalties[..=chosen], &|_| true).pop().unwrap_or_default();
     let mut sizes: std::collections::BTreeMap<&str, Vec<f64>> = std::collections::BTreeMap::new();
     for ((b, c), i) in beta.iter().zip(&lasso.columns).zip(&owner).filter(|((b, _), _)| **b != 0.0) {
-        let sum = sizes.entry(candidates[*i].0.as_str()).or_insert_with(|| vec![0.0; n]);
+        let sum = sizes.entry(candidates[*i].name.as_str()).or_insert_with(|| vec![0.0; n]);
         sum.iter_mut().zip(*c).for_each(|(s, c)| *s += b * c);
     }
     let all: f64 = sizes.values().map(|v| length(v)).sum();
