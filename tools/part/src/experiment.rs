@@ -217,6 +217,19 @@ pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
     Contour::new(vec![(arc, "nose".to_owned())], false)
 }
 
+/// Centre and radius of a contour's nose: a quarter of a circle about the axis at its free end, and `None` where it
+/// begins with something else.
+#[must_use]
+pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
+    // A drawing is true to a micrometre, its angles to as much on a nose of 100 mm.
+    const NEAR: (f64, f64) = (1e-3, 1e-5);
+    let Segment::Arc { centre, radius_mm, start_rad, sweep_rad } = contour.features.first()?.segment else {
+        return None;
+    };
+    let quarter = start_rad.abs() < NEAR.1 && (sweep_rad - FRAC_PI_2).abs() < NEAR.1;
+    (quarter && centre.x.abs() < NEAR.0).then_some((centre, radius_mm))
+}
+
 /// The probe's path as moves of the machine.
 #[must_use]
 pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {

@@ -193,6 +193,36 @@ fn worst_of_g01_um(folder: &Path, g01: &str, errors: &[(f64, f64)]) -> Option<f6
 }
 
 #[test]
+fn a_run_begins_with_the_drawing() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("nose.dxf"), drawing(30.0)).unwrap();
+    let report = json(folder, &["run", "--points", "8", "--json"]);
+    assert!(report["finish"]["largest_um"].as_f64().unwrap() <= 4.0, "without a drawing: {report}");
+    let run = json(folder, &["run", "nose.dxf", "--out", "o", "--json"]);
+    assert!(run["finish"]["largest_um"].as_f64().unwrap() <= 2.0, "{run}");
+    assert!(folder.join("o/features.svg").exists());
+    let probed =
+        ["errors", "--points", "o/inspection/probed.csv", "--radius-mm", "30", "--tip-mm", "2.5", "--json"];
+    let inspected = json(folder, &probed);
+    assert!((inspected["radius_mm"].as_f64().unwrap() - 30.0).abs() < 0.01, "{inspected}");
+    assert!((inspected["centre_mm"][0].as_f64().unwrap() - 127.0).abs() < 0.01, "{inspected}");
+
+    std::fs::write(folder.join("fillet.dxf"), drawing(30.0).replace("90.0", "80.0")).unwrap();
+    for (line, said) in [
+        ("run fillet.dxf --out none", "fillet.dxf: found"),
+        ("run nose.dxf --radius-mm 30 --out none", "--radius-mm"),
+        ("run --layer PART --out none", "DRAWING"),
+    ] {
+        let output = part(folder, &line.split_whitespace().collect::<Vec<_>>());
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{line}: {stderr}");
+        assert!(stderr.contains(said), "{line}: {stderr}");
+        assert!(!folder.join("none").exists());
+    }
+}
+
+#[test]
 fn the_steps_follow_each_other_through_their_files() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

@@ -6,19 +6,26 @@ use rtec_part::drawing::{self, Options, Unit};
 use rtec_part::svg::Svg;
 use serde_json::json;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The drawing and how to read it
 #[derive(Debug, clap::Args)]
 pub(crate) struct DrawingArgs {
     /// The part's half profile as DXF: X along the axis, Y ≥ 0 the distance from it
     pub(crate) drawing: PathBuf,
+    #[command(flatten)]
+    how: How,
+}
+
+/// How to read a drawing
+#[derive(Debug, clap::Args)]
+pub(crate) struct How {
     /// The drawing's unit, where its header does not say
     #[arg(long, value_enum)]
-    units: Option<Units>,
+    pub(crate) units: Option<Units>,
     /// Take the contour from this layer only
     #[arg(long)]
-    layer: Option<String>,
+    pub(crate) layer: Option<String>,
     /// Ends closer than this are one point, in mm
     #[arg(long, default_value_t = 1e-3)]
     tolerance_mm: f64,
@@ -44,9 +51,15 @@ impl Units {
 
 impl DrawingArgs {
     pub(crate) fn read(&self) -> anyhow::Result<(Contour, Unit)> {
+        self.how.read(&self.drawing)
+    }
+}
+
+impl How {
+    pub(crate) fn read(&self, drawing: &Path) -> anyhow::Result<(Contour, Unit)> {
         let unit = self.units.map(Units::unit);
         let options = Options { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };
-        Ok(drawing::read(&self.drawing, &options)?)
+        Ok(drawing::read(drawing, &options)?)
     }
 }
 

@@ -1,23 +1,31 @@
 //! `rtecctl part run`: the whole process-intermittent loop on the simulated machine.
 
 use super::bench::BenchArgs;
+use super::features::How;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
+use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
+use rtec_part::experiment::nose_of;
+use rtec_part::svg::Svg;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Go through all steps on the simulated machine: semi-finish, probe, errors, table, finish, inspect
+/// Go through all steps on the simulated machine: features, semi-finish, probe, errors, table, finish, inspect
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
+    /// The part's half profile as DXF, whose nose is turned; else the report's, with --radius-mm
+    drawing: Option<PathBuf>,
+    #[command(flatten)]
+    how: How,
     #[command(flatten)]
     bench: BenchArgs,
     /// What is known of the machine: corrected live while cutting, off line in what was probed
     #[arg(long, value_name = "MACHINE.TOML")]
     model: Option<PathBuf>,
     /// Radius of the finished nose, in mm
-    #[arg(long, default_value_t = 38.1)]
+    #[arg(long, default_value_t = 38.1, conflicts_with = "drawing")]
     radius_mm: f64,
     /// Semi-finish allowance on the radius, in mm
     #[arg(long, default_value_t = 0.254)]
@@ -45,11 +53,30 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     setup.model = args.model.as_deref().map(Machine::read).transpose()?;
     setup.points = args.points as usize;
+    let mut features = None;
+    if args.drawing.is_none() && (args.how.units.is_some() || args.how.layer.is_some()) {
+        return Err(usage("DRAWING", "--units or --layer without it", "the drawing that they are about"));
+    }
+    if let Some(drawing) = &args.drawing {
+        let (contour, _) = args.how.read(drawing)?;
+        (setup.centre, setup.radius_mm) = nose_of(&contour).ok_or_else(|| {
+            let first = contour.features.first().map_or("nothing".into(), |f| format!("{:?}", f.kind));
+            let expected = "a quarter of a circle about the axis at the free end, which the simulated lathe turns; other \
+                            features go step by step: `rtecctl part points`, `probe`, `errors`";
+            InputError::whole(drawing, format!("{first} as the first feature"), expected)
+        })?;
+        let mut svg = Svg::default();
+        contour.draw(&mut svg, true);
+        features = Some(svg.finish("Features"));
+    }
     let outcome = setup.run(&mut |step| eprintln!("{step} …")).map_err(failed)?;
     if let Some(folder) = &args.out {
         for (name, content) in &outcome.files {
             let (step, file) = name.rsplit_once('/').unwrap_or(("", name));
             write_all(&folder.join(step), &[(file, content)])?;
+        }
+        if let Some(svg) = &features {
+            write_all(folder, &[("features.svg", svg.as_bytes())])?;
         }
         let log = outcome.decisions.join("\n") + "\n";
         write_all(folder, &[("decisions.log", log.as_bytes())])?;
