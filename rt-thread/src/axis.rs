@@ -317,7 +317,6 @@ impl Axis {
         self.requested - self.wire.completed
     }
 
-    /// Latches a fault; `true` when it is new.
     /// Whether four counts may have passed unseen since the look at `since_ns`: the axis was on its way, and the time
     /// was enough for them. Four counts look like none.
     pub(crate) fn may_have_turned_round(&self, sample: &Sample, since_ns: u64) -> bool {
@@ -334,6 +333,7 @@ impl Axis {
         self.gate.need_ns()
     }
 
+    /// Latches a fault; `true` when it is new.
     pub(crate) fn latch(&mut self, fault: Fault) -> bool {
         if fault.loses_home() {
             self.homed = false;

@@ -47,29 +47,23 @@ impl Card for Bench {
 }
 
 /// An engine on its bench.
-struct Rig {
+struct Rig<C = Bench> {
     engine: Engine,
-    card: Bench,
+    card: C,
     events: Vec<Event>,
 }
 
-impl Rig {
-    fn with(config: AxisConfig, may_arm: bool) -> Self {
-        let mut card = Bench::default();
-        let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
+impl<C: Card> Rig<C> {
+    fn on(mut card: C, config: AxisConfig, may_arm: bool) -> Self {
         let machine = MachineConfig { lines: MachineLines::standard(), may_arm };
         let engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
         Self { engine, card, events: Vec::new() }
     }
 
-    /// Homed and enabled.
-    fn running(config: AxisConfig) -> Self {
-        let mut rig = Self::with(config, true);
-        rig.take(Request::Home { axis: 0, position_counts: 0 });
-        rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
-        rig.take(Request::Enable);
-        assert_eq!(rig.status().mode, Mode::Run);
-        rig.events.clear();
+    /// Homed and enabled, A' and B' wired back.
+    fn wired_back(card: C, config: AxisConfig) -> Self {
+        let mut rig = Self::on(card, AxisConfig { lines: AxisLines::standard(0, true), ..config }, true);
+        rig.engine.start_homed(&mut rig.card, &mut |_| true).unwrap();
         rig
     }
 
@@ -97,16 +91,6 @@ impl Rig {
         }
     }
 
-    /// Moves the scale one count every 100 looks.
-    fn step(&mut self, counts: i64) {
-        for _ in 0..counts.abs() {
-            self.card.count += counts.signum();
-            let state = [0, 1, 3, 2][self.card.count.rem_euclid(4) as usize];
-            self.card.inputs = self.card.inputs & !3 | state;
-            self.looks(100);
-        }
-    }
-
     fn status(&self) -> Status {
         self.engine.status()
     }
@@ -119,6 +103,33 @@ impl Rig {
     fn faults(&self) -> Vec<Fault> {
         let fault = |e: &Event| if let EventKind::Fault(f) = e.kind { Some(f) } else { None };
         self.events.iter().filter_map(fault).collect()
+    }
+}
+
+impl Rig {
+    fn with(config: AxisConfig, may_arm: bool) -> Self {
+        Self::on(Bench::default(), AxisConfig { lines: AxisLines::standard(0, false), ..config }, may_arm)
+    }
+
+    /// Homed and enabled.
+    fn running(config: AxisConfig) -> Self {
+        let mut rig = Self::with(config, true);
+        rig.take(Request::Home { axis: 0, position_counts: 0 });
+        rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
+        rig.take(Request::Enable);
+        assert_eq!(rig.status().mode, Mode::Run);
+        rig.events.clear();
+        rig
+    }
+
+    /// Moves the scale one count every 100 looks.
+    fn step(&mut self, counts: i64) {
+        for _ in 0..counts.abs() {
+            self.card.count += counts.signum();
+            let state = [0, 1, 3, 2][self.card.count.rem_euclid(4) as usize];
+            self.card.inputs = self.card.inputs & !3 | state;
+            self.looks(100);
+        }
     }
 }
 
@@ -294,28 +305,12 @@ fn a_card_that_fails_latches_and_says_so() {
 
 #[test]
 fn read_back_that_does_not_follow_is_latched() {
-    let mut card = Bench::default();
-    let config = AxisConfig {
-        lines: AxisLines::standard(0, true),
-        rest: RestPolicy::Insert { after_ns: 0 },
-        ..AxisConfig::default()
-    };
-    let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
-    let mut engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
-    let mut faults = Vec::new();
-    let mut tell = |e: Event| {
-        if let EventKind::Fault(f) = e.kind {
-            faults.push(f);
-        }
-        true
-    };
-    engine.start_homed(&mut card, &mut tell).unwrap();
-    engine.take(Request::Correct { axis: 0, total_counts: 2, large: true }, &mut card, &mut tell).unwrap();
-    for _ in 0..40 {
-        engine.poll(&mut card, u64::MAX, &mut tell).unwrap();
-    }
-    assert_eq!(faults, [Fault::ReadBackMismatch]);
-    assert!(engine.at_rest(), "the pair is finished all the same: the MTC must not count mirrored");
+    let config = AxisConfig { rest: RestPolicy::Insert { after_ns: 0 }, ..AxisConfig::default() };
+    let mut rig = Rig::wired_back(Bench::default(), config);
+    rig.take(Request::Correct { axis: 0, total_counts: 2, large: true });
+    rig.looks(40);
+    assert_eq!(rig.faults(), [Fault::ReadBackMismatch]);
+    assert!(rig.engine.at_rest(), "the pair is finished all the same: the MTC must not count mirrored");
 }
 
 #[test]
@@ -544,13 +539,7 @@ fn a_card_that_counts_for_itself_may_be_looked_at_late() {
 
 #[test]
 fn the_read_back_waits_for_levels_of_this_very_moment() {
-    let lines = AxisLines::standard(0, true);
-    let mut card = Bench::default();
-    let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
-    let config = AxisConfig { lines, ..windowed() };
-    let engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
-    let mut rig = Rig { engine, card, events: Vec::new() };
-    rig.engine.start_homed(&mut rig.card, &mut |_| true).unwrap();
+    let mut rig = Rig::wired_back(Bench::default(), windowed());
     // A' and B' stay as they were: a gate that does not follow. Nobody can tell before they have been read.
     rig.card.says = Some(Sample { fresh: 0, ..Sample::level(0, 0) });
     rig.step(3);
@@ -593,30 +582,16 @@ impl Card for Following {
 #[test]
 fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
     for (behind_ns, follows) in [(0, true), (100, true), (400, true), (2_000, false)] {
-        let mut card = Following { bench: Bench::default(), behind_ns, was: Vec::new() };
-        let config = AxisConfig { lines: AxisLines::standard(0, true), ..AxisConfig::default() };
-        let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
-        let mut engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
-        let mut faults = Vec::new();
-        let mut tell = |e: Event| {
-            if let EventKind::Fault(f) = e.kind {
-                faults.push(f);
-            }
-            true
-        };
-        engine.start_homed(&mut card, &mut tell).unwrap();
+        let card = Following { bench: Bench::default(), behind_ns, was: Vec::new() };
+        let mut rig = Rig::wired_back(card, AxisConfig::default());
         for n in 0..200_u64 {
             let total_counts = if n % 40 < 20 { 6 } else { -6 };
-            engine
-                .take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, &mut tell)
-                .unwrap();
-            card.bench.inputs = [0, 1, 3, 2][n as usize % 4];
+            rig.take(Request::Correct { axis: 0, total_counts, large: true });
+            rig.card.bench.inputs = [0, 1, 3, 2][n as usize % 4];
             // An edge every 5 µs, looked at ten times a microsecond.
-            for _ in 0..50 {
-                engine.poll(&mut card, u64::MAX, &mut tell).unwrap();
-            }
+            rig.looks(50);
         }
-        let axis = engine.status().axes[0];
+        let (axis, faults) = (rig.status().axes[0], rig.faults());
         if follows {
             assert!(faults.is_empty() && axis.insertions > 20, "{behind_ns} ns behind: {faults:?}, {axis:?}");
         } else {
