@@ -717,7 +717,6 @@ impl<'p, 'r> Search<'p, 'r> {
     /// Size of a wave of two columns in what a set leaves.
     fn amplitude(&self, set: &Set, columns: &[Vec<f64>]) -> f64 {
         let (left, _) = self.residual(set);
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let [s, c] = [&columns[0], &columns[1]];
         let (ss, sc, cc, sl, cl) = (dot(s, s), dot(s, c), dot(c, c), dot(s, &left), dot(c, &left));
         let det = ss * cc - sc * sc;
@@ -865,21 +864,34 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The set with an offer taken in.
     pub(crate) fn take(&mut self, set: &Set, offer: &Offer) -> Set {
-        let columns: Vec<Vec<f64>> = match &offer.columns {
-            Source::Bank(at) => at
-                .iter()
-                .map(|c| self.all.bank.column(*c).iter().map(|x| x * self.all.bank.scale[*c]).collect())
-                .collect(),
+        let columns = match &offer.columns {
+            Source::Bank(at) => self.of_bank(at),
             Source::Made(columns) => columns.clone(),
         };
+        self.joined_by(set, &offer.cause, offer.hypothesis, offer.cost, columns)
+    }
+
+    /// The set with a grid point taken in.
+    pub(crate) fn take_atom(&mut self, set: &Set, atom: &Atom) -> Set {
+        self.joined_by(set, &atom.cause, atom.hypothesis, atom.cost, self.of_bank(&atom.columns))
+    }
+
+    fn of_bank(&self, columns: &[usize]) -> Vec<Vec<f64>> {
+        let bank = &self.all.bank;
+        columns.iter().map(|c| bank.column(*c).iter().map(|x| x * bank.scale[*c]).collect()).collect()
+    }
+
+    fn joined_by(
+        &mut self,
+        set: &Set,
+        cause: &Cause,
+        hypothesis: usize,
+        cost: f64,
+        columns: Vec<Vec<f64>>,
+    ) -> Set {
         let vectors = columns.into_iter().map(|c| self.register(c)).collect();
         let mut members = set.members.clone();
-        members.push(Member {
-            cause: offer.cause.clone(),
-            hypothesis: offer.hypothesis,
-            cost: offer.cost,
-            vectors,
-        });
+        members.push(Member { cause: cause.clone(), hypothesis, cost, vectors });
         self.set(members)
     }
 
@@ -1182,27 +1194,13 @@ impl Search<'_, '_> {
     /// record was zeroed at) pays only together with its constant, and neither pays alone.
     fn lifted(&mut self, beam: &[Set]) -> Vec<Set> {
         let Some(set) = beam.iter().find(|s| self.named(s)).cloned() else { return Vec::new() };
-        let offsets: Vec<Offer> = (0..self.all.atoms.len())
-            .filter(|a| self.all.list[self.all.atoms[*a].hypothesis].name.starts_with("offset."))
-            .filter(|a| set.members.iter().all(|m| m.hypothesis != self.all.atoms[*a].hypothesis))
-            .map(|a| self.offer(&set, &self.all.atoms[a]))
-            .collect();
-        offsets.iter().map(|o| self.take(&set, o)).collect()
-    }
-
-    /// A grid point as an addition to a set.
-    pub(crate) fn offer(&self, set: &Set, atom: &Atom) -> Offer {
-        let columns: Vec<Vec<f64>> = atom.columns.iter().map(|c| self.all.bank.column(*c).to_vec()).collect();
-        let score = self.extended(set, &self.made_cross(set, &columns))
-            - self.price(set, atom.cost, atom.columns.len());
-        Offer {
-            cause: atom.cause.clone(),
-            hypothesis: atom.hypothesis,
-            cost: atom.cost,
-            score,
-            evidence: score,
-            columns: Source::Bank(atom.columns.clone()),
-        }
+        let all = self.all;
+        all.atoms
+            .iter()
+            .filter(|a| all.list[a.hypothesis].name.starts_with("offset."))
+            .filter(|a| set.members.iter().all(|m| m.hypothesis != a.hypothesis))
+            .map(|a| self.take_atom(&set, a))
+            .collect()
     }
 
     /// Refines each member's non-linear parameters with the others in place.

@@ -175,14 +175,12 @@ impl Search<'_, '_> {
             *reference = true;
             atom.columns.clone_from(&constant.columns);
         }
-        let offer = self.offer(&rest, &atom);
-        let mut steady = self.take(&rest, &offer);
+        let mut steady = self.take_atom(&rest, &atom);
         if matches!(&atom.cause, Cause::Effect { reference: false, .. })
             && let Some(a) =
                 self.all.atoms.iter().find(|a| self.all.list[a.hypothesis].name.starts_with("offset."))
         {
-            let offer = self.offer(&steady, a);
-            steady = self.take(&steady, &offer);
+            steady = self.take_atom(&steady, a);
         }
         Some((steady, equals))
     }
