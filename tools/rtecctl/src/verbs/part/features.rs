@@ -76,12 +76,17 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// Writes `features.svg`.
+pub(crate) fn write_drawn(folder: &Path, contour: &Contour) -> anyhow::Result<()> {
+    let mut svg = Svg::default();
+    contour.draw(&mut svg, true);
+    write_all(folder, &[("features.svg", svg.finish("Features").as_bytes())])
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (contour, unit) = args.drawing.read()?;
     if let Some(folder) = &args.out {
-        let mut svg = Svg::default();
-        contour.draw(&mut svg, true);
-        write_all(folder, &[("features.svg", svg.finish("Features").as_bytes())])?;
+        write_drawn(folder, &contour)?;
     }
     if args.json {
         let features: Vec<_> = (0..contour.features.len())

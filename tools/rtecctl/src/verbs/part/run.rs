@@ -1,14 +1,13 @@
 //! `rtecctl part run`: the whole process-intermittent loop on the simulated machine.
 
 use super::bench::BenchArgs;
-use super::features::How;
+use super::features::{How, write_drawn};
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
 use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::experiment::nose_of;
-use rtec_part::svg::Svg;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -53,7 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     setup.model = args.model.as_deref().map(Machine::read).transpose()?;
     setup.points = args.points as usize;
-    let mut features = None;
+    let mut drawn = None;
     if args.drawing.is_none() && (args.how.units.is_some() || args.how.layer.is_some()) {
         return Err(usage("DRAWING", "--units or --layer without it", "the drawing that they are about"));
     }
@@ -65,9 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                             features go step by step: `rtecctl part points`, `probe`, `errors`";
             InputError::whole(drawing, format!("{first} as the first feature"), expected)
         })?;
-        let mut svg = Svg::default();
-        contour.draw(&mut svg, true);
-        features = Some(svg.finish("Features"));
+        drawn = Some(contour);
     }
     let outcome = setup.run(&mut |step| eprintln!("{step} …")).map_err(failed)?;
     if let Some(folder) = &args.out {
@@ -75,8 +72,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let (step, file) = name.rsplit_once('/').unwrap_or(("", name));
             write_all(&folder.join(step), &[(file, content)])?;
         }
-        if let Some(svg) = &features {
-            write_all(folder, &[("features.svg", svg.as_bytes())])?;
+        if let Some(contour) = &drawn {
+            write_drawn(folder, contour)?;
         }
         let log = outcome.decisions.join("\n") + "\n";
         write_all(folder, &[("decisions.log", log.as_bytes())])?;
