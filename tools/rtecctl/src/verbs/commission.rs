@@ -277,11 +277,9 @@ impl Guide<'_> {
         eprintln!("inserting {:+} counts", args.counts);
         self.insert(args.counts)?;
         // Away and back: without an edge an axis at rest gives no chance to insert.
-        let inserted =
-            self.go(Some(start.display_mm + args.jog_mm)).and_then(|_| self.go(Some(start.display_mm)));
-        // Taken back whatever was found.
+        self.go(Some(start.display_mm + args.jog_mm))?;
+        let after = self.go(Some(start.display_mm))?;
         self.insert(0)?;
-        let after = inserted?;
         let total = after.in_effect - before.in_effect;
         figures.insert("inserted_counts".to_owned(), total.into());
         figures.insert("scale_moved_counts".to_owned(), (after.scale_counts - before.scale_counts).into());
