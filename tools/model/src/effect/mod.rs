@@ -781,12 +781,16 @@ impl Bound<'_> {
             v_mm_s: at(self.v),
             a_mm_s2: at(self.a),
             load_n: at(self.load),
-            delta_k: self.sensor.map_or(0.0, |s| s[row] - self.minus.map_or(self.reference, |m| m[row])),
+            delta_k: self.delta_k(row),
             rpm: at(self.rpm),
             coolant: at(self.coolant),
             angle_rad: at(self.angle),
             channel: at(self.channel),
         }
+    }
+
+    fn delta_k(&self, row: usize) -> f64 {
+        self.sensor.map_or(0.0, |s| s[row] - self.minus.map_or(self.reference, |m| m[row]))
     }
 
     /// Basis values of `effect` over the record, column by column: `out[k·rows + row]` for coefficient k.

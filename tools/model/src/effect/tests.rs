@@ -194,6 +194,27 @@ fn laws_are_the_formulas() {
     }
 }
 
+/// The same digits in one go over a record as instant by instant, on the machine.
+#[test]
+fn a_record_in_one_go_is_its_instants_one_by_one() {
+    for e in one_of_each() {
+        let force = e.card().quantity == Quantity::Force;
+        let mut r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
+        // Two rows of one instant.
+        r.columns[0].data[10] = r.columns[0].data[9];
+        let (bound, k) = (e.bind(&r).unwrap(), e.coefficient_count());
+        let mut all = vec![f64::NAN; 60 * k];
+        bound.basis(&e, 0, &mut all);
+        let (mut state, mut one) = (State::default(), vec![0.0; k]);
+        for row in 0..60 {
+            e.law().basis(&e, &bound.input(row), 0, &mut state, &mut one);
+            for (c, x) in one.iter().enumerate() {
+                assert_eq!(all[c * 60 + row].to_bits(), x.to_bits(), "{} row {row}", e.name());
+            }
+        }
+    }
+}
+
 #[test]
 fn slopes_agree_with_central_differences() {
     for e in one_of_each() {

@@ -1,7 +1,7 @@
 //! `thermal_expansion.A`, `thermal_growth.A`, `thermal_lag.A`: what a temperature difference does, per length, at a point,
 //! and at a point that follows the sensor late.
 
-use super::{Card, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, Search, State};
+use super::{Bound, Card, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, Search, State};
 use std::sync::Arc;
 
 #[derive(Debug)]
@@ -31,9 +31,60 @@ impl Law for Growth {
         out[0] = d;
         out[1] = d * d;
     }
+
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, out: Out<'_>) {
+        let (first, second) = out.split_at_mut(bound.rows);
+        for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
+            *a = effect.bounded(bound.delta_k(row));
+            *b = *a * *a;
+        }
+    }
 }
 
 const TAU: usize = 2;
+
+/// What a first-order lag does over one step of time.
+#[derive(Debug, Clone, Copy, Default)]
+struct Decay {
+    h_s: f64,
+    /// 1 − exp(−h/τ).
+    gone: f64,
+}
+
+impl Decay {
+    fn over(h_s: f64, tau_s: f64) -> Self {
+        Self { h_s, gone: -(-h_s / tau_s).exp_m1() }
+    }
+
+    /// The lagged value after the step, exact for an input that is linear from u0 to u:
+    /// y = u − s·τ·(1 − E) + (y0 − u0)·E, E = exp(−h/τ), s its slope.
+    fn step(self, tau_s: f64, [y0, u0, u]: [f64; 3]) -> f64 {
+        let s = (u - u0) / self.h_s;
+        u - s * tau_s * self.gone + (y0 - u0) * (1.0 - self.gone)
+    }
+
+    /// The derivative by tau after the step.
+    fn step_slope(self, tau_s: f64, dy0: f64, [y0, u0, u]: [f64; 3]) -> f64 {
+        let e = 1.0 - self.gone;
+        let de = e * self.h_s / (tau_s * tau_s);
+        let s = (u - u0) / self.h_s;
+        -s * self.gone + s * tau_s * de + dy0 * e + (y0 - u0) * de
+    }
+}
+
+/// The last few steps of different lengths: a record's rows are a step apart, but for rounding.
+#[derive(Default)]
+struct Decays([Decay; 8]);
+
+impl Decays {
+    fn over(&mut self, h_s: f64, tau_s: f64) -> Decay {
+        let place = &mut self.0[(h_s.to_bits().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 61) as usize];
+        if place.h_s.to_bits() != h_s.to_bits() {
+            *place = Decay::over(h_s, tau_s);
+        }
+        *place
+    }
+}
 
 /// State of the lag: lagged ΔT, its derivative by tau, the input and the time of the instant before.
 fn advance(tau_s: f64, now: &Input, state: &mut State) -> (f64, f64) {
@@ -45,13 +96,9 @@ fn advance(tau_s: f64, now: &Input, state: &mut State) -> (f64, f64) {
     let [mut y, mut dy, u0, t0] = state.x;
     let h = now.t_s - t0;
     if h > 0.0 {
-        // Exact for an input that is linear from u0 to u: y = u − s·τ·(1 − E) + (y0 − u0)·E, E = exp(−h/τ)
-        let gone = -(-h / tau_s).exp_m1();
-        let e = 1.0 - gone;
-        let de = e * h / (tau_s * tau_s);
-        let s = (u - u0) / h;
-        dy = -s * gone + s * tau_s * de + dy * e + (y - u0) * de;
-        y = u - s * tau_s * gone + (y - u0) * e;
+        let decay = Decay::over(h, tau_s);
+        dy = decay.step_slope(tau_s, dy, [y, u0, u]);
+        y = decay.step(tau_s, [y, u0, u]);
     }
     state.x = [y, dy, u, now.t_s];
     (y, dy)
@@ -67,6 +114,25 @@ impl Law for Lag {
         let y = effect.bounded(y);
         out[0] = y;
         out[1] = y * y;
+    }
+
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, out: Out<'_>) {
+        let tau_s = effect.scalar(TAU);
+        let (first, second) = out.split_at_mut(bound.rows);
+        let mut decays = Decays::default();
+        let [mut y, mut u0, mut t0] = [0.0; 3];
+        for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
+            let (u, t) = (bound.delta_k(row), bound.t[row]);
+            if row == 0 {
+                y = u;
+            } else if t > t0 {
+                y = decays.over(t - t0, tau_s).step(tau_s, [y, u0, u]);
+            }
+            (u0, t0) = (u, t);
+            let inside = effect.bounded(y);
+            *a = inside;
+            *b = inside * inside;
+        }
     }
 
     fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
