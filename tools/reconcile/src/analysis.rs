@@ -117,9 +117,10 @@ pub(crate) fn noise_of<'r>(
     let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
     stack.sigma = noise_guess(&stack, &missing);
     stack.weigh(&mut missing);
-    let parameters = known(&stack, &file, &file);
+    let parameters = known(&stack, 1.0, &file, &file);
     let none = Hypotheses::default();
-    let search = Search::new(&stack, &none, &[], &parameters, missing);
+    let mut search = Search::new(&stack, &none, &[]);
+    search.begin(1.0, parameters, missing);
     let noise = search.chance(&search.empty(), ROUNDS).draws;
     (stack, file, noise)
 }
@@ -134,63 +135,75 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnab
     let missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
     stack.sigma = noise_guess(&stack, &missing);
     let mut anchor = file.clone();
-    retune(&stack, &mut anchor, &mut now, &[]);
-    let (mut all, mut waves) = Hypotheses::new(&stack, machine.dictionary());
-    for pass in 0.. {
-        let simulated = stack.predict(&now);
-        let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
-        stack.weigh(&mut missing);
-        let parameters = known(&stack, &anchor, &now);
-        let mut search = Search::new(&stack, &all, &waves, &parameters, missing);
-        let found = search.run();
-        if thinnable && (search.contradicted(&found.named) || search.contradicted(&found.any)) {
-            return None;
-        }
-        let (residual, _) = search.residual(&found.any);
-        let beta = search.coefficients(&found.any);
-        let mut moved = moved(&now, &parameters, &beta);
-        let bent = bend(&stack, &now, &moved, &parameters, &beta);
-        let sigma: Vec<f64> = (0..stack.responses.len())
-            .map(|j| {
-                let rows =
-                    stack.segments.iter().filter(|s| s.response == j).flat_map(|s| &residual[s.rows.clone()]);
-                rms(&rows.copied().collect::<Vec<_>>()).clamp(0.02, 50.0)
-            })
-            .collect();
-        let off = sigma.iter().any(|s| !(0.75..1.35).contains(s));
-        // A wave beside a wave of the model may be the model's own, out of tune: seen now that the rest is explained.
-        let mut tuned = false;
-        if pass < PASSES {
-            let mut at = parameters.len();
-            let mut beside = Vec::new();
-            for m in &found.any.members {
-                beside.extend(effect_of(&m.cause, &beta[at..at + m.columns()]));
-                at += m.columns();
+    // Size of the noise in units of the stack's; of one response it need not be weighed anew.
+    let mut noise = 1.0;
+    retune(&stack, noise, &mut anchor, &mut now, &[]);
+    let alone = stack.responses.len() == 1;
+    let mut passes = PASSES;
+    loop {
+        let (all, waves) = Hypotheses::new(&stack, machine.dictionary());
+        let mut search = Search::new(&stack, &all, &waves);
+        let sigma: Vec<f64> = loop {
+            let simulated = stack.predict(&now);
+            let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+            stack.weigh(&mut missing);
+            let parameters = known(&stack, noise, &anchor, &now);
+            search.begin(noise, parameters.clone(), missing);
+            let found = search.run();
+            if thinnable && (search.contradicted(&found.named) || search.contradicted(&found.any)) {
+                return None;
             }
-            let same = |e: &Effect| now.iter().any(|n| is_wave(n) && n.name() == e.name());
-            if beside.iter().any(&same) {
-                beside.retain(|e| !same(e));
-                let mut trial = moved.clone();
-                tuned = retune(&stack, &mut anchor, &mut trial, &beside);
-                if tuned {
-                    moved = trial;
+            let (residual, _) = search.residual(&found.any);
+            let beta = search.coefficients(&found.any);
+            let mut moved = moved(&now, &parameters, &beta);
+            let bent = bend(&stack, &now, &moved, &parameters, &beta) / noise;
+            let change: Vec<f64> = (0..stack.responses.len())
+                .map(|j| {
+                    let segments = stack.segments.iter().filter(|s| s.response == j);
+                    let rows: Vec<f64> = segments.flat_map(|s| &residual[s.rows.clone()]).copied().collect();
+                    (rms(&rows) / noise).clamp(0.02, 50.0)
+                })
+                .collect();
+            let off = change.iter().any(|c| !(0.75..1.35).contains(c));
+            if alone && off {
+                noise *= change[0];
+            }
+            // A wave beside a wave of the model may be the model's own, out of tune: seen now that the rest is explained.
+            let mut tuned = false;
+            if passes > 0 {
+                let mut at = parameters.len();
+                let mut beside = Vec::new();
+                for m in &found.any.members {
+                    beside.extend(effect_of(&m.cause, &beta[at..at + m.columns()]));
+                    at += m.columns();
+                }
+                let same = |e: &Effect| now.iter().any(|n| is_wave(n) && n.name() == e.name());
+                if beside.iter().any(&same) {
+                    beside.retain(|e| !same(e));
+                    let mut trial = moved.clone();
+                    tuned = retune(&stack, noise, &mut anchor, &mut trial, &beside);
+                    if tuned {
+                        moved = trial;
+                    }
                 }
             }
-        }
-        if pass < PASSES && (off || bent > 0.1 || tuned) {
-            let new: Vec<f64> = stack.sigma.iter().zip(&sigma).map(|(a, b)| a * b).collect();
-            now = moved;
-            stack.sigma = new;
-            if sigma.len() == 1 {
-                all.scale_noise(sigma[0]);
-            } else {
-                (all, waves) = Hypotheses::new(&stack, machine.dictionary());
+            // Only beside the model's parameters does it matter how large the noise of one response is.
+            let weigh = off && !(alone && parameters.is_empty());
+            if passes == 0 || !(weigh || bent > 0.1 || tuned) {
+                let mut answer = conclude(&mut search, &found, &now, level);
+                answer.sigma.iter_mut().for_each(|s| *s *= noise);
+                answer.residual.iter_mut().for_each(|r| *r /= noise);
+                answer.draws.iter_mut().flatten().for_each(|d| *d /= noise);
+                return Some(Answer { file, anchor, ..answer });
             }
-            continue;
-        }
-        return Some(Answer { file, anchor, ..conclude(&mut search, &found, &now, level) });
+            passes -= 1;
+            now = moved;
+            if !alone {
+                break stack.sigma.iter().zip(&change).map(|(a, b)| a * b).collect();
+            }
+        };
+        stack.sigma = sigma;
     }
-    unreachable!("the loop ends at its last pass")
 }
 
 /// How often the search is done again with better values of the model's own parameters and of the noise's size.
@@ -203,7 +216,13 @@ fn is_wave(effect: &Effect) -> bool {
 /// Searches the periods of the model's own periodic effects: over a long travel a period that is a little off is out
 /// of step by whole turns, which no linear correction mends. `beside` is what was found missing beside them. What is
 /// mended counts as if the file had said so. Whether anything was.
-fn retune(stack: &Stack<'_>, anchor: &mut [Effect], now: &mut [Effect], beside: &[Effect]) -> bool {
+fn retune(
+    stack: &Stack<'_>,
+    noise: f64,
+    anchor: &mut [Effect],
+    now: &mut [Effect],
+    beside: &[Effect],
+) -> bool {
     let mut any = false;
     for e in 0..now.len() {
         if !is_wave(&now[e]) {
@@ -213,14 +232,14 @@ fn retune(stack: &Stack<'_>, anchor: &mut [Effect], now: &mut [Effect], beside: 
         let simulated = stack.predict(others.chain(beside));
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
         stack.weigh(&mut missing);
-        let others: Vec<Known> = known(stack, anchor, now).into_iter().filter(|k| k.effect != e).collect();
+        let others: Vec<Known> = known(stack, noise, anchor, now).into_iter().filter(|k| k.effect != e).collect();
         let (none, waves) = Hypotheses::periods(stack, &now[e]);
-        let search = Search::new(stack, &none, &waves, &others, missing);
+        let mut search = Search::new(stack, &none, &waves);
+        search.begin(noise, others, missing);
         let empty = search.empty();
         let Some(best) = search.scan(&empty, true).into_iter().next() else { continue };
         let same = search.score_of(&empty, &now[e]);
         if best.score > same + 6.0 {
-            let mut search = search;
             let set = search.take(&empty, &best);
             let beta = search.coefficients(&set);
             let at = beta.len() - 2;

@@ -171,11 +171,6 @@ impl Hypotheses {
         self.own = self.atoms.iter().map(of).collect();
     }
 
-    /// The same for noise that is so many times larger in every response.
-    pub(crate) fn scale_noise(&mut self, by: f64) {
-        self.bank.scale.iter_mut().for_each(|s| *s /= by);
-    }
-
     /// Only the periods near a periodic effect's own: 3 % either way.
     pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> (Self, Vec<Wave>) {
         let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };

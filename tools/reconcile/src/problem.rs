@@ -176,13 +176,14 @@ pub(crate) struct Known {
 /// How far a model's value may be off, as a share of what its effect does to the error: one standard deviation.
 const TRUST: f64 = 0.3;
 
-/// The parameters of the model's effects, linearised at `now`; `file` holds the values the file gives.
-pub(crate) fn known(stack: &Stack<'_>, file: &[Effect], now: &[Effect]) -> Vec<Known> {
+/// The parameters of the model's effects, linearised at `now`; `file` holds the values the file gives. `noise`: its
+/// size in units of the stack's.
+pub(crate) fn known(stack: &Stack<'_>, noise: f64, file: &[Effect], now: &[Effect]) -> Vec<Known> {
     let mut out = Vec::new();
     for (e, (effect, listed)) in now.iter().zip(file).enumerate() {
         let mut size = stack.predict([effect]);
         stack.weigh(&mut size);
-        let size = rms(&size).max(3.0 / (stack.n as f64).sqrt());
+        let size = rms(&size).max(3.0 * noise / (stack.n as f64).sqrt());
         let width = effect.width();
         let slopes = stack.slopes(effect);
         let free: Vec<usize> = (0..slopes.len())

@@ -108,8 +108,13 @@ pub(crate) struct Search<'p, 'r> {
     pub(crate) stack: &'p Stack<'r>,
     pub(crate) all: &'p Hypotheses,
     pub(crate) waves: &'p [Wave],
-    pub(crate) known: &'p [Known],
+    known: Vec<Known>,
+    /// Size of the noise, in units of the stack's: the model's parameters are worth that many observations.
+    noise: f64,
     pub(crate) vectors: Vec<Vector>,
+    /// What the model leaves, and the slopes of its parameters, among the vectors.
+    pub(crate) y: usize,
+    pub(crate) slopes: Vec<usize>,
     /// Products of each vector with the bank's columns, once they are asked for.
     with_bank: Vec<OnceCell<Vec<Products>>>,
     /// Products among vectors, once they are asked for: `pairs[i][j]`, j ≤ i.
@@ -168,39 +173,41 @@ struct Cross {
 }
 
 impl<'p, 'r> Search<'p, 'r> {
-    /// `missing`: measured minus simulated, weighed.
-    pub(crate) fn new(
-        stack: &'p Stack<'r>,
-        all: &'p Hypotheses,
-        waves: &'p [Wave],
-        known: &'p [Known],
-        missing: Vec<f64>,
-    ) -> Self {
+    /// [`Search::begin`] gives it what is to be explained.
+    pub(crate) fn new(stack: &'p Stack<'r>, all: &'p Hypotheses, waves: &'p [Wave]) -> Self {
         let phis: Vec<f64> = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
         let usable = phis.len();
-        let nu = (stack.n as f64 - known.len() as f64).max(stack.n as f64 / 2.0);
-        let mut s = Self {
+        Self {
             stack,
             all,
             waves,
-            known,
+            known: Vec::new(),
+            noise: 1.0,
             vectors: Vec::new(),
+            y: 0,
+            slopes: Vec::new(),
             with_bank: Vec::new(),
             pairs: Vec::new(),
             places: HashMap::new(),
-            nu,
+            nu: 0.0,
             phis,
             usable,
             planner: RefCell::new(FftPlanner::new()),
-            peaks: RefCell::new(vec![Vec::new(); waves.len()]),
+            peaks: RefCell::new(Vec::new()),
             seen: RefCell::new(HashMap::new()),
             room: Cell::new(ROOM),
-        };
-        s.add(missing);
-        for k in known {
-            s.add(k.column.clone());
         }
-        s
+    }
+
+    /// Begins, or begins again with the model at other values of its parameters and noise of another size: what was
+    /// worked out for columns that stay is kept. `missing`: measured minus simulated, weighed.
+    pub(crate) fn begin(&mut self, noise: f64, known: Vec<Known>, missing: Vec<f64>) {
+        self.noise = noise;
+        self.y = self.register(missing);
+        self.slopes = known.iter().map(|k| self.register(k.column.clone())).collect();
+        self.nu = (self.stack.n as f64 - known.len() as f64).max(self.stack.n as f64 / 2.0);
+        self.known = known;
+        *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
     }
 
     fn add(&mut self, column: Vec<f64>) -> usize {
@@ -264,11 +271,11 @@ impl<'p, 'r> Search<'p, 'r> {
                         a[i * b + j] = p.at(phi);
                     }
                 }
-                let mut g: Vec<f64> = ids.iter().map(|i| self.pair(*i, 0).at(phi)).collect();
-                let mut rss = self.pair(0, 0).at(phi);
+                let mut g: Vec<f64> = ids.iter().map(|i| self.pair(*i, self.y).at(phi)).collect();
+                let mut rss = self.pair(self.y, self.y).at(phi);
                 for (i, k) in self.known.iter().enumerate() {
                     // What the file says of a parameter counts as one more observation of it.
-                    let w = 1.0 / (k.sd * k.sd);
+                    let w = (self.noise / k.sd).powi(2);
                     a[i * b + i] += w;
                     g[i] += w * k.target;
                     rss += w * k.target * k.target;
@@ -309,7 +316,7 @@ impl<'p, 'r> Search<'p, 'r> {
     }
 
     fn set(&self, members: Vec<Member>) -> Set {
-        let mut ids: Vec<usize> = (1..=self.known.len()).collect();
+        let mut ids = self.slopes.clone();
         ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
         let fits = self.fits(&ids);
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
@@ -344,7 +351,7 @@ impl<'p, 'r> Search<'p, 'r> {
     fn with_atom(&self, set: &Set, atom: usize, scratch: &mut Scratch) -> f64 {
         let columns = &self.all.atoms[atom].columns;
         let bank: Vec<&[Products]> = set.ids.iter().map(|i| self.against_bank(*i)).collect();
-        let y = self.against_bank(0);
+        let y = self.against_bank(self.y);
         self.joined(
             set,
             columns.len(),
@@ -407,7 +414,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let with = |id: usize, c: &Vec<f64>| self.vectors[id].products(c, ranges);
         Cross {
             with_set: columns.iter().map(|c| set.ids.iter().map(|i| with(*i, c)).collect()).collect(),
-            with_y: columns.iter().map(|c| with(0, c)).collect(),
+            with_y: columns.iter().map(|c| with(self.y, c)).collect(),
             own,
         }
     }
@@ -438,7 +445,7 @@ impl<'p, 'r> Search<'p, 'r> {
                 [v.products(&c[0], ranges), v.products(&c[1], ranges)]
             })
         };
-        let y = with(0);
+        let y = with(self.y);
         let each: Vec<[Products; 2]> = set.ids.iter().map(|i| with(*i)).collect();
         Cross {
             with_set: (0..2).map(|k| each.iter().map(|p| p[k]).collect()).collect(),
@@ -475,7 +482,7 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The best grid point of every hypothesis as an addition to a set, best first.
     pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
-        self.meet_bank(set.ids.iter().copied().chain([0]));
+        self.meet_bank(set.ids.iter().copied().chain([self.y]));
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
         let mut scratch = Scratch::default();
         for (i, atom) in self.all.atoms.iter().enumerate() {
@@ -515,7 +522,7 @@ impl<'p, 'r> Search<'p, 'r> {
     fn left(&self, set: &Set, fit: &AtPhi) -> Vec<f64> {
         let mut beta = fit.z.clone();
         fit.factor.backward(&mut beta);
-        let mut r = self.vectors[0].data.clone();
+        let mut r = self.vectors[self.y].data.clone();
         for (b, i) in beta.iter().zip(&set.ids) {
             r.iter_mut().zip(&self.vectors[*i].data).for_each(|(r, x)| *r -= b * x);
         }
@@ -1139,7 +1146,7 @@ impl Search<'_, '_> {
         for _ in 0..DEPTH {
             let lifted = self.lifted(&beam);
             beam.extend(lifted);
-            self.meet_bank(beam.iter().flat_map(|s| s.ids.iter().copied()).chain([0]));
+            self.meet_bank(beam.iter().flat_map(|s| s.ids.iter().copied()).chain([self.y]));
             let mut next: Vec<(usize, Offer)> = Vec::new();
             for (i, set) in beam.iter().enumerate() {
                 let pure = self.named(set);

@@ -104,7 +104,7 @@ impl Search<'_, '_> {
             return None;
         }
         let span = record.time_s()[n - 1] - record.time_s()[0];
-        let y = self.vectors[0].data.clone();
+        let y = self.vectors[self.y].data.clone();
         let all: Vec<&[f64]> = set.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
         let own = trial(&y, &all, &[(0.0, Vec::new())], span)?;
         let plausible = self.plausible(set);
@@ -188,7 +188,7 @@ impl Search<'_, '_> {
     /// Whether growth per kelvin and reference temperatures are a machine's.
     fn plausible(&self, set: &Set) -> bool {
         let beta = self.coefficients(set);
-        let mut at = self.known.len();
+        let mut at = self.slopes.len();
         set.members.iter().all(|m| {
             let gamma = &beta[at..at + m.columns()];
             at += m.columns();

@@ -139,7 +139,7 @@ pub fn reconcile(
     let file: Vec<Effect> = machine.effects().cloned().collect();
     let trust = |effects: &[Effect]| -> Vec<Vec<f64>> {
         let mut sd: Vec<Vec<f64>> = file.iter().map(|e| vec![0.0; e.values().len()]).collect();
-        for k in known(&stack, &answer.anchor, effects) {
+        for k in known(&stack, 1.0, &answer.anchor, effects) {
             for (v, w) in &k.along {
                 sd[k.effect][*v] = sd[k.effect][*v].max(k.sd * w.abs());
             }
