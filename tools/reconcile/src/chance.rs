@@ -86,7 +86,7 @@ impl Search<'_, '_> {
         let draws: Vec<Vector> = (0..rounds)
             .map(|_| Vector::new(self.noise(&residual, phi, inflate, &mut rng), &self.stack.ranges))
             .collect();
-        let with_bank = self.all.bank.products(&draws.iter().collect::<Vec<_>>(), &self.stack.ranges);
+        let with_bank = self.all.bank.products(&draws.iter().collect::<Vec<_>>());
         let with_known: Vec<Vec<Products>> = draws
             .iter()
             .map(|d| {

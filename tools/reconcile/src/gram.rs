@@ -149,92 +149,173 @@ pub(crate) fn wave(turns: f64) -> (f64, f64) {
 
 /// Up to so many vectors a matrix product spends its time on putting the columns in order.
 const FEW: usize = 3;
+/// Columns that are multiplied at once: they and a few vectors stay near the core.
+const PANEL: usize = 96;
 
-/// Candidate columns, one after the other, all of the same number of rows.
+/// Candidate columns, one after the other. Each is kept only over the segments in which it is not zero all along, and to
+/// seven digits: what is kept is the candidate, and all arithmetic with it is done in full.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Bank {
-    rows: usize,
-    data: Vec<f64>,
+    segments: Vec<Range<usize>>,
+    data: Vec<f32>,
+    places: Vec<Place>,
     /// Weight that was taken off each column: column = stored · scale.
     pub(crate) scale: Vec<f64>,
 }
 
+/// Where a column is kept, and the segments that it covers.
+#[derive(Debug, Clone, PartialEq)]
+struct Place {
+    at: usize,
+    covers: Range<usize>,
+}
+
 impl Bank {
-    pub(crate) fn new(rows: usize) -> Self {
-        Self { rows, data: Vec::new(), scale: Vec::new() }
+    /// A bank for columns over these segments, which stand one after the other.
+    pub(crate) fn new(segments: &[Range<usize>]) -> Self {
+        Self { segments: segments.to_vec(), ..Self::default() }
     }
 
     pub(crate) fn len(&self) -> usize {
         self.scale.len()
     }
 
-    pub(crate) fn column(&self, at: usize) -> &[f64] {
-        &self.data[at * self.rows..(at + 1) * self.rows]
+    fn all_rows(&self) -> usize {
+        self.segments.last().map_or(0, |s| s.end)
+    }
+
+    /// The rows of some segments.
+    fn rows(&self, covers: &Range<usize>) -> Range<usize> {
+        self.segments[covers.start].start..self.segments[covers.end - 1].end
+    }
+
+    /// The stored column over the rows of some segments that hold all of it.
+    fn read(&self, column: usize, over: &Range<usize>, out: &mut [f64]) {
+        let place = &self.places[column];
+        let (rows, over) = (self.rows(&place.covers), self.rows(over));
+        let (before, rest) = out.split_at_mut(rows.start - over.start);
+        let (inside, after) = rest.split_at_mut(rows.len());
+        before.fill(0.0);
+        after.fill(0.0);
+        for (o, x) in inside.iter_mut().zip(&self.data[place.at..]) {
+            *o = f64::from(*x);
+        }
+    }
+
+    /// The stored column over all rows.
+    pub(crate) fn column(&self, at: usize) -> Vec<f64> {
+        let mut out = vec![0.0; self.all_rows()];
+        self.read(at, &(0..self.segments.len()), &mut out);
+        out
     }
 
     /// Adds a column, scaled to a mean square of one; gives its number.
     pub(crate) fn push(&mut self, column: &[f64]) -> usize {
-        let rms = (dot(column, column) / self.rows.max(1) as f64).sqrt();
+        let zero = |s: &Range<usize>| column[s.clone()].iter().all(|x| *x == 0.0);
+        // A column that is zero everywhere is kept in the first segment.
+        let from = self.segments.iter().position(|s| !zero(s)).unwrap_or(0);
+        let to = self.segments.iter().rposition(|s| !zero(s)).unwrap_or(0) + 1;
+        let place = Place { at: self.data.len(), covers: from..to };
+        let column = &column[self.rows(&place.covers)];
+        let rms = (dot(column, column) / self.all_rows().max(1) as f64).sqrt();
         let scale = if rms > 0.0 { rms } else { 1.0 };
-        self.data.extend(column.iter().map(|x| x / scale));
+        self.data.extend(column.iter().map(|x| (x / scale) as f32));
+        self.places.push(place);
         self.scale.push(scale);
         self.scale.len() - 1
     }
 
-    /// Products of every column with every vector: `out[v][column]`.
-    pub(crate) fn products(&self, vectors: &[&Vector], segments: &[Range<usize>]) -> Vec<Vec<Products>> {
-        let (c, n, m) = (self.len(), self.rows, vectors.len());
-        if c == 0 || m == 0 || n == 0 {
-            return vec![Vec::new(); m];
+    /// Products among some columns, packed by rows of the lower triangle.
+    pub(crate) fn own(&self, columns: &[usize]) -> Vec<Products> {
+        let covers = columns.iter().map(|c| self.places[*c].covers.clone());
+        let Some(over) = covers.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)) else {
+            return Vec::new();
+        };
+        let rows = self.rows(&over);
+        let segments: Vec<Range<usize>> =
+            self.segments[over.clone()].iter().map(|s| s.start - rows.start..s.end - rows.start).collect();
+        let mut data = vec![0.0; columns.len() * rows.len()];
+        for (c, out) in columns.iter().zip(data.chunks_exact_mut(rows.len())) {
+            self.read(*c, &over, out);
         }
-        if m <= FEW {
-            let mut out = vec![Vec::with_capacity(c); m];
-            for j in 0..c {
-                let column = self.column(j);
-                for (v, out) in vectors.iter().zip(&mut out) {
-                    out.push(v.products(column, segments));
-                }
-            }
+        let column = |i: usize| &data[i * rows.len()..(i + 1) * rows.len()];
+        let pairs = (0..columns.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
+        pairs.map(|(i, j)| products(column(i), column(j), &segments)).collect()
+    }
+
+    /// Products of every column with every vector: `out[v][column]`.
+    pub(crate) fn products(&self, vectors: &[&Vector]) -> Vec<Vec<Products>> {
+        let (c, m) = (self.len(), vectors.len());
+        let mut out = vec![Vec::with_capacity(c); m];
+        if m == 0 {
             return out;
         }
-        let mut right = Vec::with_capacity(2 * m * n);
-        for v in vectors {
-            right.extend_from_slice(&v.data);
-            right.extend_from_slice(&v.neighbours);
+        let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
+        let mut covered = 0..0;
+        let mut from = 0;
+        while from < c {
+            let covers = &self.places[from].covers;
+            let alike = self.places[from..].iter().take(PANEL).take_while(|p| p.covers == *covers).count();
+            let rows = self.rows(covers);
+            let n = rows.len();
+            panel.resize(alike * n, 0.0);
+            for (i, column) in panel.chunks_exact_mut(n).enumerate() {
+                self.read(from + i, covers, column);
+            }
+            let segments = &self.segments[covers.clone()];
+            let ends = |v: &Vector, column: &[f64]| -> f64 {
+                let at = |row: usize| v.data[row] * column[row - rows.start];
+                segments.iter().map(|s| at(s.start) + at(s.end - 1)).sum()
+            };
+            if m <= FEW {
+                for column in panel.chunks_exact(n) {
+                    for (v, out) in vectors.iter().zip(&mut out) {
+                        let [plain, lagged] = dots(&v.data[rows.clone()], &v.neighbours[rows.clone()], column);
+                        out.push(Products { plain, lagged, ends: ends(v, column) });
+                    }
+                }
+            } else {
+                if covered != rows {
+                    right.clear();
+                    for v in vectors {
+                        right.extend_from_slice(&v.data[rows.clone()]);
+                        right.extend_from_slice(&v.neighbours[rows.clone()]);
+                    }
+                    covered = rows.clone();
+                }
+                sums.resize(2 * m * alike, 0.0);
+                // SAFETY: `panel` holds `alike` columns of n values, `right` 2m of n, `sums` 2m rows of `alike`, all with these strides.
+                unsafe {
+                    matrixmultiply::dgemm(
+                        2 * m,
+                        n,
+                        alike,
+                        1.0,
+                        right.as_ptr(),
+                        n as isize,
+                        1,
+                        panel.as_ptr(),
+                        1,
+                        n as isize,
+                        0.0,
+                        sums.as_mut_ptr(),
+                        alike as isize,
+                        1,
+                    );
+                }
+                for (k, (v, out)) in vectors.iter().zip(&mut out).enumerate() {
+                    for (i, column) in panel.chunks_exact(n).enumerate() {
+                        out.push(Products {
+                            plain: sums[2 * k * alike + i],
+                            lagged: sums[(2 * k + 1) * alike + i],
+                            ends: ends(v, column),
+                        });
+                    }
+                }
+            }
+            from += alike;
         }
-        let mut sums = vec![0.0; 2 * m * c];
-        // SAFETY: `data` holds c columns of n values, `right` 2m columns of n, `sums` 2m rows of c, all with these strides.
-        unsafe {
-            matrixmultiply::dgemm(
-                2 * m,
-                n,
-                c,
-                1.0,
-                right.as_ptr(),
-                n as isize,
-                1,
-                self.data.as_ptr(),
-                1,
-                n as isize,
-                0.0,
-                sums.as_mut_ptr(),
-                c as isize,
-                1,
-            );
-        }
-        vectors
-            .iter()
-            .enumerate()
-            .map(|(k, v)| {
-                (0..c)
-                    .map(|j| Products {
-                        plain: sums[2 * k * c + j],
-                        lagged: sums[(2 * k + 1) * c + j],
-                        ends: ends(&v.data, self.column(j), segments),
-                    })
-                    .collect()
-            })
-            .collect()
+        out
     }
 }
 
@@ -334,14 +415,31 @@ mod tests {
         let segments = [0..5, 5..9];
         let x: Vec<f64> = (0..9).map(|i| f64::from(i * i % 7) - 2.0).collect();
         let v: Vec<f64> = (0..9).map(|i| f64::from(i * 5 % 11) - 4.0).collect();
-        let mut bank = Bank::new(9);
+        let mut bank = Bank::new(&segments);
         bank.push(&v);
+        // Zero in the first segment, and in the second.
+        let late: Vec<f64> = (0..9).map(|i| if i < 5 { 0.0 } else { v[i] }).collect();
+        let early: Vec<f64> = (0..9).map(|i| if i < 5 { v[i] } else { 0.0 }).collect();
+        bank.push(&late);
+        bank.push(&early);
         let vector = Vector::new(x.clone(), &segments);
-        let fast = bank.products(&[&vector], &segments)[0][0];
+        let few = bank.products(&[&vector]);
+        let many = bank.products(&[&vector; 5]);
+        let own = bank.own(&[0, 1, 2]);
         for phi in [-0.3, 0.0, 0.6, 0.97] {
             let slow = dot(&whiten(&x, phi, &segments), &whiten(&v, phi, &segments));
             assert!((vector.products(&v, &segments).at(phi) - slow).abs() < 1e-12);
-            assert!((fast.at(phi) * bank.scale[0] - slow).abs() < 1e-12);
+            for (i, column) in [&v, &late, &early].into_iter().enumerate() {
+                let slow = dot(&whiten(&x, phi, &segments), &whiten(column, phi, &segments));
+                for fast in [few[0][i], many[0][i], many[4][i]] {
+                    assert!((fast.at(phi) * bank.scale[i] - slow).abs() < 1e-5);
+                }
+                let slow = dot(&whiten(&v, phi, &segments), &whiten(column, phi, &segments));
+                let pair = own[i * (i + 1) / 2].at(phi) * bank.scale[0] * bank.scale[i];
+                assert!((pair - slow).abs() < 1e-4 * slow.abs());
+                let kept: Vec<f64> = bank.column(i).iter().map(|x| x * bank.scale[i]).collect();
+                assert!(kept.iter().zip(column).all(|(a, b)| (a - b).abs() < 1e-6));
+            }
             assert!((products(&x, &v, &segments).at(phi) - slow).abs() < 1e-12);
         }
     }

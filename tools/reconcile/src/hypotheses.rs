@@ -1,7 +1,7 @@
 //! What may be missing: every effect of the dictionary that these runs could show, over a grid of its non-linear
 //! parameters, and shapes of no name that stand for "something else".
 
-use crate::gram::{Bank, Products, products};
+use crate::gram::{Bank, Products};
 use crate::problem::Stack;
 use rtec_model::effect::{Dictionary, Difference, Effect};
 use rtec_model::record::{Record, Role};
@@ -135,7 +135,7 @@ const SHAPE_COST: f64 = 2.0;
 
 impl Hypotheses {
     pub(crate) fn new(stack: &Stack<'_>, dictionary: &Dictionary) -> (Self, Vec<Wave>) {
-        let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };
+        let mut all = Self { bank: Bank::new(&stack.ranges), ..Self::default() };
         let mut waves = Vec::new();
         let mut candidates: Vec<Effect> = Vec::new();
         for record in stack.records {
@@ -158,29 +158,24 @@ impl Hypotheses {
             all.effect(stack, effect, cost, &mut waves);
         }
         all.shapes(stack, &mut waves);
-        all.square(stack);
+        all.square();
         (all, waves)
     }
 
-    fn square(&mut self, stack: &Stack<'_>) {
-        let of = |atom: &Atom| {
-            let at = &atom.columns;
-            let pairs = (0..at.len()).flat_map(|i| (0..=i).map(move |j| (at[i], at[j])));
-            pairs.map(|(a, b)| products(self.bank.column(a), self.bank.column(b), &stack.ranges)).collect()
-        };
-        self.own = self.atoms.iter().map(of).collect();
+    fn square(&mut self) {
+        self.own = self.atoms.iter().map(|a| self.bank.own(&a.columns)).collect();
     }
 
     /// Only the periods near a periodic effect's own: 3 % either way.
     pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> (Self, Vec<Wave>) {
-        let mut all = Self { bank: Bank::new(stack.n), ..Self::default() };
+        let mut all = Self { bank: Bank::new(&stack.ranges), ..Self::default() };
         let mut waves = Vec::new();
         all.effect(stack, effect, 0.0, &mut waves);
         for w in &mut waves {
             let own = 1.0 / (effect.scalar(0) * w.unit);
             (w.from, w.to) = (own * 0.97, own * 1.03);
         }
-        all.square(stack);
+        all.square();
         (all, waves)
     }
 
@@ -388,7 +383,7 @@ impl Hypotheses {
 
     /// Shapes without a name, over every channel and the products that physics suggests.
     fn shapes(&mut self, stack: &Stack<'_>, waves: &mut Vec<Wave>) {
-        let mut made: Vec<(Cause, Vec<Vec<f64>>, f64)> = Vec::new();
+        let mut made: Vec<(Cause, Vec<usize>, f64)> = Vec::new();
         for j in 0..stack.responses.len() {
             self.shapes_of(stack, j, &mut made, waves);
         }
@@ -406,7 +401,6 @@ impl Hypotheses {
                 last = Some(shape.clone());
             }
             let h = self.list.len() - 1;
-            let columns: Vec<usize> = columns.into_iter().map(|c| self.push(stack, c)).collect();
             self.atoms.push(Atom { cause, columns, hypothesis: h, cost });
         }
     }
@@ -415,7 +409,7 @@ impl Hypotheses {
         &mut self,
         stack: &Stack<'_>,
         j: usize,
-        made: &mut Vec<(Cause, Vec<Vec<f64>>, f64)>,
+        made: &mut Vec<(Cause, Vec<usize>, f64)>,
         waves: &mut Vec<Wave>,
     ) {
         let role = &stack.responses[j];
@@ -441,11 +435,9 @@ impl Hypotheses {
                     let phase = f64::from(phase) / if saw { 6.0 } else { 12.0 };
                     let teeth = Teeth { response: j, saw, turns, phase };
                     if n >= 40 {
-                        made.push((
-                            Cause::Teeth(shape.clone(), teeth),
-                            vec![teeth.column(stack)],
-                            (n as f64).ln() + 3.0,
-                        ));
+                        let column = self.push(stack, teeth.column(stack));
+                        let cause = Cause::Teeth(shape.clone(), teeth);
+                        made.push((cause, vec![column], (n as f64).ln() + 3.0));
                     }
                 }
             }
@@ -457,6 +449,7 @@ impl Hypotheses {
                 manner: manner.to_owned(),
             };
             if columns.len() + 8 < n / 2 && columns.iter().all(|c| c.iter().any(|x| *x != 0.0)) {
+                let columns = columns.into_iter().map(|c| self.push(stack, c)).collect();
                 made.push((Cause::Shape(shape), columns, (grid as f64).ln()));
             }
         };

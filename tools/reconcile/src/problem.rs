@@ -28,16 +28,20 @@ pub(crate) struct Stack<'r> {
 impl<'r> Stack<'r> {
     pub(crate) fn new(records: &'r [Record]) -> Self {
         let mut responses: Vec<Role> = Vec::new();
+        for column in records.iter().flat_map(Record::responses) {
+            if !responses.contains(&column.role) {
+                responses.push(column.role.clone());
+            }
+        }
+        // A response's rows stand together: most columns are zero in all others.
         let (mut segments, mut measured) = (Vec::new(), Vec::new());
-        for (r, record) in records.iter().enumerate() {
-            for column in record.responses() {
-                let response = responses.iter().position(|x| *x == column.role).unwrap_or_else(|| {
-                    responses.push(column.role.clone());
-                    responses.len() - 1
-                });
-                let start = measured.len();
-                measured.extend_from_slice(&column.data);
-                segments.push(Segment { record: r, response, rows: start..measured.len() });
+        for (response, role) in responses.iter().enumerate() {
+            for (r, record) in records.iter().enumerate() {
+                if let Some(column) = record.column(role) {
+                    let start = measured.len();
+                    measured.extend_from_slice(&column.data);
+                    segments.push(Segment { record: r, response, rows: start..measured.len() });
+                }
             }
         }
         let ranges = segments.iter().map(|s| s.rows.clone()).collect();

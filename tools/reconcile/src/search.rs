@@ -236,7 +236,7 @@ impl<'p, 'r> Search<'p, 'r> {
     /// Products of a vector with the bank's columns.
     pub(crate) fn against_bank(&self, vector: usize) -> &[Products] {
         self.with_bank[vector].get_or_init(|| {
-            self.all.bank.products(&[&self.vectors[vector]], &self.stack.ranges).swap_remove(0)
+            self.all.bank.products(&[&self.vectors[vector]]).swap_remove(0)
         })
     }
 
@@ -247,7 +247,7 @@ impl<'p, 'r> Search<'p, 'r> {
         missing.sort_unstable();
         missing.dedup();
         let vectors: Vec<&Vector> = missing.iter().map(|i| &self.vectors[*i]).collect();
-        for (i, products) in missing.iter().zip(self.all.bank.products(&vectors, &self.stack.ranges)) {
+        for (i, products) in missing.iter().zip(self.all.bank.products(&vectors)) {
             // It was empty a moment ago.
             let _set = self.with_bank[*i].set(products);
         }
@@ -885,7 +885,7 @@ impl<'p, 'r> Search<'p, 'r> {
 
     fn of_bank(&self, columns: &[usize]) -> Vec<Vec<f64>> {
         let bank = &self.all.bank;
-        columns.iter().map(|c| bank.column(*c).iter().map(|x| x * bank.scale[*c]).collect()).collect()
+        columns.iter().map(|c| bank.column(*c).into_iter().map(|x| x * bank.scale[*c]).collect()).collect()
     }
 
     fn joined_by(

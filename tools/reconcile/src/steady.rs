@@ -132,12 +132,16 @@ impl Search<'_, '_> {
             let atoms: Vec<usize> = (0..self.all.atoms.len())
                 .filter(|a| self.all.atoms[*a].hypothesis == h && straight(&self.all.atoms[*a]).is_some())
                 .collect();
+            let columns: Vec<Vec<Vec<f64>>> = atoms
+                .iter()
+                .map(|a| self.all.atoms[*a].columns.iter().map(|c| self.all.bank.column(*c)).collect())
+                .collect();
             let grid: Vec<(f64, Vec<&[f64]>)> = atoms
                 .iter()
-                .map(|a| {
-                    let atom = &self.all.atoms[*a];
-                    let columns = atom.columns.iter().map(|c| self.all.bank.column(*c)).collect();
-                    (straight(atom).unwrap_or(0.0), columns)
+                .zip(&columns)
+                .map(|(a, columns)| {
+                    let lag = straight(&self.all.atoms[*a]).unwrap_or(0.0);
+                    (lag, columns.iter().map(Vec::as_slice).collect())
                 })
                 .collect();
             let Some(t) = trial(&y, &fixed, &grid, span) else { continue };
