@@ -453,7 +453,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         note(&mut tried, search.all.list[m.hypothesis].label(), 0.0, true);
     }
     if set.members.is_empty() {
-        for r in search.ranking(&set) {
+        for r in &*search.ranking(&set) {
             let o = &r.offers[0];
             note(&mut tried, search.all.list[o.hypothesis].label(), o.score - set.score, false);
         }
@@ -486,7 +486,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             let ranking = search.ranking(&search.without(&set, i));
             let top =
                 ranking.iter().find(|r| r.name == *own_name).map_or(set.score, |r| r.evidence.max(set.score));
-            for r in &ranking {
+            for r in &*ranking {
                 let o = &r.offers[0];
                 note(&mut tried, search.all.list[o.hypothesis].label(), o.score - set.score, false);
                 let alike = r.name == *own_name;

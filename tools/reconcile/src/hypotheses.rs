@@ -6,6 +6,7 @@ use crate::problem::Stack;
 use rtec_model::effect::{Dictionary, Difference, Effect};
 use rtec_model::record::{Record, Role};
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// A shape that is in no dictionary.
 #[derive(Debug, Clone, PartialEq)]
@@ -118,14 +119,33 @@ pub(crate) struct Wave {
     pub(crate) hypothesis: usize,
     pub(crate) effect: Option<Effect>,
     pub(crate) shape: Option<Shape>,
-    pub(crate) response: usize,
-    /// The variable, stacked; zero outside the response.
+    /// The rows of its response.
+    pub(crate) rows: Range<usize>,
+    /// The variable at those rows.
     pub(crate) along: Vec<f64>,
+    /// The same in rising order, each value once.
+    pub(crate) places: Vec<f64>,
     /// Frequencies to search, in periods per unit of the variable.
     pub(crate) from: f64,
     pub(crate) to: f64,
     /// Unit of the period parameter in units of the variable.
     pub(crate) unit: f64,
+}
+
+impl Wave {
+    fn new(stack: &Stack<'_>, hypothesis: usize, response: usize, along: &[f64], from: f64, to: f64) -> Self {
+        let rows = stack.rows(response);
+        let along = along[rows.clone()].to_vec();
+        let mut places = along.clone();
+        places.sort_by(f64::total_cmp);
+        places.dedup();
+        Self { hypothesis, effect: None, shape: None, rows, along, places, from, to, unit: 1.0 }
+    }
+
+    /// The variable's extent.
+    pub(crate) fn span(&self) -> f64 {
+        span(&self.places)
+    }
 }
 
 /// What a logged channel costs beyond an effect with physics behind it.
@@ -220,16 +240,8 @@ impl Hypotheses {
                 let unit = if law == "subdivision" { 1e-3 } else { 1.0 };
                 let [lo, hi] = effect.card().parameters[0].limits;
                 let (from, to) = (1.0 / (hi * unit), 1.0 / (lo * unit));
-                waves.push(Wave {
-                    hypothesis: h,
-                    effect: Some(effect.clone()),
-                    shape: None,
-                    response,
-                    along,
-                    from,
-                    to,
-                    unit,
-                });
+                let wave = Wave::new(stack, h, response, &along, from, to);
+                waves.push(Wave { effect: Some(effect.clone()), unit, ..wave });
             }
             "position_map" | "straightness" => {
                 let along = effect.axes()[effect.axes().len() - 1].clone();
@@ -421,8 +433,7 @@ impl Hypotheses {
         let get =
             |r: Role| has(&r).then(|| stack.column(Some(j), |rec, row| rec.data(&r).map_or(0.0, |d| d[row])));
         let response = role.to_string();
-        let rows: Vec<usize> =
-            stack.segments.iter().filter(|s| s.response == j).flat_map(|s| s.rows.clone()).collect();
+        let rows: Vec<usize> = stack.rows(j).collect();
         let n = rows.len();
         let time = stack.column(Some(j), |rec, row| rec.time_s()[row]);
         for (saw, manner) in [(true, "saw teeth"), (false, "repeated steps")] {
@@ -629,17 +640,7 @@ impl Hypotheses {
                 manner: "periodic".to_owned(),
             };
             let (from, to) = (0.7 / (hi - lo), top / (hi - lo));
-            let along = along.to_vec();
-            waves.push(Wave {
-                hypothesis: h,
-                effect: None,
-                shape: Some(shape),
-                response: j,
-                along,
-                from,
-                to,
-                unit: 1.0,
-            });
+            waves.push(Wave { shape: Some(shape), ..Wave::new(stack, h, j, along, from, to) });
         };
         wave("time", &time, (n as f64 / 4.0).min(40.0));
         if force && let Some(p) = get(Role::Position(axis.clone())) {

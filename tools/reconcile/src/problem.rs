@@ -49,6 +49,12 @@ impl<'r> Stack<'r> {
         Self { records, responses, segments, ranges, n: measured.len(), measured, sigma }
     }
 
+    /// The rows of a response.
+    pub(crate) fn rows(&self, response: usize) -> Range<usize> {
+        let mut own = self.segments.iter().filter(|s| s.response == response).map(|s| s.rows.clone());
+        own.next().map_or(0..0, |first| own.fold(first, |all, rows| all.start..rows.end))
+    }
+
     pub(crate) fn record(&self, segment: &Segment) -> &'r Record {
         &self.records[segment.record]
     }

@@ -11,7 +11,7 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::HashMap;
-use std::f64::consts::TAU;
+use std::rc::Rc;
 
 /// Noise coefficients that every fit is tried at: tanh of an even grid.
 const NOISE_STEP: f64 = 0.35;
@@ -126,13 +126,15 @@ pub(crate) struct Search<'p, 'r> {
     pub(crate) phis: Vec<f64>,
     /// How many of the noise coefficients are in use: the first few, while a search takes no structure for noise.
     usable: usize,
-    planner: RefCell<FftPlanner<f32>>,
+    transform: RefCell<Transform>,
     /// Frequencies worth a look, per wave: the highest peaks met so far.
     peaks: RefCell<Vec<Vec<f64>>>,
     /// Waves that were looked at, by hypothesis and frequency.
     seen: RefCell<HashMap<(usize, u64), Seen>>,
     /// Values that the waves may still keep.
     room: Cell<usize>,
+    /// Rankings that were asked for, by what the set's vectors and hypotheses are.
+    rankings: RefCell<HashMap<Vec<usize>, Rc<[Ranked]>>>,
 }
 
 /// A wave of one frequency.
@@ -192,10 +194,11 @@ impl<'p, 'r> Search<'p, 'r> {
             nu: 0.0,
             phis,
             usable,
-            planner: RefCell::new(FftPlanner::new()),
+            transform: RefCell::new(Transform::new()),
             peaks: RefCell::new(Vec::new()),
             seen: RefCell::new(HashMap::new()),
             room: Cell::new(ROOM),
+            rankings: RefCell::default(),
         }
     }
 
@@ -208,6 +211,7 @@ impl<'p, 'r> Search<'p, 'r> {
         self.nu = (self.stack.n as f64 - known.len() as f64).max(self.stack.n as f64 / 2.0);
         self.known = known;
         *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
+        self.rankings.borrow_mut().clear();
     }
 
     fn add(&mut self, column: Vec<f64>) -> usize {
@@ -564,7 +568,10 @@ impl<'p, 'r> Search<'p, 'r> {
     /// Frequencies at which the periodogram of what a set leaves is highest, added to the wave's list.
     fn find_peaks(&self, set: &Set, at: usize) {
         let wave = &self.waves[at];
-        let Some((rows, lo, span)) = self.extent(wave) else { return };
+        let span = wave.span();
+        if span <= 0.0 {
+            return;
+        }
         let from = wave.from.max(0.5 / span);
         if wave.to <= from {
             return;
@@ -573,64 +580,47 @@ impl<'p, 'r> Search<'p, 'r> {
         let step = FREQUENCY_STEP / span;
         let wanted = ((wave.to - from) / step).ceil().max(2.0);
         let count = wanted.min(MOST_FREQUENCIES) as usize;
-        let x: Vec<f64> = rows.iter().map(|r| wave.along[*r] - lo).collect();
+        let x: Vec<f64> = wave.along.iter().map(|x| x - wave.places[0]).collect();
         let mut gaps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
         gaps.sort_by(f64::total_cmp);
         let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
-        let mut planner = self.planner.borrow_mut();
+        let mut transform = self.transform.borrow_mut();
         let list = &mut self.peaks.borrow_mut()[at];
         for p in [0.0, phi] {
             if p != 0.0 && p.abs() < 0.3 {
                 continue;
             }
             let u = sharpened(&residual, p, &self.stack.ranges);
-            let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
-            let mut power = periodogram(&mut planner, &x, &u, from, step, count);
+            let power = transform.power(&x, &u[wave.rows.clone()], from, step, count);
             if p != 0.0 {
                 for (i, p2) in power.iter_mut().enumerate() {
-                    let f = from + step * i as f64;
-                    *p2 /= 1.0 + p * p - 2.0 * p * (TAU * f * gap).cos();
+                    let (_, cos) = gram::wave((from + step * i as f64) * gap);
+                    *p2 /= 1.0 + p * p - 2.0 * p * cos;
                 }
             }
-            peaks(&mut power, from, step, list);
+            peaks(power, from, step, list);
         }
-        if wanted > MOST_FREQUENCIES && rows.len() >= FAR_ROWS {
+        if wanted > MOST_FREQUENCIES && x.len() >= FAR_ROWS {
             // Far up every wave is as good as random from row to row, so that one look with the noise's own
             // coefficient serves, on a coarser grid.
             let from = from + step * MOST_FREQUENCIES;
             let step = FAST_STEP / span;
             let count = ((wave.to - from) / step).ceil() as usize;
             let u = sharpened(&residual, phi, &self.stack.ranges);
-            let u: Vec<f64> = rows.iter().map(|r| u[*r]).collect();
-            let mut power = periodogram(&mut planner, &x, &u, from, step, count.max(2));
-            peaks(&mut power, from, step, list);
+            peaks(transform.power(&x, &u[wave.rows.clone()], from, step, count.max(2)), from, step, list);
         }
-    }
-
-    /// Rows of a wave's response, the variable's least value there and its span.
-    fn extent(&self, wave: &Wave) -> Option<(Vec<usize>, f64, f64)> {
-        let rows: Vec<usize> = self
-            .stack
-            .segments
-            .iter()
-            .filter(|s| s.response == wave.response)
-            .flat_map(|s| s.rows.clone())
-            .collect();
-        let (lo, hi) = rows
-            .iter()
-            .fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(wave.along[*r]), h.max(wave.along[*r])));
-        (hi > lo).then_some((rows, lo, hi - lo))
     }
 
     /// The best period of a periodic hypothesis: each peak refined exactly.
     fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64]) -> Option<Offer> {
-        let (rows, _, span) = self.extent(wave)?;
+        let span = wave.span();
+        if span <= 0.0 {
+            return None;
+        }
         let from = wave.from.max(0.5 / span);
         let step = FREQUENCY_STEP / span;
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
         let cost_of_search = ((wave.to - from) * span).max(2.0);
-        let mut places: Vec<f64> = rows.iter().map(|r| wave.along[*r]).collect();
-        places.sort_by(f64::total_cmp);
         let hypothesis = &self.all.list[wave.hypothesis];
         let extra = if hypothesis.named { 0.0 } else { 3.0 };
         let cost = self.all.family_cost + cost_of_search.ln() + extra;
@@ -639,7 +629,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut best: Option<(f64, f64)> = None;
         for f0 in peaks {
             let best_before = best.map_or(f64::NEG_INFINITY, |b| b.0);
-            let grid = wave.effect.as_ref().and_then(|_| pitch(&places, GRID_SHARE / f0));
+            let grid = wave.effect.as_ref().and_then(|_| pitch(&wave.places, GRID_SHARE / f0));
             let mut eval = |f: f64| {
                 // On a grid whose pitch is a whole number of periods a wave is a constant or a slow bow, and no wave.
                 if grid.is_some_and(|pitch| ((f * pitch).round() / pitch - f).abs() * span < SLOWEST_TURNS) {
@@ -673,7 +663,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let (mut score, mut f) = best?;
         let mut cost = cost;
         if wave.effect.is_some()
-            && let Some(pitch) = pitch(&places, GRID_SHARE / f)
+            && let Some(pitch) = pitch(&wave.places, GRID_SHARE / f)
         {
             // On a grid there are no more frequencies than places; which of the aliases it is the data cannot say.
             let paid = cost_of_search.min((span / pitch).max(2.0)).ln();
@@ -732,11 +722,9 @@ impl<'p, 'r> Search<'p, 'r> {
 
     fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
         let mut out = vec![vec![0.0; self.stack.n]; 2];
-        for s in self.stack.segments.iter().filter(|s| s.response == wave.response) {
-            let [sines, cosines] = &mut out[..] else { continue };
-            let along = &wave.along[s.rows.clone()];
-            for ((x, a), b) in along.iter().zip(&mut sines[s.rows.clone()]).zip(&mut cosines[s.rows.clone()])
-            {
+        if let [sines, cosines] = &mut out[..] {
+            let both = sines[wave.rows.clone()].iter_mut().zip(&mut cosines[wave.rows.clone()]);
+            for (x, (a, b)) in wave.along.iter().zip(both) {
                 (*a, *b) = gram::wave(x * f);
             }
         }
@@ -919,7 +907,18 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// Named explanations as additions to a set, by name: the evidence of each name over all its sensors and grid
     /// points, with its best offers refined. Best first.
-    pub(crate) fn ranking(&self, set: &Set) -> Vec<Ranked> {
+    pub(crate) fn ranking(&self, set: &Set) -> Rc<[Ranked]> {
+        let key: Vec<usize> =
+            set.ids.iter().copied().chain(set.members.iter().map(|m| m.hypothesis)).collect();
+        if let Some(known) = self.rankings.borrow().get(&key) {
+            return Rc::clone(known);
+        }
+        let ranking: Rc<[Ranked]> = self.ranked(set).into();
+        self.rankings.borrow_mut().insert(key, Rc::clone(&ranking));
+        ranking
+    }
+
+    fn ranked(&self, set: &Set) -> Vec<Ranked> {
         let mut out: Vec<Ranked> = Vec::new();
         for offer in self.scan(set, false) {
             let hypothesis = &self.all.list[offer.hypothesis];
@@ -1023,41 +1022,55 @@ fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>) {
     }
 }
 
-/// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
-/// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
-fn periodogram(
-    planner: &mut FftPlanner<f32>,
-    x: &[f64],
-    u: &[f64],
-    from: f64,
-    step: f64,
-    count: usize,
-) -> Vec<f64> {
-    let size = room(count + count / 2);
-    // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
-    let middle = from + step * (count / 2) as f64;
-    let mut grid = vec![Complex32::new(0.0, 0.0); size];
-    for (x, u) in x.iter().zip(u) {
-        let (sin, cos) = (TAU * (middle * x).fract()).sin_cos();
-        let place = x * step * size as f64;
-        let base = place.floor();
-        let w = place - base;
-        // Lagrange's cubic through four neighbours.
-        let weights = [
-            -w * (w - 1.0) * (w - 2.0) / 6.0,
-            (w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0,
-            -(w + 1.0) * w * (w - 2.0) / 2.0,
-            (w + 1.0) * w * (w - 1.0) / 6.0,
-        ];
-        for (k, weight) in weights.iter().enumerate() {
-            let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
-            grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
-        }
+/// What a Fourier transform needs, kept from one to the next.
+struct Transform {
+    planner: FftPlanner<f32>,
+    grid: Vec<Complex32>,
+    scratch: Vec<Complex32>,
+    power: Vec<f64>,
+}
+
+impl Transform {
+    fn new() -> Self {
+        let planner = FftPlanner::new();
+        Self { planner, grid: Vec::new(), scratch: Vec::new(), power: Vec::new() }
     }
-    planner.plan_fft_inverse(size).process(&mut grid);
-    (0..count)
-        .map(|i| grid[(i as i64 - (count / 2) as i64).rem_euclid(size as i64) as usize].norm_sqr().into())
-        .collect()
+
+    /// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
+    /// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
+    fn power(&mut self, x: &[f64], u: &[f64], from: f64, step: f64, count: usize) -> &mut [f64] {
+        let size = room(count + count / 2);
+        // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
+        let middle = from + step * (count / 2) as f64;
+        let Self { planner, grid, scratch, power } = self;
+        grid.clear();
+        grid.resize(size, Complex32::new(0.0, 0.0));
+        for (x, u) in x.iter().zip(u) {
+            let (sin, cos) = gram::wave(middle * x);
+            let place = x * step * size as f64;
+            let base = place.floor();
+            let w = place - base;
+            // Lagrange's cubic through four neighbours.
+            let weights = [
+                -w * (w - 1.0) * (w - 2.0) / 6.0,
+                (w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0,
+                -(w + 1.0) * w * (w - 2.0) / 2.0,
+                (w + 1.0) * w * (w - 1.0) / 6.0,
+            ];
+            for (k, weight) in weights.iter().enumerate() {
+                let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
+                grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
+            }
+        }
+        let fft = planner.plan_fft_inverse(size);
+        scratch.resize(fft.get_inplace_scratch_len().max(scratch.len()), Complex32::new(0.0, 0.0));
+        fft.process_with_scratch(grid, scratch);
+        // The lower half of the band stands at the grid's end.
+        let below = grid[size - count / 2..].iter();
+        power.clear();
+        power.extend(below.chain(&grid[..count - count / 2]).map(|z| f64::from(z.norm_sqr())));
+        power
+    }
 }
 
 /// The smallest size from `least` on that a Fourier transform is quick at: a power of two, or three quarters of one.
