@@ -69,9 +69,55 @@ pub(crate) fn products(x: &[f64], v: &[f64], segments: &[Range<usize>]) -> Produ
 
 /// Lanes of a dot product: enough for the additions not to wait for one another.
 const LANES: usize = 8;
+/// Fewer values are not worth the call of a function for wide registers.
+const SHORT: usize = 64;
+
+/// A function for any processor, and the same again for one with registers of 256 bits: the same digits, as no products
+/// and sums are fused.
+macro_rules! wide {
+    ($(#[$doc:meta])* $name:ident, $wide:ident, ($($arg:ident: $type:ty),*) -> $out:ty, $body:ident) => {
+        $(#[$doc])*
+        fn $name($($arg: $type),*) -> $out {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn $wide($($arg: $type),*) -> $out {
+                    $body($($arg),*)
+                }
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    // SAFETY: the processor has what the function is compiled for.
+                    return unsafe { $wide($($arg),*) };
+                }
+            }
+            $body($($arg),*)
+        }
+    };
+}
+
+wide!(long_dot, long_dot_wide, (a: &[f64], b: &[f64]) -> f64, dot_body);
+wide!(
+    /// `[a·c, b·c]` in one run through the memory.
+    dots, dots_wide, (a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2], dots_body
+);
+wide!(
+    /// Single into double precision.
+    widen, widen_wide, (from: &[f32], to: &mut [f64]) -> (), widen_body
+);
 
 /// Dot product in several lanes, in a fixed order of summation.
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    if a.len() < SHORT { dot_body(a, b) } else { long_dot(a, b) }
+}
+
+#[inline(always)]
+fn widen_body(from: &[f32], to: &mut [f64]) {
+    for (o, x) in to.iter_mut().zip(from) {
+        *o = f64::from(*x);
+    }
+}
+
+#[inline(always)]
+fn dot_body(a: &[f64], b: &[f64]) -> f64 {
     if a.len() < LANES {
         return a.iter().zip(b).map(|(x, y)| x * y).sum();
     }
@@ -86,6 +132,7 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     fold(lanes) + tail
 }
 
+#[inline(always)]
 fn fold(lanes: [f64; LANES]) -> f64 {
     let mut half = LANES;
     let mut lanes = lanes;
@@ -98,8 +145,8 @@ fn fold(lanes: [f64; LANES]) -> f64 {
     lanes[0]
 }
 
-/// `[a·c, b·c]` in one run through the memory.
-fn dots(a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2] {
+#[inline(always)]
+fn dots_body(a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2] {
     let (mut first, mut second) = ([0.0; LANES], [0.0; LANES]);
     let (ca, cb, cc) = (a.chunks_exact(LANES), b.chunks_exact(LANES), c.chunks_exact(LANES));
     let mut tail = [0.0; 2];
@@ -197,9 +244,7 @@ impl Bank {
         let (inside, after) = rest.split_at_mut(rows.len());
         before.fill(0.0);
         after.fill(0.0);
-        for (o, x) in inside.iter_mut().zip(&self.data[place.at..]) {
-            *o = f64::from(*x);
-        }
+        widen(&self.data[place.at..place.at + inside.len()], inside);
     }
 
     /// The stored column over all rows.
@@ -251,11 +296,12 @@ impl Bank {
             return out;
         }
         let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
+        let panel_columns = if m <= FEW { 4 } else { PANEL };
         let mut covered = 0..0;
         let mut from = 0;
         while from < c {
             let covers = &self.places[from].covers;
-            let alike = self.places[from..].iter().take(PANEL).take_while(|p| p.covers == *covers).count();
+            let alike = self.places[from..].iter().take(panel_columns).take_while(|p| p.covers == *covers).count();
             let rows = self.rows(covers);
             let n = rows.len();
             panel.resize(alike * n, 0.0);
