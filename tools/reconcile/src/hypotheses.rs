@@ -150,6 +150,11 @@ impl Wave {
 
 /// What a logged channel costs beyond an effect with physics behind it.
 const CHANNEL_COST: f64 = 2.5;
+/// What a straight line of a temperature difference costs, and a parabola.
+const STRAIGHT_COST: f64 = 0.5;
+const PARABOLA_COST: f64 = 1.4;
+/// How much more a parabola costs than a straight line.
+pub(crate) const BEND_COST: f64 = PARABOLA_COST - STRAIGHT_COST;
 /// What an explanation without a name costs beyond one with a name.
 const SHAPE_COST: f64 = 2.0;
 
@@ -259,10 +264,16 @@ impl Hypotheses {
                 }
             }
             "thermal_lag" if pair => {
-                // Pairs are many: their lags are searched from the best single sensors' (see `search`).
+                // Pairs are many: fewer lags, and each straight; both are refined (see `search`).
                 let h = self.hypothesis(effect);
+                let price = own + (taus(stack).len() as f64).ln() + STRAIGHT_COST;
                 for tau in taus(stack).into_iter().step_by(2) {
-                    self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), false);
+                    let mut effect = effect.clone();
+                    if effect.set("tau_s", &[tau]).is_ok() {
+                        let straight = stack.basis(&effect).swap_remove(0);
+                        let columns = vec![self.push(stack, straight)];
+                        self.atom(h, &effect, &[0], false, columns, price);
+                    }
                 }
             }
             "thermal_lag" => {
@@ -380,9 +391,9 @@ impl Hypotheses {
         let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
         let quadratic = columns.len() == 2;
         // A straight line from 20 °C first; a parabola, another reference, both: each a little less likely.
-        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost + 0.5);
+        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost + STRAIGHT_COST);
         if quadratic {
-            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost + 1.4);
+            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost + PARABOLA_COST);
         }
         if reference {
             let constant = self.push(stack, reference_column(stack, &effect));

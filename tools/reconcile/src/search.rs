@@ -3,10 +3,10 @@
 
 use crate::gram::{self, Cholesky, Products, Vector, dot, products};
 use crate::hypotheses::{
-    Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
+    Atom, BEND_COST, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
 };
 use crate::problem::{Known, Stack};
-use rtec_model::effect::Effect;
+use rtec_model::effect::{Against, Effect};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
 use std::cell::{Cell, OnceCell, RefCell};
@@ -765,13 +765,17 @@ impl<'p, 'r> Search<'p, 'r> {
             "lost_counts" => &[("at_s", false, 0.0)],
             _ => return offer,
         };
-        let (free, reference) = (free.clone(), *reference);
-        let eval = |e: &Effect| {
-            let columns = self.columns(e, &free, reference);
-            let score = self.extended(set, &self.made_cross(set, &columns))
-                - self.price(set, offer.cost, columns.len());
+        let (mut free, reference, mut cost) = (free.clone(), *reference, offer.cost);
+        // A pair's lag is on the grid as a straight line only.
+        let pair = effect.delta.as_ref().is_some_and(|d| matches!(d.against, Against::Sensor(_)));
+        let may_bend = law == "thermal_lag" && pair && free == [0];
+        let scored = |e: &Effect, free: &[usize], cost: f64| {
+            let columns = self.columns(e, free, reference);
+            let score =
+                self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, columns.len());
             (score, columns)
         };
+        let eval = |e: &Effect| scored(e, &free, cost);
         let mut effect = effect.clone();
         let (mut score, mut columns) = eval(&effect);
         // A lag far longer than the run is a straight line by another name, and no ground for prediction.
@@ -821,8 +825,15 @@ impl<'p, 'r> Search<'p, 'r> {
                 shrink *= 0.6;
             }
         }
+        if may_bend {
+            let (s, c) = scored(&effect, &[0, 1], cost + BEND_COST);
+            if s > score {
+                (score, columns, free, cost) = (s, c, vec![0, 1], cost + BEND_COST);
+            }
+        }
         let cause = Cause::Effect { effect, free, reference };
-        Offer { cause, score, evidence: offer.evidence.max(score), columns: Source::Made(columns), ..offer }
+        let evidence = offer.evidence.max(score);
+        Offer { cause, cost, score, evidence, columns: Source::Made(columns), ..offer }
     }
 
     /// Turns and phase to the row: the last tooth tells the turns, all of them the phase.
