@@ -206,6 +206,8 @@ pub(crate) struct Bank {
     segments: Vec<Range<usize>>,
     data: Vec<f32>,
     places: Vec<Place>,
+    /// Products of each column with itself.
+    squares: Vec<Products>,
     /// Weight that was taken off each column: column = stored · scale.
     pub(crate) scale: Vec<f64>,
 }
@@ -267,11 +269,25 @@ impl Bank {
         self.data.extend(column.iter().map(|x| (x / scale) as f32));
         self.places.push(place);
         self.scale.push(scale);
-        self.scale.len() - 1
+        let at = self.scale.len() - 1;
+        self.squares.push(self.own_products(&[at], |_, _| None)[0]);
+        at
     }
 
     /// Products among some columns, packed by rows of the lower triangle.
     pub(crate) fn own(&self, columns: &[usize]) -> Vec<Products> {
+        match columns {
+            [one] => vec![self.squares[*one]],
+            _ => self.own_products(columns, |i, j| (i == j).then(|| self.squares[columns[i]])),
+        }
+    }
+
+    /// The same, with those that are known already.
+    fn own_products(
+        &self,
+        columns: &[usize],
+        known: impl Fn(usize, usize) -> Option<Products>,
+    ) -> Vec<Products> {
         let covers = columns.iter().map(|c| self.places[*c].covers.clone());
         let Some(over) = covers.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)) else {
             return Vec::new();
@@ -285,7 +301,8 @@ impl Bank {
         }
         let column = |i: usize| &data[i * rows.len()..(i + 1) * rows.len()];
         let pairs = (0..columns.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
-        pairs.map(|(i, j)| products(column(i), column(j), &segments)).collect()
+        let product = |(i, j)| known(i, j).unwrap_or_else(|| products(column(i), column(j), &segments));
+        pairs.map(product).collect()
     }
 
     /// Products of every column with every vector: `out[v][column]`.

@@ -55,8 +55,7 @@ pub(crate) struct Teeth {
 impl Teeth {
     /// Its column, not weighed.
     pub(crate) fn column(&self, stack: &Stack<'_>) -> Vec<f64> {
-        let times = stack.records.iter().flat_map(|r| r.time_s().iter().copied());
-        let (lo, hi) = times.fold((f64::MAX, f64::MIN), |(l, h), t| (l.min(t), h.max(t)));
+        let [lo, hi] = stack.time_s;
         let span = (hi - lo).max(1e-300);
         stack.column(Some(self.response), |record, row| {
             let place = (self.turns * (record.time_s()[row] - lo) / span + self.phase).rem_euclid(1.0);

@@ -20,6 +20,8 @@ pub(crate) struct Stack<'r> {
     pub(crate) segments: Vec<Segment>,
     pub(crate) ranges: Vec<Range<usize>>,
     pub(crate) n: usize,
+    /// First and last instant of all records, s.
+    pub(crate) time_s: [f64; 2],
     pub(crate) measured: Vec<f64>,
     /// What each response is divided by, so that its noise has about unit size.
     pub(crate) sigma: Vec<f64>,
@@ -46,7 +48,9 @@ impl<'r> Stack<'r> {
         }
         let ranges = segments.iter().map(|s| s.rows.clone()).collect();
         let sigma = vec![1.0; responses.len()];
-        Self { records, responses, segments, ranges, n: measured.len(), measured, sigma }
+        let times = records.iter().flat_map(|r| r.time_s().iter().copied());
+        let time_s = times.fold([f64::MAX, f64::MIN], |[lo, hi], t| [lo.min(t), hi.max(t)]);
+        Self { records, responses, segments, ranges, n: measured.len(), time_s, measured, sigma }
     }
 
     /// The rows of a response.
