@@ -51,9 +51,9 @@ const HOPELESS: f64 = 12.0;
 pub(crate) const GRID_SHARE: f64 = 0.02;
 
 /// Rows from which on frequencies far up are tried: among a million of them one fits a few dozen rows by chance.
-const FAR_ROWS: usize = 300;
+const FAR_ROWS: usize = 120;
 /// Largest amplitude of an interpolation error, in periods of the signal: within a period it is an error of the reading.
-const MOST_PERIODS: f64 = 2.0;
+const MOST_PERIODS: f64 = 20.0;
 /// Turns over the whole extent below which what a wave shows on a grid is no wave.
 const SLOWEST_TURNS: f64 = 1.5;
 
@@ -127,6 +127,8 @@ pub(crate) struct Search<'p, 'r> {
     /// How many of the noise coefficients are in use: the first few, while a search takes no structure for noise.
     usable: usize,
     transform: RefCell<Transform>,
+    /// Per wave: how its frequencies lie on the places.
+    places_seen: Vec<OnceCell<Vec<OnPlaces>>>,
     /// Frequencies worth a look, per wave: the highest peaks met so far.
     peaks: RefCell<Vec<Vec<f64>>>,
     /// Waves that were looked at, by hypothesis and frequency.
@@ -195,6 +197,7 @@ impl<'p, 'r> Search<'p, 'r> {
             phis,
             usable,
             transform: RefCell::new(Transform::new()),
+            places_seen: waves.iter().map(|_| OnceCell::new()).collect(),
             peaks: RefCell::new(Vec::new()),
             seen: RefCell::new(HashMap::new()),
             room: Cell::new(ROOM),
@@ -586,28 +589,35 @@ impl<'p, 'r> Search<'p, 'r> {
         let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
         let mut transform = self.transform.borrow_mut();
         let list = &mut self.peaks.borrow_mut()[at];
+        let places = self.places_seen[at].get_or_init(|| transform.places(&x, from, step, count));
         for p in [0.0, phi] {
             if p != 0.0 && p.abs() < 0.3 {
                 continue;
             }
-            let u = sharpened(&residual, p, &self.stack.ranges);
-            let power = transform.power(&x, &u[wave.rows.clone()], from, step, count);
+            let mut u = sharpened(&residual, p, &self.stack.ranges).split_off(wave.rows.start);
+            u.truncate(x.len());
+            let mean = u.iter().sum::<f64>() / u.len() as f64;
+            u.iter_mut().for_each(|u| *u -= mean);
+            let sums = transform.sums(&x, &u, from, step, count);
+            let mut power: Vec<f64> = sums.zip(places).map(|(z, place)| place.power(z)).collect();
             if p != 0.0 {
                 for (i, p2) in power.iter_mut().enumerate() {
                     let (_, cos) = gram::wave((from + step * i as f64) * gap);
                     *p2 /= 1.0 + p * p - 2.0 * p * cos;
                 }
             }
-            peaks(power, from, step, list);
+            peaks(&mut power, from, step, list);
         }
         if wanted > MOST_FREQUENCIES && x.len() >= FAR_ROWS {
             // Far up every wave is as good as random from row to row, so that one look with the noise's own
             // coefficient serves, on a coarser grid.
             let from = from + step * MOST_FREQUENCIES;
             let step = FAST_STEP / span;
-            let count = ((wave.to - from) / step).ceil() as usize;
+            let count = ((wave.to - from) / step).ceil().max(2.0) as usize;
             let u = sharpened(&residual, phi, &self.stack.ranges);
-            peaks(transform.power(&x, &u[wave.rows.clone()], from, step, count.max(2)), from, step, list);
+            let sums = transform.sums(&x, &u[wave.rows.clone()], from, step, count);
+            let mut power: Vec<f64> = sums.map(|z| f64::from(z.norm_sqr())).collect();
+            peaks(&mut power, from, step, list);
         }
     }
 
@@ -1038,22 +1048,27 @@ struct Transform {
     planner: FftPlanner<f32>,
     grid: Vec<Complex32>,
     scratch: Vec<Complex32>,
-    power: Vec<f64>,
 }
 
 impl Transform {
     fn new() -> Self {
-        let planner = FftPlanner::new();
-        Self { planner, grid: Vec::new(), scratch: Vec::new(), power: Vec::new() }
+        Self { planner: FftPlanner::new(), grid: Vec::new(), scratch: Vec::new() }
     }
 
-    /// |Σ uᵢ·exp(2πj·f·xᵢ)|² at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
+    /// Σ uᵢ·exp(2πj·f·xᵢ) at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
     /// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
-    fn power(&mut self, x: &[f64], u: &[f64], from: f64, step: f64, count: usize) -> &mut [f64] {
+    fn sums(
+        &mut self,
+        x: &[f64],
+        u: &[f64],
+        from: f64,
+        step: f64,
+        count: usize,
+    ) -> impl Iterator<Item = Complex32> {
         let size = room(count + count / 2);
         // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
         let middle = from + step * (count / 2) as f64;
-        let Self { planner, grid, scratch, power } = self;
+        let Self { planner, grid, scratch } = self;
         grid.clear();
         grid.resize(size, Complex32::new(0.0, 0.0));
         for (x, u) in x.iter().zip(u) {
@@ -1077,12 +1092,46 @@ impl Transform {
         scratch.resize(fft.get_inplace_scratch_len().max(scratch.len()), Complex32::new(0.0, 0.0));
         fft.process_with_scratch(grid, scratch);
         // The lower half of the band stands at the grid's end.
-        let below = grid[size - count / 2..].iter();
-        power.clear();
-        power.extend(below.chain(&grid[..count - count / 2]).map(|z| f64::from(z.norm_sqr())));
-        power
+        grid[size - count / 2..].iter().chain(&grid[..count - count / 2]).copied()
+    }
+
+    /// How waves of these frequencies lie on the places.
+    fn places(&mut self, x: &[f64], from: f64, step: f64, count: usize) -> Vec<OnPlaces> {
+        let share = vec![1.0 / x.len() as f64; x.len()];
+        let once: Vec<Complex32> = self.sums(x, &share, from, step, count).collect();
+        let twice = self.sums(x, &share, 2.0 * from, 2.0 * step, count);
+        once.into_iter().zip(twice).map(|(once, twice)| OnPlaces::new(once, twice)).collect()
     }
 }
+
+/// Mean square of a cosine and of a sine over the places, their means taken off, and of the one times the other. Where
+/// targets are few a wave may be mostly sine there, or mostly constant.
+struct OnPlaces {
+    cos: f32,
+    sin: f32,
+    both: f32,
+}
+
+impl OnPlaces {
+    /// From the means of exp(jθ) and exp(2jθ).
+    fn new(once: Complex32, twice: Complex32) -> Self {
+        Self {
+            cos: 0.5 * (1.0 + twice.re) - once.re * once.re,
+            sin: 0.5 * (1.0 - twice.re) - once.im * once.im,
+            both: 0.5 * twice.im - once.re * once.im,
+        }
+    }
+
+    /// What the wave explains beside a constant (Zechmeister and Kürster, Astron. Astrophys. 496, 2009), up to a factor.
+    fn power(&self, z: Complex32) -> f64 {
+        // No more than the sums are good for is believed of a wave that is next to nothing on the places.
+        let whole = (self.cos * self.sin - self.both * self.both).max(LEAST_WHOLE);
+        f64::from((self.sin * z.re * z.re + self.cos * z.im * z.im - 2.0 * self.both * z.re * z.im) / whole)
+    }
+}
+
+/// A quarter where the places are spread well.
+const LEAST_WHOLE: f32 = 0.05;
 
 /// The smallest size from `least` on that a Fourier transform is quick at: a power of two, or three quarters of one.
 fn room(least: usize) -> usize {
