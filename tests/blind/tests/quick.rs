@@ -100,6 +100,41 @@ fn on_a_grid_of_targets_the_other_periods_are_told() {
     assert!(r.advice.contains("grid of 20.0000 mm") && r.advice.contains("13.0"), "{}", r.advice);
 }
 
+/// At few targets, each met again to a few µm, a wave is mostly sine or mostly constant at many a wrong period.
+#[test]
+fn a_signal_period_is_found_at_few_uneven_targets() {
+    let mut dice = rtec_blind::world::Dice::new(5);
+    let targets =
+        [2.26, 8.14, 13.99, 20.28, 27.95, 35.41, 38.69, 46.11, 55.93, 62.09, 65.06, 75.83, 83.83, 95.95];
+    let p: Vec<f64> = (0..168).map(|i| targets[i % 14] + 1.5e-3 * dice.normal()).collect();
+    let e = p
+        .iter()
+        .zip(noise(3, p.len()))
+        .map(|(p, n)| 24.0 * (std::f64::consts::TAU * p / 0.132_42 - 0.24).sin() + 2.0 * n)
+        .collect();
+    let machine = rtec_model::machine::Machine::ideal("m");
+    let r =
+        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let names: Vec<String> = r.effects.iter().map(|(f, _)| f.effect.name()).collect();
+    assert_eq!(names, ["subdivision.x"], "{}", r.verdict);
+    assert!((r.effects[0].0.effect.scalar(0) - 132.42).abs() < 0.05, "{}", r.effects[0].0.effect.scalar(0));
+}
+
+/// Read to 1 µm, a scale of 2 µm periods shows two values only.
+#[test]
+fn two_steps_of_reading_to_a_signal_period_are_enough() {
+    let mut dice = rtec_blind::world::Dice::new(6);
+    let p: Vec<f64> = (0..400).map(|_| (250_000.0 * dice.normal()).round() / 1000.0).collect();
+    let wave = |p: f64| (std::f64::consts::TAU * p / 0.002 + 1.2).sin();
+    let e = p.iter().zip(noise(4, p.len())).map(|(p, n)| 3.0 * wave(*p) + n).collect();
+    let machine = rtec_model::machine::Machine::ideal("m");
+    let r =
+        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let names: Vec<String> = r.effects.iter().map(|(f, _)| f.effect.name()).collect();
+    assert_eq!(names, ["subdivision.x"], "{}", r.verdict);
+    assert!((r.effects[0].0.effect.scalar(0) - 2.0).abs() < 1e-3, "{}", r.effects[0].0.effect.scalar(0));
+}
+
 #[test]
 fn a_map_of_the_model_does_not_swallow_an_offset() {
     let p: Vec<f64> = (0..200).map(|i| 5.0 * f64::from(i % 50)).collect();

@@ -232,7 +232,8 @@ fn retune(
         let simulated = stack.predict(others.chain(beside));
         let mut missing: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
         stack.weigh(&mut missing);
-        let others: Vec<Known> = known(stack, noise, anchor, now).into_iter().filter(|k| k.effect != e).collect();
+        let others: Vec<Known> =
+            known(stack, noise, anchor, now).into_iter().filter(|k| k.effect != e).collect();
         let (none, waves) = Hypotheses::periods(stack, &now[e]);
         let mut search = Search::new(stack, &none, &waves);
         search.begin(noise, others, missing);

@@ -318,7 +318,8 @@ impl Bank {
         let mut from = 0;
         while from < c {
             let covers = &self.places[from].covers;
-            let alike = self.places[from..].iter().take(panel_columns).take_while(|p| p.covers == *covers).count();
+            let alike =
+                self.places[from..].iter().take(panel_columns).take_while(|p| p.covers == *covers).count();
             let rows = self.rows(covers);
             let n = rows.len();
             panel.resize(alike * n, 0.0);
@@ -333,7 +334,8 @@ impl Bank {
             if m <= FEW {
                 for column in panel.chunks_exact(n) {
                     for (v, out) in vectors.iter().zip(&mut out) {
-                        let [plain, lagged] = dots(&v.data[rows.clone()], &v.neighbours[rows.clone()], column);
+                        let [plain, lagged] =
+                            dots(&v.data[rows.clone()], &v.neighbours[rows.clone()], column);
                         out.push(Products { plain, lagged, ends: ends(v, column) });
                     }
                 }

@@ -149,11 +149,10 @@ impl Wave {
 
 /// What a logged channel costs beyond an effect with physics behind it.
 const CHANNEL_COST: f64 = 2.5;
-/// What a straight line of a temperature difference costs, and a parabola.
-const STRAIGHT_COST: f64 = 0.5;
-const PARABOLA_COST: f64 = 1.4;
-/// How much more a parabola costs than a straight line.
-pub(crate) const BEND_COST: f64 = PARABOLA_COST - STRAIGHT_COST;
+/// Most periods to a step that positions were read in.
+const FINEST: f64 = 0.5;
+/// A knee is tried at so many places in either half of a channel's range.
+const KNEES: i32 = 5;
 /// What an explanation without a name costs beyond one with a name.
 const SHAPE_COST: f64 = 2.0;
 
@@ -244,7 +243,12 @@ impl Hypotheses {
                 let unit = if law == "subdivision" { 1e-3 } else { 1.0 };
                 let [lo, hi] = effect.card().parameters[0].limits;
                 let (from, to) = (1.0 / (hi * unit), 1.0 / (lo * unit));
-                let wave = Wave::new(stack, h, response, &along, from, to);
+                let mut wave = Wave::new(stack, h, response, &along, from, to);
+                if law == "subdivision" {
+                    // What is finer than the positions are read cannot be told from something coarser.
+                    let finest = resolution(&wave.places).map_or(to, |step| FINEST / step);
+                    wave.to = if finest > from { to.min(finest) } else { to };
+                }
                 waves.push(Wave { effect: Some(effect.clone()), unit, ..wave });
             }
             "position_map" | "straightness" => {
@@ -263,16 +267,10 @@ impl Hypotheses {
                 }
             }
             "thermal_lag" if pair => {
-                // Pairs are many: fewer lags, and each straight; both are refined (see `search`).
+                // Pairs are many: fewer lags; they are refined (see `search`).
                 let h = self.hypothesis(effect);
-                let price = own + (taus(stack).len() as f64).ln() + STRAIGHT_COST;
                 for tau in taus(stack).into_iter().step_by(2) {
-                    let mut effect = effect.clone();
-                    if effect.set("tau_s", &[tau]).is_ok() {
-                        let straight = stack.basis(&effect).swap_remove(0);
-                        let columns = vec![self.push(stack, straight)];
-                        self.atom(h, &effect, &[0], false, columns, price);
-                    }
+                    self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), false);
                 }
             }
             "thermal_lag" => {
@@ -390,9 +388,9 @@ impl Hypotheses {
         let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
         let quadratic = columns.len() == 2;
         // A straight line from 20 °C first; a parabola, another reference, both: each a little less likely.
-        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost + STRAIGHT_COST);
+        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost + 0.5);
         if quadratic {
-            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost + PARABOLA_COST);
+            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost + 1.4);
         }
         if reference {
             let constant = self.push(stack, reference_column(stack, &effect));
@@ -463,19 +461,6 @@ impl Hypotheses {
                 }
             }
         }
-        let mut offer = |against: &[&str], manner: &str, columns: Vec<Vec<f64>>, grid: usize| {
-            let shape = Shape {
-                response: response.clone(),
-                against: against.iter().map(|s| (*s).to_owned()).collect(),
-                manner: manner.to_owned(),
-            };
-            if columns.len() + 8 < n / 2 && columns.iter().all(|c| c.iter().any(|x| *x != 0.0)) {
-                let columns = columns.into_iter().map(|c| self.push(stack, c)).collect();
-                made.push((Cause::Shape(shape), columns, (grid as f64).ln()));
-            }
-        };
-        let hats = |x: &[f64], k: usize| hats(x, &rows, k);
-        let times = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).collect::<Vec<f64>>();
         let mut scalars: Vec<(String, Vec<f64>)> = vec![("time".into(), time.clone())];
         for column in &records[0].columns {
             let own = column.role == Role::Position(axis.clone());
@@ -497,14 +482,37 @@ impl Hypotheses {
             });
             scalars.push((column.label(), data));
         }
-        for (label, data) in &scalars {
+        for (label, data) in scalars.iter().filter(|_| n > 20) {
             let u = centred(data, &rows);
-            for i in 1..10 {
-                let knee = -1.0 + 0.2 * f64::from(i);
+            if u.iter().all(|u| *u == 0.0) {
+                continue;
+            }
+            let shape = Shape {
+                response: response.clone(),
+                against: vec![label.clone()],
+                manner: "straight with a knee".into(),
+            };
+            let straight = self.push(stack, u.clone());
+            for i in 1..2 * KNEES {
+                let knee = f64::from(i) / f64::from(KNEES) - 1.0;
                 let bent: Vec<f64> = u.iter().map(|u| (u - knee).max(0.0)).collect();
-                offer(&[label], "straight with a knee", vec![masked(&bent, &rows), u.clone()], 9);
+                let bent = self.push(stack, masked(&bent, &rows));
+                made.push((Cause::Shape(shape.clone()), vec![bent, straight], f64::from(2 * KNEES).ln()));
             }
         }
+        let mut offer = |against: &[&str], manner: &str, columns: Vec<Vec<f64>>, grid: usize| {
+            let shape = Shape {
+                response: response.clone(),
+                against: against.iter().map(|s| (*s).to_owned()).collect(),
+                manner: manner.to_owned(),
+            };
+            if columns.len() + 8 < n / 2 && columns.iter().all(|c| c.iter().any(|x| *x != 0.0)) {
+                let columns = columns.into_iter().map(|c| self.push(stack, c)).collect();
+                made.push((Cause::Shape(shape), columns, (grid as f64).ln()));
+            }
+        };
+        let hats = |x: &[f64], k: usize| hats(x, &rows, k);
+        let times = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).collect::<Vec<f64>>();
         let clock = centred(&time, &rows);
         for width in [0.05, 0.12, 0.3] {
             for i in 0..=24 {
@@ -755,6 +763,13 @@ pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
     (!places.iter().any(off)).then_some(pitch)
 }
 
+/// The step that positions were read in, mm: 1, 2 or 5 times a power of ten, the largest that all are multiples of.
+fn resolution(places: &[f64]) -> Option<f64> {
+    let steps = (0..=6).flat_map(|k| [5.0, 2.0, 1.0].map(|m| m / 10_f64.powi(k)));
+    let whole = |x: &f64, step: f64| (x / step - (x / step).round()).abs() < 1e-3;
+    steps.into_iter().find(|step| places.iter().all(|x| whole(x, *step)))
+}
+
 /// Frequencies that look the same as `f` on a grid, inside a range, slowest first; at most `most`.
 pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize) -> Vec<f64> {
     let whole = 1.0 / pitch;
@@ -827,4 +842,19 @@ fn hats(x: &[f64], rows: &[usize], k: usize) -> Vec<Vec<f64>> {
     out.remove(k / 2);
     out.retain(|c| c.iter().any(|v| *v != 0.0));
     if out.is_empty() { vec![vec![0.0; x.len()]] } else { out }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::resolution;
+
+    #[test]
+    fn positions_are_read_in_steps_of_a_scale() {
+        let places = |step: f64| (0..200).map(|k| f64::from(k * k + 6 * k) * step - 30.0).collect::<Vec<_>>();
+        for step in [0.5, 0.2, 0.1, 0.05, 0.002, 0.001, 0.0005, 0.000_1] {
+            assert_eq!(resolution(&places(step)), Some(step));
+        }
+        let roots: Vec<f64> = (0..50).map(|k| f64::from(k).sqrt()).collect();
+        assert_eq!(resolution(&roots), None);
+    }
 }

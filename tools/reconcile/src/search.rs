@@ -3,10 +3,10 @@
 
 use crate::gram::{self, Cholesky, Products, Vector, dot, products};
 use crate::hypotheses::{
-    Atom, BEND_COST, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
+    Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
 };
 use crate::problem::{Known, Stack};
-use rtec_model::effect::{Against, Effect};
+use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
 use std::cell::{Cell, OnceCell, RefCell};
@@ -242,9 +242,7 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// Products of a vector with the bank's columns.
     pub(crate) fn against_bank(&self, vector: usize) -> &[Products] {
-        self.with_bank[vector].get_or_init(|| {
-            self.all.bank.products(&[&self.vectors[vector]]).swap_remove(0)
-        })
+        self.with_bank[vector].get_or_init(|| self.all.bank.products(&[&self.vectors[vector]]).swap_remove(0))
     }
 
     /// The same for several vectors in one go.
@@ -694,7 +692,8 @@ impl<'p, 'r> Search<'p, 'r> {
             }
         }
         let columns = self.wave_columns(wave, f);
-        if wave.unit < 1.0 && self.amplitude(set, &columns) > MOST_PERIODS / (f * wave.unit) {
+        if wave.unit < 1.0 && self.amplitude(set, [&columns[0], &columns[1]]) > MOST_PERIODS / (f * wave.unit)
+        {
             return None;
         }
         let cause = match (&wave.effect, &wave.shape) {
@@ -721,13 +720,15 @@ impl<'p, 'r> Search<'p, 'r> {
         })
     }
 
-    /// Size of a wave of two columns in what a set leaves.
-    fn amplitude(&self, set: &Set, columns: &[Vec<f64>]) -> f64 {
+    /// Amplitude of a wave of two columns in what a set leaves, at the places it was read at.
+    fn amplitude(&self, set: &Set, [s, c]: [&[f64]; 2]) -> f64 {
         let (left, _) = self.residual(set);
-        let [s, c] = [&columns[0], &columns[1]];
-        let (ss, sc, cc, sl, cl) = (dot(s, s), dot(s, c), dot(c, c), dot(s, &left), dot(c, &left));
-        let det = ss * cc - sc * sc;
-        ((cc * sl - sc * cl) / det).hypot((ss * cl - sc * sl) / det)
+        let (ss, cc) = (dot(s, s), dot(c, c));
+        let mut squares = [ss, 0.0, dot(s, c), cc];
+        let mut with = [dot(s, &left), dot(c, &left)];
+        gram::reduce(&mut squares, &mut with);
+        let explained: f64 = with.iter().filter(|w| w.is_finite()).map(|w| w * w).sum();
+        (2.0 * explained / (ss + cc)).sqrt()
     }
 
     fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
@@ -775,17 +776,13 @@ impl<'p, 'r> Search<'p, 'r> {
             "lost_counts" => &[("at_s", false, 0.0)],
             _ => return offer,
         };
-        let (mut free, reference, mut cost) = (free.clone(), *reference, offer.cost);
-        // A pair's lag is on the grid as a straight line only.
-        let pair = effect.delta.as_ref().is_some_and(|d| matches!(d.against, Against::Sensor(_)));
-        let may_bend = law == "thermal_lag" && pair && free == [0];
-        let scored = |e: &Effect, free: &[usize], cost: f64| {
-            let columns = self.columns(e, free, reference);
-            let score =
-                self.extended(set, &self.made_cross(set, &columns)) - self.price(set, cost, columns.len());
+        let (free, reference) = (free.clone(), *reference);
+        let eval = |e: &Effect| {
+            let columns = self.columns(e, &free, reference);
+            let score = self.extended(set, &self.made_cross(set, &columns))
+                - self.price(set, offer.cost, columns.len());
             (score, columns)
         };
-        let eval = |e: &Effect| scored(e, &free, cost);
         let mut effect = effect.clone();
         let (mut score, mut columns) = eval(&effect);
         // A lag far longer than the run is a straight line by another name, and no ground for prediction.
@@ -835,15 +832,8 @@ impl<'p, 'r> Search<'p, 'r> {
                 shrink *= 0.6;
             }
         }
-        if may_bend {
-            let (s, c) = scored(&effect, &[0, 1], cost + BEND_COST);
-            if s > score {
-                (score, columns, free, cost) = (s, c, vec![0, 1], cost + BEND_COST);
-            }
-        }
         let cause = Cause::Effect { effect, free, reference };
-        let evidence = offer.evidence.max(score);
-        Offer { cause, cost, score, evidence, columns: Source::Made(columns), ..offer }
+        Offer { cause, score, evidence: offer.evidence.max(score), columns: Source::Made(columns), ..offer }
     }
 
     /// Turns and phase to the row: the last tooth tells the turns, all of them the phase.

@@ -108,7 +108,7 @@ impl Search<'_, '_> {
         let all: Vec<&[f64]> = set.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
         let own = trial(&y, &all, &[(0.0, Vec::new())], span)?;
         let plausible = self.plausible(set);
-        let simple = plausible && set.members.iter().filter(|m| reads_heat(&m.cause)).count() < 2;
+        let simple = plausible && set.members.iter().filter(|m| grows(&m.cause)).count() < 2;
         let bound = if simple { UNSTEADY } else { UNSTEADY_SUM };
         if plausible && own.ahead < bound * own.fitted {
             return None;
@@ -222,8 +222,9 @@ impl Search<'_, '_> {
     }
 }
 
-fn reads_heat(cause: &Cause) -> bool {
-    matches!(cause, Cause::Effect { effect, .. } if effect.delta.is_some())
+/// Growth that follows a temperature, or only the time.
+fn grows(cause: &Cause) -> bool {
+    matches!(cause, Cause::Effect { effect, .. } if effect.delta.is_some() || effect.card().name == "warm_up")
 }
 
 fn pair(difference: Option<&Difference>) -> bool {
