@@ -69,70 +69,75 @@ pub(crate) fn products(x: &[f64], v: &[f64], segments: &[Range<usize>]) -> Produ
 
 /// Lanes of a dot product: enough for the additions not to wait for one another.
 const LANES: usize = 8;
-/// Fewer values are not worth the call of a function for wide registers.
-const SHORT: usize = 64;
 
 /// A function for any processor, and the same again for one with registers of 256 bits: the same digits, as no products
 /// and sums are fused.
 macro_rules! wide {
-    ($(#[$doc:meta])* $name:ident, $wide:ident, ($($arg:ident: $type:ty),*) -> $out:ty, $body:ident) => {
+    ($(#[$doc:meta])* fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty $body:block) => {
         $(#[$doc])*
         fn $name($($arg: $type),*) -> $out {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx2")]
-                fn $wide($($arg: $type),*) -> $out {
-                    $body($($arg),*)
-                }
+                fn wide($($arg: $type),*) -> $out $body
                 if std::arch::is_x86_feature_detected!("avx2") {
                     // SAFETY: the processor has what the function is compiled for.
-                    return unsafe { $wide($($arg),*) };
+                    return unsafe { wide($($arg),*) };
                 }
             }
-            $body($($arg),*)
+            $body
         }
     };
 }
 
-wide!(long_dot, long_dot_wide, (a: &[f64], b: &[f64]) -> f64, dot_body);
-wide!(
-    /// `[a·c, b·c]` in one run through the memory.
-    dots, dots_wide, (a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2], dots_body
-);
-wide!(
-    /// Single into double precision.
-    widen, widen_wide, (from: &[f32], to: &mut [f64]) -> (), widen_body
-);
-
 /// Dot product in several lanes, in a fixed order of summation.
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    if a.len() < SHORT { dot_body(a, b) } else { long_dot(a, b) }
+    if a.len() < LANES { a.iter().zip(b).map(|(x, y)| x * y).sum() } else { long_dot(a, b) }
 }
 
-#[inline(always)]
-fn widen_body(from: &[f32], to: &mut [f64]) {
-    for (o, x) in to.iter_mut().zip(from) {
-        *o = f64::from(*x);
+wide! {
+    fn long_dot(a: &[f64], b: &[f64]) -> f64 {
+        let mut lanes = [0.0; LANES];
+        let (ca, cb) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+        let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
+        for (x, y) in ca.zip(cb) {
+            for k in 0..LANES {
+                lanes[k] += x[k] * y[k];
+            }
+        }
+        fold(lanes) + tail
     }
 }
 
-#[inline(always)]
-fn dot_body(a: &[f64], b: &[f64]) -> f64 {
-    if a.len() < LANES {
-        return a.iter().zip(b).map(|(x, y)| x * y).sum();
+wide! {
+    /// `[a·c, b·c]` in one run through the memory.
+    fn dots(a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2] {
+        let (mut first, mut second) = ([0.0; LANES], [0.0; LANES]);
+        let (ca, cb, cc) = (a.chunks_exact(LANES), b.chunks_exact(LANES), c.chunks_exact(LANES));
+        let mut tail = [0.0; 2];
+        for ((x, y), z) in ca.remainder().iter().zip(cb.remainder()).zip(cc.remainder()) {
+            tail[0] += x * z;
+            tail[1] += y * z;
+        }
+        for ((x, y), z) in ca.zip(cb).zip(cc) {
+            for k in 0..LANES {
+                first[k] += x[k] * z[k];
+                second[k] += y[k] * z[k];
+            }
+        }
+        [fold(first) + tail[0], fold(second) + tail[1]]
     }
-    let mut lanes = [0.0; LANES];
-    let (ca, cb) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in ca.zip(cb) {
-        for k in 0..LANES {
-            lanes[k] += x[k] * y[k];
+}
+
+wide! {
+    /// Single into double precision.
+    fn widen(from: &[f32], to: &mut [f64]) -> () {
+        for (o, x) in to.iter_mut().zip(from) {
+            *o = f64::from(*x);
         }
     }
-    fold(lanes) + tail
 }
 
-#[inline(always)]
 fn fold(lanes: [f64; LANES]) -> f64 {
     let mut half = LANES;
     let mut lanes = lanes;
@@ -143,24 +148,6 @@ fn fold(lanes: [f64; LANES]) -> f64 {
         }
     }
     lanes[0]
-}
-
-#[inline(always)]
-fn dots_body(a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2] {
-    let (mut first, mut second) = ([0.0; LANES], [0.0; LANES]);
-    let (ca, cb, cc) = (a.chunks_exact(LANES), b.chunks_exact(LANES), c.chunks_exact(LANES));
-    let mut tail = [0.0; 2];
-    for ((x, y), z) in ca.remainder().iter().zip(cb.remainder()).zip(cc.remainder()) {
-        tail[0] += x * z;
-        tail[1] += y * z;
-    }
-    for ((x, y), z) in ca.zip(cb).zip(cc) {
-        for k in 0..LANES {
-            first[k] += x[k] * z[k];
-            second[k] += y[k] * z[k];
-        }
-    }
-    [fold(first) + tail[0], fold(second) + tail[1]]
 }
 
 /// Sine and cosine of so many turns, to the last digit or two, the same on every machine and quick over many values:
@@ -313,13 +300,15 @@ impl Bank {
             return out;
         }
         let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
-        let panel_columns = if m <= FEW { 4 } else { PANEL };
         let mut covered = 0..0;
         let mut from = 0;
         while from < c {
             let covers = &self.places[from].covers;
-            let alike =
-                self.places[from..].iter().take(panel_columns).take_while(|p| p.covers == *covers).count();
+            let alike = self.places[from..]
+                .iter()
+                .take(if m <= FEW { 1 } else { PANEL })
+                .take_while(|p| p.covers == *covers)
+                .count();
             let rows = self.rows(covers);
             let n = rows.len();
             panel.resize(alike * n, 0.0);

@@ -650,13 +650,15 @@ impl<'p, 'r> Search<'p, 'r> {
                 score
             };
             let mut centre = (eval(*f0), *f0);
-            // Between two frequencies of the grid a wave shows at least 0.93 of its power.
-            let most = (centre.0 - nothing) * NEARBY + nothing + SLACK;
-            if most < best_before.max(set.score - HOPELESS) {
-                continue;
-            }
+            let bound = best_before.max(set.score - HOPELESS);
             let mut h = step;
+            // Between two frequencies of the grid a wave shows at least 0.93 of its power; the nearer, the more.
+            let mut nearby = NEARBY - 1.0;
             for _ in 0..8 {
+                if (centre.0 - nothing) * (1.0 + nearby) + nothing + SLACK < bound {
+                    break;
+                }
+                nearby *= 0.25;
                 h *= 0.5;
                 for f in [centre.1 - h, centre.1 + h] {
                     if f >= wave.from && f <= wave.to {
