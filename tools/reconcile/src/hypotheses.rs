@@ -151,7 +151,7 @@ impl Wave {
 const CHANNEL_COST: f64 = 2.5;
 /// Most periods to a step that positions were read in.
 const FINEST: f64 = 0.5;
-/// A knee is tried at so many places in either half of a channel's range.
+/// Either half of a channel's range is divided into so many parts; a knee is tried where they meet.
 const KNEES: i32 = 5;
 /// What an explanation without a name costs beyond one with a name.
 const SHAPE_COST: f64 = 2.0;
@@ -497,7 +497,7 @@ impl Hypotheses {
                 let knee = f64::from(i) / f64::from(KNEES) - 1.0;
                 let bent: Vec<f64> = u.iter().map(|u| (u - knee).max(0.0)).collect();
                 let bent = self.push(stack, masked(&bent, &rows));
-                made.push((Cause::Shape(shape.clone()), vec![bent, straight], f64::from(2 * KNEES).ln()));
+                made.push((Cause::Shape(shape.clone()), vec![bent, straight], f64::from(2 * KNEES - 1).ln()));
             }
         }
         let mut offer = |against: &[&str], manner: &str, columns: Vec<Vec<f64>>, grid: usize| {

@@ -52,7 +52,8 @@ pub(crate) const GRID_SHARE: f64 = 0.02;
 
 /// Rows from which on frequencies far up are tried: among a million of them one fits a few dozen rows by chance.
 const FAR_ROWS: usize = 120;
-/// Largest amplitude of an interpolation error, in periods of the signal: within a period it is an error of the reading.
+/// Largest amplitude of an interpolation error, in periods of the signal. A sound scale's stays within one; a figure that
+/// is so many times more is none, in however much noise it was read.
 const MOST_PERIODS: f64 = 20.0;
 /// Turns over the whole extent below which what a wave shows on a grid is no wave.
 const SLOWEST_TURNS: f64 = 1.5;
