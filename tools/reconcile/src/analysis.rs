@@ -414,7 +414,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         }
         let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
         match weakest {
-            Some(w) if chance.named.tail(evidence[w]) > level => named = search.without(&named, w),
+            Some(w) if chance.of_name(evidence[w]) > level => named = search.without(&named, w),
             _ => break,
         }
     }
@@ -432,7 +432,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     let needed = if mostly { SHAPE_INSTEAD } else { SHAPE_DECISIVE };
     let unexplained: Vec<Shape> = if !(mostly && beside) && any.score > named.score + needed {
         let gain = any.score - named.score;
-        let real = chance.any.tail(gain) <= level;
+        let real = chance.of_anything(gain) <= level;
         any.members.iter().filter_map(|m| m.cause.shape().filter(|_| real).cloned()).collect()
     } else {
         Vec::new()
@@ -469,7 +469,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         let own = set.score - search.without(&set, i).score;
         // Beside a shape without a name only what reads something else, and stands out by itself, is named.
         let entangled =
-            !unexplained.is_empty() && (reads(&effect, &unexplained) || chance.any.tail(own) > level);
+            !unexplained.is_empty() && (reads(&effect, &unexplained) || chance.of_anything(own) > level);
         if entangled {
             continue;
         }
@@ -546,7 +546,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
                 findings.push(Finding {
                     effect: split.1,
                     held: Vec::new(),
-                    p_value: chance.named.tail(own),
+                    p_value: chance.of_name(own),
                     evidence: own,
                     rivals: Vec::new(),
                 });
@@ -554,7 +554,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         }
         list.sort_by(|a, b| a.margin.total_cmp(&b.margin));
         list.truncate(MOST_RIVALS);
-        findings.push(Finding { effect, held, p_value: chance.named.tail(own), evidence: own, rivals: list });
+        findings.push(Finding { effect, held, p_value: chance.of_name(own), evidence: own, rivals: list });
     }
     findings.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
     tried.sort_by(|a, b| b.accepted.cmp(&a.accepted).then(b.odds.total_cmp(&a.odds)));

@@ -10,13 +10,13 @@ pub const SEED: u64 = 4832;
 
 /// A distribution of largest values: Gumbel, fitted by its first two moments.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Extreme {
+struct Extreme {
     location: f64,
     width: f64,
 }
 
 impl Extreme {
-    pub(crate) fn fit(values: &[f64]) -> Self {
+    fn fit(values: &[f64]) -> Self {
         let n = values.len().max(1) as f64;
         let mean = values.iter().sum::<f64>() / n;
         let var = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
@@ -26,7 +26,7 @@ impl Extreme {
     }
 
     /// Probability of a value at least this large.
-    pub(crate) fn tail(self, value: f64) -> f64 {
+    fn tail(self, value: f64) -> f64 {
         -(-(-(value - self.location) / self.width).exp()).exp_m1()
     }
 }
@@ -34,11 +34,28 @@ impl Extreme {
 /// What chance finds in noise like this data's.
 pub(crate) struct Chance {
     /// Largest gain in score of any named hypothesis on the grid.
-    pub(crate) named: Extreme,
+    named: Extreme,
     /// Of any hypothesis.
-    pub(crate) any: Extreme,
+    any: Extreme,
     /// The rounds of noise.
     pub(crate) draws: Vec<Vec<f64>>,
+}
+
+/// By how much a search finds a gain more often than its grid alone: it goes on between the grid's points, over a
+/// million frequencies, and to several effects at once. On 620 blind cases without anything hidden the bare grid's
+/// probabilities let 1.5 % pass at the level of 1 %, with this factor about 0.5 %; what is hidden is found as often.
+const BEYOND_GRID: f64 = 10.0;
+
+impl Chance {
+    /// Probability that chance alone gives a name so large a gain.
+    pub(crate) fn of_name(&self, gain: f64) -> f64 {
+        (BEYOND_GRID * self.named.tail(gain)).min(1.0)
+    }
+
+    /// The same for a name or a shape.
+    pub(crate) fn of_anything(&self, gain: f64) -> f64 {
+        (BEYOND_GRID * self.any.tail(gain)).min(1.0)
+    }
 }
 
 /// A uniform number below `n`.
