@@ -13,7 +13,7 @@ const ROUNDS: usize = 40;
 /// Log odds below which the data do not decide between two explanations.
 const DECISIVE: f64 = 3.0;
 /// Log odds by which a shape without a name must beat the best named explanation.
-const SHAPE_DECISIVE: f64 = 3.0;
+const SHAPE_DECISIVE: f64 = 1.5;
 /// The same where the names leave little.
 const SHAPE_INSTEAD: f64 = 12.0;
 
