@@ -32,9 +32,12 @@ pub fn program(name: &str) -> PathBuf {
         let test = std::env::current_exe().unwrap_or_default();
         let profile = test.ancestors().nth(2).unwrap_or(Path::new("")).to_owned();
         let mut cargo = Command::new(env!("CARGO"));
-        cargo.args(["build", "--quiet", "-p", "rtecd", "-p", "rtecctl"]).current_dir(crate::root());
+        cargo.args(["build", "--quiet"]).current_dir(crate::root());
         if profile.ends_with("release") {
-            cargo.arg("--release");
+            cargo.args(["--release", "-p", "rtecd", "-p", "rtecctl"]);
+        } else {
+            // With the tests' features, as the run of all tests has just built nearly everything.
+            cargo.args(["--workspace", "--bins", "--tests"]);
         }
         if let Some(triple) = profile.parent().and_then(Path::file_name).and_then(|n| n.to_str())
             && triple.contains("-linux-")
