@@ -284,15 +284,14 @@ impl Source {
             "reversal" => map(run.dir(a), &|d| self.val("um") * d / 2.0),
             "reversal_spike" => {
                 let (p, d) = (pos(a), run.dir(a));
-                let mut last: Option<f64> = None;
+                let mut since: Option<f64> = None;
                 (0..n)
                     .map(|i| {
                         if i > 0 && d[i] * d[i - 1] < 0.0 {
-                            last = Some(p[i - 1]);
+                            since = Some(0.0);
                         }
-                        last.map_or(0.0, |q| {
-                            self.val("um") * d[i] * (-(p[i] - q).abs() / self.val("length_mm")).exp()
-                        })
+                        since = since.map(|way| way + (p[i] - p[i - 1]).abs());
+                        since.map_or(0.0, |way| self.val("um") * d[i] * (-way / self.val("length_mm")).exp())
                     })
                     .collect()
             }

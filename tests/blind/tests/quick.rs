@@ -45,6 +45,37 @@ fn a_strange_shape_is_called_unknown() {
     assert!(good >= 4, "{bad:#?}");
 }
 
+/// A bug once: the noise of two responses was sized by what the search had found, so that four waves among 81 targets
+/// that held each other up were certain.
+#[test]
+fn waves_that_only_stand_together_are_no_finding() {
+    let (good, bad) = right(Hides::Nothing, 600_317..600_318);
+    assert_eq!(good, 1, "{bad:#?}");
+}
+
+/// A bug once: a step was exchanged for a name that explained far less, as the exchange only saw the step's own grid.
+#[test]
+fn a_name_is_exchanged_only_for_a_better_one() {
+    for seed in [700_133, 700_144] {
+        let (good, bad) = right(Hides::Two, seed..seed + 1);
+        assert_eq!(good, 1, "{bad:#?}");
+    }
+}
+
+/// A bug once: coolant that drift outweighed was found and dropped as too slight, and nothing was missing.
+#[test]
+fn what_is_certain_beside_drift_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let case = make(700_185, Hides::Two, None, Manner::Second, dir.path()).unwrap();
+    let (reply, _) = judge(&case).unwrap();
+    assert!(
+        reply.effects.iter().any(|(name, _)| name == "coolant.y"),
+        "{} {:?}",
+        reply.verdict,
+        reply.effects
+    );
+}
+
 #[test]
 fn the_same_data_give_the_same_document() {
     let dir = tempfile::tempdir().unwrap();

@@ -338,8 +338,12 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
             let ranking = search.ranking(&rest);
             let Some(first) = ranking.first() else { continue };
             let offer = first.offers[0].clone();
-            let same_name = first.name == search.all.list[member].name;
-            if offer.hypothesis == member || (same_name && offer.score <= named.score + 1e-6) {
+            let own = &search.all.list[member].name;
+            let present =
+                ranking.iter().find(|r| r.name == *own).map_or(named.score, |r| r.evidence.max(named.score));
+            let better =
+                if first.name == *own { offer.score > named.score + 1e-6 } else { first.evidence > present };
+            if offer.hypothesis == member || !better {
                 continue;
             }
             let next = search.take(&rest, &offer);
@@ -390,6 +394,17 @@ fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
     best
 }
 
+/// A set without its weakest member, without the weakest of what is left, and so on to the empty set.
+fn fewer(search: &Search<'_, '_>, set: &Set) -> Vec<Set> {
+    let mut out: Vec<Set> = Vec::new();
+    for _ in 0..set.members.len() {
+        let from = out.last().unwrap_or(set);
+        let each = (0..from.members.len()).map(|i| search.without(from, i));
+        out.extend(each.max_by(|a, b| a.score.total_cmp(&b.score)));
+    }
+    out
+}
+
 fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
     let mut named = found.named.clone();
     let any = found.any.clone();
@@ -402,20 +417,37 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     let whole = rms(&search.residual(&search.empty()).0);
     let mut evidence: Vec<f64>;
     loop {
-        evidence = (0..named.members.len()).map(|i| named.score - search.without(&named, i).score).collect();
+        evidence =
+            (0..named.members.len()).map(|i| search.gain(&search.without(&named, i), &named)).collect();
         let now = rms(&search.residual(&named).0);
         let worth: Vec<f64> =
             (0..evidence.len()).map(|i| rms(&search.residual(&search.without(&named, i)).0) - now).collect();
         let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]));
-        if let Some(w) = least.filter(|w| worth[*w] < WORTH * whole) {
+        let slight = |w: &usize| {
+            // Where all else that drifts has become noise, the last effect is measured by what it does itself.
+            let alone = named.members.len() == 1;
+            worth[*w] < WORTH * whole
+                && !(alone && search.share(&named, *w).powi(2) > 2.0 * WORTH * whole.powi(2))
+        };
+        if let Some(w) = least.filter(slight) {
             let fewer = search.without(&named, w);
             named = renamed(search, fewer);
             continue;
         }
         let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
         match weakest {
-            Some(w) if chance.of_name(evidence[w]) > level => named = search.without(&named, w),
-            _ => break,
+            Some(w) if chance.of_name(evidence[w], named.members.len() == 1) > level => {
+                named = search.without(&named, w);
+            }
+            _ => {
+                // Several may hold each other up and be worth nothing together.
+                let mut chain = fewer(search, &named).into_iter().rev();
+                let chances = |s: &Set| chance.of_name(search.gain(s, &named), s.members.is_empty());
+                match chain.find(|s| chances(s) > level) {
+                    Some(rest) => named = rest,
+                    None => break,
+                }
+            }
         }
     }
     let steadier = search.steadier(&named);
@@ -426,17 +458,18 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     let left = rms(&search.residual(&named).0);
     let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
     // Names that leave next to nothing, or that the shape only stands beside, keep their place.
-    let beside = left < NEARLY_ALL * whole
-        || named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
+    let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
+    let kept = mostly && (beside || left < NEARLY_ALL * whole);
     // A shape in place of the names, not beside them, has to be the far better account where they leave little.
     let needed = if mostly { SHAPE_INSTEAD } else { SHAPE_DECISIVE };
-    let unexplained: Vec<Shape> = if !(mostly && beside) && any.score > named.score + needed {
-        let gain = any.score - named.score;
-        let real = chance.of_anything(gain) <= level;
-        any.members.iter().filter_map(|m| m.cause.shape().filter(|_| real).cloned()).collect()
-    } else {
-        Vec::new()
-    };
+    let mut unexplained: Vec<Shape> = Vec::new();
+    if !kept && any.score > named.score + needed {
+        // In place of names it is the whole that chance would have to give.
+        let from = if beside { named.clone() } else { search.empty() };
+        if chance.of_anything(search.gain(&from, &any)) <= level {
+            unexplained.extend(any.members.iter().filter_map(|m| m.cause.shape().cloned()));
+        }
+    }
     let set = if unexplained.is_empty() { named.clone() } else { any.clone() };
     let beta = search.coefficients(&set);
     let mut tried: Vec<Tried> = Vec::new();
@@ -466,7 +499,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         let gamma = &beta[at..at + k];
         at += k;
         let Some(mut effect) = effect_of(&m.cause, gamma) else { continue };
-        let own = set.score - search.without(&set, i).score;
+        let own = search.gain(&search.without(&set, i), &set);
+        let p_value = chance.of_name(own, set.members.len() == 1);
         // Beside a shape without a name only what reads something else, and stands out by itself, is named.
         let entangled =
             !unexplained.is_empty() && (reads(&effect, &unexplained) || chance.of_anything(own) > level);
@@ -546,7 +580,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
                 findings.push(Finding {
                     effect: split.1,
                     held: Vec::new(),
-                    p_value: chance.of_name(own),
+                    p_value,
                     evidence: own,
                     rivals: Vec::new(),
                 });
@@ -554,7 +588,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         }
         list.sort_by(|a, b| a.margin.total_cmp(&b.margin));
         list.truncate(MOST_RIVALS);
-        findings.push(Finding { effect, held, p_value: chance.of_name(own), evidence: own, rivals: list });
+        findings.push(Finding { effect, held, p_value, evidence: own, rivals: list });
     }
     findings.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
     tried.sort_by(|a, b| b.accepted.cmp(&a.accepted).then(b.odds.total_cmp(&a.odds)));

@@ -5,7 +5,7 @@ use crate::gram::{self, Cholesky, Products, Vector, dot, products};
 use crate::hypotheses::{
     Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
 };
-use crate::problem::{Known, Stack};
+use crate::problem::{Known, Stack, rms};
 use rtec_model::effect::Effect;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
@@ -343,6 +343,29 @@ impl<'p, 'r> Search<'p, 'r> {
         self.set(members)
     }
 
+    /// By how much a set is better than another. The sizes of several responses' noise were taken from what the search
+    /// had found, which made whatever it found in one of them look certain: here each set has its own.
+    pub(crate) fn gain(&self, from: &Set, to: &Set) -> f64 {
+        let by_score = to.score - from.score;
+        if self.stack.responses.len() == 1 {
+            return by_score;
+        }
+        let own = |set: &Set| {
+            let (residual, phi) = self.residual(set);
+            let white = sharpened(&residual, phi, &self.stack.ranges);
+            let mut loglik = 0.5 * self.stack.ranges.len() as f64 * (1.0 - phi * phi).ln();
+            for j in 0..self.stack.responses.len() {
+                let rows =
+                    || self.stack.segments.iter().filter(|s| s.response == j).flat_map(|s| s.rows.clone());
+                let squares: f64 = rows().map(|i| residual[i] * white[i]).sum();
+                let n = rows().count() as f64;
+                loglik -= 0.5 * n * (squares.max(1e-9) / n).ln();
+            }
+            loglik - (set.loglik - set.score)
+        };
+        by_score.min(own(to) - own(from))
+    }
+
     fn price(&self, set: &Set, cost: f64, columns: usize) -> f64 {
         set.loglik - set.score + cost + self.dimension_cost() * columns as f64
     }
@@ -533,6 +556,17 @@ impl<'p, 'r> Search<'p, 'r> {
             r.iter_mut().zip(&self.vectors[*i].data).for_each(|(r, x)| *r -= b * x);
         }
         r
+    }
+
+    /// Root mean square of what one member of a set does, weighed.
+    pub(crate) fn share(&self, set: &Set, member: usize) -> f64 {
+        let beta = self.coefficients(set);
+        let before: usize = set.members[..member].iter().map(Member::columns).sum();
+        let mut does = vec![0.0; self.stack.n];
+        for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
+            does.iter_mut().zip(&self.vectors[*i].data).for_each(|(d, x)| *d += b * x);
+        }
+        rms(&does)
     }
 
     /// Coefficients of the set at its best noise coefficient: known parameters' changes, then members' in order.
