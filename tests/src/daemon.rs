@@ -32,12 +32,10 @@ pub fn program(name: &str) -> PathBuf {
         let test = std::env::current_exe().unwrap_or_default();
         let profile = test.ancestors().nth(2).unwrap_or(Path::new("")).to_owned();
         let mut cargo = Command::new(env!("CARGO"));
-        cargo.args(["build", "--quiet"]).current_dir(crate::root());
+        // All at once, as the run of all tests has built them: fewer would want other features of what they stand on.
+        cargo.args(["build", "--quiet", "--workspace", "--bins", "--examples"]).current_dir(crate::root());
         if profile.ends_with("release") {
-            cargo.args(["--release", "-p", "rtecd", "-p", "rtecctl"]);
-        } else {
-            // With the tests' features, as the run of all tests has just built nearly everything.
-            cargo.args(["--workspace", "--bins", "--tests"]);
+            cargo.arg("--release");
         }
         if let Some(triple) = profile.parent().and_then(Path::file_name).and_then(|n| n.to_str())
             && triple.contains("-linux-")

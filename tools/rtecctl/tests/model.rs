@@ -213,3 +213,23 @@ fn a_base_is_kept_and_the_date_is_the_records() {
         assert!(written.contains(line), "{line}: {written}");
     }
 }
+
+/// A run of returns to one position is of kind positioning; without a direction of approach its evaluation has to be named.
+#[test]
+fn returns_to_one_position_are_told_of_their_own_evaluation() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("r.csv"), "t,e\n0,1.0\n5,1.5\n10,0.5\n").unwrap();
+    let run = "file = 'r.csv'\nkind = 'positioning'\n[columns]\nt = { role = 'time', unit = 's' }\n\
+               e = { role = 'error.x', unit = 'um' }\n";
+    std::fs::write(dir.path().join("r.run.toml"), run).unwrap();
+    let evaluate = |words: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rtecctl"));
+        command.current_dir(dir.path()).args(["characterise", "evaluate", "r.run.toml"]).args(words);
+        let out = command.output().unwrap();
+        (out.status.code(), String::from_utf8([out.stdout, out.stderr].concat()).unwrap())
+    };
+    let (code, text) = evaluate(&[]);
+    assert!(code == Some(2) && text.contains("--standard repeatability"), "{code:?} {text}");
+    let (code, text) = evaluate(&["--standard", "repeatability"]);
+    assert!(code == Some(0) && text.contains("x.range_um") && text.contains("1.0000"), "{code:?} {text}");
+}

@@ -91,7 +91,11 @@ fn by_kind(record: &Record) -> Result<Standard, InputError> {
 fn evaluate(record: &Record, standard: Standard, norm: u8) -> anyhow::Result<(Value, Vec<Chart>)> {
     Ok(match standard {
         Standard::Iso230_2 => {
-            let all = iso230::positioning(record)?;
+            let all = iso230::positioning(record).map_err(|mut e| {
+                e.expected
+                    .push_str("; where the machine only returned to one position, --standard repeatability");
+                e
+            })?;
             let charts = all.iter().map(iso230::Positioning::chart).collect();
             (serde_json::to_value(all)?, charts)
         }
