@@ -76,6 +76,13 @@ fn what_is_certain_beside_drift_is_named() {
     );
 }
 
+/// A bug once: a law from 22 °C was called a law from 20 °C and an offset, which do the same, where the offset had come first.
+#[test]
+fn another_reference_temperature_is_no_certain_offset() {
+    let (good, bad) = right(Hides::Two, 900_279..900_280);
+    assert_eq!(good, 1, "{bad:#?}");
+}
+
 #[test]
 fn the_same_data_give_the_same_document() {
     let dir = tempfile::tempdir().unwrap();

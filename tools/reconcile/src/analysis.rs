@@ -3,7 +3,7 @@
 use crate::chance::Chance;
 use crate::hypotheses::{Cause, Hypotheses, Shape};
 use crate::problem::{Known, Stack, known, rms};
-use crate::search::{Found, Search, Set};
+use crate::search::{Found, Search, Set, level_name};
 use rtec_model::effect::{Difference, Effect};
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
@@ -455,6 +455,9 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         named = set;
         equals
     });
+    if equals.is_none() {
+        named = search.with_references(named);
+    }
     let left = rms(&search.residual(&named).0);
     let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
     // Names that leave next to nothing, or that the shape only stands beside, keep their place.
@@ -618,8 +621,7 @@ fn plausible_reference(delta: &Difference) -> bool {
 /// What does the same as another reference temperature of a thermal effect: an offset, or a scale beside an expansion.
 /// None where the set or the model has it.
 fn level_beside(search: &Search<'_, '_>, set: &Set, effect: &Effect) -> Option<Effect> {
-    let law = if effect.card().name == "thermal_expansion" { "scale" } else { "offset" };
-    let name = format!("{law}.{}", effect.axes()[0]);
+    let name = level_name(effect);
     if set.members.iter().any(|m| search.all.list[m.hypothesis].name == name) {
         return None;
     }

@@ -155,6 +155,8 @@ const FINEST: f64 = 0.5;
 const KNEES: i32 = 5;
 /// What an explanation without a name costs beyond one with a name.
 const SHAPE_COST: f64 = 2.0;
+/// Of a reference temperature other than 20 °C, in nats.
+pub(crate) const ANOTHER_REFERENCE: f64 = 1.4;
 
 impl Hypotheses {
     pub(crate) fn new(stack: &Stack<'_>, dictionary: &Dictionary) -> (Self, Vec<Wave>) {
@@ -394,7 +396,7 @@ impl Hypotheses {
         }
         if reference {
             let constant = self.push(stack, reference_column(stack, &effect));
-            self.atom(h, &effect, &[0], true, vec![columns[0], constant], cost + 1.9);
+            self.atom(h, &effect, &[0], true, vec![columns[0], constant], cost + 0.5 + ANOTHER_REFERENCE);
             if quadratic {
                 self.atom(h, &effect, &[0, 1], true, vec![columns[0], columns[1], constant], cost + 2.5);
             }

@@ -3,7 +3,8 @@
 
 use crate::gram::{self, Cholesky, Products, Vector, dot, products};
 use crate::hypotheses::{
-    Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch, reference_column, taus,
+    ANOTHER_REFERENCE, Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch,
+    reference_column, taus,
 };
 use crate::problem::{Known, Stack, rms};
 use rtec_model::effect::Effect;
@@ -914,6 +915,29 @@ impl<'p, 'r> Search<'p, 'r> {
         self.joined_by(set, &offer.cause, offer.hypothesis, offer.cost, columns)
     }
 
+    /// The set with a constant taken for the reference temperature of the thermal law that it stands beside: the same
+    /// columns, and one effect less.
+    pub(crate) fn with_references(&mut self, set: Set) -> Set {
+        for j in (0..set.members.len()).rev() {
+            let Cause::Effect { effect, free, reference: false } = &set.members[j].cause else { continue };
+            let (mut cause, effect, free) = (set.members[j].cause.clone(), effect.clone(), free.clone());
+            let Some(level) = level_of(&effect) else { continue };
+            let is_level = |m: &Member| self.all.list[m.hypothesis].name == level;
+            let Some(i) = set.members.iter().position(is_level) else { continue };
+            if let Cause::Effect { reference, .. } = &mut cause {
+                *reference = true;
+            }
+            let Member { hypothesis, cost, .. } = set.members[j];
+            let rest = self.without(&self.without(&set, i.max(j)), i.min(j));
+            let columns = self.columns(&effect, &free, true);
+            let next = self.joined_by(&rest, &cause, hypothesis, cost + ANOTHER_REFERENCE, columns);
+            if next.score > set.score {
+                return self.with_references(next);
+            }
+        }
+        set
+    }
+
     /// The set with a grid point taken in.
     pub(crate) fn take_atom(&mut self, set: &Set, atom: &Atom) -> Set {
         self.joined_by(set, &atom.cause, atom.hypothesis, atom.cost, self.of_bank(&atom.columns))
@@ -1026,6 +1050,19 @@ impl<'p, 'r> Search<'p, 'r> {
         out.sort_by(|a, b| b.score.total_cmp(&a.score));
         out
     }
+}
+
+/// What does the same as another reference temperature of a law of the difference from 20 °C: an offset, or a scale
+/// beside an expansion.
+pub(crate) fn level_of(effect: &Effect) -> Option<String> {
+    use rtec_model::effect::Against;
+    matches!(effect.delta.as_ref()?.against, Against::Standard).then(|| level_name(effect))
+}
+
+/// The same, whatever the difference is taken from.
+pub(crate) fn level_name(effect: &Effect) -> String {
+    let law = if effect.card().name == "thermal_expansion" { "scale" } else { "offset" };
+    format!("{law}.{}", effect.axes()[0])
 }
 
 /// log(eᵃ + eᵇ)
