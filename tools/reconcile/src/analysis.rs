@@ -464,7 +464,9 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
     let kept = mostly && (beside || left < NEARLY_ALL * whole);
     // A shape in place of the names, not beside them, has to be the far better account where they leave little.
-    let needed = if mostly { SHAPE_INSTEAD } else { SHAPE_DECISIVE };
+    // The more names one shape replaces, the less.
+    let each = any.members.len() as f64 / named.members.len().max(1) as f64;
+    let needed = if mostly { SHAPE_INSTEAD * each.min(1.0) } else { SHAPE_DECISIVE };
     let mut unexplained: Vec<Shape> = Vec::new();
     if !kept && any.score > named.score + needed {
         // In place of names it is the whole that chance would have to give.
