@@ -1054,7 +1054,7 @@ impl<'p, 'r> Search<'p, 'r> {
 
 /// What does the same as another reference temperature of a law of the difference from 20 °C: an offset, or a scale
 /// beside an expansion.
-pub(crate) fn level_of(effect: &Effect) -> Option<String> {
+fn level_of(effect: &Effect) -> Option<String> {
     use rtec_model::effect::Against;
     matches!(effect.delta.as_ref()?.against, Against::Standard).then(|| level_name(effect))
 }
