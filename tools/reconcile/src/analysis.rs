@@ -417,11 +417,10 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     let whole = rms(&search.residual(&search.empty()).0);
     let mut evidence: Vec<f64>;
     loop {
-        evidence =
-            (0..named.members.len()).map(|i| search.gain(&search.without(&named, i), &named)).collect();
+        let mut rests: Vec<Set> = (0..named.members.len()).map(|i| search.without(&named, i)).collect();
+        evidence = rests.iter().map(|rest| search.gain(rest, &named)).collect();
         let now = rms(&search.residual(&named).0);
-        let worth: Vec<f64> =
-            (0..evidence.len()).map(|i| rms(&search.residual(&search.without(&named, i)).0) - now).collect();
+        let worth: Vec<f64> = rests.iter().map(|rest| rms(&search.residual(rest).0) - now).collect();
         let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]));
         let slight = |w: &usize| {
             // Where all else that drifts has become noise, the last effect is measured by what it does itself.
@@ -430,14 +429,13 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
                 && !(alone && search.share(&named, *w).powi(2) > 2.0 * WORTH * whole.powi(2))
         };
         if let Some(w) = least.filter(slight) {
-            let fewer = search.without(&named, w);
-            named = renamed(search, fewer);
+            named = renamed(search, rests.swap_remove(w));
             continue;
         }
         let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
         match weakest {
             Some(w) if chance.of_name(evidence[w], named.members.len() == 1) > level => {
-                named = search.without(&named, w);
+                named = rests.swap_remove(w);
             }
             _ => {
                 // Several may hold each other up and be worth nothing together.

@@ -7,7 +7,7 @@ use crate::hypotheses::{
     reference_column, taus,
 };
 use crate::problem::{Known, Stack, rms};
-use rtec_model::effect::Effect;
+use rtec_model::effect::{Against, Effect};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
 use std::cell::{Cell, OnceCell, RefCell};
@@ -921,7 +921,10 @@ impl<'p, 'r> Search<'p, 'r> {
         for j in (0..set.members.len()).rev() {
             let Cause::Effect { effect, free, reference: false } = &set.members[j].cause else { continue };
             let (mut cause, effect, free) = (set.members[j].cause.clone(), effect.clone(), free.clone());
-            let Some(level) = level_of(&effect) else { continue };
+            if !effect.delta.as_ref().is_some_and(|d| matches!(d.against, Against::Standard)) {
+                continue;
+            }
+            let level = level_name(&effect);
             let is_level = |m: &Member| self.all.list[m.hypothesis].name == level;
             let Some(i) = set.members.iter().position(is_level) else { continue };
             if let Cause::Effect { reference, .. } = &mut cause {
@@ -1052,14 +1055,7 @@ impl<'p, 'r> Search<'p, 'r> {
     }
 }
 
-/// What does the same as another reference temperature of a law of the difference from 20 °C: an offset, or a scale
-/// beside an expansion.
-fn level_of(effect: &Effect) -> Option<String> {
-    use rtec_model::effect::Against;
-    matches!(effect.delta.as_ref()?.against, Against::Standard).then(|| level_name(effect))
-}
-
-/// The same, whatever the difference is taken from.
+/// What does the same as another reference temperature of a thermal law: an offset, or a scale beside an expansion.
 pub(crate) fn level_name(effect: &Effect) -> String {
     let law = if effect.card().name == "thermal_expansion" { "scale" } else { "offset" };
     format!("{law}.{}", effect.axes()[0])
