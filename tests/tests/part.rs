@@ -115,7 +115,7 @@ fn a_part_is_probed_and_finished_through_the_daemon() {
     let errors = format!("errors --points semi/probed.csv --radius-mm {SEMI_MM} --tip-mm 2.5 --out semi");
     let before = part(folder, &errors);
     assert!(largest_um(&before) > 12.0, "the worn tool's bump: {before}");
-    let record = rtec_model::record::Record::read(&folder.join("semi/probing.run.toml")).unwrap();
+    let record = rtec_measure::record::read(&folder.join("semi/probing.run.toml")).unwrap();
     assert_eq!(record.rows(), 7);
 
     let cutting =

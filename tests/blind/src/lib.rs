@@ -16,7 +16,6 @@ pub mod score;
 pub mod world;
 
 use rtec_model::machine::Machine;
-use rtec_model::record::Record;
 
 /// Reads a case's files, reconciles and reads the verdict as a stranger would: from the document. The share of the gap
 /// that is closed beside it.
@@ -24,8 +23,9 @@ use rtec_model::record::Record;
 /// # Errors
 /// A file of the case is refused.
 pub fn judge(case: &case::Case) -> anyhow::Result<(score::Reply, Option<f64>)> {
-    let read =
-        |paths: &[std::path::PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, _>>();
+    let read = |paths: &[std::path::PathBuf]| {
+        paths.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()
+    };
     let (train, holdout) = (read(&case.train)?, read(&case.holdout)?);
     let machine = Machine::read(&case.model)?;
     let answer = rtec_reconcile::reconcile(&train, &holdout, &machine, &rtec_reconcile::Options::default())?;

@@ -113,8 +113,7 @@ fn one(hides: Hides, seed: u64, manner: Manner, baselines: bool) -> anyhow::Resu
     let start = std::time::Instant::now();
     let (reply, closed) = judge(&case)?;
     let seconds = start.elapsed().as_secs_f64();
-    let train =
-        case.train.iter().map(|p| rtec_model::record::Record::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let train = case.train.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
     let machine = rtec_model::machine::Machine::read(&case.model)?;
     let mut base = [Mark::Missed; 2];
     if baselines {

@@ -88,7 +88,7 @@ fn the_same_data_give_the_same_document() {
     let dir = tempfile::tempdir().unwrap();
     let case = make(40_300, Hides::Two, None, Manner::First, dir.path()).unwrap();
     let once = || {
-        let train: Vec<_> = case.train.iter().map(|p| rtec_model::record::Record::read(p).unwrap()).collect();
+        let train: Vec<_> = case.train.iter().map(|p| rtec_measure::record::read(p).unwrap()).collect();
         let machine = rtec_model::machine::Machine::read(&case.model).unwrap();
         rtec_reconcile::reconcile(&train, &[], &machine, &rtec_reconcile::Options::default())
             .unwrap()

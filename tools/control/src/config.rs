@@ -34,19 +34,21 @@
 //! | `[model]` | `file` | – | none | the machine model that shall run, once `rtecctl model load` has taken it |
 //! | | `period_ms` | ms | 10 | how often it is evaluated, 10 to 20 |
 //! | | `ramp_um_s` | µm/s | 5 | how fast a correction goes to a new place that no motion of the axis asks for |
+//! | | `lead_ms` | ms | 0 | how long before the axes are there it is evaluated: one `period_ms` and the lag of the position loop |
 //! | | `log_s` | s | 5 | how often temperatures are logged (beside the state file), for lags after a restart |
-//! | `[[sensor]]` | | | | a temperature, see [`rtec_model::sensors`] |
+//! | `[[sensor]]` | | | | a temperature, see [`rtec_correct::sensors`] |
 //!
 //! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
 //! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.
 
 use crate::section::{At, BIASES, DRIVES, LineName, Section, Source, nearest};
+use rtec_correct::sensors;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::input::InputError;
 use rtec_driver::pci::PciId;
 use rtec_driver::profile::{Place, Profile, SHIPPED, Space, Width};
-use rtec_model::{document, sensors};
+use rtec_model::document;
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::event::MAX_AXES;
 use std::collections::BTreeMap;
@@ -210,6 +212,8 @@ pub struct ModelConfig {
     pub period_ms: u64,
     /// How fast a correction goes to a new place that no motion of the axis asks for, µm/s.
     pub ramp_um_s: f64,
+    /// How long before the axes are there it is evaluated, ms.
+    pub lead_ms: f64,
     /// How often temperatures are logged, s.
     pub log_s: f64,
 }
@@ -320,6 +324,20 @@ impl Config {
     #[must_use]
     pub fn nearest_axis(&self, name: &str) -> Option<&str> {
         nearest(name, &self.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>())
+    }
+}
+
+impl Axis {
+    /// What the control law needs to know of it.
+    #[must_use]
+    pub fn law(&self) -> rtec_correct::AxisSetup {
+        rtec_correct::AxisSetup {
+            name: self.name.clone(),
+            count_um: self.count_um,
+            increment_counts: self.engine.design.increment_counts(),
+            window_counts: self.engine.window_counts,
+            max_counts: self.engine.max_correction_counts,
+        }
     }
 }
 
@@ -456,12 +474,14 @@ fn read_model(source: &mut Source<'_>, root: &mut Section<'_>) -> ModelConfig {
     let file = table.string(source, "file", "the path of the machine model");
     let period_ms = table.integer(source, "period_ms", 10..=20);
     let ramp_um_s = table.positive(source, "ramp_um_s", 1000.0);
+    let lead_ms = table.positive(source, "lead_ms", 1000.0);
     let log_s = table.positive(source, "log_s", 60.0);
     table.finish(source);
     ModelConfig {
         file: file.map(|f| source.file.parent().unwrap_or(Path::new("")).join(f.value)),
         period_ms: period_ms.map_or(10, |p| p.value as u64),
-        ramp_um_s: ramp_um_s.map_or(5.0, |r| r.value),
+        ramp_um_s: ramp_um_s.map_or(rtec_correct::RAMP_UM_S, |r| r.value),
+        lead_ms: lead_ms.map_or(0.0, |l| l.value),
         log_s: log_s.map_or(5.0, |l| l.value),
     }
 }

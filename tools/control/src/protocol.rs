@@ -23,6 +23,8 @@
 //!
 //! `watch` turns the connection into a stream of `event` answers until it is closed.
 
+pub use rtec_correct::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
+pub use rtec_correct::part_table::{PartTable, TableNow};
 use rtec_rt::event::{Event, EventKind, Fault, Refusal};
 use serde::{Deserialize, Serialize};
 
@@ -109,27 +111,6 @@ pub enum Request {
     TableUnload {},
 }
 
-/// The errors of a part along an arc, and the cut that takes them out. Pairs are along the part's axis (Z) and across
-/// it (X).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PartTable {
-    /// `error.cor`, absolute: angle in rad and error in µm a line.
-    pub errors: String,
-    /// Names of the two axes.
-    pub axes: [String; 2],
-    /// Centre of the arc in part coordinates.
-    pub centre_mm: [f64; 2],
-    /// Radius of the finished surface.
-    pub radius_mm: f64,
-    /// Radius of the tool's nose.
-    pub nose_mm: f64,
-    /// Machine position at which the nose's centre is at the part's origin.
-    pub origin_mm: [f64; 2],
-    /// Totals are asked this long before the tool is there.
-    pub lead_ms: f64,
-}
-
 impl Request {
     /// Reads a request line.
     ///
@@ -190,114 +171,6 @@ pub enum Response {
         /// The axes asked for.
         axes: Vec<Explained>,
     },
-}
-
-/// What a model would change now.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ModelPreview {
-    /// Its name.
-    pub name: String,
-    /// Its file.
-    pub file: String,
-    /// Its hash: what is taken must have the same.
-    pub sha256: String,
-    /// What its fits say about themselves: response, dates, uncertainty.
-    pub fits: Vec<String>,
-    /// What to know before taking it.
-    pub warnings: Vec<String>,
-    /// Fits whose validity has ended: it is not taken unless that is meant.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub expired: Vec<String>,
-    /// Per axis.
-    pub axes: Vec<Change>,
-}
-
-/// What changes on an axis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Change {
-    /// The axis.
-    pub axis: String,
-    /// Its total now, counts.
-    pub now_counts: i64,
-    /// The same, µm.
-    pub now_um: f64,
-    /// Its total with the new model, counts.
-    pub then_counts: i64,
-    /// The same, µm.
-    pub then_um: f64,
-    /// Why it would not follow the model yet.
-    pub holds: Option<String>,
-}
-
-/// What an axis's correction is made of. Errors that are taken out, µm: the axis moves by the opposite.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Explained {
-    /// The axis.
-    pub axis: String,
-    /// The total, counts.
-    pub requested: i64,
-    /// The same, µm: the sum of the parts.
-    pub total_um: f64,
-    /// The parts.
-    pub parts: Vec<Part>,
-    /// Why it does not follow the model; none where it does.
-    pub holds: Option<String>,
-}
-
-/// One part of a correction.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Part {
-    /// An effect's name; or `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go),
-    /// `rounding` (to the design's increment).
-    pub name: String,
-    /// Its share, µm.
-    pub um: f64,
-    /// The sensors it reads.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sensors: Vec<Reading>,
-    /// How far the temperature difference is outside the range it was fitted on, K.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub outside_k: Option<f64>,
-    /// What is left of it for that.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub weight: Option<f64>,
-}
-
-/// A sensor now.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Reading {
-    /// Its name.
-    pub sensor: String,
-    /// Where it sits.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub place: String,
-    /// Its last good value, °C.
-    pub degc: Option<f64>,
-    /// The age of that, s.
-    pub age_s: Option<f64>,
-    /// `good`, `frozen` (the last good value stands in) or `hold`.
-    pub state: String,
-    /// What is wrong with it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fault: Option<String>,
-}
-
-/// The model that runs.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Model {
-    /// Its name.
-    pub name: String,
-    /// Its file.
-    pub file: String,
-    /// Its hash.
-    pub sha256: String,
-    /// What its fits say about themselves.
-    pub fits: Vec<String>,
-    /// Fits whose validity has ended.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub expired: Vec<String>,
-    /// What to know now: past its date, outside the range it was fitted on, at a limit.
-    pub notes: Vec<String>,
 }
 
 /// How far an axis moves when corrections are enabled now.
@@ -377,7 +250,7 @@ pub struct Status {
     pub rt: Rt,
     /// The model that runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub model: Option<Model>,
+    pub model: Option<RunningModel>,
     /// The part table that is loaded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<PartTable>,
@@ -389,24 +262,6 @@ pub struct Status {
     pub sensors: Vec<Reading>,
     /// The axes.
     pub axes: Vec<Axis>,
-}
-
-/// What a loaded part table does now.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TableNow {
-    /// Probed points in it.
-    pub points: usize,
-    /// `in_force`, `ready` where the tool is elsewhere, or `off`.
-    pub state: String,
-    /// From the tool to the arc, mm: 0 on it.
-    pub off_mm: f64,
-    /// Within this distance of the arc it acts, mm.
-    pub acts_within_mm: f64,
-    /// What it takes out here, µm, in the order of its axes; when it is not in force, what it would.
-    pub um: [f64; 2],
-    /// Why it is off.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub why: Option<String>,
 }
 
 /// The real-time thread.

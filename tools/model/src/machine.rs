@@ -4,12 +4,33 @@ use crate::chain::Chain;
 use crate::date;
 use crate::document::{self, Table};
 use crate::effect::{Against, Dictionary, Difference, Effect, Need, Parameter, ValueError};
-use crate::record::{Record, Role, hex, write_whole};
+use crate::record::{Record, Role};
+use crate::whole::{hex, write_whole};
 use rtec_driver::input::InputError;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Value, value};
+
+/// Half width of a 95 % interval in standard deviations.
+const NORMAL_95: f64 = 1.96;
+
+/// What an effect of a temperature difference may be off by at a row, µm, beyond what the fit itself leaves: the slope at
+/// the bound times what was asked beyond it, and, `elapsed_s` after a start, its part of an unknown state of the lag.
+#[must_use]
+pub fn unknown_um(
+    gain: f64,
+    bend: f64,
+    asked_k: f64,
+    held_k: f64,
+    start_k: f64,
+    tau_s: f64,
+    elapsed_s: f64,
+) -> f64 {
+    let slope = gain.abs().max((gain + 2.0 * bend * held_k).abs());
+    let start = if tau_s > 0.0 { NORMAL_95 * start_k * (-elapsed_s / tau_s).exp() } else { 0.0 };
+    slope * (asked_k - held_k).hypot(start)
+}
 
 /// A record that something was fitted on.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -291,8 +312,7 @@ impl Machine {
             for (row, (square, asked)) in squares.iter_mut().zip(&asked).enumerate() {
                 let held = asked.clamp(range[0], range[1]);
                 let (start_k, elapsed_s) = (effect.start_k.unwrap_or(0.0), t[row] - t[0]);
-                *square +=
-                    crate::fit::unknown_um(gain, bend, *asked, held, start_k, tau_s, elapsed_s).powi(2);
+                *square += unknown_um(gain, bend, *asked, held, start_k, tau_s, elapsed_s).powi(2);
             }
         }
         Some(squares.into_iter().map(f64::sqrt).collect())

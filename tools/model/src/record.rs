@@ -1,12 +1,8 @@
-//! Run records: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
+//! A run in memory: columns by role, row by row. On file it is a run record (formats.md, "Run record"), which
+//! `rtec-measure` reads and writes.
 
-use crate::date;
-use crate::document::{self, Table};
 use rtec_driver::input::InputError;
-use sha2::{Digest, Sha256};
 use std::fmt;
-use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// The name of an axis (`x`, `y`, `z`, `c`; `r` for the radial error of a probing run).
@@ -136,7 +132,8 @@ impl Role {
     }
 
     /// Only temperatures and channels may stand in several columns.
-    fn may_repeat(&self) -> bool {
+    #[must_use]
+    pub fn may_repeat(&self) -> bool {
         matches!(self, Self::Temperature | Self::Channel)
     }
 }
@@ -166,9 +163,6 @@ impl fmt::Display for Role {
     }
 }
 
-const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
-     velocity, acceleration, load, error, force with an axis (position.y)";
-
 /// What kind of run a record is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
@@ -184,7 +178,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    const ALL: [(&'static str, Self); 8] = [
+    /// All of them, by name.
+    pub const ALL: [(&'static str, Self); 8] = [
         ("positioning", Self::Positioning),
         ("drift", Self::Drift),
         ("ballbar", Self::Ballbar),
@@ -255,7 +250,7 @@ impl Record {
     /// A record made in memory (by the simulator or the recorder).
     ///
     /// # Errors
-    /// The same findings as [`Record::read`]: columns of unequal length, a role given twice, a value that is not
+    /// The findings of a record on file: columns of unequal length, a role given twice, a value that is not
     /// finite, time running backwards, no response.
     pub fn new(path: &Path, kind: Kind, columns: Vec<Column>) -> Result<Self, InputError> {
         let whole = |found: String, expected: &str| InputError::whole(path, found, expected);
@@ -287,64 +282,27 @@ impl Record {
         if columns[0].data.is_empty() {
             return Err(whole("no rows".into(), "at least one"));
         }
+        Ok(Self::of_checked(path, kind, columns))
+    }
+
+    /// A record of columns that are known to be right: as many values in each, finite, time never decreasing.
+    ///
+    /// # Panics
+    /// Without a column.
+    #[must_use]
+    pub fn of_checked(path: &Path, kind: Kind, columns: Vec<Column>) -> Self {
         let stem = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let file = format!("{}.csv", stem.strip_suffix(".run.toml").unwrap_or(&stem));
-        let time_s = times(&columns);
-        Ok(Self {
+        Self {
             path: path.to_owned(),
-            file,
+            file: format!("{}.csv", stem.strip_suffix(".run.toml").unwrap_or(&stem)),
             sha256: String::new(),
             kind,
             count_um: None,
             date: None,
             note: None,
+            time_s: times(&columns),
             columns,
-            time_s,
-        })
-    }
-
-    /// Reads a record from its sidecar.
-    ///
-    /// # Errors
-    /// The first finding, with file, line and column: unreadable file, unknown key, kind or role, wrong unit, a
-    /// listed column that is not in the CSV, a short row, a value that is missing or not finite, time running
-    /// backwards, no response.
-    pub fn read(path: &Path) -> Result<Self, InputError> {
-        let record = Self::read_log(path)?;
-        if record.responses().next().is_none() {
-            let found = "no response among the columns";
-            return Err(InputError::whole(path, found, "a column of role error.AXIS or force.AXIS"));
         }
-        Ok(record)
-    }
-
-    /// Reads a log: a record that need not have a response (a recorded shift).
-    ///
-    /// # Errors
-    /// As [`Record::read`], but for the response.
-    pub fn read_log(path: &Path) -> Result<Self, InputError> {
-        let sidecar = Sidecar::read(path)?;
-        let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
-        let bytes = std::fs::read(&csv_path).map_err(|e| {
-            sidecar
-                .file_error
-                .clone()
-                .with(format!("`{}` ({e})", csv_path.display()), "a CSV that can be read")
-        })?;
-        let text = document::decode(&csv_path, &bytes)?;
-        let columns = parse_csv(&csv_path, &text, &sidecar)?;
-        let time_s = times(&columns);
-        Ok(Self {
-            path: path.to_owned(),
-            file: sidecar.file,
-            sha256: hex(&Sha256::digest(&bytes)),
-            kind: sidecar.kind,
-            count_um: sidecar.count_um,
-            date: sidecar.date,
-            note: sidecar.note,
-            columns,
-            time_s,
-        })
     }
 
     /// Number of rows.
@@ -418,112 +376,6 @@ impl Record {
             ..self.clone()
         }
     }
-
-    /// The CSV's own rows (unlisted columns too) with further columns at the end, as CSV text.
-    ///
-    /// # Errors
-    /// The CSV can no longer be read, or its number of rows has changed since.
-    pub fn csv_with(&self, extra: &[(String, Vec<f64>)]) -> Result<String, InputError> {
-        let path = self.path.parent().unwrap_or(Path::new("")).join(&self.file);
-        let bytes = std::fs::read(&path)
-            .map_err(|e| InputError::whole(&path, format!("error `{e}`"), "a CSV that can be read"))?;
-        let text = document::decode(&path, &bytes)?;
-        let mut out = String::with_capacity(text.len() + 24 * extra.len() * self.rows());
-        let mut lines = rows(&text);
-        if let Some((_, header)) = lines.next() {
-            out.push_str(header);
-            for (name, _) in extra {
-                let _ = write!(out, ",{name}");
-            }
-            out.push('\n');
-        }
-        let mut n = 0;
-        for (_, line) in lines {
-            out.push_str(line);
-            for (_, data) in extra {
-                let Some(v) = data.get(n) else { break };
-                let _ = write!(out, ",{v}");
-            }
-            out.push('\n');
-            n += 1;
-        }
-        if n != self.rows() {
-            let expected = format!("{} rows, as when it was read", self.rows());
-            return Err(InputError::whole(&path, format!("{n} rows"), expected));
-        }
-        Ok(out)
-    }
-
-    /// The CSV text of the record's columns: shortest decimal that reads back as the same number.
-    #[must_use]
-    pub fn to_csv(&self) -> String {
-        let mut out = self.columns.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(",");
-        out.push('\n');
-        for row in 0..self.rows() {
-            for (i, c) in self.columns.iter().enumerate() {
-                let sep = if i == 0 { "" } else { "," };
-                let _ = write!(out, "{sep}{}", c.data[row]);
-            }
-            out.push('\n');
-        }
-        out
-    }
-
-    /// The sidecar's text.
-    #[must_use]
-    pub fn to_sidecar(&self) -> String {
-        let mut doc = toml_edit::DocumentMut::new();
-        doc["file"] = toml_edit::value(&self.file);
-        doc["kind"] = toml_edit::value(self.kind.name());
-        if let Some(um) = self.count_um {
-            doc["count_um"] = toml_edit::value(um);
-        }
-        if let Some(date) = &self.date {
-            doc["date"] = toml_edit::value(date);
-        }
-        if let Some(note) = &self.note {
-            doc["note"] = toml_edit::value(note);
-        }
-        let mut columns = toml_edit::Table::new();
-        for c in &self.columns {
-            let mut t = toml_edit::InlineTable::new();
-            t.insert("role", c.role.to_string().into());
-            t.insert("unit", c.unit.as_str().into());
-            columns.insert(&c.name, toml_edit::value(t));
-        }
-        doc["columns"] = toml_edit::Item::Table(columns);
-        doc.to_string()
-    }
-
-    /// Writes `NAME.run.toml` (at [`Record::path`]) and its CSV, each whole or not at all; sets the hash.
-    ///
-    /// # Errors
-    /// The directory cannot be written.
-    pub fn write(&mut self) -> std::io::Result<()> {
-        let csv = self.to_csv();
-        let dir = self.path.parent().unwrap_or(Path::new(""));
-        write_whole(&dir.join(&self.file), csv.as_bytes())?;
-        self.sha256 = hex(&Sha256::digest(csv.as_bytes()));
-        write_whole(&self.path, self.to_sidecar().as_bytes())
-    }
-}
-
-/// Writes a file whole or not at all: a temporary file beside it, then a rename.
-///
-/// # Errors
-/// The directory cannot be written.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let dir = path.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut temp = tempfile::NamedTempFile::new_in(dir)?;
-    temp.write_all(bytes)?;
-    #[cfg(unix)]
-    {
-        // A temporary file is private; what a tool writes for others to read is not.
-        use std::os::unix::fs::PermissionsExt;
-        temp.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
-    }
-    temp.persist(path).map_err(|e| e.error)?;
-    Ok(())
 }
 
 fn times(columns: &[Column]) -> Vec<f64> {
@@ -534,7 +386,10 @@ fn times(columns: &[Column]) -> Vec<f64> {
 }
 
 /// What one value must be, given its role and the value before it.
-fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, &'static str)> {
+///
+/// # Errors
+/// What was found and what was expected.
+pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, &'static str)> {
     if !v.is_finite() {
         return Err((format!("`{v}`"), "a finite number"));
     }
@@ -546,305 +401,5 @@ fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, &'st
             Err((format!("`{v}`"), "a direction: +1, -1 (or 0)"))
         }
         _ => Ok(()),
-    }
-}
-
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut s, b| {
-        let _ = write!(s, "{b:02x}");
-        s
-    })
-}
-
-/// The lines of a CSV that carry something: comments cut, ends trimmed, with their numbers from 1.
-pub(crate) fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    text.lines().enumerate().filter_map(|(i, line)| {
-        let line = comment_start(line).map_or(line, |at| &line[..at]);
-        let line = line.trim_end();
-        (!line.trim_start().is_empty()).then_some((i + 1, line))
-    })
-}
-
-/// The `#` that starts a comment; one inside double quotes is part of a name.
-fn comment_start(line: &str) -> Option<usize> {
-    line.find('#')?;
-    let mut quoted = false;
-    line.bytes().position(|b| {
-        quoted ^= b == b'"';
-        b == b'#' && !quoted
-    })
-}
-
-pub(crate) fn unquote(field: &str) -> &str {
-    // A bare number, as nearly every field is, has nothing to take off.
-    if let [first, .., last] = field.as_bytes()
-        && first.is_ascii_graphic()
-        && *first != b'"'
-        && last.is_ascii_graphic()
-    {
-        return field;
-    }
-    let field = field.trim();
-    field.strip_prefix('"').and_then(|f| f.strip_suffix('"')).unwrap_or(field)
-}
-
-/// The fields of a line. Byte by byte: they are too short for the search that `str::split` does.
-fn fields_of(line: &str) -> impl Iterator<Item = &str> {
-    let mut rest = Some(line);
-    std::iter::from_fn(move || {
-        let line = rest?;
-        let Some(at) = line.bytes().position(|b| b == b',') else { return rest.take() };
-        rest = Some(&line[at + 1..]);
-        Some(&line[..at])
-    })
-}
-
-/// Column in characters, from 1, of a part of a line.
-pub(crate) fn column_of(line: &str, part: &str) -> usize {
-    let at = (part.as_ptr() as usize).saturating_sub(line.as_ptr() as usize).min(line.len());
-    line.get(..at).map_or(0, |s| s.chars().count()) + 1
-}
-
-fn parse_csv(path: &Path, text: &str, sidecar: &Sidecar) -> Result<Vec<Column>, InputError> {
-    let mut lines = rows(text);
-    let (header_line, header) =
-        lines.next().ok_or_else(|| InputError::whole(path, "an empty file", "a header line"))?;
-    let names: Vec<&str> = header.split(',').map(unquote).collect();
-    for (i, name) in names.iter().enumerate() {
-        if names[..i].contains(name) && sidecar.columns.iter().any(|c| c.name == *name) {
-            let column = header.split(',').nth(i).map_or(0, |f| column_of(header, f.trim_start()));
-            let found = format!("column `{name}` twice");
-            return Err(InputError::at(path, header_line, column, found, "each name once"));
-        }
-    }
-    // For every field of the CSV the listed column it belongs to.
-    let mut slots: Vec<Option<usize>> = vec![None; names.len()];
-    let mut columns: Vec<Column> = Vec::new();
-    for listed in &sidecar.columns {
-        let Some(at) = names.iter().position(|n| *n == listed.name) else {
-            let expected = format!("a column of {} ({})", path.display(), names.join(", "));
-            return Err(listed.place.clone().with(format!("column `{}`", listed.name), &expected));
-        };
-        slots[at] = Some(0);
-    }
-    for (slot, name) in slots.iter_mut().zip(&names).filter(|(s, _)| s.is_some()) {
-        let listed = sidecar.columns.iter().find(|c| c.name == *name);
-        if let Some(l) = listed {
-            *slot = Some(columns.len());
-            let (name, role, unit) = (l.name.clone(), l.role.clone(), l.unit.clone());
-            columns.push(Column { name, role, unit, data: Vec::new() });
-        }
-    }
-    for (number, line) in lines {
-        let mut fields = fields_of(line);
-        for (i, slot) in slots.iter().enumerate() {
-            let Some(field) = fields.next() else {
-                let found = format!("{i} values");
-                let expected = format!("{}, one per column of the header", names.len());
-                return Err(InputError::at(path, number, line.chars().count() + 1, found, expected));
-            };
-            let Some(slot) = *slot else { continue };
-            let column = &mut columns[slot];
-            let text = unquote(field);
-            let at = |found: String, expected: &str| {
-                let place = column_of(line, field.trim_start());
-                InputError::at(path, number, place, format!("{found} in column `{}`", names[i]), expected)
-            };
-            let Ok(v) = text.parse::<f64>() else {
-                let found = if text.is_empty() { "no value".into() } else { format!("`{text}`") };
-                return Err(at(found, "a finite number"));
-            };
-            check(&column.role, v, column.data.last().copied()).map_err(|(f, e)| at(f, e))?;
-            column.data.push(v);
-        }
-        if let Some(field) = fields.next() {
-            let found = format!("more than {} values", names.len());
-            let place = column_of(line, field);
-            return Err(InputError::at(path, number, place, found, "one per column of the header"));
-        }
-    }
-    if columns.first().is_none_or(|c| c.data.is_empty()) {
-        return Err(InputError::at(path, header_line + 1, 0, "no rows", "at least one row of values"));
-    }
-    Ok(columns)
-}
-
-/// Where in the sidecar something stood, for findings that show only when the CSV is read.
-#[derive(Debug, Clone)]
-struct Place(InputError);
-
-impl Place {
-    fn with(self, found: String, expected: &str) -> InputError {
-        InputError { found, expected: expected.to_owned(), ..self.0 }
-    }
-}
-
-#[derive(Debug)]
-struct Listed {
-    name: String,
-    role: Role,
-    unit: String,
-    place: Place,
-}
-
-#[derive(Debug)]
-struct Sidecar {
-    file: String,
-    file_error: Place,
-    kind: Kind,
-    count_um: Option<f64>,
-    date: Option<String>,
-    note: Option<String>,
-    columns: Vec<Listed>,
-}
-
-impl Sidecar {
-    fn read(path: &Path) -> Result<Self, InputError> {
-        let text = document::read(path)?;
-        let doc = document::parse(path, &text)?;
-        let root = Table::root(path, &text, &doc);
-        root.only(&["file", "kind", "count_um", "date", "note", "columns"])?;
-        let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
-        let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
-        let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
-        let parsed_kind = Kind::parse(kind.str("a kind of run")?)
-            .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
-        let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
-        // A date may be TOML's own or a string.
-        let day = |v: document::Entry<'_>| match date::parse(&v.text()) {
-            Some(_) => Ok(v.text()),
-            None => Err(v.error(v.text(), "a day as 2026-05-01")),
-        };
-        let date = root.get("date").map(day).transpose()?;
-        let note = root.get("note").map(|v| v.str("free text").map(str::to_owned)).transpose()?;
-        let listed =
-            root.required("columns", "a table [columns] of the CSV's columns")?.table("a table [columns]")?;
-        let mut columns: Vec<Listed> = Vec::new();
-        for entry in listed.entries() {
-            let t = entry.table("{ role = \"…\", unit = \"…\" }")?;
-            t.only(&["role", "unit"])?;
-            let role_value = t.required("role", ROLES)?;
-            let role = Role::parse(role_value.str(ROLES)?)
-                .ok_or_else(|| role_value.error(format!("role `{}`", role_value.text()), ROLES))?;
-            let unit_value = t.required("unit", "the column's unit, as unit = \"mm\"")?;
-            let unit = unit_value.str("a unit")?;
-            if let Some(expected) = role.unit().filter(|u| *u != unit) {
-                let expected = format!("\"{expected}\", the unit of role `{role}`");
-                return Err(unit_value.error(format!("unit `{unit}`"), expected));
-            }
-            if !role.may_repeat() && columns.iter().any(|c| c.role == role) {
-                return Err(role_value.error(format!("role `{role}` a second time"), "each role once"));
-            }
-            let place = Place(entry.key_error("", ""));
-            columns.push(Listed { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
-        }
-        let file_error = Place(file.error("", ""));
-        let file = file.str("the CSV's name")?.to_owned();
-        Ok(Self { file, file_error, kind: parsed_kind, count_um, date, note, columns })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const SIDECAR: &str = "file = \"y.csv\"\nkind = \"positioning\"\ncount_um = 1.0\n[columns]\n\
-                           t = { role = \"time\", unit = \"s\" }\ny = { role = \"position.y\", unit = \"mm\" }\n\
-                           T3 = { role = \"temperature\", unit = \"degC\" }\ne = { role = \"error.y\", unit = \"um\" }\n";
-
-    fn read(sidecar: &str, csv: &str) -> Result<Record, InputError> {
-        let dir = tempfile::tempdir().unwrap();
-        std::fs::write(dir.path().join("y.csv"), csv).unwrap();
-        std::fs::write(dir.path().join("y.run.toml"), sidecar).unwrap();
-        Record::read(&dir.path().join("y.run.toml"))
-    }
-
-    #[test]
-    fn bom_crlf_comments_quotes_and_unlisted_columns() {
-        let csv = "\u{feff}# bench 3\r\n\"t\", y,extra,T3,e # names\r\n0,1.5,x,20,3\r\n\r\n 1 , 2.5,,20.5,-4e0 # last\r\n";
-        let r = read(&format!("\u{feff}{}", SIDECAR.replace('\n', "\r\n")), csv).unwrap();
-        assert_eq!(r.rows(), 2);
-        assert_eq!(r.time_s(), [0.0, 1.0]);
-        assert_eq!(r.temperature("T3"), Some(&[20.0, 20.5][..]));
-        assert_eq!(r.responses().next().unwrap().data, [3.0, -4.0]);
-        assert_eq!(r.count_um, Some(1.0));
-        assert_eq!(r.columns.iter().map(Column::label).collect::<Vec<_>>()[2], "temperature.T3");
-    }
-
-    #[test]
-    fn findings_in_the_rows_carry_their_place() {
-        for (rows, line, column, found) in [
-            ("0,1,20\n", 2, 7, "3 values"),
-            ("0,1,20,3,4\n", 2, 10, "more than 4"),
-            ("0,1,20,\n", 2, 8, "no value"),
-            ("0,1,20,nan\n", 2, 8, "NaN"),
-            ("0,1,20,inf\n", 2, 8, "inf"),
-            ("0,1,abc,3\n", 2, 5, "`abc`"),
-            ("0,1,20,3\n5,1,20,3\n4.5,1,20,3\n", 4, 1, "time 4.5 after 5"),
-            ("", 2, 0, "no rows"),
-        ] {
-            let e = read(SIDECAR, &format!("t,y,T3,e\n{rows}")).unwrap_err();
-            assert_eq!((e.line, e.column), (line, column), "{rows}: {e}");
-            assert!(e.found.contains(found) && e.file.ends_with("y.csv"), "{rows}: {e}");
-        }
-        assert!(read(SIDECAR, "").unwrap_err().found.contains("empty"));
-    }
-
-    #[test]
-    fn findings_in_the_sidecar_carry_their_place() {
-        for (from, to, line, column, found) in [
-            ("count_um", "count", 3, 1, "unknown key `count`"),
-            ("count_um = 1.0", "date = \"1.5.2026\"", 3, 8, "1.5.2026"),
-            ("positioning", "walking", 2, 8, "kind `walking`"),
-            ("\"time\"", "\"clock\"", 5, 14, "role `clock`"),
-            ("position.y", "position", 6, 14, "role `position`"),
-            ("unit = \"mm\"", "unit = \"um\"", 6, 35, "unit `um`"),
-            ("degC\" }", "degC\", x = 1 }", 7, 45, "unknown key `x`"),
-            ("1.0", "-1.0", 3, 12, "count_um"),
-            ("1.0", "nan", 3, 12, "count_um"),
-            ("T3 =", "T4 =", 7, 1, "column `T4`"),
-            ("error.y", "position.x", 8, 35, "unit `um`"),
-            ("y.csv", "z.csv", 1, 8, "z.csv"),
-        ] {
-            let e = read(&SIDECAR.replacen(from, to, 1), "t,y,T3,e\n0,1,20,3\n").unwrap_err();
-            assert_eq!((e.line, e.column), (line, column), "{to}: {e}");
-            assert!(e.found.contains(found) && e.file.ends_with("y.run.toml"), "{to}: {e}");
-        }
-        let twice = format!("{SIDECAR}y2 = {{ role = \"position.y\", unit = \"mm\" }}\n");
-        assert!(read(&twice, "t,y,T3,e,y2\n0,1,20,3,1\n").unwrap_err().found.contains("second time"));
-        let none = SIDECAR.replace("error.y", "channel");
-        assert!(read(&none, "t,y,T3,e\n0,1,20,3\n").unwrap_err().found.contains("no response"));
-    }
-
-    #[test]
-    fn written_record_reads_back() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("a.run.toml");
-        let y = Axis::new("y").unwrap();
-        let column = |name: &str, role: Role, unit: &str, data: &[f64]| Column {
-            name: name.into(),
-            role,
-            unit: unit.into(),
-            data: data.to_vec(),
-        };
-        let columns = vec![
-            column("t", Role::Time, "s", &[0.0, 0.1, 0.1 + 0.2]),
-            column("bar", Role::Channel, "bar", &[1e-9, 2.0, 3.0]),
-            column("e", Role::Error(y), "um", &[0.1, -0.2, 1e300]),
-        ];
-        let mut r = Record::new(&path, Kind::Drift, columns).unwrap();
-        r.count_um = Some(0.5);
-        r.date = Some("2026-05-01".into());
-        r.note = Some("simulated".into());
-        r.write().unwrap();
-        assert_eq!(Record::read(&path).unwrap(), r);
-        assert_eq!(r.sha256.len(), 64);
-    }
-
-    #[test]
-    fn without_time_the_row_number_stands_for_seconds() {
-        let sidecar = SIDECAR.replace("t = { role = \"time\", unit = \"s\" }\n", "");
-        let r = read(&sidecar, "t,y,T3,e\n9,1,20,3\n8,1,20,3\n").unwrap();
-        assert_eq!(r.time_s(), [0.0, 1.0]);
     }
 }

@@ -3,7 +3,6 @@
 //! | file | what |
 //! |---|---|
 //! | `cards` | the card that the configuration names |
-//! | `live` | what is known of the machine, as requested totals |
 //! | `temperatures` | the sensors' threads, and their log |
 //! | `session` | requests of the protocol, carried out on the link |
 //! | `server` | the control socket and its clients |
@@ -11,7 +10,6 @@
 //! | `log` | standard error, fit for the journal |
 
 mod cards;
-mod live;
 mod log;
 mod manager;
 mod server;

@@ -1,18 +1,22 @@
 //! Requests of the protocol, carried out on the link to the real-time thread.
 
 use crate::cards::Stand;
-use crate::live::{Corrector, reading};
 use crate::log::{Level, Log};
-use crate::temperatures::Temperatures;
+use crate::temperatures::{Temperatures, history};
 use rtec_control::config::{Axis as AxisConfig, Config};
 use rtec_control::protocol::{
     Axis, Distribution, Happened, Jump, ModelPreview, PartTable, Request, Response, Rt, Status,
     explain_fault, explain_refusal, word,
 };
+use rtec_correct::Corrector;
+use rtec_correct::explain::Reading;
+use rtec_correct::sensors::Watch;
 use rtec_driver::input::InputError;
 use rtec_model::date;
 use rtec_model::machine::Machine;
-use rtec_model::record::write_whole;
+use rtec_model::record::Role;
+use rtec_model::whole::write_whole;
+use rtec_part::errors::read_error_cor;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{self, Event, EventKind, Mode, Refusal};
 use rtec_rt::histogram::Reader;
@@ -64,7 +68,9 @@ const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record and fit ag
 
 impl Session {
     pub(crate) fn new(config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
-        let corrector = Corrector::new(&config, temperatures.now_s());
+        let setups = config.axes.iter().map(AxisConfig::law).collect();
+        let model = &config.model;
+        let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
         Self {
             config,
             set_up,
@@ -141,7 +147,8 @@ impl Session {
         self.corrector.day_is((self.today)());
         self.temperatures.look();
         let (directory, now_s) = (self.directory(), self.temperatures.now_s());
-        self.corrector.load(machine, self.temperatures.sensors(), &directory, now_s)?;
+        let past = |names: &[String]| history(&directory, names, now_s);
+        self.corrector.load(machine, self.temperatures.sensors(), &past)?;
         self.model_refused = None;
         Ok(())
     }
@@ -193,7 +200,10 @@ impl Session {
             }
             if let (EventKind::Trip(capture), Some(trip)) = (event.kind, &mut happened.trip) {
                 let t_ns = u64::midpoint(capture.trip_ns.0, capture.trip_ns.1);
-                self.corrector.at_trip(n, t_ns, trip, self.temperatures.sensors());
+                trip.error_um = self.corrector.error_um_at(n, t_ns, trip.position_mm);
+                trip.corrected_mm = trip.error_um.map(|um| trip.position_mm + um / 1000.0);
+                let degc = |w: &Watch| w.value_degc().filter(|_| w.config().role == Role::Temperature);
+                trip.degc = self.temperatures.sensors().iter().map(degc).collect();
             }
         }
         let level = match event.kind {
@@ -400,8 +410,8 @@ impl Session {
             self.corrector.day_is((self.today)());
             let status = control.status();
             let watches = self.temperatures.sensors();
-            let preview =
-                self.corrector.preview(machine, watches, &directory, now_s, &status).map_err(bad)?;
+            let past = |names: &[String]| history(&directory, names, now_s);
+            let preview = self.corrector.preview(machine, watches, &past, now_s, &status).map_err(bad)?;
             warnings.extend(preview.warnings);
             return Ok(Response::ModelPreview(Box::new(ModelPreview { warnings, ..preview })));
         };
@@ -459,7 +469,8 @@ impl Session {
     }
 
     fn table_load(&mut self, table: &PartTable, log: &mut Log) -> Response {
-        match self.corrector.load_table(table.clone()) {
+        let errors = read_error_cor(Path::new(&table.errors)).map_err(|e| e.to_string());
+        match errors.and_then(|errors| self.corrector.load_table(table.clone(), errors)) {
             Ok(()) => {
                 log.say(Level::Notice, &format!("part table {}", table.errors));
                 Response::Done { jumps: Vec::new() }
@@ -626,7 +637,7 @@ impl Session {
                 .temperatures
                 .sensors()
                 .iter()
-                .map(|w| reading(w, self.temperatures.now_s()))
+                .map(|w| Reading::of(w, self.temperatures.now_s()))
                 .collect(),
             axes: axes.collect(),
         }

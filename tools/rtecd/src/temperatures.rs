@@ -1,8 +1,8 @@
 //! Temperatures: one thread per bus, so that a slow sensor holds up its own kind only; and a log that a restart reads
 //! back.
 
+use rtec_correct::sensors::{Bank, Config, Source, Use, Watch};
 use rtec_driver::input::InputError;
-use rtec_model::sensors::{Bank, Config, Source, Use, Watch};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};

@@ -8,9 +8,9 @@ use crate::noise::Noise;
 use crate::path::AXES;
 use crate::sim::{Moment, NAMES, Part, Sim, SimError, Spec, look_up};
 use rtec_driver::input::InputError;
+use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine as Model;
-use rtec_model::plot::{Chart, Series, Style};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::axis::{Design, RestPolicy};
 use serde_json::{Map, Value, json};
@@ -51,7 +51,7 @@ pub enum ExperimentError {
     Record(#[from] InputError),
     /// The plot.
     #[error(transparent)]
-    Plot(#[from] rtec_model::plot::PlotError),
+    Plot(#[from] rtec_measure::plot::PlotError),
 }
 
 type Run = fn(&Setting<'_>) -> Result<Findings, ExperimentError>;

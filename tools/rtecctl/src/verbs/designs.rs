@@ -1,7 +1,7 @@
 //! `rtecctl designs`: every insertion design of the sources on the same motion and computer.
 
 use anyhow::Context;
-use rtec_model::record::write_whole;
+use rtec_model::whole::write_whole;
 use rtec_sim::bench::AnyDesign;
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{Motion, compare, waveforms};

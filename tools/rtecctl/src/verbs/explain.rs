@@ -1,7 +1,7 @@
 //! `rtecctl explain`: what each axis's correction is made of.
 
 use crate::daemon::Daemon;
-use rtec_control::protocol::{Explained, Part, Reading, Request, Response};
+use rtec_control::protocol::{Contribution, Explained, Reading, Request, Response};
 use std::fmt::Write as _;
 
 /// Split each axis's correction now into its effects, with sensor values and their age
@@ -30,7 +30,7 @@ fn table(axes: &[Explained]) -> String {
     for Explained { axis, requested, total_um, parts, holds } in axes {
         // Writing to a String does not fail.
         let _ = writeln!(text, "axis {axis}: {total_um:+.3} µm, {requested:+} counts");
-        for Part { name, um, sensors, outside_k, weight } in parts {
+        for Contribution { name, um, sensors, outside_k, weight } in parts {
             let sensors: Vec<String> = sensors.iter().map(shown).collect();
             let mut note = sensors.join(", ");
             if let (Some(k), Some(w)) = (outside_k, weight) {
@@ -69,7 +69,7 @@ mod tests {
             state: state.into(),
             fault: None,
         };
-        let part = |name: &str, um, sensors, outside: Option<(f64, f64)>| Part {
+        let part = |name: &str, um, sensors, outside: Option<(f64, f64)>| Contribution {
             name: name.into(),
             um,
             sensors,

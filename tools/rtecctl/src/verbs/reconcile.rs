@@ -4,7 +4,7 @@ use super::characterise::record::{Recorder, record};
 use anyhow::Context;
 use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, write_whole};
+use rtec_model::whole::write_whole;
 use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, SEED, find, html, reconcile};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -62,7 +62,9 @@ fn level(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let read = |paths: &[PathBuf]| paths.iter().map(|p| Record::read(p)).collect::<Result<Vec<_>, _>>();
+    let read = |paths: &[PathBuf]| {
+        paths.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()
+    };
     let usage = |found: String, expected: &str| InputError::whole(Path::new("reconcile"), found, expected);
     if let (None, Some(option)) = (&args.live, args.recorder.given()) {
         return Err(usage(

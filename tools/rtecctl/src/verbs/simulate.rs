@@ -3,7 +3,7 @@
 use anyhow::Context;
 use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::record::write_whole;
+use rtec_model::whole::write_whole;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::sim::SimError;
 use std::io::Write;
@@ -63,7 +63,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let writing = |file: &Path| format!("writing {}", file.display());
     let mut files = Vec::new();
     for record in &mut findings.records {
-        record.write().with_context(|| writing(&record.path))?;
+        rtec_measure::record::write(record).with_context(|| writing(&record.path))?;
         files.push(record.path.display().to_string());
     }
     for (name, svg) in &findings.plots {

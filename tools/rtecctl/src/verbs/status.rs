@@ -200,7 +200,7 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{Axis, Model, Reading, Rt};
+    use rtec_control::protocol::{Axis, Reading, Rt, RunningModel};
     use rtec_rt::event::Fault;
 
     fn axis(name: &str, position_counts: i64, requested: i64, in_effect: i64, gate: &str) -> Axis {
@@ -263,7 +263,7 @@ mod tests {
                 poll_gap_ns: times,
                 edge_to_done_ns: Distribution::default(),
             },
-            model: Some(Model {
+            model: Some(RunningModel {
                 name: "lathe 7".into(),
                 file: "/etc/rtec/machine.toml".into(),
                 sha256: "12ab".into(),

@@ -2,9 +2,10 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
-use rtec_model::plot::{Chart, Series, Style};
-use rtec_model::record::{Record, write_whole};
-use rtec_model::{iso230, plate};
+use rtec_measure::plot::{Chart, Series, Style};
+use rtec_measure::{iso230, plate};
+use rtec_model::record::Record;
+use rtec_model::whole::write_whole;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -45,7 +46,7 @@ enum Standard {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let record = Record::read(&args.record)?;
+    let record = rtec_measure::record::read(&args.record)?;
     let standard = match args.standard {
         Some(s) => s,
         None => by_kind(&record)?,

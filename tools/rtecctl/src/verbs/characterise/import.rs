@@ -2,9 +2,10 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
-use rtec_model::import::Wanted;
+use rtec_measure::import;
+use rtec_measure::import::Wanted;
+use rtec_model::document;
 use rtec_model::record::{Axis, Kind};
-use rtec_model::{document, import};
 use std::path::{Path, PathBuf};
 
 /// Turn another tool's file into a run record
@@ -65,7 +66,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         Format::CmmPlate => import::cmm_plate(&args.file, &text, &args.out)?,
     };
-    record.write().with_context(|| format!("writing {}", args.out.display()))?;
+    rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
     eprintln!("{}: {} rows, and {} beside it", args.out.display(), record.rows(), record.file);
     Ok(())
 }

@@ -2,8 +2,9 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
-use rtec_model::plan::{self, PlanAxis};
-use rtec_model::record::{Axis, write_whole};
+use rtec_measure::plan::{self, PlanAxis};
+use rtec_model::record::Axis;
+use rtec_model::whole::write_whole;
 use std::path::{Path, PathBuf};
 
 /// Write the test sequence for this machine: what to mount where, how to move, what to record

@@ -4,10 +4,10 @@ use crate::daemon::{check, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
 use rtec_control::protocol::{Request, Response, Status};
+use rtec_correct::sensors::{self, Bank, Config, Feed, Use};
 use rtec_driver::input::InputError;
 use rtec_model::document::{self, Table};
 use rtec_model::record::{Column, Kind, Record, Role};
-use rtec_model::sensors::{self, Bank, Config, Feed, Use};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -172,7 +172,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
         return Err(crate::Outcome::Unreachable(found).into());
     }
     let mut record = Record::new(out, kind, columns)?;
-    record.write().with_context(|| format!("writing {}", out.display()))?;
+    rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
 }
 

@@ -2,10 +2,10 @@
 
 use super::fit::draw;
 use rtec_driver::input::InputError;
+use rtec_fit::chain::{self as chain_fit, Run};
+use rtec_fit::thermal::residual_chart;
 use rtec_model::chain::Chain;
-use rtec_model::chain_fit::{self, Run};
-use rtec_model::fit::residual_chart;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::Role;
 use std::path::{Path, PathBuf};
 
 /// Fit components of a kinematic chain on the records that measure them
@@ -35,7 +35,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let chain = Chain::read(&args.chain)?;
     let points = args.records.iter().map(|r| point(r)).collect::<Result<Vec<_>, _>>()?;
-    let records = points.iter().map(|(p, _)| Record::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let records = points.iter().map(|(p, _)| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
     let runs: Vec<Run<'_>> =
         records.iter().zip(&points).map(|(record, (_, tool_mm))| Run { record, tool_mm: *tool_mm }).collect();
     let (fitted, report) = chain_fit::fit(&chain, &args.components, &runs)?;

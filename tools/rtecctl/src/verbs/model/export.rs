@@ -5,7 +5,8 @@ use rtec_driver::input::InputError;
 use rtec_model::date;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, write_whole};
+use rtec_model::record::Axis;
+use rtec_model::whole::write_whole;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 

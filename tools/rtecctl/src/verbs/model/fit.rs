@@ -2,13 +2,14 @@
 
 use anyhow::Context;
 use rtec_driver::input::InputError;
+use rtec_fit::least;
+use rtec_fit::thermal::{self, Fitted, Options, Report};
+use rtec_measure::plot::Chart;
 use rtec_model::date;
 use rtec_model::effect::Difference;
-use rtec_model::fit::{self, Fitted, Options, Report};
-use rtec_model::least;
 use rtec_model::machine::Machine;
-use rtec_model::plot::Chart;
-use rtec_model::record::{Record, write_whole};
+use rtec_model::record::Record;
+use rtec_model::whole::write_whole;
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -163,7 +164,7 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
         for record in &records {
             let (before, after) = (base.beyond(record)?, machine.beyond(record)?);
             let both = before.responses().zip(after.responses());
-            charts.extend(both.map(|(b, a)| fit::residual_chart(record, &b.role, &b.data, &a.data)));
+            charts.extend(both.map(|(b, a)| thermal::residual_chart(record, &b.role, &b.data, &a.data)));
         }
         draw(path, &charts)?;
     }
@@ -190,7 +191,7 @@ fn print_effects(effects: &[Fitted]) {
 }
 
 fn read(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
-    paths.iter().map(|p| Record::read(p)).collect()
+    paths.iter().map(|p| rtec_measure::record::read(p)).collect()
 }
 
 /// The day of the latest record that has one; today where none has.
@@ -218,7 +219,7 @@ fn run_fit(
         valid_days,
     };
     let (machine, reports) =
-        fit::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
+        thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
     for r in &reports {
         for w in &r.warnings {
             eprintln!("warning: {}: {w}", r.response);

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, write_whole};
+use rtec_model::whole::write_whole;
 use std::path::PathBuf;
 
 /// Predict a record's responses from a machine model
@@ -25,7 +25,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
-    let record = Record::read(&args.record)?;
+    let record = rtec_measure::record::read(&args.record)?;
     let prediction = machine.predict(&record)?;
     for (effect, role) in &prediction.taken_as_zero {
         eprintln!("warning: {}: no {role} in the record, taken as zero for {effect}", args.record.display());
@@ -48,6 +48,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         columns.push((format!("predicted_{name}"), data));
     }
-    let text = record.csv_with(&columns)?;
+    let text = rtec_measure::record::csv_with(&record, &columns)?;
     write_whole(&args.out, text.as_bytes()).with_context(|| format!("writing {}", args.out.display()))
 }

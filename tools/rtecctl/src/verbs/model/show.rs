@@ -3,7 +3,6 @@
 use rtec_model::date;
 use rtec_model::effect::Effect;
 use rtec_model::machine::{Listed, Machine};
-use rtec_model::record::Record;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -135,7 +134,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     rows.extend(only_second.map(|id| json!({"effect": id, "change": "only in the second"})));
     let mut predictions = Vec::new();
     if let Some(path) = &args.record {
-        let record = Record::read(path)?;
+        let record = rtec_measure::record::read(path)?;
         let (pa, pb) = (a.predict(&record)?, b.predict(&record)?);
         for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {
             let rms =

@@ -2,11 +2,13 @@
 
 use crate::Outcome;
 use anyhow::Context;
+use rtec_control::config::{Axis, Config};
+use rtec_correct::rehearse::{self, AxisChange};
+use rtec_fit::thermal;
+use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
-use rtec_model::fit;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, write_whole};
-use rtec_model::rehearse;
+use rtec_model::whole::write_whole;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -39,6 +41,9 @@ pub(crate) struct RehearseArgs {
     /// The shift: positions and temperatures, no response needed
     #[arg(long, value_name = "NAME.run.toml")]
     record: PathBuf,
+    /// The configuration whose axes, window, limits, ramp and lead the corrections go through
+    #[arg(long, value_name = "rtec.toml")]
+    config: Option<PathBuf>,
     /// Draw both corrections, one file per axis
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
@@ -52,7 +57,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     let mut found: Vec<Value> = Vec::new();
     let mut worse: Vec<String> = Vec::new();
     for path in &args.records {
-        let record = Record::read(path)?;
+        let record = rtec_measure::record::read(path)?;
         let prediction = machine.predict(&record)?;
         let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
@@ -73,8 +78,8 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
                 } else {
                     path.with_extension(format!("{}.svg", found.len() + 1))
                 };
-                let svg =
-                    fit::prediction_chart(&record, column, predicted, widths.as_deref()).svg(1000, 520)?;
+                let svg = thermal::prediction_chart(&record, column, predicted, widths.as_deref())
+                    .svg(1000, 520)?;
                 write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
             }
             if after >= before && before > 0.0 {
@@ -133,12 +138,16 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         Some(path) => Machine::read(path)?,
         None => Machine::ideal("no model"),
     };
-    let shift = Record::read_log(&args.record)?;
-    let found = rehearse::rehearse(&present, &new, &shift)?;
+    let shift = rtec_measure::record::read_log(&args.record)?;
+    let options = match &args.config {
+        Some(file) => options(&Config::load(file)?),
+        None => rehearse::Options::default(),
+    };
+    let found = rehearse::rehearse(&present, &new, &shift, &options)?;
     if let Some(path) = &args.plot {
         for axis in &found.axes {
             let path = path.with_extension(format!("{}.svg", axis.axis));
-            let svg = axis.chart().svg(900, 480)?;
+            let svg = chart(axis).svg(900, 480)?;
             write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
         }
     }
@@ -158,8 +167,36 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
             a.fastest_um_per_s
         );
     }
+    for a in found.axes.iter().filter(|a| a.held > 0.0) {
+        println!(
+            "{}: would not follow the new model for {:.1} % of the shift: how warm the machine is inside is not known yet",
+            a.axis,
+            100.0 * a.held
+        );
+    }
     for (effect, share) in &found.outside {
         println!("{effect}: outside the range it was fitted on for {:.1} % of the shift", 100.0 * share);
     }
     Ok(())
+}
+
+/// What the corrections of a configured machine go through.
+fn options(config: &Config) -> rehearse::Options {
+    rehearse::Options {
+        axes: config.axes.iter().map(Axis::law).collect(),
+        ramp_um_s: config.model.ramp_um_s,
+        lead_s: config.model.lead_ms * 1e-3,
+    }
+}
+
+/// Both corrections of an axis over time.
+fn chart(axis: &AxisChange) -> Chart {
+    let line = |name: &str, k: usize| {
+        let um = |counts: i64| counts as f64 * axis.count_um;
+        let points = axis.rows.iter().map(|(t_s, totals)| (t_s / 60.0, um(totals[k])));
+        Series::new(name, Style::Line, points.collect())
+    };
+    Chart::new(&format!("Correction of axis {}", axis.axis), "time (min)", "correction (µm)")
+        .with(line("present model", 0))
+        .with(line("new model", 1))
 }

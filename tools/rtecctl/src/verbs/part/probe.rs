@@ -9,6 +9,7 @@ use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, Request, Response};
+use rtec_measure::record::{to_csv, to_sidecar};
 use rtec_model::record::Record;
 use rtec_part::fit::Zx;
 use rtec_part::lathe::Workpiece;
@@ -254,7 +255,7 @@ fn follow(
 
 /// The points as `part errors` reads them, and the same as a run record of the machine.
 fn write_session(folder: &Path, csv: &str, record: Option<&Record>) -> anyhow::Result<()> {
-    let (rows, sidecar) = record.map(|r| (r.to_csv(), r.to_sidecar())).unzip();
+    let (rows, sidecar) = record.map(|r| (to_csv(r), to_sidecar(r))).unzip();
     let mut files = vec![("probed.csv", csv.as_bytes())];
     if let (Some(rows), Some(sidecar)) = (&rows, &sidecar) {
         files.extend([("probing.csv", rows.as_bytes()), ("probing.run.toml", sidecar.as_bytes())]);

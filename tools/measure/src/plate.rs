@@ -1,8 +1,8 @@
 //! A plate of holes drilled by the machine and measured elsewhere: offset, scale, rotation, and what is left.
 
 use crate::plot::{Chart, Series, Style};
-use crate::record::{Axis, Record, Role};
 use rtec_driver::input::InputError;
+use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -2,8 +2,9 @@
 //! holes, and any CSV whose columns somebody names.
 
 use crate::plate::NOMINAL_DIAMETER;
-use crate::record::{Axis, Column, Kind, Record, Role, column_of, rows, unquote};
+use crate::record::{column_of, rows, unquote};
 use rtec_driver::input::InputError;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::Path;
 

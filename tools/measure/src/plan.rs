@@ -216,7 +216,7 @@ mod tests {
         {
             assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
         }
-        assert!(steps.iter().all(|s| crate::record::Kind::parse(s.kind).is_some()));
+        assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
         let text = markdown("m", &steps);
         assert!(text.contains("## 28. cool_down") && text.contains("254 mm/min"));
         // No two targets a whole number of 5 mm leads apart throughout.

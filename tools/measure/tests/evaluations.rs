@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use rtec_measure::{import, iso230};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
-use rtec_model::{import, iso230};
 use std::path::Path;
 
 fn column(name: &str, role: &str, data: Vec<f64>) -> Column {

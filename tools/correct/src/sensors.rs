@@ -9,9 +9,9 @@
 //! | `csv` | a recorded CSV, replayed by its `t` column (s) |
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
-use crate::document::Table;
-use crate::record::{Record, Role};
 use rtec_driver::input::InputError;
+use rtec_model::document::Table;
+use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read};
@@ -448,7 +448,7 @@ impl Bank {
                     feeds.push(Feed::new(from));
                 }
                 Source::Csv { record, .. } if !replays.contains_key(record) => {
-                    replays.insert(record.clone(), Record::read_log(record)?);
+                    replays.insert(record.clone(), rtec_measure::record::read_log(record)?);
                 }
                 _ => {}
             }

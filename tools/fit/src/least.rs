@@ -4,12 +4,12 @@
 //! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
 //! neighbours in time share does not make them narrower.
 
-use crate::effect::{Dictionary, Difference, Effect, Need, Search};
-use crate::fit::{Fitted, Intervals, jackknife_interval};
-use crate::machine::{Machine, Provenance, Source};
-use crate::record::{Record, Role};
+use crate::thermal::{Fitted, Intervals, jackknife_interval};
 use nalgebra::{DMatrix, DVector};
 use rtec_driver::input::InputError;
+use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
+use rtec_model::machine::{Machine, Provenance, Source};
+use rtec_model::record::{Record, Role};
 use serde::Serialize;
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! How fast: a model of thirty effects at one instant, a record read, a fit of 78 h of sixteen sensors. Prints, asserts
-//! nothing: `cargo bench -p rtec-model`.
+//! nothing: `cargo bench -p rtec-fit`.
 
+use rtec_fit::thermal::{self, Options};
 use rtec_model::effect::{Dictionary, Difference, Effect, Need};
-use rtec_model::fit::{self, Options};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::hint::black_box;
@@ -111,15 +111,15 @@ fn main() {
     for (rows, sensors) in [(5000, 23), (4681, 16)] {
         let mut record = log(rows, sensors);
         record.path = dir.path().join("log.run.toml");
-        record.write().expect("a writable directory");
+        rtec_measure::record::write(&mut record).expect("a writable directory");
         let ns = median_ns(20, || {
-            black_box(Record::read(&record.path).expect("what was written"));
+            black_box(rtec_measure::record::read(&record.path).expect("what was written"));
         });
         println!("record: {rows} rows x {} columns read in {:.2} ms", sensors + 2, ns / 1e6);
     }
     let record = log(4681, 16);
     let ns = median_ns(5, || {
-        black_box(fit::fit(&[&record], &[], &Options::default()).expect("a record that can be fitted"));
+        black_box(thermal::fit(&[&record], &[], &Options::default()).expect("a record that can be fitted"));
     });
     println!("fit: 78 h x 16 sensors with selection and nested cross-validation in {:.3} s", ns / 1e9);
 }

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_model::fit::{self, Options};
+use rtec_fit::thermal::{self, Options};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
@@ -140,7 +140,7 @@ fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
         &[(30.0, 2.0, true), (100.0, 5.0, true), (45.0, 0.0, true), (60.0, 3.5, false), (120.0, 5.5, true)],
         99,
     );
-    let (machine, reports) = fit::fit(&[&train], &[&unseen], &Options::default()).unwrap();
+    let (machine, reports) = thermal::fit(&[&train], &[&unseen], &Options::default()).unwrap();
     let r = &reports[0];
     let mut sensors: Vec<&str> =
         r.effects.iter().flat_map(|e| [e.sensor.as_deref(), e.minus.as_deref()]).flatten().collect();
@@ -200,7 +200,7 @@ fn a_lag_earns_its_place_or_is_not_there() {
             ("air".to_owned(), Role::Temperature, (0..n).map(|_| 20.0 + 0.02 * noise.normal()).collect()),
             ("e".to_owned(), error("z"), e),
         ];
-        let (machine, reports) = fit::fit(&[&record(columns)], &[], &Options::default()).unwrap();
+        let (machine, reports) = thermal::fit(&[&record(columns)], &[], &Options::default()).unwrap();
         let growth = &reports[0].effects[1];
         let gain = growth.parameters["um_per_K"];
         assert!(gain.low <= 1.7 + 0.02 && gain.high >= 1.7 - 0.02, "{gain:?}");

@@ -3,14 +3,14 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use rtec_fit::chain as chain_fit;
 use rtec_model::chain::Chain;
-use rtec_model::chain_fit;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../model/tests/data").join(name)
 }
 
 /// A chain whose coefficients are all zero: the powers are stated, nothing is known.

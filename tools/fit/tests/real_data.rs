@@ -3,10 +3,10 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_model::fit::{self, Options};
-use rtec_model::import;
-use rtec_model::iso230;
-use rtec_model::plate;
+use rtec_fit::thermal::{self, Options};
+use rtec_measure::import;
+use rtec_measure::iso230;
+use rtec_measure::plate;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::{Path, PathBuf};
 
@@ -135,7 +135,7 @@ fn spindle(text: &str, rows: std::ops::Range<usize>) -> Record {
 fn real_spindle_is_predicted_from_temperatures() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     let record = spindle(&text, 0..2341);
-    let (machine, reports) = fit::fit(&[&record], &[], &Options::default()).unwrap();
+    let (machine, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();
     let r = &reports[0];
     let linear = &r.baselines["linear T0-T15"];
     println!("environment {:?}; {}", r.environment, r.rounds.last().unwrap().added);
@@ -164,7 +164,7 @@ fn real_spindle_is_predicted_from_temperatures() {
 fn real_spindle_is_predicted_into_unseen_later_time() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     let (early, late) = (spindle(&text, 0..1800), spindle(&text, 1800..2341));
-    let (_, reports) = fit::fit(&[&early], &[&late], &Options::default()).unwrap();
+    let (_, reports) = thermal::fit(&[&early], &[&late], &Options::default()).unwrap();
     let r = &reports[0];
     let of = |name: &str| r.baselines[name].holdout[0];
     println!(

@@ -15,14 +15,14 @@
 //! chosen or not, beyond the range it was seen in, and, just after a start, how far the lagged difference was from
 //! equilibrium (fading with its lag).
 
-use crate::date;
-use crate::effect::{Against, Dictionary, Difference, Effect, ValueError};
-use crate::iso230::correlation;
-use crate::machine::{FitNote, Machine, Provenance, Source, Validity};
-use crate::plot::{Chart, Series, Style};
-use crate::record::{Axis, Column, Record, Role};
 use nalgebra::{DMatrix, DVector};
 use rtec_driver::input::InputError;
+use rtec_measure::iso230::correlation;
+use rtec_measure::plot::{Chart, Series, Style};
+use rtec_model::date;
+use rtec_model::effect::{Against, Dictionary, Difference, Effect, ValueError};
+use rtec_model::machine::{FitNote, Machine, Provenance, Source, Validity, unknown_um};
+use rtec_model::record::{Axis, Column, Record, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -45,8 +45,6 @@ const SCREENED: usize = 12;
 const SENSORS: usize = 5;
 /// A difference may be believed so far beyond what was seen, as a share of its range; further out it is held.
 const BEYOND: f64 = 0.1;
-/// Half width of a 95 % interval in standard deviations.
-const NORMAL_95: f64 = 1.96;
 
 /// What to fit and how.
 #[derive(Debug, Clone)]
@@ -185,7 +183,7 @@ impl Fitted {
             Against::Sensor(m) => Some(m.clone()),
             _ => None,
         });
-        let parameter = |(i, p): (usize, &crate::effect::Parameter)| {
+        let parameter = |(i, p): (usize, &rtec_model::effect::Parameter)| {
             let value = effect.scalar(i);
             let [low, high] = interval.get(&p.name).map_or([value, value], |v| v[0]);
             (p.name.clone(), Estimate { value, low, high })
@@ -525,8 +523,9 @@ impl Problem {
             Term::Speed => self.speed.clone().unwrap_or_default(),
             Term::Thermal { sensor, minus, lag, square } => {
                 let u = &self.binned[sensor][lag];
-                let d =
-                    |i: usize| u[i] - minus.map_or(crate::effect::STANDARD_DEGC, |m| self.binned[m][lag][i]);
+                let d = |i: usize| {
+                    u[i] - minus.map_or(rtec_model::effect::STANDARD_DEGC, |m| self.binned[m][lag][i])
+                };
                 (0..u.len()).map(|i| if square { d(i) * d(i) } else { d(i) }).collect()
             }
         }
@@ -959,7 +958,7 @@ fn full_columns(problem: &Problem, terms: &[Term], record: &Record) -> Result<Ve
                 let mut u = sensor(s, lag)?;
                 let m = minus.map(|m| sensor(m, lag)).transpose()?;
                 for (i, v) in u.iter_mut().enumerate() {
-                    *v -= m.as_ref().map_or(crate::effect::STANDARD_DEGC, |m| m[i]);
+                    *v -= m.as_ref().map_or(rtec_model::effect::STANDARD_DEGC, |m| m[i]);
                     if square {
                         *v *= *v;
                     }
@@ -1084,22 +1083,6 @@ impl Rows {
             (0..self.y.len()).filter(|i| take(*i)).map(|i| self.residual(c, i).powi(2)).collect();
         (rows.iter().sum::<f64>() / rows.len().max(1) as f64).sqrt()
     }
-}
-
-/// What an effect of a temperature difference may be off by at a row, µm, beyond what the fit itself leaves: the slope at
-/// the bound times what was asked beyond it, and, `elapsed_s` after a start, its part of an unknown state of the lag.
-pub(crate) fn unknown_um(
-    gain: f64,
-    bend: f64,
-    asked_k: f64,
-    held_k: f64,
-    start_k: f64,
-    tau_s: f64,
-    elapsed_s: f64,
-) -> f64 {
-    let slope = gain.abs().max((gain + 2.0 * bend * held_k).abs());
-    let start = if tau_s > 0.0 { NORMAL_95 * start_k * (-elapsed_s / tau_s).exp() } else { 0.0 };
-    slope * (asked_k - held_k).hypot(start)
 }
 
 fn rms(values: impl Iterator<Item = f64> + Clone) -> f64 {

@@ -5,11 +5,12 @@
 //! on all error responses of the records, everything else in the chain held as it stands. The error is linear in them
 //! but for products of two small quantities, which a second pass takes in.
 
-use crate::chain::{COMPONENTS, Chain};
-use crate::document;
 use crate::least::{Found, Problem};
-use crate::record::{Record, Role, write_whole};
 use rtec_driver::input::InputError;
+use rtec_model::chain::{COMPONENTS, Chain};
+use rtec_model::document;
+use rtec_model::record::{Record, Role};
+use rtec_model::whole::write_whole;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, Item, TableLike, Value, value};

@@ -1,8 +1,8 @@
 //! Evaluations of the ISO 230 series: positioning (230-2), thermal drift (230-3), circular tests (230-4).
 
 use crate::plot::{Chart, Series, Style};
-use crate::record::{Axis, Kind, Record, Role};
 use rtec_driver::input::InputError;
+use rtec_model::record::{Axis, Kind, Record, Role};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -98,7 +98,7 @@ fn largest(values: impl IntoIterator<Item = f64>) -> Option<f64> {
 
 /// The errors of a record with their axes, for evaluations that take one axis at a time.
 fn error_axes(record: &Record) -> Vec<(&Axis, &[f64])> {
-    let of = |c: &'_ crate::record::Column| matches!(c.role, Role::Error(_));
+    let of = |c: &'_ rtec_model::record::Column| matches!(c.role, Role::Error(_));
     let errors = record.columns.iter().filter(|c| of(c));
     errors.filter_map(|c| Some((c.role.axis()?, c.data.as_slice()))).collect()
 }

@@ -1,0 +1,499 @@
+//! All axes: requested = model + part table + operator. Called every 10 to 20 ms (NISTIR 4832, Alternate Configurations).
+
+use crate::AxisSetup;
+use crate::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
+use crate::motion::Motion;
+use crate::part_table::{NEAR_MM, PartErrors, PartTable, TableNow};
+use crate::sensors::Watch;
+use crate::source::{ModelSource, acts};
+use crate::total::{Total, Wanted};
+use rtec_driver::input::InputError;
+use rtec_model::date;
+use rtec_model::effect::Difference;
+use rtec_model::live::AxisNow;
+use rtec_model::machine::{FitNote, Machine};
+use rtec_model::record::Axis;
+use rtec_part::errors::PointError;
+use rtec_part::fit::Zx;
+use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
+
+/// Logged temperatures of these sensors, oldest first: time, s, and °C. What a lag is brought up from.
+pub type Past<'p> = &'p dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)>;
+
+/// What the corrector keeps of one axis.
+#[derive(Debug)]
+struct AxisState {
+    /// Its place in the model's layout; none where its name is none for a model.
+    place: Option<usize>,
+    /// What the sources ask for, µm.
+    model_um: f64,
+    table_um: f64,
+    total: Total,
+    /// Why its total stands still, or its thermal part.
+    holds: Option<String>,
+    stands: Option<String>,
+}
+
+/// The control law: which total should each axis have now?
+#[derive(Debug)]
+pub struct Corrector {
+    setups: Vec<AxisSetup>,
+    axes: Vec<AxisState>,
+    /// Axes that a model can name, in the order of its layout.
+    layout_axes: Vec<Axis>,
+    model: Option<ModelSource>,
+    table: Option<PartErrors>,
+    ramp_um_s: f64,
+    lead_s: f64,
+    started_s: f64,
+    last_s: f64,
+    motion: Motion,
+    /// Per axis of the layout: its motion at the last tick.
+    now: Vec<AxisNow>,
+    /// A source has changed: what follows is a ramp.
+    changed: bool,
+    /// The day, since 1970-01-01.
+    today: i64,
+}
+
+impl Corrector {
+    /// A corrector without sources. `ramp_um_s`: how fast a total goes to a new place that no motion asks for; `lead_s`:
+    /// how long before the axes are there the model is asked; `now_s`: the time, s, as every later call gives it.
+    #[must_use]
+    pub fn new(setups: Vec<AxisSetup>, ramp_um_s: f64, lead_s: f64, now_s: f64) -> Self {
+        let mut layout_axes = Vec::new();
+        let mut axes = Vec::new();
+        for s in &setups {
+            let place = Axis::new(&s.name).map(|a| {
+                layout_axes.push(a);
+                layout_axes.len() - 1
+            });
+            axes.push(AxisState {
+                place,
+                model_um: 0.0,
+                table_um: 0.0,
+                total: Total::new(s.count_um, s.increment_counts, s.window_counts, s.max_counts),
+                holds: None,
+                stands: None,
+            });
+        }
+        Self {
+            motion: Motion::new(setups.len()),
+            now: vec![AxisNow::default(); layout_axes.len()],
+            setups,
+            axes,
+            layout_axes,
+            model: None,
+            table: None,
+            ramp_um_s,
+            lead_s,
+            started_s: now_s,
+            last_s: now_s,
+            changed: false,
+            today: date::today(),
+        }
+    }
+
+    /// A day has begun, maybe. Fits whose validity ends with it are given back, once.
+    pub fn day_is(&mut self, today: i64) -> Vec<String> {
+        let before = std::mem::replace(&mut self.today, today);
+        let Some(model) = &self.model else { return Vec::new() };
+        let known = model.machine.expired(before);
+        model.machine.expired(today).into_iter().filter(|e| !known.contains(e)).collect()
+    }
+
+    /// Fits of the model whose validity has ended, and nobody has said that this is meant.
+    #[must_use]
+    pub fn expired(&self) -> Vec<String> {
+        let model = self.model.as_ref().filter(|m| !m.although_expired);
+        model.map_or_else(Vec::new, |m| m.machine.expired(self.today))
+    }
+
+    /// Makes a model ready, its lags brought up from the past.
+    ///
+    /// # Errors
+    /// What it reads and this machine does not have.
+    fn prepare(
+        &self,
+        machine: Machine,
+        watches: &[Watch],
+        past: Past<'_>,
+    ) -> Result<ModelSource, InputError> {
+        let mut source = ModelSource::new(machine, &self.layout_axes, watches)?;
+        let rows = past(&source.live.layout().sensors);
+        source.catch_up(rows, self.started_s, &self.now);
+        Ok(source)
+    }
+
+    /// Takes a model; corrections go to it in a ramp.
+    ///
+    /// # Errors
+    /// What it reads and this machine does not have.
+    pub fn load(&mut self, machine: Machine, watches: &[Watch], past: Past<'_>) -> Result<(), InputError> {
+        let mut source = self.prepare(machine, watches, past)?;
+        source.although_expired = !source.machine.expired(self.today).is_empty();
+        self.model = Some(source);
+        self.changed = true;
+        Ok(())
+    }
+
+    /// No model from now on; corrections go back in a ramp. Says whether there was one.
+    pub fn unload(&mut self) -> bool {
+        let was = self.model.take().is_some();
+        self.changed |= was;
+        for axis in &mut self.axes {
+            axis.model_um = 0.0;
+            (axis.holds, axis.stands) = (None, None);
+        }
+        was
+    }
+
+    /// Takes a part's errors; corrections go to them in a ramp.
+    ///
+    /// # Errors
+    /// What was found and what was expected.
+    pub fn load_table(&mut self, wanted: PartTable, errors: Vec<PointError>) -> Result<(), String> {
+        let named = |n: usize| self.axes[n].place.is_some();
+        let table = PartErrors::new(wanted, errors, &self.setups, named)?;
+        self.unload_table();
+        self.table = Some(table);
+        self.changed = true;
+        Ok(())
+    }
+
+    /// No part table from now on; corrections go back in a ramp. Says whether there was one.
+    pub fn unload_table(&mut self) -> bool {
+        let Some(table) = self.table.take() else { return false };
+        table.axes.into_iter().for_each(|n| self.axes[n].table_um = 0.0);
+        self.changed = true;
+        true
+    }
+
+    /// The part table, as it was given.
+    #[must_use]
+    pub fn table_shown(&self) -> Option<PartTable> {
+        self.table.as_ref().map(|t| t.shown.clone())
+    }
+
+    /// What the part table does now.
+    #[must_use]
+    pub fn table_now(&self, status: &Status) -> Option<TableNow> {
+        let table = self.table.as_ref()?;
+        let um = table.axes.map(|n| self.axes[n].table_um);
+        let [z_mm, x_mm] =
+            table.axes.map(|n| status.axes[n].position_counts as f64 * self.setups[n].count_um / 1000.0);
+        let off_mm = table.off_mm(Zx::new(z_mm, x_mm));
+        let axis = table.axes.into_iter().find_map(|n| {
+            let (name, s) = (&self.setups[n].name, &status.axes[n]);
+            let why = match &self.axes[n].holds {
+                _ if !s.homed => "is not homed",
+                _ if s.faults.any() => "has a fault",
+                Some(why) => why,
+                None => return None,
+            };
+            Some(format!("axis {name}: {why}"))
+        });
+        let why = match status.mode {
+            Mode::Run => axis,
+            Mode::Shadow => Some("shadow mode: computed, not written".to_owned()),
+            Mode::Probe => Some("probing: positions are taken as the scales read".to_owned()),
+            Mode::Disabled | Mode::Hold | Mode::Fault => Some("corrections are off".to_owned()),
+        };
+        let state = match why {
+            Some(_) => "off",
+            None if um.iter().all(|um| *um == 0.0) && off_mm >= NEAR_MM[1] => "ready",
+            None => "in_force",
+        };
+        Some(TableNow {
+            points: table.points(),
+            state: state.to_owned(),
+            off_mm,
+            acts_within_mm: NEAR_MM[1],
+            um,
+            why,
+        })
+    }
+
+    /// What a model would change now.
+    ///
+    /// # Errors
+    /// What it reads and this machine does not have.
+    pub fn preview(
+        &self,
+        machine: Machine,
+        watches: &[Watch],
+        past: Past<'_>,
+        now_s: f64,
+        status: &Status,
+    ) -> Result<ModelPreview, InputError> {
+        let mut then = self.prepare(machine, watches, past)?;
+        then.read(watches, now_s);
+        then.evaluate(now_s - self.started_s, &self.now, false);
+        let axes = self.axes.iter().zip(&self.setups).zip(status.axes()).map(|((axis, setup), s)| {
+            let model_um = axis.place.map_or(0.0, |p| then.live.errors_um()[p]);
+            Change {
+                axis: setup.name.clone(),
+                now_counts: s.requested,
+                now_um: s.requested as f64 * setup.count_um,
+                then_counts: axis.total.unlimited(model_um + axis.table_um),
+                then_um: model_um + axis.table_um + axis.total.operator().1,
+                holds: axis.place.and_then(|p| then.unknown(p, watches, now_s)),
+            }
+        });
+        let axes = axes.collect();
+        let warnings = self.notes(&then);
+        let machine = &then.machine;
+        Ok(ModelPreview {
+            name: machine.name().to_owned(),
+            file: machine.path.display().to_string(),
+            sha256: machine.sha256().to_owned(),
+            fits: fits(machine),
+            warnings,
+            expired: machine.expired(self.today),
+            axes,
+        })
+    }
+
+    /// An axis has been homed: its counters and totals are zero.
+    pub fn homed(&mut self, n: usize) {
+        if let Some(axis) = self.axes.get_mut(n) {
+            axis.total.zero();
+        }
+        self.motion.forget();
+    }
+
+    /// The total that an operator's total makes together with the other sources, counts.
+    #[must_use]
+    pub fn with_operator(&self, n: usize, operator_counts: i64) -> i64 {
+        self.axes[n].total.with_operator(operator_counts)
+    }
+
+    /// The operator's total was taken.
+    pub fn operator_is(&mut self, n: usize, operator_counts: i64) {
+        self.axes[n].total.set_operator(operator_counts);
+    }
+
+    /// The total that an axis is on its way to, counts; the one requested where no source asks.
+    #[must_use]
+    pub fn goal(&self, n: usize, status: &AxisStatus) -> i64 {
+        let axis = &self.axes[n];
+        if self.asks(n) && axis.holds.is_none() {
+            axis.total.goal(axis.model_um + axis.table_um)
+        } else {
+            status.requested
+        }
+    }
+
+    /// A source other than the operator asks, or what it asked for is still on its way back.
+    fn asks(&self, n: usize) -> bool {
+        self.model.is_some()
+            || self.table.as_ref().is_some_and(|t| t.axes.contains(&n))
+            || self.axes[n].total.on_its_way()
+    }
+
+    /// Looks at everything and says which totals are to be requested now.
+    pub fn tick(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> [Option<i64>; MAX_AXES] {
+        let dt_s = (now_s - self.last_s).max(0.0);
+        self.last_s = now_s;
+        self.follow(status);
+        let mut changed = std::mem::take(&mut self.changed);
+        changed |= self.ask_model(now_s, status, watches);
+        self.ask_table();
+        let correcting = matches!(status.mode, Mode::Run | Mode::Shadow);
+        let mut totals = [None; MAX_AXES];
+        for (n, s) in status.axes().iter().enumerate() {
+            let asks = self.asks(n);
+            let last = self.model.is_none();
+            let axis = &mut self.axes[n];
+            if !asks || !correcting || !s.homed || s.faults.any() {
+                axis.total.rest();
+                continue;
+            }
+            totals[n] = axis.total.next(Wanted {
+                um: axis.model_um + axis.table_um,
+                requested: s.requested,
+                ramp_um: if axis.holds.is_none() { self.ramp_um_s * dt_s } else { 0.0 },
+                changed,
+                last,
+            });
+        }
+        totals
+    }
+
+    /// The axes' motion, in the model's layout.
+    fn follow(&mut self, status: &Status) {
+        self.motion.follow(status, &self.setups);
+        for (axis, now) in self.axes.iter().zip(self.motion.now()) {
+            if let Some(p) = axis.place {
+                self.now[p] = *now;
+            }
+        }
+    }
+
+    /// What the model asks for, where it can tell. Says whether what it knows has become better or worse.
+    fn ask_model(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> bool {
+        let Some(model) = &mut self.model else { return false };
+        let mut changed = model.read(watches, now_s);
+        model.add_loads(&mut self.now, watches);
+        let probing = status.mode == Mode::Probe;
+        if self.lead_s > 0.0 {
+            let mut ahead = self.now.clone();
+            ahead.iter_mut().for_each(|a| a.position_mm += a.velocity_mm_s * self.lead_s);
+            model.evaluate(now_s - self.started_s, &ahead, probing);
+        } else {
+            model.evaluate(now_s - self.started_s, &self.now, probing);
+        }
+        for (axis, _) in self.axes.iter_mut().zip(status.axes()) {
+            let Some(p) = axis.place else { continue };
+            let held = axis.holds.is_some();
+            axis.holds = model.unknown(p, watches, now_s);
+            changed |= held != axis.holds.is_some();
+            if axis.holds.is_none() {
+                axis.model_um = model.live.errors_um()[p];
+            }
+            axis.stands = model.standing(p, watches, now_s).filter(|_| axis.holds.is_none());
+        }
+        changed
+    }
+
+    fn ask_table(&mut self) {
+        let Some(table) = &self.table else { return };
+        let now = table.axes.map(|n| self.axes[n].place.map_or(AxisNow::default(), |p| self.now[p]));
+        let place = Zx::new(now[0].position_mm, now[1].position_mm);
+        let out = table.components_um(place, Zx::new(now[0].velocity_mm_s, now[1].velocity_mm_s));
+        (self.axes[table.axes[0]].table_um, self.axes[table.axes[1]].table_um) = (out.z, out.x);
+    }
+
+    /// What the model says of an axis at a place it was captured at, µm. Positions are not corrected while probing; the
+    /// other axes are taken where they were at that time of the card's clock. `None` where nothing can be said.
+    #[must_use]
+    pub fn error_um_at(&self, n: usize, t_ns: u64, position_mm: f64) -> Option<f64> {
+        let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return None };
+        if self.axes[n].holds.is_some() {
+            return None;
+        }
+        let mut now = self.now.clone();
+        for (k, (axis, setup)) in self.axes.iter().zip(&self.setups).enumerate() {
+            if let (Some(p), Some(counts)) = (axis.place, self.motion.position_counts_at(k, t_ns)) {
+                now[p].position_mm = counts as f64 * setup.count_um / 1000.0;
+            }
+        }
+        now[place].position_mm = position_mm;
+        Some(model.error_um_at(place, self.last_s - self.started_s, &now, true))
+    }
+
+    /// What the correction of an axis is made of; the parts sum to the total.
+    #[must_use]
+    pub fn explain(&self, n: usize, status: &AxisStatus, watches: &[Watch], now_s: f64) -> Explained {
+        let (axis, setup) = (&self.axes[n], &self.setups[n]);
+        let total_um = status.requested as f64 * setup.count_um;
+        let mut parts = self.model_parts(n, watches, now_s);
+        if axis.table_um != 0.0 {
+            parts.push(Contribution::plain("part table", axis.table_um));
+        }
+        let (operator_counts, operator_um) = axis.total.operator();
+        if operator_counts != 0 {
+            parts.push(Contribution::plain("operator", operator_um));
+        }
+        let ramp_um = axis.total.ramp_left_um();
+        if ramp_um != 0.0 {
+            parts.push(Contribution::plain("on its way", ramp_um));
+        }
+        let left_um = total_um - parts.iter().map(|p| p.um).sum::<f64>();
+        let rest = if axis.total.following() || !self.asks(n) { "rounding" } else { "not followed now" };
+        if left_um.abs() > 1e-9 {
+            parts.push(Contribution::plain(rest, left_um));
+        }
+        Explained {
+            axis: setup.name.clone(),
+            requested: status.requested,
+            total_um,
+            parts,
+            holds: axis.holds.clone().or_else(|| axis.stands.clone()),
+        }
+    }
+
+    fn model_parts(&self, n: usize, watches: &[Watch], now_s: f64) -> Vec<Contribution> {
+        let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return Vec::new() };
+        let mut parts = Vec::new();
+        for p in model.live.parts() {
+            let own = p.effect.axes().iter().position(|a| *a == self.layout_axes[place]);
+            let Some(um) = own.and_then(|k| p.value.get(k)).filter(|_| acts(p.effect, own)) else {
+                continue;
+            };
+            let read = p.effect.delta.iter().flat_map(Difference::sensors);
+            let find = |name: &str| watches.iter().find(|w| w.config().name == name);
+            parts.push(Contribution {
+                sensors: read.filter_map(find).map(|w| Reading::of(w, now_s)).collect(),
+                outside_k: (p.outside_k > 0.0).then_some(p.outside_k),
+                weight: (p.weight < 1.0).then_some(p.weight),
+                ..Contribution::plain(&p.effect.name(), *um)
+            });
+        }
+        let along = ["x", "y", "z"].iter().position(|a| *a == self.setups[n].name);
+        if let (Some(chain), Some(k)) = (model.live.chain_um(), along) {
+            parts.push(Contribution::plain("chain", chain[k]));
+        }
+        parts
+    }
+
+    /// The model that runs.
+    #[must_use]
+    pub fn shown(&self) -> Option<RunningModel> {
+        let model = self.model.as_ref()?;
+        Some(RunningModel {
+            name: model.machine.name().to_owned(),
+            file: model.machine.path.display().to_string(),
+            sha256: model.machine.sha256().to_owned(),
+            fits: fits(&model.machine),
+            expired: model.machine.expired(self.today),
+            notes: self.notes(model),
+        })
+    }
+
+    fn notes(&self, model: &ModelSource) -> Vec<String> {
+        let mut notes = model.notes(self.today);
+        for (axis, setup) in self.axes.iter().zip(&self.setups) {
+            if let Some(max) = axis.total.limited() {
+                notes.push(format!(
+                    "axis {}: more is asked for than max_correction_counts = {max}; it is held there",
+                    setup.name
+                ));
+            }
+        }
+        notes
+    }
+
+    /// Why an axis stands still, where it does.
+    #[must_use]
+    pub fn holds(&self, n: usize) -> Option<&str> {
+        self.axes[n].holds.as_deref()
+    }
+
+    /// The model's effects that are outside the range they were fitted on now.
+    pub fn outside(&self) -> impl Iterator<Item = String> {
+        let parts = self.model.iter().flat_map(|m| m.live.parts());
+        parts.filter(|p| p.outside_k > 0.0).map(|p| p.effect.identity())
+    }
+
+    /// Why an axis does not follow its model.
+    pub fn holding(&self) -> impl Iterator<Item = String> {
+        self.axes.iter().zip(&self.setups).flat_map(|(a, setup)| {
+            let name = &setup.name;
+            let holds = a.holds.iter().map(move |why| format!("axis {name} holds: {why}"));
+            let stands =
+                a.stands.iter().map(move |why| format!("axis {name}: thermal corrections hold: {why}"));
+            holds.chain(stands)
+        })
+    }
+}
+
+fn fits(machine: &Machine) -> Vec<String> {
+    let of = |f: &FitNote| {
+        format!(
+            "{}: fitted {}, good until {}, 95 % within ±{:.2} µm",
+            f.response, f.date, f.valid_until, f.half_width_um
+        )
+    };
+    machine.fits().iter().map(of).collect()
+}

@@ -1,0 +1,138 @@
+//! What a correction is made of, in a form that is shown to people and sent over the control socket.
+
+use crate::sensors::{Use, Watch};
+use serde::{Deserialize, Serialize};
+
+/// What a model would change now.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelPreview {
+    /// Its name.
+    pub name: String,
+    /// Its file.
+    pub file: String,
+    /// Its hash: what is taken must have the same.
+    pub sha256: String,
+    /// What its fits say about themselves: response, dates, uncertainty.
+    pub fits: Vec<String>,
+    /// What to know before taking it.
+    pub warnings: Vec<String>,
+    /// Fits whose validity has ended: it is not taken unless that is meant.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub expired: Vec<String>,
+    /// Per axis.
+    pub axes: Vec<Change>,
+}
+
+/// What changes on an axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// The axis.
+    pub axis: String,
+    /// Its total now, counts.
+    pub now_counts: i64,
+    /// The same, µm.
+    pub now_um: f64,
+    /// Its total with the new model, counts.
+    pub then_counts: i64,
+    /// The same, µm.
+    pub then_um: f64,
+    /// Why it would not follow the model yet.
+    pub holds: Option<String>,
+}
+
+/// What an axis's correction is made of. Errors that are taken out, µm: the axis moves by the opposite.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Explained {
+    /// The axis.
+    pub axis: String,
+    /// The total, counts.
+    pub requested: i64,
+    /// The same, µm: the sum of the parts.
+    pub total_um: f64,
+    /// The parts.
+    pub parts: Vec<Contribution>,
+    /// Why it does not follow the model; none where it does.
+    pub holds: Option<String>,
+}
+
+/// One part of a correction.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Contribution {
+    /// An effect's name; or `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go),
+    /// `rounding` (to the design's increment).
+    pub name: String,
+    /// Its share, µm.
+    pub um: f64,
+    /// The sensors it reads.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Reading>,
+    /// How far the temperature difference is outside the range it was fitted on, K.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outside_k: Option<f64>,
+    /// What is left of it for that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weight: Option<f64>,
+}
+
+impl Contribution {
+    pub(crate) fn plain(name: &str, um: f64) -> Self {
+        Self { name: name.to_owned(), um, sensors: Vec::new(), outside_k: None, weight: None }
+    }
+}
+
+/// A sensor now.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reading {
+    /// Its name.
+    pub sensor: String,
+    /// Where it sits.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub place: String,
+    /// Its last good value, °C.
+    pub degc: Option<f64>,
+    /// The age of that, s.
+    pub age_s: Option<f64>,
+    /// `good`, `frozen` (the last good value stands in) or `hold`.
+    pub state: String,
+    /// What is wrong with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<String>,
+}
+
+impl Reading {
+    /// A sensor at a time, s.
+    #[must_use]
+    pub fn of(watch: &Watch, now_s: f64) -> Self {
+        Self {
+            sensor: watch.config().name.clone(),
+            place: watch.config().place.clone(),
+            degc: watch.value_degc(),
+            age_s: watch.age_s(now_s),
+            state: match watch.usable(now_s) {
+                Use::Good => "good",
+                Use::Frozen => "frozen",
+                Use::Hold => "hold",
+            }
+            .to_owned(),
+            fault: watch.fault().map(ToString::to_string),
+        }
+    }
+}
+
+/// The model that runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunningModel {
+    /// Its name.
+    pub name: String,
+    /// Its file.
+    pub file: String,
+    /// Its hash.
+    pub sha256: String,
+    /// What its fits say about themselves.
+    pub fits: Vec<String>,
+    /// Fits whose validity has ended.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub expired: Vec<String>,
+    /// What to know now: past its date, outside the range it was fitted on, at a limit.
+    pub notes: Vec<String>,
+}

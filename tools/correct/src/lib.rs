@@ -1,0 +1,46 @@
+//! The control law: which total should each axis have now?
+//!
+//! requested = model + part table + operator, in micrometres until the very end. The daemon, the simulator, the
+//! rehearsal of a shift, the part loop and the demo all ask here; there is no other law.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`corrector`] | all axes: the sources' sum becomes totals |
+//! | `source` | the machine model as a source: sensors in, errors out, or why nothing can be said |
+//! | [`part_table`] | a part's errors as a source |
+//! | `motion` | position, velocity and direction of the axes from the engine's status |
+//! | `total` | ramp, hysteresis, limits, belief window |
+//! | [`explain`] | what a correction is made of, for people |
+//! | [`sensors`] | temperatures through what Linux offers, each watched |
+//! | [`rehearse`] | a recorded shift run through the law with another model |
+//!
+//! What must not live here: sockets of the control side, files that are not a sensor's, anything of a simulated machine.
+
+pub mod corrector;
+pub mod explain;
+mod motion;
+pub mod part_table;
+pub mod rehearse;
+pub mod sensors;
+mod source;
+mod total;
+
+pub use corrector::Corrector;
+
+/// How fast a total goes to a new place that no motion of the axis asks for, µm/s, where nobody says.
+pub const RAMP_UM_S: f64 = 5.0;
+
+/// One axis, as the law needs to know it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxisSetup {
+    /// Its name.
+    pub name: String,
+    /// What one count is worth, µm.
+    pub count_um: f64,
+    /// Counts of one insertion of its design.
+    pub increment_counts: i64,
+    /// Largest change that the engine believes at once, counts.
+    pub window_counts: i64,
+    /// Largest total, counts.
+    pub max_counts: i64,
+}

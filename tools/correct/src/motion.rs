@@ -1,0 +1,116 @@
+//! How the axes move, as the engine's status shows it: position, velocity, acceleration, direction of the last motion.
+
+use crate::AxisSetup;
+use rtec_model::live::AxisNow;
+use rtec_rt::event::Status;
+use std::collections::VecDeque;
+
+/// Beyond an increment, how far an axis must come back before it counts as having turned, counts.
+const TURNED_COUNTS: i64 = 2;
+/// States that are kept: half a second of them.
+const KEPT: usize = 64;
+/// A drive has followed an insertion after so many evaluations.
+const SETTLED: usize = 30;
+/// Velocity is taken over so many evaluations.
+const SPEED_OVER: usize = 3;
+
+/// Recent states of the machine, and what they say of each axis's motion.
+#[derive(Debug)]
+pub(crate) struct Motion {
+    /// Newest last.
+    seen: VecDeque<Status>,
+    turning: Vec<Turning>,
+    now: Vec<AxisNow>,
+}
+
+/// The direction of an axis, and the furthest places in it: of the scale, and as the MTC counts.
+#[derive(Debug, Clone, Copy, Default)]
+struct Turning {
+    direction: f64,
+    furthest_counts: [i64; 2],
+}
+
+impl Turning {
+    /// Our own insertions move the scale while the MTC's count stands, and the MTC's count until the drive has followed:
+    /// an axis has turned when both say so, and by more than was inserted a moment ago.
+    fn follow(&mut self, at_counts: [i64; 2], enough_counts: i64) {
+        let moved = [0, 1].map(|k| at_counts[k] - self.furthest_counts[k]);
+        let turned = |d: i64| moved.iter().all(|m| m * d > enough_counts);
+        if let Some(d) = [1, -1].into_iter().find(|d| turned(*d)) {
+            (self.direction, self.furthest_counts) = (d as f64, at_counts);
+            return;
+        }
+        for (k, furthest) in self.furthest_counts.iter_mut().enumerate() {
+            if moved[k] as f64 * self.direction > 0.0 {
+                *furthest = at_counts[k];
+            }
+        }
+    }
+}
+
+impl Motion {
+    pub(crate) fn new(axes: usize) -> Self {
+        Self {
+            seen: VecDeque::with_capacity(KEPT),
+            turning: vec![Turning::default(); axes],
+            now: vec![AxisNow::default(); axes],
+        }
+    }
+
+    /// Every axis now; its load is not known here.
+    pub(crate) fn now(&self) -> &[AxisNow] {
+        &self.now
+    }
+
+    /// Positions have been counted anew.
+    pub(crate) fn forget(&mut self) {
+        self.seen.clear();
+    }
+
+    /// Position of an axis at the kept state nearest to a time of the card's clock, counts.
+    pub(crate) fn position_counts_at(&self, axis: usize, t_ns: u64) -> Option<i64> {
+        let nearest = self.seen.iter().min_by_key(|s| s.t_ns.abs_diff(t_ns))?;
+        Some(nearest.axes[axis].position_counts)
+    }
+
+    /// Takes the latest state in.
+    pub(crate) fn follow(&mut self, status: &Status, axes: &[AxisSetup]) {
+        if self.seen.back().is_none_or(|last| last.t_ns < status.t_ns) {
+            if self.seen.len() == KEPT {
+                self.seen.pop_front();
+            }
+            self.seen.push_back(*status);
+        }
+        let back = |k: usize| self.seen.iter().rev().nth(k);
+        let settled = back(SETTLED).or(self.seen.front());
+        for (n, (axis, s)) in axes.iter().zip(status.axes()).enumerate() {
+            let own_counts = settled.map_or(0, |b| s.in_effect.abs_diff(b.axes[n].in_effect)) as i64;
+            self.turning[n].follow(
+                [s.position_counts, s.position_counts + s.in_effect],
+                axis.increment_counts + TURNED_COUNTS + own_counts,
+            );
+            let ends = [2 * SPEED_OVER, SPEED_OVER, 0].map(back);
+            let before = mm_s(ends[0], ends[1], n, axis.count_um);
+            let velocity_mm_s = mm_s(ends[1], ends[2], n, axis.count_um);
+            let between_s = match (ends[0], ends[2]) {
+                (Some(a), Some(b)) => (b.t_ns - a.t_ns) as f64 * 0.5e-9,
+                _ => 0.0,
+            };
+            self.now[n] = AxisNow {
+                position_mm: s.position_counts as f64 * axis.count_um / 1000.0,
+                velocity_mm_s,
+                acceleration_mm_s2: if between_s > 0.0 { (velocity_mm_s - before) / between_s } else { 0.0 },
+                direction: self.turning[n].direction,
+                load_n: 0.0,
+            };
+        }
+    }
+}
+
+/// Mean velocity of an axis between two states; 0 where one of them is not known.
+fn mm_s(from: Option<&Status>, to: Option<&Status>, axis: usize, count_um: f64) -> f64 {
+    let (Some(a), Some(b)) = (from, to) else { return 0.0 };
+    let dt_s = (b.t_ns - a.t_ns) as f64 * 1e-9;
+    let moved = b.axes[axis].position_counts - a.axes[axis].position_counts;
+    if dt_s > 0.0 { moved as f64 * count_um / 1000.0 / dt_s } else { 0.0 }
+}

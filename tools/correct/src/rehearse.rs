@@ -1,0 +1,262 @@
+//! A recorded shift run through the control law with the present model and with a new one: what would change before it
+//! is loaded, count for count.
+//!
+//! The machine is the shift's: its positions, temperatures, loads. The engine is one that inserts at once. Between two
+//! rows everything is linear in time, so that ramp, window and lags see the time that passes.
+
+use crate::sensors::{Config, Source, Watch};
+use crate::{AxisSetup, Corrector};
+use rtec_driver::input::InputError;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Record, Role};
+use rtec_rt::event::{MAX_AXES, Mode, Status};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// The law is asked this often between two rows, s, but at most [`MOST_TICKS`] times: rows may be minutes apart.
+const PERIOD_S: f64 = 0.01;
+/// See [`PERIOD_S`].
+const MOST_TICKS: f64 = 20.0;
+
+/// What the law is run with, where the shift does not say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Options {
+    /// The axes as the configuration has them; those it lacks are taken as [`Options::axis`] makes them.
+    pub axes: Vec<AxisSetup>,
+    /// See [`Corrector::new`], µm/s.
+    pub ramp_um_s: f64,
+    /// See [`Corrector::new`], s.
+    pub lead_s: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { axes: Vec::new(), ramp_um_s: crate::RAMP_UM_S, lead_s: 0.0 }
+    }
+}
+
+impl Options {
+    /// An axis that no configuration describes: counts of the shift, or of 1 µm, Design C, a window of 50 counts.
+    fn axis(&self, name: &str, count_um: Option<f64>) -> AxisSetup {
+        let known = self.axes.iter().find(|a| a.name == name).cloned();
+        known.unwrap_or_else(|| AxisSetup {
+            name: name.to_owned(),
+            count_um: count_um.unwrap_or(1.0),
+            increment_counts: 2,
+            window_counts: 50,
+            max_counts: 1_000_000,
+        })
+    }
+}
+
+/// What changes on one axis. A positive total takes out a positive error.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AxisChange {
+    /// The axis.
+    pub axis: String,
+    /// What one count is worth, µm.
+    pub count_um: f64,
+    /// Largest correction of the present model and of the new one, µm.
+    pub largest_um: [f64; 2],
+    /// Largest change from one to the other, µm.
+    pub change_um: f64,
+    /// When, s.
+    pub change_at_s: f64,
+    /// Root of the mean squared change, µm.
+    pub change_rms_um: f64,
+    /// Fastest the new correction moves from row to row, µm/s.
+    pub fastest_um_per_s: f64,
+    /// Rows on which the axis would not follow the new model (a sensor or a lag that is not known yet), as a share.
+    pub held: f64,
+    /// Totals at every row, counts: time, s, present, new.
+    #[serde(skip)]
+    pub rows: Vec<(f64, [i64; 2])>,
+}
+
+/// What a rehearsal found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rehearsal {
+    /// Per axis.
+    pub axes: Vec<AxisChange>,
+    /// Share of the rows on which an effect of the new model was outside its range, by effect.
+    pub outside: BTreeMap<String, f64>,
+}
+
+/// One column of the shift and where its values go.
+struct Feed<'r> {
+    data: &'r [f64],
+    watch: usize,
+}
+
+/// The law with one model, and the state of the machine that it asks.
+struct Stage<'r> {
+    corrector: Corrector,
+    status: Status,
+    watches: Vec<Watch>,
+    feeds: &'r [Feed<'r>],
+}
+
+impl Stage<'_> {
+    /// One tick: sensors and positions as they are then, totals completed at once.
+    fn tick(&mut self, t_s: f64, t_ns: u64, position_counts: &[i64], reading: impl Fn(&[f64]) -> f64) {
+        for feed in self.feeds {
+            self.watches[feed.watch].offer(t_s, Ok(reading(feed.data)));
+        }
+        self.status.t_ns = t_ns;
+        for (axis, counts) in self.status.axes.iter_mut().zip(position_counts) {
+            axis.position_counts = *counts;
+        }
+        let totals = self.corrector.tick(t_s, &self.status, &self.watches);
+        for (axis, total) in self.status.axes.iter_mut().zip(totals) {
+            let total = total.unwrap_or(axis.requested);
+            (axis.requested, axis.completed, axis.in_effect) = (total, total, total);
+        }
+    }
+}
+
+/// A sensor of the shift: never too old, never implausible; what it logged is what it read.
+fn watch(name: &str, role: Role) -> Watch {
+    Watch::new(Config {
+        name: name.to_owned(),
+        place: String::new(),
+        role,
+        source: Source::Csv { record: PathBuf::new(), column: name.to_owned() },
+        period_s: PERIOD_S,
+        range: [f64::NEG_INFINITY, f64::INFINITY],
+        max_rate_k_per_min: f64::INFINITY,
+        timeout_s: f64::INFINITY,
+        stuck_s: 0.0,
+        freeze_s: f64::INFINITY,
+    })
+}
+
+/// The axes of a shift and of the effects that act on it.
+fn axes_of(shift: &Record, models: [&Machine; 2]) -> Vec<Axis> {
+    let mut axes: Vec<Axis> = Vec::new();
+    let of_effects = models.into_iter().flat_map(Machine::effects).flat_map(|e| e.axes());
+    for axis in shift.columns.iter().filter_map(|c| c.role.axis()).chain(of_effects) {
+        if !axes.contains(axis) {
+            axes.push(axis.clone());
+        }
+    }
+    axes
+}
+
+/// Runs a shift through the law with the present model and with a new one.
+///
+/// # Errors
+/// A sensor or channel that the shift does not have; more axes than the engine holds.
+pub fn rehearse(
+    present: &Machine,
+    new: &Machine,
+    shift: &Record,
+    options: &Options,
+) -> Result<Rehearsal, InputError> {
+    let axes = axes_of(shift, [present, new]);
+    if axes.len() > MAX_AXES {
+        let found = format!("{} axes in the shift and the models", axes.len());
+        return Err(InputError::whole(&shift.path, found, format!("at most {MAX_AXES}")));
+    }
+    let setups: Vec<AxisSetup> = axes.iter().map(|a| options.axis(a.as_str(), shift.count_um)).collect();
+    let sensed = |role: &Role| {
+        matches!(role, Role::Temperature | Role::Channel | Role::SpindleSpeed | Role::Coolant | Role::Load(_))
+    };
+    let columns: Vec<_> = shift.columns.iter().filter(|c| sensed(&c.role)).collect();
+    let feeds: Vec<Feed<'_>> =
+        columns.iter().enumerate().map(|(watch, c)| Feed { data: &c.data, watch }).collect();
+    let stage = |machine: &Machine| {
+        let watches: Vec<Watch> = columns.iter().map(|c| watch(&c.name, c.role.clone())).collect();
+        let mut corrector = Corrector::new(setups.clone(), options.ramp_um_s, options.lead_s, 0.0);
+        corrector.load(machine.clone(), &watches, &|_| Vec::new()).map_err(|e| {
+            InputError::whole(&shift.path, e.found, "every sensor and channel that the model reads")
+        })?;
+        let mut status = Status { mode: Mode::Run, axes_used: setups.len() as u8, ..Status::default() };
+        status.axes.iter_mut().for_each(|a| a.homed = true);
+        Ok(Stage { corrector, status, watches, feeds: &feeds })
+    };
+    let mut stages = [stage(present)?, stage(new)?];
+    let mut changes = Rows::new(setups);
+    run(shift, &axes, &mut stages, &mut changes);
+    Ok(changes.judge(shift.rows()))
+}
+
+/// Row by row, and between the rows.
+fn run(shift: &Record, axes: &[Axis], stages: &mut [Stage<'_>; 2], changes: &mut Rows) {
+    let t = shift.time_s();
+    let places: Vec<Option<&[f64]>> = axes.iter().map(|a| shift.data(&Role::Position(a.clone()))).collect();
+    for row in 0..shift.rows() {
+        let before = row.saturating_sub(1);
+        let gap_s = t[row] - t[before];
+        let ticks = (gap_s / PERIOD_S).ceil().clamp(1.0, MOST_TICKS);
+        for k in 1..=ticks as u32 {
+            let part = f64::from(k) / ticks;
+            let reading = |data: &[f64]| data[before] + (data[row] - data[before]) * part;
+            let t_s = reading(t);
+            let counts: Vec<i64> = places
+                .iter()
+                .zip(&changes.setups)
+                .map(|(p, s)| (p.map_or(0.0, reading) * 1000.0 / s.count_um).round() as i64)
+                .collect();
+            // The card's clock runs from the shift's first row.
+            let t_ns = ((t_s - t[0]) * 1e9) as u64;
+            stages.iter_mut().for_each(|s| s.tick(t_s, t_ns, &counts, reading));
+        }
+        changes.take(t[row], stages);
+    }
+}
+
+/// Totals row by row, as they come.
+struct Rows {
+    setups: Vec<AxisSetup>,
+    rows: Vec<Vec<(f64, [i64; 2])>>,
+    held: Vec<usize>,
+    outside: BTreeMap<String, usize>,
+}
+
+impl Rows {
+    fn new(setups: Vec<AxisSetup>) -> Self {
+        let axes = setups.len();
+        Self { setups, rows: vec![Vec::new(); axes], held: vec![0; axes], outside: BTreeMap::new() }
+    }
+
+    fn take(&mut self, t_s: f64, [present, new]: &mut [Stage<'_>; 2]) {
+        for (n, rows) in self.rows.iter_mut().enumerate() {
+            rows.push((t_s, [present.status.axes[n].requested, new.status.axes[n].requested]));
+            self.held[n] += usize::from(new.corrector.holds(n).is_some());
+        }
+        for effect in new.corrector.outside() {
+            *self.outside.entry(effect).or_default() += 1;
+        }
+    }
+
+    fn judge(self, all: usize) -> Rehearsal {
+        let share = |n: usize| n as f64 / all.max(1) as f64;
+        let axes = self.setups.into_iter().zip(self.rows).zip(self.held);
+        let axes = axes.map(|((setup, rows), held)| {
+            let um = |counts: i64| counts as f64 * setup.count_um;
+            let change = |r: &(f64, [i64; 2])| um(r.1[1] - r.1[0]);
+            let largest = |k: usize| rows.iter().map(|r| um(r.1[k]).abs()).fold(0.0, f64::max);
+            let worst = rows.iter().max_by(|a, b| change(a).abs().total_cmp(&change(b).abs()));
+            let squares: f64 = rows.iter().map(|r| change(r).powi(2)).sum();
+            let speeds = rows.windows(2).filter(|w| w[1].0 > w[0].0);
+            AxisChange {
+                largest_um: [largest(0), largest(1)],
+                change_um: worst.map_or(0.0, change),
+                change_at_s: worst.map_or(0.0, |r| r.0),
+                change_rms_um: (squares / all.max(1) as f64).sqrt(),
+                fastest_um_per_s: speeds
+                    .map(|w| (um(w[1].1[1] - w[0].1[1]) / (w[1].0 - w[0].0)).abs())
+                    .fold(0.0, f64::max),
+                held: share(held),
+                axis: setup.name,
+                count_um: setup.count_um,
+                rows,
+            }
+        });
+        Rehearsal {
+            axes: axes.collect(),
+            outside: self.outside.into_iter().map(|(effect, n)| (effect, share(n))).collect(),
+        }
+    }
+}

@@ -1,0 +1,346 @@
+//! The machine model as a source: fed with sensors, it says what each axis is off by, or why nothing can be said.
+
+use crate::sensors::{Use, Watch};
+use rtec_driver::input::InputError;
+use rtec_model::effect::{Difference, Effect, Naming, Need, STANDARD_DEGC};
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Role};
+
+/// A lag is known to 2 % after so many of its time constants.
+const LAGS_KNOWN: f64 = 4.0;
+/// Temperatures as far apart as this are those of a machine that has stood still for long, K.
+const COLD_K: f64 = 1.0;
+/// Shorter gaps in the temperatures never make a lag forget, s.
+const GAP_S: f64 = 15.0;
+
+/// A model ready to run. Axes are counted as its layout has them.
+#[derive(Debug)]
+pub(crate) struct ModelSource {
+    pub(crate) machine: Machine,
+    pub(crate) live: Live,
+    /// Per sensor and channel of the layout: its place among the configured sensors.
+    sensors: Vec<usize>,
+    channels: Vec<usize>,
+    /// Where spindle speed, coolant and each axis's load come from.
+    rpm: Option<usize>,
+    coolant: Option<usize>,
+    loads: Vec<Option<usize>>,
+    /// Per axis: places of the configured sensors that its effects read.
+    reads: Vec<Vec<usize>>,
+    lags: Vec<Lag>,
+    /// What the model reads and no sensor gives.
+    missing: Vec<String>,
+    inputs: Inputs,
+    /// What each configured sensor was good for when it was last looked at.
+    states: Vec<Use>,
+    /// It was taken although its validity had ended.
+    pub(crate) although_expired: bool,
+}
+
+/// What the model reads, beside the axes.
+#[derive(Debug, Clone, Default)]
+struct Inputs {
+    temperatures_degc: Vec<f64>,
+    channels: Vec<f64>,
+    rpm: f64,
+    coolant: f64,
+    held: Vec<bool>,
+}
+
+impl Inputs {
+    fn frame<'a>(&'a self, t_s: f64, axes: &'a [AxisNow], probing: bool) -> Frame<'a> {
+        Frame {
+            t_s,
+            axes,
+            temperatures_degc: &self.temperatures_degc,
+            channels: &self.channels,
+            rpm: self.rpm,
+            coolant: self.coolant,
+            angle_rad: 0.0,
+            probing,
+            held: &self.held,
+        }
+    }
+
+    /// Every part as warm as the others: a machine that has stood still for long.
+    fn cold(&self) -> bool {
+        let t = self.temperatures_degc.iter().copied();
+        t.clone().fold(f64::MIN, f64::max) - t.fold(f64::MAX, f64::min) <= COLD_K
+    }
+}
+
+/// What is known of the state of a first-order lag.
+#[derive(Debug, Clone)]
+struct Lag {
+    axis: usize,
+    tau_s: f64,
+    /// It has followed its input without a gap since then, s.
+    since_s: f64,
+    last_s: f64,
+    /// It was in equilibrium when it began.
+    settled: bool,
+}
+
+impl Lag {
+    fn new(axis: usize, tau_s: f64) -> Self {
+        Self { axis, tau_s, since_s: f64::NEG_INFINITY, last_s: f64::NEG_INFINITY, settled: false }
+    }
+
+    /// An input came at a time; the machine was cold then, or not.
+    fn follow(&mut self, now_s: f64, cold: bool) {
+        let gap_s = now_s - self.last_s;
+        if gap_s > (self.tau_s / 4.0).max(GAP_S) {
+            self.since_s = now_s;
+            self.settled = cold && gap_s > LAGS_KNOWN * self.tau_s;
+        }
+        self.last_s = now_s;
+    }
+
+    /// How long until it is known, s; none when it is.
+    fn unknown_s(&self, now_s: f64) -> Option<f64> {
+        let left = LAGS_KNOWN * self.tau_s - (now_s - self.since_s);
+        (!self.settled && left > 0.0).then_some(left)
+    }
+}
+
+/// An effect acts on the axis of its first place; a pair on both.
+pub(crate) fn acts(effect: &Effect, place: Option<usize>) -> bool {
+    place == Some(0) || place == Some(1) && effect.card().naming == Naming::Pair
+}
+
+fn of_role(watches: &[Watch], role: &Role) -> Option<usize> {
+    watches.iter().position(|w| w.config().role == *role)
+}
+
+fn of_name(watches: &[Watch], name: &str) -> Option<usize> {
+    watches.iter().position(|w| w.config().name == name)
+}
+
+/// Places of the configured sensors of these names and this role.
+///
+/// # Errors
+/// One that is not configured.
+fn places(
+    machine: &Machine,
+    names: &[String],
+    (what, role): (&str, &Role),
+    watches: &[Watch],
+) -> Result<Vec<usize>, InputError> {
+    let place = |n: &String| watches.iter().position(|w| w.config().name == *n && w.config().role == *role);
+    let found = |n: &String| {
+        place(n).ok_or_else(|| {
+            let has = watches.iter().filter(|w| w.config().role == *role).map(|w| w.config().name.as_str());
+            let has = has.collect::<Vec<_>>().join(", ");
+            let expected = format!("one of the configuration's [[sensor]]: {has}");
+            InputError::whole(&machine.path, format!("a {what} {n} is read"), expected)
+        })
+    };
+    names.iter().map(found).collect()
+}
+
+/// What the effects read that no configured sensor gives: taken as zero.
+fn missing(machine: &Machine, watches: &[Watch]) -> Vec<String> {
+    let mut missing = Vec::new();
+    for effect in machine.effects() {
+        for need in &effect.card().needs {
+            let role = need.role(effect.axes());
+            let given = match need {
+                Need::SpindleSpeed | Need::Coolant | Need::Load => of_role(watches, &role).is_some(),
+                Need::Angle => false,
+                _ => true,
+            };
+            if !given {
+                missing.push(format!("{}: no [[sensor]] of role {role}, taken as zero", effect.name()));
+            }
+        }
+    }
+    missing
+}
+
+/// Per axis: the configured sensors that its effects read.
+fn reads(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<Vec<usize>> {
+    let mut reads = vec![Vec::new(); axes.len()];
+    for (n, effect) in acting(machine, axes) {
+        reads[n].extend(
+            effect.delta.iter().flat_map(Difference::sensors).filter_map(|name| of_name(watches, name)),
+        );
+        reads[n].extend(effect.channel().and_then(|name| of_name(watches, name)));
+        let roles = effect.card().needs.iter().map(|need| need.role(effect.axes()));
+        let others = roles.filter(|r| *r != Role::Temperature && *r != Role::Channel);
+        reads[n].extend(others.filter_map(|r| of_role(watches, &r)));
+    }
+    if let Some(chain) = machine.chain() {
+        let sensors = chain.deltas().flat_map(Difference::sensors);
+        let read: Vec<usize> = sensors.filter_map(|name| of_name(watches, name)).collect();
+        for (n, axis) in axes.iter().enumerate() {
+            if ["x", "y", "z"].contains(&axis.as_str()) {
+                reads[n].extend(&read);
+            }
+        }
+    }
+    reads
+}
+
+/// Every effect with each axis it acts on.
+fn acting<'m>(machine: &'m Machine, axes: &[Axis]) -> impl Iterator<Item = (usize, &'m Effect)> {
+    machine.effects().flat_map(move |effect| {
+        effect.axes().iter().enumerate().filter_map(move |(k, axis)| {
+            let n = axes.iter().position(|a| a == axis).filter(|_| acts(effect, Some(k)))?;
+            Some((n, effect))
+        })
+    })
+}
+
+fn lags(machine: &Machine, axes: &[Axis]) -> Vec<Lag> {
+    let lag = |(n, effect): (usize, &Effect)| {
+        let tau_s = effect.value("tau_s").filter(|_| effect.delta.is_some())?;
+        Some(Lag::new(n, tau_s[0]))
+    };
+    acting(machine, axes).filter_map(lag).collect()
+}
+
+impl ModelSource {
+    /// A model for these axes, fed from these sensors.
+    ///
+    /// # Errors
+    /// What it reads and this machine does not have.
+    pub(crate) fn new(machine: Machine, axes: &[Axis], watches: &[Watch]) -> Result<Self, InputError> {
+        let mut channels: Vec<String> =
+            machine.effects().filter_map(Effect::channel).map(str::to_owned).collect();
+        channels.dedup();
+        let layout = Layout { axes: axes.to_vec(), sensors: machine.sensors(), channels };
+        let sensors = places(&machine, &layout.sensors, ("temperature", &Role::Temperature), watches)?;
+        let channels = places(&machine, &layout.channels, ("channel", &Role::Channel), watches)?;
+        let live = Live::of(&machine, layout).map_err(|missing| {
+            InputError::whole(&machine.path, missing.to_string(), "what the configuration has")
+        })?;
+        Ok(Self {
+            inputs: Inputs {
+                temperatures_degc: vec![STANDARD_DEGC; sensors.len()],
+                channels: vec![0.0; channels.len()],
+                held: vec![false; axes.len()],
+                ..Inputs::default()
+            },
+            states: vec![Use::Hold; watches.len()],
+            although_expired: false,
+            rpm: of_role(watches, &Role::SpindleSpeed),
+            coolant: of_role(watches, &Role::Coolant),
+            loads: axes.iter().map(|a| of_role(watches, &Role::Load(a.clone()))).collect(),
+            reads: reads(&machine, axes, watches),
+            lags: lags(&machine, axes),
+            missing: missing(&machine, watches),
+            live,
+            machine,
+            sensors,
+            channels,
+        })
+    }
+
+    /// Brings the lags up from temperatures of the past, oldest first: time on the clock of [`Self::evaluate`], s, and
+    /// the layout's sensors, °C.
+    pub(crate) fn catch_up(&mut self, past: Vec<(f64, Vec<f64>)>, started_s: f64, axes: &[AxisNow]) {
+        for (t_s, degc) in past {
+            self.inputs.temperatures_degc = degc;
+            let cold = self.inputs.cold();
+            self.lags.iter_mut().for_each(|l| l.follow(t_s, cold));
+            self.live.evaluate(&self.inputs.frame(t_s - started_s, axes, false));
+        }
+    }
+
+    /// Takes the sensors in; says whether one of them has become better or worse.
+    pub(crate) fn read(&mut self, watches: &[Watch], now_s: f64) -> bool {
+        let value = |n: usize| watches[n].value_degc();
+        let take = |to: &mut [f64], from: &[usize]| {
+            for (to, n) in to.iter_mut().zip(from) {
+                *to = value(*n).unwrap_or(*to);
+            }
+        };
+        take(&mut self.inputs.temperatures_degc, &self.sensors);
+        take(&mut self.inputs.channels, &self.channels);
+        self.inputs.rpm = self.rpm.and_then(value).unwrap_or(0.0);
+        self.inputs.coolant = self.coolant.and_then(value).unwrap_or(0.0);
+        let mut changed = false;
+        for (state, watch) in self.states.iter_mut().zip(watches) {
+            let now = watch.usable(now_s);
+            changed |= std::mem::replace(state, now) != now;
+        }
+        for (held, reads) in self.inputs.held.iter_mut().zip(&self.reads) {
+            *held = reads.iter().any(|n| self.states[*n] == Use::Hold);
+        }
+        let cold = self.inputs.cold();
+        for lag in &mut self.lags {
+            if !self.inputs.held[lag.axis] {
+                lag.follow(now_s, cold);
+            }
+        }
+        changed
+    }
+
+    /// Loads of the axes as their sensors give them, N.
+    pub(crate) fn add_loads(&self, axes: &mut [AxisNow], watches: &[Watch]) {
+        for (now, load) in axes.iter_mut().zip(&self.loads) {
+            now.load_n = load.and_then(|w| watches[w].value_degc()).unwrap_or(0.0);
+        }
+    }
+
+    /// Evaluates the model: time since the model's clock began, s.
+    pub(crate) fn evaluate(&mut self, t_s: f64, axes: &[AxisNow], probing: bool) {
+        self.live.evaluate(&self.inputs.frame(t_s, axes, probing));
+    }
+
+    /// The error of an axis where all of them are at these places, µm; what runs is left as it is.
+    pub(crate) fn error_um_at(&self, place: usize, t_s: f64, axes: &[AxisNow], probing: bool) -> f64 {
+        let mut live = self.live.clone();
+        live.evaluate(&self.inputs.frame(t_s, axes, probing));
+        live.errors_um()[place]
+    }
+
+    /// Why nothing can be said of an axis yet.
+    pub(crate) fn unknown(&self, place: usize, watches: &[Watch], now_s: f64) -> Option<String> {
+        let never = self.reads[place].iter().map(|n| &watches[*n]).find(|w| w.value_degc().is_none());
+        if let Some(w) = never {
+            let why = w.fault().map_or("not read yet".to_owned(), ToString::to_string);
+            return Some(format!("sensor {}: {why}", w.config().name));
+        }
+        if !self.live.errors_um()[place].is_finite() {
+            return Some("the model gives no finite number here".to_owned());
+        }
+        let lags = self.lags.iter().filter(|l| l.axis == place);
+        let longest = lags.filter_map(|l| Some((l.unknown_s(now_s)?, l.tau_s)));
+        let (left_s, tau_s) = longest.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(format!(
+            "how warm the machine is inside is not known yet: no temperatures were logged for {LAGS_KNOWN} times the \
+             lag of {tau_s:.0} s; it is in {left_s:.0} s"
+        ))
+    }
+
+    /// Why the thermal state of an axis stands still.
+    pub(crate) fn standing(&self, place: usize, watches: &[Watch], now_s: f64) -> Option<String> {
+        let lost = self.reads[place].iter().map(|n| &watches[*n]).find(|w| w.usable(now_s) == Use::Hold)?;
+        let why = lost.fault().map_or("silent".to_owned(), ToString::to_string);
+        let age_s = lost.age_s(now_s).unwrap_or(0.0);
+        Some(format!("sensor {}: {why}; its last good value is {age_s:.0} s old", lost.config().name))
+    }
+
+    /// What to know of it on a day (days since 1970-01-01).
+    pub(crate) fn notes(&self, today: i64) -> Vec<String> {
+        let mut notes = self.machine.doubts(today);
+        notes.extend(self.missing.iter().cloned());
+        for p in self.live.parts() {
+            if p.outside_k > 0.0 {
+                let delta = p.effect.delta.as_ref().map_or(String::new(), |d| format!(" ({d})"));
+                notes.push(format!(
+                    "{}{delta} is {:.1} K outside the range it was fitted on: {:.0} % of it is left",
+                    p.effect.name(),
+                    p.outside_k,
+                    100.0 * p.weight
+                ));
+            }
+            if p.effect.card().name == "warm_up" {
+                notes.push(format!("{}: its time counts from the daemon's start", p.effect.name()));
+            }
+        }
+        notes
+    }
+}

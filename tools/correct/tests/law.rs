@@ -1,0 +1,489 @@
+//! The control law as the daemon runs it, tick by tick, against an engine that inserts at once.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_correct::part_table::PartTable;
+use rtec_correct::sensors::{Config, Source, Watch};
+use rtec_correct::{AxisSetup, Corrector};
+use rtec_driver::input::InputError;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Role};
+use rtec_part::errors::PointError;
+use rtec_rt::event::{AxisStatus, Fault, MAX_AXES, Mode, Status};
+use std::path::Path;
+
+/// A machine of one or more axes as the engine would have it: what is requested is completed at once.
+struct Bench {
+    corrector: Corrector,
+    status: Status,
+    watches: Vec<Watch>,
+    now_s: f64,
+}
+
+const TICK_S: f64 = 0.01;
+
+fn sensor(name: &str, role: Role) -> Config {
+    Config {
+        name: name.to_owned(),
+        place: String::new(),
+        role,
+        source: Source::Line { from: "x:1".to_owned(), key: name.to_owned() },
+        period_s: 1.0,
+        range: [-1e9, 1e9],
+        max_rate_k_per_min: f64::INFINITY,
+        timeout_s: 5.0,
+        stuck_s: 0.0,
+        freeze_s: 20.0,
+    }
+}
+
+fn machine(text: &str) -> Machine {
+    Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
+}
+
+const SCALE: &str = "[[effect]]\nname = \"scale.x\"\nppm = 100.0\n";
+const GROWTH: &str =
+    "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T1\"\nminus = \"T2\"\num_per_K = 10.0\n";
+const LAG: &str =
+    "[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T1\"\nminus = \"T2\"\num_per_K = 10.0\ntau_s = 100.0\n";
+
+impl Bench {
+    fn new() -> Self {
+        Self::of(5.0, 1000.0, Vec::new())
+    }
+
+    /// With this ramp, begun at this time, and with these sensors before the temperatures T1 and T2.
+    fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<Config>) -> Self {
+        let axis = |name: &str| AxisSetup {
+            name: name.to_owned(),
+            count_um: 1.0,
+            increment_counts: 2,
+            window_counts: 50,
+            max_counts: 1000,
+        };
+        sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
+        let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+        status.axes.iter_mut().for_each(|a| a.homed = true);
+        Self {
+            corrector: Corrector::new(["x", "y", "z"].map(axis).to_vec(), ramp_um_s, 0.0, now_s),
+            status,
+            watches: sensors.into_iter().map(Watch::new).collect(),
+            now_s,
+        }
+    }
+
+    fn warm(&mut self, t1: f64, t2: f64) {
+        self.watches[0].offer(self.now_s, Ok(t1));
+        self.watches[1].offer(self.now_s, Ok(t2));
+    }
+
+    fn load(&mut self, model: &str) {
+        self.try_load(model).unwrap();
+    }
+
+    fn try_load(&mut self, model: &str) -> Result<(), InputError> {
+        self.corrector.load(machine(model), &self.watches, &|_| Vec::new())
+    }
+
+    /// One evaluation, and an engine that takes what is within its window; the totals asked for.
+    fn tick(&mut self) -> [Option<i64>; MAX_AXES] {
+        self.now_s += TICK_S;
+        self.status.t_ns += (TICK_S * 1e9) as u64;
+        let totals = self.corrector.tick(self.now_s, &self.status, &self.watches);
+        for (axis, total) in self.status.axes.iter_mut().zip(totals) {
+            if let Some(total) = total {
+                assert!((total - axis.requested).abs() <= 50, "{total} after {}", axis.requested);
+                (axis.requested, axis.completed, axis.in_effect) = (total, total, total);
+            }
+        }
+        totals
+    }
+
+    /// Evaluations for so long, with the sensors heard every second; the largest step of an axis's total.
+    fn run(&mut self, s: f64, axis: usize, mut degc: impl FnMut(f64) -> Option<(f64, f64)>) -> i64 {
+        let (until, mut heard, mut largest) = (self.now_s + s, self.now_s, 0);
+        while self.now_s < until {
+            if self.now_s >= heard {
+                heard += 1.0;
+                if let Some((t1, t2)) = degc(self.now_s) {
+                    self.warm(t1, t2);
+                }
+            }
+            let before = self.status.axes[axis].requested;
+            self.tick();
+            largest = largest.max((self.status.axes[axis].requested - before).abs());
+        }
+        largest
+    }
+
+    fn z(&self) -> i64 {
+        self.status.axes[2].requested
+    }
+
+    fn explained_um(&self, n: usize) -> (f64, f64) {
+        let e = self.corrector.explain(n, &self.status.axes[n], &self.watches, self.now_s);
+        (e.total_um, e.parts.iter().map(|p| p.um).sum())
+    }
+}
+
+#[test]
+fn a_total_follows_the_axis_within_its_window_and_does_not_chatter() {
+    let mut bench = Bench::new();
+    bench.load(SCALE);
+    bench.tick();
+    // A rapid over 400 mm between two evaluations: 40 counts, and no more than the window at once.
+    bench.status.axes[0].position_counts = 400_000;
+    bench.run(1.0, 0, |_| None);
+    assert_eq!(bench.status.axes[0].requested, 40);
+    // Where an increment begins it does not matter how the scale trembles; further on, it follows.
+    for k in 0..200 {
+        bench.status.axes[0].position_counts = 410_000 + 500 * (k % 2);
+        bench.tick();
+        assert_eq!(bench.status.axes[0].requested, 40);
+    }
+    bench.status.axes[0].position_counts = 420_000;
+    assert_eq!(bench.tick()[0], Some(42));
+    assert_eq!(bench.tick(), [None; MAX_AXES], "what is requested is not requested again");
+    let (total, sum) = bench.explained_um(0);
+    assert!((total - 42.0).abs() < 1e-12 && (total - sum).abs() < 1e-9, "{total} {sum}");
+}
+
+#[test]
+fn loading_and_unloading_are_ramps() {
+    let mut bench = Bench::of(10.0, 1000.0, Vec::new());
+    bench.status.axes[0].position_counts = 400_000;
+    bench.load(SCALE);
+    assert!(bench.run(2.0, 0, |_| None) <= 2);
+    assert!((18..=22).contains(&bench.status.axes[0].requested), "half way after two of four seconds");
+    bench.run(3.0, 0, |_| None);
+    assert_eq!(bench.status.axes[0].requested, 40);
+    assert!(bench.corrector.unload() && !bench.corrector.unload());
+    assert!(bench.run(6.0, 0, |_| None) <= 2);
+    assert_eq!(bench.status.axes[0].requested, 0);
+}
+
+/// A nose of 40 mm about the machine's zero, on z and x; 10 µm too large at the tip.
+fn part(axes: [&str; 2]) -> PartTable {
+    PartTable {
+        errors: "error.cor".to_owned(),
+        axes: axes.map(str::to_owned),
+        centre_mm: [0.0; 2],
+        radius_mm: 39.0,
+        nose_mm: 1.0,
+        origin_mm: [0.0; 2],
+        lead_ms: 0.0,
+    }
+}
+
+fn part_errors() -> Vec<PointError> {
+    let point = |(angle_rad, error_um)| PointError { angle_rad, error_um, along_mm: None };
+    [(0.0, 10.0), (0.5, 0.0), (1.6, 0.0)].map(point).to_vec()
+}
+
+#[test]
+fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.corrector.table_now(&bench.status), None);
+    let wanted = part(["z", "x"]);
+    bench.corrector.load_table(wanted.clone(), part_errors()).unwrap();
+    assert_eq!(bench.corrector.table_shown(), Some(wanted));
+    let mut seen = |z_mm: i64, change: fn(&mut Status)| {
+        let kept = bench.status;
+        bench.status.axes[2].position_counts = z_mm * 1000;
+        change(&mut bench.status);
+        bench.run(0.5, 2, |_| None);
+        let now = bench.corrector.table_now(&bench.status).unwrap();
+        bench.status = Status { t_ns: bench.status.t_ns, ..kept };
+        now
+    };
+    let on = seen(40, |_| {});
+    assert_eq!((on.state.as_str(), on.points, on.um, on.why), ("in_force", 3, [10.0, 0.0], None));
+    assert!(on.off_mm.abs() < 1e-9);
+    let far = seen(140, |_| {});
+    assert_eq!((far.state.as_str(), far.off_mm, far.um), ("ready", 100.0, [0.0; 2]));
+    for (change, why) in [
+        ((|s| s.mode = Mode::Disabled) as fn(&mut Status), "corrections are off"),
+        (|s| s.mode = Mode::Shadow, "shadow mode"),
+        (|s| s.mode = Mode::Probe, "probing"),
+        (|s| s.axes[0].homed = false, "axis x: is not homed"),
+        (
+            |s| {
+                s.axes[2].faults.latch(Fault::PollGap);
+            },
+            "axis z: has a fault",
+        ),
+    ] {
+        let now = seen(40, change);
+        assert!(now.state == "off" && now.why.as_deref().is_some_and(|w| w.starts_with(why)), "{now:?}");
+    }
+    assert!(bench.corrector.unload_table() && !bench.corrector.unload_table());
+    assert_eq!(bench.corrector.table_now(&bench.status), None);
+}
+
+#[test]
+fn a_part_table_that_does_not_fit_the_machine_is_refused_and_the_one_before_it_stays() {
+    let mut bench = Bench::new();
+    let good = part(["z", "x"]);
+    bench.corrector.load_table(good.clone(), part_errors()).unwrap();
+    let beside = |change: fn(&mut PartTable)| {
+        let mut wanted = good.clone();
+        change(&mut wanted);
+        wanted
+    };
+    for (wanted, said) in [
+        (part(["b", "x"]), "found axis \"b\" for the part table, expected one of x, y, z"),
+        (part(["z", "z"]), "two axes"),
+        (beside(|t| t.radius_mm = -1.0), "a positive radius_mm"),
+        (beside(|t| t.origin_mm[1] = f64::NAN), "finite places"),
+        (beside(|t| t.lead_ms = 2000.0), "lead_ms of 0 to 1000"),
+    ] {
+        let text = bench.corrector.load_table(wanted, part_errors()).unwrap_err();
+        assert!(text.contains(said), "{text}");
+    }
+    assert_eq!(bench.corrector.table_shown(), Some(good));
+}
+
+#[test]
+fn nothing_is_asked_for_while_it_must_not_and_after_that_it_is_a_ramp() {
+    type Change = fn(&mut Status);
+    let not: [Change; 6] = [
+        |s| s.mode = Mode::Disabled,
+        |s| s.mode = Mode::Hold,
+        |s| s.mode = Mode::Probe,
+        |s| s.mode = Mode::Fault,
+        |s| s.axes[0].homed = false,
+        |s| {
+            s.axes[0].faults.latch(Fault::PollGap);
+        },
+    ];
+    for change in not {
+        let mut bench = Bench::new();
+        bench.load(SCALE);
+        bench.tick();
+        let before = bench.status;
+        change(&mut bench.status);
+        bench.status.axes[0].position_counts = 400_000;
+        for _ in 0..100 {
+            assert_eq!(bench.tick()[0], None, "{:?}", bench.status.mode);
+        }
+        let axes = bench.status.axes;
+        bench.status = Status { t_ns: bench.status.t_ns, ..before };
+        bench.status.axes[0].position_counts = axes[0].position_counts;
+        assert!(bench.run(10.0, 0, |_| None) <= 2);
+        assert_eq!(bench.status.axes[0].requested, 40);
+    }
+}
+
+#[test]
+fn the_operator_is_beside_the_model() {
+    let mut bench = Bench::new();
+    bench.load(SCALE);
+    bench.status.axes[0].position_counts = 200_000;
+    bench.run(6.0, 0, |_| None);
+    assert_eq!(bench.status.axes[0].requested, 20);
+    assert_eq!(bench.corrector.with_operator(0, -7), 13);
+    bench.corrector.operator_is(0, -7);
+    bench.status.axes[0].requested = 13;
+    bench.status.axes[0].position_counts = 400_000;
+    bench.run(1.0, 0, |_| None);
+    assert_eq!(bench.status.axes[0].requested, 33);
+    let (total, sum) = bench.explained_um(0);
+    assert!((total - sum).abs() < 1e-9);
+    // Homed again: all totals are zero, and the model's comes back in a ramp.
+    bench.corrector.homed(0);
+    bench.status.axes[0] = AxisStatus { homed: true, ..AxisStatus::default() };
+    bench.status.axes[0].position_counts = 400_000;
+    assert!(bench.run(10.0, 0, |_| None) <= 2);
+    assert_eq!(bench.status.axes[0].requested, 40);
+}
+
+#[test]
+fn a_direction_is_turned_by_the_axis_not_by_our_own_insertions() {
+    let mut bench = Bench::new();
+    bench.load("[[effect]]\nname = \"reversal.x\"\num = 40.0\n");
+    // The MTC counts what is inserted at once; the drive makes room for it a little later.
+    let to = |bench: &mut Bench, commanded: i64, ticks: usize| {
+        for _ in 0..ticks {
+            bench.tick();
+            let axis = &mut bench.status.axes[0];
+            axis.position_counts += (commanded - axis.in_effect - axis.position_counts) / 2;
+        }
+    };
+    for p in [0, 100, 200] {
+        to(&mut bench, p, 20);
+    }
+    to(&mut bench, 200, 200);
+    assert_eq!(bench.status.axes[0].requested, 20);
+    to(&mut bench, 170, 200);
+    assert_eq!(bench.status.axes[0].requested, -20, "a reversal is motion: no ramp");
+}
+
+#[test]
+fn a_lost_sensor_stands_then_holds_and_comes_back_without_a_jump() {
+    let mut bench = Bench::new();
+    bench.load(&[GROWTH, SCALE].concat());
+    bench.run(30.0, 2, |t| Some((20.0 + 0.1 * (t - 1000.0), 20.0)));
+    let warm = bench.z();
+    assert!((28..=30).contains(&warm), "{warm}");
+    // T1 says nothing, T2 goes on cooling: while T1 stands in, the difference goes on; then it holds.
+    bench.run(40.0, 2, |_| None);
+    let why: Vec<String> = bench.corrector.holding().collect();
+    assert!(why.iter().any(|w| w.contains("axis z: thermal corrections hold: sensor T1")), "{why:?}");
+    let held = bench.z();
+    for k in 0..600 {
+        bench.watches[1].offer(bench.now_s, Ok(20.0 - 0.001 * f64::from(k)));
+        bench.tick();
+        assert_eq!(bench.z(), held);
+    }
+    // What depends on position is not held.
+    bench.status.axes[0].position_counts = 200_000;
+    bench.tick();
+    assert_eq!(bench.status.axes[0].requested, 20);
+    assert!(bench.run(60.0, 2, |_| Some((26.0, 20.0))) <= 2, "a ramp");
+    assert_eq!((bench.z(), bench.corrector.holding().count()), (60, 0));
+}
+
+#[test]
+fn a_sensor_that_was_never_heard_holds_its_axis_only() {
+    let mut bench = Bench::new();
+    bench.load(&[GROWTH, SCALE].concat());
+    bench.status.axes[0].position_counts = 400_000;
+    bench.run(10.0, 2, |_| None);
+    assert_eq!((bench.status.axes[0].requested, bench.z()), (40, 0));
+    let why: Vec<String> = bench.corrector.holding().collect();
+    assert_eq!(why, ["axis z holds: sensor T1: not read yet"]);
+}
+
+#[test]
+fn outside_its_range_a_correction_fades_and_says_so() {
+    let mut bench = Bench::new();
+    bench.load(&format!("{GROWTH}range_K = [0.0, 3.0]\n"));
+    bench.run(120.0, 2, |t| Some((20.0 + 0.1 * (t - 1000.0), 20.0)));
+    assert!(bench.z().abs() <= 2, "{}", bench.z());
+    let shown = bench.corrector.shown().unwrap();
+    assert!(shown.notes[0].contains("outside the range it was fitted on: 0 % of it is left"), "{shown:?}");
+    let (total, sum) = bench.explained_um(2);
+    assert!((total - sum).abs() < 1e-9);
+}
+
+/// Temperatures as a log and as they come: a restart in the middle gives the same correction as none.
+#[test]
+fn a_restart_knows_the_heat_from_the_log_or_holds() {
+    let degc = |t: f64| {
+        let warm = 12.0 * (1.0 - (-(t - 1000.0) / 150.0).exp());
+        Some((20.0 + warm, 20.0))
+    };
+    let log: Vec<(f64, Vec<f64>)> = (0..60)
+        .map(|k| {
+            let t = 1000.0 + 5.0 * f64::from(k);
+            let (t1, t2) = degc(t).unwrap();
+            (t, vec![t1, t2])
+        })
+        .collect();
+    let mut whole = Bench::new();
+    let (t1, t2) = degc(1000.0).unwrap();
+    whole.warm(t1, t2);
+    whole.load(LAG);
+    whole.run(300.0, 2, degc);
+    assert_eq!(whole.corrector.holding().count(), 0, "cold at its start: known from there");
+    let goal = whole.corrector.goal(2, &whole.status.axes[2]);
+    assert!(goal > 30 && goal < 90, "{goal}: late, so not the 105 of the difference itself");
+
+    let started = |log: Vec<(f64, Vec<f64>)>| {
+        let mut bench = Bench::of(5.0, 1300.0, Vec::new());
+        let (t1, t2) = degc(1300.0).unwrap();
+        bench.warm(t1, t2);
+        let past = |sensors: &[String]| {
+            assert_eq!(sensors, ["T1", "T2"]);
+            log.clone()
+        };
+        bench.corrector.load(machine(LAG), &bench.watches, &past).unwrap();
+        bench.tick();
+        bench
+    };
+    let again = started(log);
+    assert_eq!(again.corrector.holding().count(), 0);
+    let same = again.corrector.goal(2, &again.status.axes[2]);
+    assert!((same - goal).abs() <= 2, "{same} after a restart, {goal} without");
+
+    // Without a log a warm machine holds until four lags have passed, and then goes there in a ramp.
+    let mut blank = started(Vec::new());
+    assert!(blank.corrector.holding().next().unwrap().contains("not known yet"));
+    blank.run(300.0, 2, degc);
+    assert_eq!(blank.z(), 0);
+    assert!(blank.run(150.0, 2, degc) <= 2);
+    assert!(blank.z() > 90 && blank.corrector.holding().count() == 0, "{}", blank.z());
+}
+
+#[test]
+fn a_model_that_reads_what_the_machine_has_not_is_refused_by_name() {
+    let mut bench = Bench::new();
+    let mut refuse = |text: &str| bench.try_load(text).unwrap_err().to_string();
+    let text = refuse(&GROWTH.replace("T2", "T9"));
+    assert!(text.contains("temperature T9") && text.contains("T1, T2"), "{text}");
+    assert!(refuse("[[effect]]\nname = \"channel.x.flow\"\ngain = 1.0\n").contains("channel flow"));
+    bench.load("[[effect]]\nname = \"coolant.z\"\num = 5.0\n");
+    assert!(bench.corrector.shown().unwrap().notes[0].contains("no [[sensor]] of role coolant"));
+}
+
+/// Whoever loads it has been asked; one that ends while it runs has not been meant, and says so once.
+#[test]
+fn a_model_that_ends_while_it_runs_goes_on_and_is_known_to_have_ended() {
+    let fit = "[[fit]]\nresponse = \"error.x\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\
+               rms_um = 0.1\nhalf_width_um = 0.2\n";
+    let mut bench = Bench::new();
+    bench.corrector.day_is(9);
+    bench.load(&[SCALE, fit].concat());
+    bench.status.axes[0].position_counts = 400_000;
+    bench.run(10.0, 0, |_| None);
+    assert_eq!(bench.corrector.day_is(10), [""; 0], "its last day");
+    assert!(bench.corrector.expired().is_empty());
+    let ended = "error.x: the fit's validity ended on 1970-01-11";
+    assert_eq!(bench.corrector.day_is(11), [ended]);
+    assert_eq!(bench.corrector.day_is(11), [""; 0], "said once");
+    assert_eq!(bench.corrector.expired(), [ended]);
+    bench.status.axes[0].position_counts = 420_000;
+    bench.tick();
+    assert_eq!(bench.status.axes[0].requested, 42, "what cuts now goes on");
+    let shown = bench.corrector.shown().unwrap();
+    assert!(shown.expired == [ended] && shown.notes.contains(&ended.to_owned()), "{shown:?}");
+    // Loaded again, somebody has meant it.
+    bench.load(&[SCALE, fit].concat());
+    assert!(bench.corrector.expired().is_empty());
+    assert_eq!(bench.corrector.shown().unwrap().expired, [ended]);
+}
+
+#[test]
+fn spindle_and_load_come_from_sensors_of_their_role() {
+    let z = Axis::new("z").unwrap();
+    let mut bench =
+        Bench::of(5.0, 1000.0, vec![sensor("rpm", Role::SpindleSpeed), sensor("thrust", Role::Load(z))]);
+    bench.watches[0].offer(bench.now_s, Ok(3000.0));
+    bench.watches[1].offer(bench.now_s, Ok(400.0));
+    bench.load(
+        "[[effect]]\nname = \"spindle_speed.z\"\num_per_krpm = 2.0\num_per_krpm2 = 0.0\n[[effect]]\n\
+         name = \"stiffness.z\"\num_per_N = 0.01\n",
+    );
+    bench.run(4.0, 2, |_| None);
+    assert_eq!(bench.z(), 10);
+}
+
+#[test]
+fn a_probed_point_gets_what_the_model_says_of_it() {
+    let mut bench = Bench::new();
+    bench.load(&[SCALE, GROWTH, "[[effect]]\nname = \"squareness.x.y\"\nurad = 50.0\n"].concat());
+    bench.warm(23.0, 20.0);
+    bench.status.mode = Mode::Probe;
+    for p in [0, 50_000, 100_000] {
+        bench.status.axes[1].position_counts = p;
+        bench.tick();
+    }
+    let at = |t_back_s: f64| {
+        let t_ns = bench.status.t_ns - (t_back_s * 1e9) as u64;
+        bench.corrector.error_um_at(0, t_ns, 200.0).unwrap()
+    };
+    // 100 ppm of 200 mm, and 50 µrad of Y where it was then: 100 mm, or 50 mm one evaluation before.
+    assert!((at(0.0) - 25.0).abs() < 1e-9, "{}", at(0.0));
+    assert!((at(TICK_S) - 22.5).abs() < 1e-9);
+    assert_eq!(bench.status.axes[0].requested, 0, "probing is not corrected");
+}

@@ -1,0 +1,429 @@
+//! Run records on file: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
+
+use rtec_driver::input::InputError;
+use rtec_model::date;
+use rtec_model::document::{self, Table};
+use rtec_model::record::{Column, Kind, Record, Role, check};
+use rtec_model::whole::{hex, write_whole};
+use sha2::{Digest, Sha256};
+use std::fmt::Write as _;
+use std::path::Path;
+
+const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
+     velocity, acceleration, load, error, force with an axis (position.y)";
+
+/// Reads a record from its sidecar.
+///
+/// # Errors
+/// The first finding, with file, line and column: unreadable file, unknown key, kind or role, wrong unit, a
+/// listed column that is not in the CSV, a short row, a value that is missing or not finite, time running
+/// backwards, no response.
+pub fn read(path: &Path) -> Result<Record, InputError> {
+    let record = read_log(path)?;
+    if record.responses().next().is_none() {
+        let found = "no response among the columns";
+        return Err(InputError::whole(path, found, "a column of role error.AXIS or force.AXIS"));
+    }
+    Ok(record)
+}
+
+/// Reads a log: a record that need not have a response (a recorded shift).
+///
+/// # Errors
+/// As [`read`], but for the response.
+pub fn read_log(path: &Path) -> Result<Record, InputError> {
+    let sidecar = Sidecar::read(path)?;
+    let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
+    let bytes = std::fs::read(&csv_path).map_err(|e| {
+        sidecar.file_error.clone().with(format!("`{}` ({e})", csv_path.display()), "a CSV that can be read")
+    })?;
+    let text = document::decode(&csv_path, &bytes)?;
+    let columns = parse_csv(&csv_path, &text, &sidecar)?;
+    let mut record = Record::of_checked(path, sidecar.kind, columns);
+    record.file = sidecar.file;
+    record.sha256 = hex(&Sha256::digest(&bytes));
+    (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
+    Ok(record)
+}
+
+/// The CSV's own rows (unlisted columns too) with further columns at the end, as CSV text.
+///
+/// # Errors
+/// The CSV can no longer be read, or its number of rows has changed since.
+pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String, InputError> {
+    let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
+    let bytes = std::fs::read(&path)
+        .map_err(|e| InputError::whole(&path, format!("error `{e}`"), "a CSV that can be read"))?;
+    let text = document::decode(&path, &bytes)?;
+    let mut out = String::with_capacity(text.len() + 24 * extra.len() * record.rows());
+    let mut lines = rows(&text);
+    if let Some((_, header)) = lines.next() {
+        out.push_str(header);
+        for (name, _) in extra {
+            let _ = write!(out, ",{name}");
+        }
+        out.push('\n');
+    }
+    let mut n = 0;
+    for (_, line) in lines {
+        out.push_str(line);
+        for (_, data) in extra {
+            let Some(v) = data.get(n) else { break };
+            let _ = write!(out, ",{v}");
+        }
+        out.push('\n');
+        n += 1;
+    }
+    if n != record.rows() {
+        let expected = format!("{} rows, as when it was read", record.rows());
+        return Err(InputError::whole(&path, format!("{n} rows"), expected));
+    }
+    Ok(out)
+}
+
+/// The CSV text of the record's columns: shortest decimal that reads back as the same number.
+#[must_use]
+pub fn to_csv(record: &Record) -> String {
+    let mut out = record.columns.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(",");
+    out.push('\n');
+    for row in 0..record.rows() {
+        for (i, c) in record.columns.iter().enumerate() {
+            let sep = if i == 0 { "" } else { "," };
+            let _ = write!(out, "{sep}{}", c.data[row]);
+        }
+        out.push('\n');
+    }
+    out
+}
+
+/// The sidecar's text.
+#[must_use]
+pub fn to_sidecar(record: &Record) -> String {
+    let mut doc = toml_edit::DocumentMut::new();
+    doc["file"] = toml_edit::value(&record.file);
+    doc["kind"] = toml_edit::value(record.kind.name());
+    if let Some(um) = record.count_um {
+        doc["count_um"] = toml_edit::value(um);
+    }
+    if let Some(date) = &record.date {
+        doc["date"] = toml_edit::value(date);
+    }
+    if let Some(note) = &record.note {
+        doc["note"] = toml_edit::value(note);
+    }
+    let mut columns = toml_edit::Table::new();
+    for c in &record.columns {
+        let mut t = toml_edit::InlineTable::new();
+        t.insert("role", c.role.to_string().into());
+        t.insert("unit", c.unit.as_str().into());
+        columns.insert(&c.name, toml_edit::value(t));
+    }
+    doc["columns"] = toml_edit::Item::Table(columns);
+    doc.to_string()
+}
+
+/// Writes `NAME.run.toml` (at [`Record::path`]) and its CSV, each whole or not at all; sets the hash.
+///
+/// # Errors
+/// The directory cannot be written.
+pub fn write(record: &mut Record) -> std::io::Result<()> {
+    let csv = to_csv(record);
+    let dir = record.path.parent().unwrap_or(Path::new(""));
+    write_whole(&dir.join(&record.file), csv.as_bytes())?;
+    record.sha256 = hex(&Sha256::digest(csv.as_bytes()));
+    write_whole(&record.path, to_sidecar(record).as_bytes())
+}
+
+/// The lines of a CSV that carry something: comments cut, ends trimmed, with their numbers from 1.
+pub(crate) fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines().enumerate().filter_map(|(i, line)| {
+        let line = comment_start(line).map_or(line, |at| &line[..at]);
+        let line = line.trim_end();
+        (!line.trim_start().is_empty()).then_some((i + 1, line))
+    })
+}
+
+/// The `#` that starts a comment; one inside double quotes is part of a name.
+fn comment_start(line: &str) -> Option<usize> {
+    line.find('#')?;
+    let mut quoted = false;
+    line.bytes().position(|b| {
+        quoted ^= b == b'"';
+        b == b'#' && !quoted
+    })
+}
+
+pub(crate) fn unquote(field: &str) -> &str {
+    // A bare number, as nearly every field is, has nothing to take off.
+    if let [first, .., last] = field.as_bytes()
+        && first.is_ascii_graphic()
+        && *first != b'"'
+        && last.is_ascii_graphic()
+    {
+        return field;
+    }
+    let field = field.trim();
+    field.strip_prefix('"').and_then(|f| f.strip_suffix('"')).unwrap_or(field)
+}
+
+/// The fields of a line. Byte by byte: they are too short for the search that `str::split` does.
+fn fields_of(line: &str) -> impl Iterator<Item = &str> {
+    let mut rest = Some(line);
+    std::iter::from_fn(move || {
+        let line = rest?;
+        let Some(at) = line.bytes().position(|b| b == b',') else { return rest.take() };
+        rest = Some(&line[at + 1..]);
+        Some(&line[..at])
+    })
+}
+
+/// Column in characters, from 1, of a part of a line.
+pub(crate) fn column_of(line: &str, part: &str) -> usize {
+    let at = (part.as_ptr() as usize).saturating_sub(line.as_ptr() as usize).min(line.len());
+    line.get(..at).map_or(0, |s| s.chars().count()) + 1
+}
+
+fn parse_csv(path: &Path, text: &str, sidecar: &Sidecar) -> Result<Vec<Column>, InputError> {
+    let mut lines = rows(text);
+    let (header_line, header) =
+        lines.next().ok_or_else(|| InputError::whole(path, "an empty file", "a header line"))?;
+    let names: Vec<&str> = header.split(',').map(unquote).collect();
+    for (i, name) in names.iter().enumerate() {
+        if names[..i].contains(name) && sidecar.columns.iter().any(|c| c.name == *name) {
+            let column = header.split(',').nth(i).map_or(0, |f| column_of(header, f.trim_start()));
+            let found = format!("column `{name}` twice");
+            return Err(InputError::at(path, header_line, column, found, "each name once"));
+        }
+    }
+    // For every field of the CSV the listed column it belongs to.
+    let mut slots: Vec<Option<usize>> = vec![None; names.len()];
+    let mut columns: Vec<Column> = Vec::new();
+    for listed in &sidecar.columns {
+        let Some(at) = names.iter().position(|n| *n == listed.name) else {
+            let expected = format!("a column of {} ({})", path.display(), names.join(", "));
+            return Err(listed.place.clone().with(format!("column `{}`", listed.name), &expected));
+        };
+        slots[at] = Some(0);
+    }
+    for (slot, name) in slots.iter_mut().zip(&names).filter(|(s, _)| s.is_some()) {
+        let listed = sidecar.columns.iter().find(|c| c.name == *name);
+        if let Some(l) = listed {
+            *slot = Some(columns.len());
+            let (name, role, unit) = (l.name.clone(), l.role.clone(), l.unit.clone());
+            columns.push(Column { name, role, unit, data: Vec::new() });
+        }
+    }
+    for (number, line) in lines {
+        let mut fields = fields_of(line);
+        for (i, slot) in slots.iter().enumerate() {
+            let Some(field) = fields.next() else {
+                let found = format!("{i} values");
+                let expected = format!("{}, one per column of the header", names.len());
+                return Err(InputError::at(path, number, line.chars().count() + 1, found, expected));
+            };
+            let Some(slot) = *slot else { continue };
+            let column = &mut columns[slot];
+            let text = unquote(field);
+            let at = |found: String, expected: &str| {
+                let place = column_of(line, field.trim_start());
+                InputError::at(path, number, place, format!("{found} in column `{}`", names[i]), expected)
+            };
+            let Ok(v) = text.parse::<f64>() else {
+                let found = if text.is_empty() { "no value".into() } else { format!("`{text}`") };
+                return Err(at(found, "a finite number"));
+            };
+            check(&column.role, v, column.data.last().copied()).map_err(|(f, e)| at(f, e))?;
+            column.data.push(v);
+        }
+        if let Some(field) = fields.next() {
+            let found = format!("more than {} values", names.len());
+            let place = column_of(line, field);
+            return Err(InputError::at(path, number, place, found, "one per column of the header"));
+        }
+    }
+    if columns.first().is_none_or(|c| c.data.is_empty()) {
+        return Err(InputError::at(path, header_line + 1, 0, "no rows", "at least one row of values"));
+    }
+    Ok(columns)
+}
+
+/// Where in the sidecar something stood, for findings that show only when the CSV is read.
+#[derive(Debug, Clone)]
+struct Place(InputError);
+
+impl Place {
+    fn with(self, found: String, expected: &str) -> InputError {
+        InputError { found, expected: expected.to_owned(), ..self.0 }
+    }
+}
+
+#[derive(Debug)]
+struct Listed {
+    name: String,
+    role: Role,
+    unit: String,
+    place: Place,
+}
+
+#[derive(Debug)]
+struct Sidecar {
+    file: String,
+    file_error: Place,
+    kind: Kind,
+    count_um: Option<f64>,
+    date: Option<String>,
+    note: Option<String>,
+    columns: Vec<Listed>,
+}
+
+impl Sidecar {
+    fn read(path: &Path) -> Result<Self, InputError> {
+        let text = document::read(path)?;
+        let doc = document::parse(path, &text)?;
+        let root = Table::root(path, &text, &doc);
+        root.only(&["file", "kind", "count_um", "date", "note", "columns"])?;
+        let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
+        let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
+        let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
+        let parsed_kind = Kind::parse(kind.str("a kind of run")?)
+            .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
+        let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
+        // A date may be TOML's own or a string.
+        let day = |v: document::Entry<'_>| match date::parse(&v.text()) {
+            Some(_) => Ok(v.text()),
+            None => Err(v.error(v.text(), "a day as 2026-05-01")),
+        };
+        let date = root.get("date").map(day).transpose()?;
+        let note = root.get("note").map(|v| v.str("free text").map(str::to_owned)).transpose()?;
+        let listed =
+            root.required("columns", "a table [columns] of the CSV's columns")?.table("a table [columns]")?;
+        let mut columns: Vec<Listed> = Vec::new();
+        for entry in listed.entries() {
+            let t = entry.table("{ role = \"…\", unit = \"…\" }")?;
+            t.only(&["role", "unit"])?;
+            let role_value = t.required("role", ROLES)?;
+            let role = Role::parse(role_value.str(ROLES)?)
+                .ok_or_else(|| role_value.error(format!("role `{}`", role_value.text()), ROLES))?;
+            let unit_value = t.required("unit", "the column's unit, as unit = \"mm\"")?;
+            let unit = unit_value.str("a unit")?;
+            if let Some(expected) = role.unit().filter(|u| *u != unit) {
+                let expected = format!("\"{expected}\", the unit of role `{role}`");
+                return Err(unit_value.error(format!("unit `{unit}`"), expected));
+            }
+            if !role.may_repeat() && columns.iter().any(|c| c.role == role) {
+                return Err(role_value.error(format!("role `{role}` a second time"), "each role once"));
+            }
+            let place = Place(entry.key_error("", ""));
+            columns.push(Listed { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
+        }
+        let file_error = Place(file.error("", ""));
+        let file = file.str("the CSV's name")?.to_owned();
+        Ok(Self { file, file_error, kind: parsed_kind, count_um, date, note, columns })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_model::record::Axis;
+
+    const SIDECAR: &str = "file = \"y.csv\"\nkind = \"positioning\"\ncount_um = 1.0\n[columns]\n\
+                           t = { role = \"time\", unit = \"s\" }\ny = { role = \"position.y\", unit = \"mm\" }\n\
+                           T3 = { role = \"temperature\", unit = \"degC\" }\ne = { role = \"error.y\", unit = \"um\" }\n";
+
+    fn read(sidecar: &str, csv: &str) -> Result<Record, InputError> {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("y.csv"), csv).unwrap();
+        std::fs::write(dir.path().join("y.run.toml"), sidecar).unwrap();
+        super::read(&dir.path().join("y.run.toml"))
+    }
+
+    #[test]
+    fn bom_crlf_comments_quotes_and_unlisted_columns() {
+        let csv = "\u{feff}# bench 3\r\n\"t\", y,extra,T3,e # names\r\n0,1.5,x,20,3\r\n\r\n 1 , 2.5,,20.5,-4e0 # last\r\n";
+        let r = read(&format!("\u{feff}{}", SIDECAR.replace('\n', "\r\n")), csv).unwrap();
+        assert_eq!(r.rows(), 2);
+        assert_eq!(r.time_s(), [0.0, 1.0]);
+        assert_eq!(r.temperature("T3"), Some(&[20.0, 20.5][..]));
+        assert_eq!(r.responses().next().unwrap().data, [3.0, -4.0]);
+        assert_eq!(r.count_um, Some(1.0));
+        assert_eq!(r.columns.iter().map(Column::label).collect::<Vec<_>>()[2], "temperature.T3");
+    }
+
+    #[test]
+    fn findings_in_the_rows_carry_their_place() {
+        for (rows, line, column, found) in [
+            ("0,1,20\n", 2, 7, "3 values"),
+            ("0,1,20,3,4\n", 2, 10, "more than 4"),
+            ("0,1,20,\n", 2, 8, "no value"),
+            ("0,1,20,nan\n", 2, 8, "NaN"),
+            ("0,1,20,inf\n", 2, 8, "inf"),
+            ("0,1,abc,3\n", 2, 5, "`abc`"),
+            ("0,1,20,3\n5,1,20,3\n4.5,1,20,3\n", 4, 1, "time 4.5 after 5"),
+            ("", 2, 0, "no rows"),
+        ] {
+            let e = read(SIDECAR, &format!("t,y,T3,e\n{rows}")).unwrap_err();
+            assert_eq!((e.line, e.column), (line, column), "{rows}: {e}");
+            assert!(e.found.contains(found) && e.file.ends_with("y.csv"), "{rows}: {e}");
+        }
+        assert!(read(SIDECAR, "").unwrap_err().found.contains("empty"));
+    }
+
+    #[test]
+    fn findings_in_the_sidecar_carry_their_place() {
+        for (from, to, line, column, found) in [
+            ("count_um", "count", 3, 1, "unknown key `count`"),
+            ("count_um = 1.0", "date = \"1.5.2026\"", 3, 8, "1.5.2026"),
+            ("positioning", "walking", 2, 8, "kind `walking`"),
+            ("\"time\"", "\"clock\"", 5, 14, "role `clock`"),
+            ("position.y", "position", 6, 14, "role `position`"),
+            ("unit = \"mm\"", "unit = \"um\"", 6, 35, "unit `um`"),
+            ("degC\" }", "degC\", x = 1 }", 7, 45, "unknown key `x`"),
+            ("1.0", "-1.0", 3, 12, "count_um"),
+            ("1.0", "nan", 3, 12, "count_um"),
+            ("T3 =", "T4 =", 7, 1, "column `T4`"),
+            ("error.y", "position.x", 8, 35, "unit `um`"),
+            ("y.csv", "z.csv", 1, 8, "z.csv"),
+        ] {
+            let e = read(&SIDECAR.replacen(from, to, 1), "t,y,T3,e\n0,1,20,3\n").unwrap_err();
+            assert_eq!((e.line, e.column), (line, column), "{to}: {e}");
+            assert!(e.found.contains(found) && e.file.ends_with("y.run.toml"), "{to}: {e}");
+        }
+        let twice = format!("{SIDECAR}y2 = {{ role = \"position.y\", unit = \"mm\" }}\n");
+        assert!(read(&twice, "t,y,T3,e,y2\n0,1,20,3,1\n").unwrap_err().found.contains("second time"));
+        let none = SIDECAR.replace("error.y", "channel");
+        assert!(read(&none, "t,y,T3,e\n0,1,20,3\n").unwrap_err().found.contains("no response"));
+    }
+
+    #[test]
+    fn written_record_reads_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.run.toml");
+        let y = Axis::new("y").unwrap();
+        let column = |name: &str, role: Role, unit: &str, data: &[f64]| Column {
+            name: name.into(),
+            role,
+            unit: unit.into(),
+            data: data.to_vec(),
+        };
+        let columns = vec![
+            column("t", Role::Time, "s", &[0.0, 0.1, 0.1 + 0.2]),
+            column("bar", Role::Channel, "bar", &[1e-9, 2.0, 3.0]),
+            column("e", Role::Error(y), "um", &[0.1, -0.2, 1e300]),
+        ];
+        let mut r = Record::new(&path, Kind::Drift, columns).unwrap();
+        r.count_um = Some(0.5);
+        r.date = Some("2026-05-01".into());
+        r.note = Some("simulated".into());
+        write(&mut r).unwrap();
+        assert_eq!(super::read(&path).unwrap(), r);
+        assert_eq!(r.sha256.len(), 64);
+    }
+
+    #[test]
+    fn without_time_the_row_number_stands_for_seconds() {
+        let sidecar = SIDECAR.replace("t = { role = \"time\", unit = \"s\" }\n", "");
+        let r = read(&sidecar, "t,y,T3,e\n9,1,20,3\n8,1,20,3\n").unwrap();
+        assert_eq!(r.time_s(), [0.0, 1.0]);
+    }
+}
