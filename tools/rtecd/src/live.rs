@@ -9,7 +9,7 @@ use rtec_control::config::{Axis as AxisConfig, Config};
 use rtec_control::protocol::{Change, Explained, ModelPreview, Part, PartTable, Reading, TableNow, Trip};
 use rtec_driver::input::InputError;
 use rtec_model::date;
-use rtec_model::effect::{Difference, Effect, Naming, Need, STANDARD_DEGC};
+use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
@@ -722,7 +722,7 @@ impl AxisLive {
 
 /// An effect acts on the axis of its first place; a pair on both.
 fn acts(effect: &Effect, place: Option<usize>) -> bool {
-    place == Some(0) || place == Some(1) && effect.card().naming == Naming::Pair
+    place == Some(0) || place == Some(1) && effect.description().naming == Naming::Pair
 }
 
 fn fits(machine: &Machine) -> Vec<String> {
@@ -765,7 +765,7 @@ impl Loaded {
         let mut unheard = Vec::new();
         for effect in machine.effects() {
             layout.channels.extend(effect.channel().map(str::to_owned));
-            for need in &effect.card().needs {
+            for need in &effect.description().needs {
                 let role = need.role(effect.axes());
                 let given = match need {
                     Need::SpindleSpeed | Need::Coolant | Need::Load => of_role(&role).is_some(),
@@ -807,7 +807,7 @@ impl Loaded {
                 };
                 reads[n].extend(effect.delta.iter().flat_map(Difference::sensors).filter_map(find));
                 reads[n].extend(effect.channel().and_then(find));
-                let roles = effect.card().needs.iter().map(|need| need.role(effect.axes()));
+                let roles = effect.description().needs.iter().map(|need| need.role(effect.axes()));
                 reads[n].extend(
                     roles
                         .filter(|r| *r != Role::Temperature && *r != Role::Channel)
@@ -920,7 +920,7 @@ impl Loaded {
                     100.0 * p.weight
                 ));
             }
-            if p.effect.card().name == "warm_up" {
+            if p.effect.description().heat == Heat::FromStart {
                 notes.push(format!("{}: its time counts from the daemon's start", p.effect.name()));
             }
         }
