@@ -74,7 +74,7 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
         let all: Vec<f64> = records.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
         all.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)))
     };
-    match effect.card().name.as_str() {
+    match effect.description().name.as_str() {
         "thermal_lag" | "warm_up" => {
             (0..10).filter_map(|i| set(&[("tau_s", (t1 - t0) * 0.01 * 1.65_f64.powi(i))])).collect()
         }
@@ -114,7 +114,7 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
 
 /// How many parameters of a candidate its grid searches: each counts like one that is fitted.
 fn searched(effect: &Effect) -> usize {
-    match effect.card().name.as_str() {
+    match effect.description().name.as_str() {
         "form_bump" => 2,
         "thermal_lag" | "warm_up" | "reversal_spike" | "lost_counts" | "probe_lobing" | "screw_periodic"
         | "subdivision" => 1,
@@ -163,7 +163,7 @@ fn problem(records: &[Record], machine: &Machine) -> Problem {
         candidates.extend(grid(records, &e).iter().map(|g| {
             let mut columns = stacked(records, g, false);
             // The quadratic term of a temperature law is the analyst's second thought.
-            if ["thermal_growth", "thermal_lag"].contains(&g.card().name.as_str()) {
+            if ["thermal_growth", "thermal_lag"].contains(&g.description().name.as_str()) {
                 columns.truncate(1);
             }
             Candidate { name: name.clone(), columns, searched: searched(&e) }

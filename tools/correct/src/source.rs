@@ -2,7 +2,7 @@
 
 use crate::sensors::{Use, Watch};
 use rtec_driver::input::InputError;
-use rtec_model::effect::{Difference, Effect, Naming, Need, STANDARD_DEGC};
+use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
@@ -106,7 +106,7 @@ impl Lag {
 
 /// An effect acts on the axis of its first place; a pair on both.
 pub(crate) fn acts(effect: &Effect, place: Option<usize>) -> bool {
-    place == Some(0) || place == Some(1) && effect.card().naming == Naming::Pair
+    place == Some(0) || place == Some(1) && effect.description().naming == Naming::Pair
 }
 
 fn of_role(watches: &[Watch], role: &Role) -> Option<usize> {
@@ -143,7 +143,7 @@ fn places(
 fn missing(machine: &Machine, watches: &[Watch]) -> Vec<String> {
     let mut missing = Vec::new();
     for effect in machine.effects() {
-        for need in &effect.card().needs {
+        for need in &effect.description().needs {
             let role = need.role(effect.axes());
             let given = match need {
                 Need::SpindleSpeed | Need::Coolant | Need::Load => of_role(watches, &role).is_some(),
@@ -166,7 +166,7 @@ fn reads(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<Vec<usize>>
             effect.delta.iter().flat_map(Difference::sensors).filter_map(|name| of_name(watches, name)),
         );
         reads[n].extend(effect.channel().and_then(|name| of_name(watches, name)));
-        let roles = effect.card().needs.iter().map(|need| need.role(effect.axes()));
+        let roles = effect.description().needs.iter().map(|need| need.role(effect.axes()));
         let others = roles.filter(|r| *r != Role::Temperature && *r != Role::Channel);
         reads[n].extend(others.filter_map(|r| of_role(watches, &r)));
     }
@@ -337,7 +337,7 @@ impl ModelSource {
                     100.0 * p.weight
                 ));
             }
-            if p.effect.card().name == "warm_up" {
+            if p.effect.description().heat == Heat::FromStart {
                 notes.push(format!("{}: its time counts from the daemon's start", p.effect.name()));
             }
         }

@@ -31,8 +31,8 @@ fn every_law() -> Vec<Effect> {
     let d = Dictionary::default();
     let mut effects = Vec::new();
     for law in d.laws() {
-        let name = &law.card().name;
-        let name = match law.card().naming {
+        let name = &law.describe().name;
+        let name = match law.describe().naming {
             rtec_model::effect::Naming::Plain => name.clone(),
             rtec_model::effect::Naming::One => format!("{name}.x"),
             rtec_model::effect::Naming::Two | rtec_model::effect::Naming::Pair => format!("{name}.x.z"),
@@ -40,7 +40,7 @@ fn every_law() -> Vec<Effect> {
             rtec_model::effect::Naming::Channel => format!("{name}.x.load"),
         };
         let mut e = d.effect(&name).expect("the dictionary's own names");
-        if e.card().needs.contains(&Need::Delta) {
+        if e.description().needs.contains(&Need::Delta) {
             e.delta = Some(Difference::pair("T1", "T2"));
         }
         effects.push(e);

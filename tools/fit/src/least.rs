@@ -136,14 +136,14 @@ fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> 
     let usage = |found: String, expected: String| InputError::whole(Path::new("--effects"), found, expected);
     let (name, delta) = text.split_once(':').map_or((text, None), |(n, d)| (n, Some(d)));
     let mut effect = dictionary.effect(name).map_err(|e| usage(e.found, e.expected))?;
-    if effect.card().parameters.iter().any(|p| p.search != Search::Linear || p.array) {
+    if effect.description().parameters.iter().any(|p| p.search != Search::Linear || p.array) {
         let found = format!("`{name}`, which is not linear in one number per parameter");
         return Err(usage(
             found,
             "an effect as scale, reversal, squareness; `reconcile` fits the others".into(),
         ));
     }
-    match (effect.card().needs.contains(&Need::Delta), delta) {
+    match (effect.description().needs.contains(&Need::Delta), delta) {
         (true, Some(d)) => {
             effect.delta = Some(match d.split_once('-') {
                 Some((sensor, minus)) => Difference::pair(sensor, minus),
@@ -206,7 +206,7 @@ pub fn fit_named(
                 let acts = effect.acts_on(&left).into_iter().find(|(role, _)| *role == column.role);
                 if let Some((_, component)) = acts {
                     bound.basis(effect, component, &mut basis);
-                    zero_is_known |= effect.card().name == "offset";
+                    zero_is_known |= effect.description().constant;
                 }
                 columns.extend(basis.chunks(rows).map(<[f64]>::to_vec));
             }
@@ -231,7 +231,7 @@ pub fn fit_named(
         let name = owner(k).map_or(String::new(), Effect::identity);
         let found =
             format!("records that do not tell `{name}` from the effects named before it, or from nothing");
-        let experiment = owner(k).map_or(String::new(), |e| e.card().experiment.clone());
+        let experiment = owner(k).map_or(String::new(), |e| e.description().experiment.clone());
         usage(found, &format!("a record that does: {experiment}"))
     })?;
     let rms = |role: &Role| {
@@ -255,7 +255,7 @@ pub fn fit_named(
         let own = &found[at..at + n];
         at += n;
         effect.set_coefficients(&own.iter().map(|f| f.value).collect::<Vec<_>>());
-        let names = effect.card().parameters.iter().map(|p| p.name.clone());
+        let names = effect.description().parameters.iter().map(|p| p.name.clone());
         let interval: Intervals = names.zip(own.iter().map(|f| vec![f.interval])).collect();
         fitted.push(Fitted::of(effect, &interval));
         let provenance = Provenance {

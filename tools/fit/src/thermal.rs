@@ -20,7 +20,8 @@ use rtec_driver::input::InputError;
 use rtec_measure::iso230::correlation;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
-use rtec_model::effect::{Against, Dictionary, Difference, Effect, ValueError};
+use rtec_model::effect::laws::{coolant, offset, spindle_speed, thermal_growth, thermal_lag};
+use rtec_model::effect::{Against, Dictionary, Difference, Effect, Heat, Lag, ValueError};
 use rtec_model::machine::{FitNote, Machine, Provenance, Source, Validity, unknown_um};
 use rtec_model::record::{Axis, Column, Record, Role};
 use serde::Serialize;
@@ -85,7 +86,7 @@ impl Default for Options {
 impl Options {
     /// Differences that the base has an effect of on this response already: sensor and the one taken off.
     fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
-        let own = |e: &&Effect| ["thermal_growth", "thermal_lag"].contains(&e.card().name.as_str());
+        let own = |e: &&Effect| e.description().heat == Heat::Growth;
         let of = |e: &Effect| {
             let d = e.delta.as_ref().filter(|_| e.axes().first() == response.axis())?;
             let minus = match &d.against {
@@ -192,7 +193,7 @@ impl Fitted {
             name: effect.name(),
             sensor: effect.delta.as_ref().map(|d| d.sensor.clone()),
             minus,
-            parameters: effect.card().parameters.iter().enumerate().map(parameter).collect(),
+            parameters: effect.description().parameters.iter().enumerate().map(parameter).collect(),
         }
     }
 }
@@ -310,8 +311,8 @@ struct Problem {
 
 /// Largest gains that the dictionary holds plausible, µm/K and µm/K².
 fn plausible_gains() -> [f64; 2] {
-    Dictionary::default().effect("thermal_growth.x").map_or([f64::INFINITY; 2], |e| {
-        let bound = |i: usize| e.card().parameters[i].plausible[1];
+    Dictionary::default().effect(&format!("{}.x", thermal_growth::NAME)).map_or([f64::INFINITY; 2], |e| {
+        let bound = |i: usize| e.description().parameters[i].plausible[1];
         [bound(0), bound(1)]
     })
 }
@@ -397,25 +398,9 @@ impl Judged {
     }
 }
 
-fn lagged(t: &[f64], u: &[f64], tau: f64) -> Vec<f64> {
-    let mut y = u[0];
-    let mut out = Vec::with_capacity(u.len());
-    out.push(y);
-    // Most logs have one period: its exponential is computed once.
-    let (mut h_of, mut gone) = (f64::NAN, 0.0);
-    for i in 1..u.len() {
-        let h = t[i] - t[i - 1];
-        if h > 0.0 {
-            if h.to_bits() != f64::to_bits(h_of) {
-                h_of = h;
-                gone = -(-h / tau).exp_m1();
-            }
-            let slope = (u[i] - u[i - 1]) / h;
-            y = u[i] - slope * tau * gone + (y - u[i - 1]) * (1.0 - gone);
-        }
-        out.push(y);
-    }
-    out
+fn lagged(t: &[f64], u: &[f64], tau_s: f64) -> Vec<f64> {
+    let mut lag = Lag::new(tau_s);
+    t.iter().zip(u).map(|(t, u)| lag.next(*t, *u)).collect()
 }
 
 impl Problem {
@@ -1282,7 +1267,7 @@ fn judge_holdouts(machine: &Machine, holdout: &[&Record], response: &Role) -> Re
 
 /// Adds a fitted effect to a machine; an offset of the base and the fit's constant are one offset.
 fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
-    let place = machine.effects().position(|e| e.card().name == "offset" && e.name() == effect.name());
+    let place = machine.effects().position(|e| e.description().constant && e.name() == effect.name());
     let Some(n) = place else { return machine.push(effect, provenance) };
     let base = machine.listed()[n].effect.scalar(0);
     let [lo, hi] = provenance.interval.get("um").map_or([effect.scalar(0); 2], |i| i[0]);
@@ -1509,24 +1494,24 @@ fn effects(
     let dictionary = Dictionary::default();
     let axis = response.axis().map_or("x", Axis::as_str);
     let one = |v: [f64; 2]| vec![v];
-    let mut offset = dictionary.effect(&format!("offset.{axis}"))?;
+    let mut offset = dictionary.effect(&format!("{}.{axis}", offset::NAME))?;
     offset.set("um", &[coefficients[0]])?;
     let mut found = vec![(offset, Intervals::from([("um".to_owned(), one(jackknife.coefficients[0]))]))];
     for (k, term) in terms.iter().enumerate() {
         let (value, interval) = (coefficients[k + 1], jackknife.coefficients[k + 1]);
         match *term {
             Term::Coolant => {
-                let mut e = dictionary.effect(&format!("coolant.{axis}"))?;
+                let mut e = dictionary.effect(&format!("{}.{axis}", coolant::NAME))?;
                 e.set("um", &[value])?;
                 found.push((e, Intervals::from([("um".to_owned(), one(interval))])));
             }
             Term::Speed => {
-                let mut e = dictionary.effect(&format!("spindle_speed.{axis}"))?;
+                let mut e = dictionary.effect(&format!("{}.{axis}", spindle_speed::NAME))?;
                 e.set("um_per_krpm", &[value])?;
                 found.push((e, Intervals::from([("um_per_krpm".to_owned(), one(interval))])));
             }
             Term::Thermal { sensor, minus, lag, square } => {
-                let law = if lag > 0 { "thermal_lag" } else { "thermal_growth" };
+                let law = if lag > 0 { thermal_lag::NAME } else { thermal_growth::NAME };
                 let delta = match minus {
                     Some(m) => Difference::pair(&problem.sensors[sensor], &problem.sensors[m]),
                     None => Difference::single(&problem.sensors[sensor]),

@@ -155,7 +155,7 @@ fn real_spindle_is_predicted_from_temperatures() {
     assert!(r.rms_um.folds_mean < 0.25 * linear.folds_mean);
     assert!((0.90..=0.99).contains(&r.interval95.coverage_folds));
     // Physics: growth follows warmth, later.
-    let growth = machine.effects().find(|e| e.card().name == "thermal_lag").unwrap();
+    let growth = machine.effects().find(|e| e.description().name == "thermal_lag").unwrap();
     assert!(growth.value("um_per_K").unwrap()[0] > 0.0 && growth.value("tau_s").unwrap()[0] > 600.0);
 }
 

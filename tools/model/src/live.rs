@@ -11,7 +11,7 @@
 
 use crate::chain::Chain;
 use crate::effect::{
-    Against, Difference, Effect, Input, Missing, Naming, Need, Quantity, STANDARD_DEGC, State, sign,
+    Against, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC, State, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
@@ -200,7 +200,8 @@ impl Live {
                 *place = layout.axes.iter().position(|a| a == axis);
             }
             let (mut sensor, mut minus, mut reference) = (None, None, STANDARD_DEGC);
-            if let Some(delta) = effect.delta.as_ref().filter(|_| effect.card().needs.contains(&Need::Delta))
+            if let Some(delta) =
+                effect.delta.as_ref().filter(|_| effect.description().needs.contains(&Need::Delta))
             {
                 sensor = Some(find("temperature", &layout.sensors, &delta.sensor)?);
                 match &delta.against {
@@ -218,8 +219,8 @@ impl Live {
                 minus,
                 reference,
                 channel,
-                probing_only: effect.card().name == "probe_latency",
-                components: if effect.card().naming == Naming::Pair { 2 } else { 1 },
+                probing_only: effect.description().probing == Probing::Only,
+                components: if effect.description().naming == Naming::Pair { 2 } else { 1 },
                 state: State::default(),
                 half_width_um: DEFAULT_HALF_WIDTH_UM,
                 thermal: (0.0, 0.0),
@@ -287,7 +288,7 @@ impl Live {
                 channel: item.channel.map_or(0.0, |c| frame.channels[c]),
             };
             let basis = &mut self.scratch[..item.coefficients.len()];
-            let (naming, quantity) = (item.effect.card().naming, item.effect.card().quantity);
+            let (naming, quantity) = (item.effect.description().naming, item.effect.description().quantity);
             let before = item.state;
             for component in 0..item.components {
                 // Both components of a pair start from the same state.
@@ -374,7 +375,7 @@ impl Item {
     fn fade(&mut self, delta_k: f64) {
         let Some([lo, hi]) = self.effect.range_k else { return };
         // The first value of a lag's state is the lagged difference.
-        let asked = if self.effect.card().needs.contains(&Need::Time) { self.state.x[0] } else { delta_k };
+        let asked = if self.effect.description().lag.is_some() { self.state.x[0] } else { delta_k };
         self.outside_k = (asked - hi).max(lo - asked).max(0.0);
         let left_out = self.coefficients.first().map_or(0.0, |gain| gain.abs() * self.outside_k);
         self.weight = 1.0 / (1.0 + (left_out / self.half_width_um).powi(2));

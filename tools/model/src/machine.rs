@@ -3,7 +3,7 @@
 use crate::chain::Chain;
 use crate::date;
 use crate::document::{self, Table};
-use crate::effect::{Against, Dictionary, Difference, Effect, Need, Parameter, ValueError};
+use crate::effect::{Against, Dictionary, Difference, Effect, Heat, Need, Parameter, ValueError};
 use crate::record::{Record, Role};
 use crate::whole::{hex, write_whole};
 use rtec_driver::input::InputError;
@@ -429,7 +429,7 @@ impl Machine {
     ) -> Result<(), ValueError> {
         let listed = &mut self.listed[n];
         listed.effect.set(parameter, values)?;
-        let array = listed.effect.card().parameters.iter().any(|p| p.name == parameter && p.array);
+        let array = listed.effect.description().parameters.iter().any(|p| p.name == parameter && p.array);
         if let Some(interval) = interval {
             listed.provenance.interval.insert(parameter.to_owned(), interval.to_vec());
         }
@@ -562,7 +562,7 @@ impl Machine {
     pub fn doubts(&self, today: i64) -> Vec<String> {
         let mut found = Vec::new();
         for e in self.effects() {
-            for (i, p) in e.card().parameters.iter().enumerate() {
+            for (i, p) in e.description().parameters.iter().enumerate() {
                 let [lo, hi] = p.plausible;
                 if let Some(v) = e.get(i).iter().find(|v| **v < lo || **v > hi) {
                     found.push(format!(
@@ -646,10 +646,10 @@ impl Machine {
 /// The (lagged) temperature difference that growth or lag asks for at every row, not held at any bound; `None` where the
 /// record lacks it, and for other laws.
 fn differences(effect: &Effect, record: &Record) -> Option<Vec<f64>> {
-    let n = effect.coefficient_count();
-    if effect.delta.is_none() || effect.card().naming != crate::effect::Naming::One || n != 2 {
+    if effect.delta.is_none() || effect.description().heat != Heat::Growth {
         return None;
     }
+    let n = effect.coefficient_count();
     let bound = effect.bind(record).ok()?;
     let mut free = effect.clone();
     free.range_k = None;
@@ -675,13 +675,13 @@ fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, Inpu
     let entry = table.required("name", "the effect's name, as name = \"scale.x\"")?;
     let mut effect =
         dictionary.effect(entry.str("the effect's name")?).map_err(|e| entry.error(e.found, e.expected))?;
-    let parameters: Vec<Parameter> = effect.card().parameters.clone();
-    let thermal = effect.card().needs.contains(&Need::Delta);
+    let parameters: Vec<Parameter> = effect.description().parameters.clone();
+    let thermal = effect.description().needs.contains(&Need::Delta);
     let mut known: Vec<&str> = vec!["name"];
     known.extend(parameters.iter().map(|p| p.name.as_str()));
     if thermal {
         known.extend(["sensor", "minus", "reference_degC", "range_K"]);
-        if parameters.iter().any(|p| p.name == "tau_s") {
+        if effect.description().lag.is_some() {
             known.push("start_K");
         }
     }
@@ -869,7 +869,7 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
             Against::Standard => {}
         }
     }
-    for (i, p) in effect.card().parameters.iter().enumerate() {
+    for (i, p) in effect.description().parameters.iter().enumerate() {
         t[&p.name] = value(numbers(effect.get(i), p.array));
     }
     if let Some([lo, hi]) = effect.range_k {
@@ -890,7 +890,7 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
     if !provenance.interval.is_empty() {
         let mut interval = InlineTable::new();
         for (name, of) in &provenance.interval {
-            let array = effect.card().parameters.iter().any(|p| p.name == *name && p.array);
+            let array = effect.description().parameters.iter().any(|p| p.name == *name && p.array);
             interval.insert(name, pairs(of, array));
         }
         t["interval"] = value(interval);

@@ -210,7 +210,7 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnab
 const PASSES: usize = 3;
 
 fn is_wave(effect: &Effect) -> bool {
-    ["screw_periodic", "subdivision"].contains(&effect.card().name.as_str())
+    effect.description().searched.wave.is_some()
 }
 
 /// Searches the periods of the model's own periodic effects: over a long travel a period that is a little off is out
@@ -362,12 +362,9 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
 /// by single steps does not take.
 fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
     let offsets: Vec<usize> = (0..search.all.list.len())
-        .filter(|h| {
-            search.all.list[*h].name.starts_with("offset.")
-                || search.all.list[*h].name.starts_with("force_offset.")
-        })
+        .filter(|h| search.all.list[*h].law().is_some_and(|l| l.constant))
         .collect();
-    let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor.is_some();
+    let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor().is_some();
     let n = set.members.len();
     let mut rests: Vec<Set> = (0..n).map(|i| search.without(set, i)).collect();
     // Two sensors with a constant between them may be their difference.
@@ -516,7 +513,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             if effect.delta.is_some() {
                 list.extend(equals.iter().map(|h| {
                     let h = &search.all.list[*h];
-                    Rival { name: h.name.clone(), sensor: h.sensor.clone(), margin: 0.0 }
+                    Rival { name: h.name.clone(), sensor: h.sensor().cloned(), margin: 0.0 }
                 }));
             }
         } else if unexplained.is_empty() {
@@ -537,7 +534,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
                 {
                     let h = &search.all.list[o.hypothesis];
                     let margin = margin.max(best - o.score);
-                    list.push(Rival { name: h.name.clone(), sensor: h.sensor.clone(), margin });
+                    list.push(Rival { name: h.name.clone(), sensor: h.sensor().cloned(), margin });
                 }
             }
             for v in found.visited.iter().filter(|v| set.score - v.score < DECISIVE) {
@@ -549,10 +546,10 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
                 }
                 for x in v.members.iter().filter(|x| lacks(x.hypothesis)) {
                     let h = &search.all.list[x.hypothesis];
-                    if !list.iter().any(|r| r.name == h.name && r.sensor == h.sensor) {
+                    if !list.iter().any(|r| r.name == h.name && r.sensor.as_ref() == h.sensor()) {
                         list.push(Rival {
                             name: h.name.clone(),
-                            sensor: h.sensor.clone(),
+                            sensor: h.sensor().cloned(),
                             margin: set.score - v.score,
                         });
                     }
@@ -561,7 +558,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         }
         let held = match &m.cause {
             Cause::Effect { effect, free, .. } if effect.constraints().is_empty() && effect.width() == 1 => {
-                let linear = effect.card().parameters.iter().enumerate();
+                let linear = effect.description().parameters.iter().enumerate();
                 linear
                     .filter(|(_, p)| p.search == rtec_model::effect::Search::Linear)
                     .enumerate()
@@ -645,7 +642,7 @@ fn split_reference(effect: &Effect, mut level: Effect) -> Option<(Effect, Effect
     let mut values = own.values().to_vec();
     values[0] = first - 2.0 * second * d;
     own.set_values(&values).ok()?;
-    let name = level.card().parameters[0].name.clone();
+    let name = level.description().parameters[0].name.clone();
     level.set(&name, &[second * d * d - first * d]).ok()?;
     Some((own, level))
 }
@@ -654,7 +651,7 @@ fn split_reference(effect: &Effect, mut level: Effect) -> Option<(Effect, Effect
 fn reads(effect: &Effect, shapes: &[Shape]) -> bool {
     use rtec_model::effect::Need;
     let along = |text: &str| shapes.iter().any(|s| s.against.iter().any(|a| a.starts_with(text)));
-    effect.card().needs.iter().any(|n| match n {
+    effect.description().needs.iter().any(|n| match n {
         Need::Delta | Need::Time => along("time") || along("temperature"),
         Need::Velocity | Need::Direction | Need::Acceleration => along("velocity") || along("direction"),
         Need::Channel => effect.channel().is_some_and(|c| along(&format!("channel.{c}"))) || along("time"),

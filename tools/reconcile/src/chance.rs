@@ -180,7 +180,7 @@ impl Search<'_, '_> {
             for d in 0..rounds {
                 let gain = self.best_phi(&values[d]).0 - null[d];
                 best_any[d] = best_any[d].max(gain - price);
-                if self.all.list[atom.hypothesis].named {
+                if self.all.list[atom.hypothesis].named() {
                     best_named[d] = best_named[d].max(gain - price);
                 }
             }

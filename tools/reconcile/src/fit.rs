@@ -23,7 +23,7 @@ impl Term {
     /// A term whose values are all free but those chosen beforehand (knots, lobes, the moment of a step).
     pub(crate) fn new(effect: Effect, held: &[usize]) -> Self {
         let width = effect.width();
-        let parameters = &effect.card().parameters;
+        let parameters = &effect.description().parameters;
         let free = (0..effect.values().len())
             .map(|v| parameters[v / width].search != Search::Chosen && !held.contains(&v))
             .collect();
@@ -89,13 +89,13 @@ fn apply(terms: &mut [Term], start: &[Term], places: &[(usize, usize)], step: &[
         let mut values = start[t].effect.values().to_vec();
         for ((_, v), s) in places.iter().zip(step).filter(|((at, _), _)| *at == t) {
             let change = share * s;
-            let parameter = &term.effect.card().parameters[v / term.effect.width()];
+            let parameter = &term.effect.description().parameters[v / term.effect.width()];
             // A length, time or period moves by no more than half of itself at once.
-            let positive = parameter.limits[0] > 0.0 || parameter.plausible[0] > 0.0;
+            let positive = parameter.bounds[0] > 0.0 || parameter.plausible[0] > 0.0;
             values[*v] += if positive { change.clamp(-0.5 * values[*v], 0.5 * values[*v]) } else { change };
         }
         let mut effect = start[t].effect.clone();
-        // Values outside the law's limits stay where they were.
+        // Values outside the law's bounds stay where they were.
         let _kept = effect.set_values(&values);
         term.effect = effect;
     }
@@ -208,19 +208,18 @@ fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option
 /// Amplitudes above zero, phases and angles within one turn.
 fn tidy(term: &mut Term) {
     use std::f64::consts::{PI, TAU};
-    let card = term.effect.card();
-    let place = |name: &str| card.parameters.iter().position(|p| p.name == name);
+    let law = term.effect.description();
     let mut values = term.effect.values().to_vec();
-    if let (Some(um), Some(phase)) = (place("um"), place("phase_rad")) {
-        if values[um] < 0.0 {
-            values[um] = -values[um];
+    if let (Some(amplitude), Some(phase)) = (law.place(Search::Amplitude), law.place(Search::Phase)) {
+        if values[amplitude] < 0.0 {
+            values[amplitude] = -values[amplitude];
             values[phase] += PI;
         }
         values[phase] = (values[phase] + PI).rem_euclid(TAU) - PI;
     }
-    if let Some(centre) = place("centre_rad") {
-        values[centre] = values[centre].rem_euclid(TAU);
+    for (value, _) in values.iter_mut().zip(&law.parameters).filter(|(_, p)| p.cyclic) {
+        *value = value.rem_euclid(TAU);
     }
-    // Only a change that means the same is made: it cannot leave the limits.
+    // Only a change that means the same is made: it cannot leave the bounds.
     let _same = term.effect.set_values(&values);
 }

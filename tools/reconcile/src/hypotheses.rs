@@ -3,8 +3,8 @@
 
 use crate::gram::{Bank, Products};
 use crate::problem::Stack;
-use rtec_model::effect::{Dictionary, Difference, Effect};
-use rtec_model::record::{Record, Role};
+use rtec_model::effect::{self, Description, Dictionary, Difference, Effect, Extent, Point, Quantity};
+use rtec_model::record::{Axis, Record, Role};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -86,14 +86,34 @@ pub(crate) struct Atom {
 #[derive(Debug, Clone)]
 pub(crate) struct Hypothesis {
     pub(crate) name: String,
-    pub(crate) sensor: Option<Difference>,
-    pub(crate) named: bool,
+    /// The effect with its sensors; none for a shape.
+    pub(crate) effect: Option<Effect>,
 }
 
 impl Hypothesis {
+    /// Whether it is an effect of the dictionary.
+    pub(crate) fn named(&self) -> bool {
+        self.effect.is_some()
+    }
+
+    /// Its law, where it has one.
+    pub(crate) fn law(&self) -> Option<&Description> {
+        self.effect.as_ref().map(Effect::description)
+    }
+
+    /// The temperature difference that it reads.
+    pub(crate) fn sensor(&self) -> Option<&Difference> {
+        self.effect.as_ref()?.delta.as_ref()
+    }
+
+    /// Whether it is the zero of an axis.
+    pub(crate) fn is_offset(&self) -> bool {
+        self.law().is_some_and(|l| l.constant && l.quantity == Quantity::Error)
+    }
+
     /// Name and sensors, as one text.
     pub(crate) fn label(&self) -> String {
-        match &self.sensor {
+        match self.sensor() {
             Some(d) => format!("{} ({d})", self.name),
             None => self.name.clone(),
         }
@@ -147,16 +167,10 @@ impl Wave {
     }
 }
 
-/// What a logged channel costs beyond an effect with physics behind it.
-const CHANNEL_COST: f64 = 2.5;
-/// Most periods to a step that positions were read in.
-const FINEST: f64 = 0.5;
 /// Either half of a channel's range is divided into so many parts; a knee is tried where they meet.
 const KNEES: i32 = 5;
 /// What an explanation without a name costs beyond one with a name.
 const SHAPE_COST: f64 = 2.0;
-/// Of a reference temperature other than 20 °C, in nats.
-pub(crate) const ANOTHER_REFERENCE: f64 = 1.4;
 
 impl Hypotheses {
     pub(crate) fn new(stack: &Stack<'_>, dictionary: &Dictionary) -> (Self, Vec<Wave>) {
@@ -165,20 +179,20 @@ impl Hypotheses {
         let mut candidates: Vec<Effect> = Vec::new();
         for record in stack.records {
             for effect in dictionary.candidates(&[record]) {
-                let effect = in_order(effect, dictionary);
+                let effect = effect.in_order();
                 if !candidates.iter().any(|c| c.name() == effect.name() && c.delta == effect.delta) {
                     candidates.push(effect);
                 }
             }
         }
-        let laws: Vec<String> = candidates.iter().map(|c| c.card().name.clone()).collect();
+        let laws: Vec<String> = candidates.iter().map(|c| c.description().name.clone()).collect();
         let mut families = laws.clone();
         families.sort();
         families.dedup();
         all.family_cost = (families.len().max(1) as f64).ln();
         for effect in &candidates {
             // Without movement of what it reads an effect is a constant, or nothing.
-            let share = laws.iter().filter(|l| **l == effect.card().name).count() as f64;
+            let share = laws.iter().filter(|l| **l == effect.description().name).count() as f64;
             let cost = all.family_cost + share.ln();
             all.effect(stack, effect, cost, &mut waves);
         }
@@ -205,7 +219,7 @@ impl Hypotheses {
     }
 
     fn hypothesis(&mut self, effect: &Effect) -> usize {
-        self.list.push(Hypothesis { name: effect.name(), sensor: effect.delta.clone(), named: true });
+        self.list.push(Hypothesis { name: effect.name(), effect: Some(effect.clone()) });
         self.list.len() - 1
     }
 
@@ -214,192 +228,51 @@ impl Hypotheses {
         self.bank.push(&column)
     }
 
-    fn atom(
-        &mut self,
-        hypothesis: usize,
-        effect: &Effect,
-        free: &[usize],
-        reference: bool,
-        columns: Vec<usize>,
-        cost: f64,
-    ) {
-        let cause = Cause::Effect { effect: effect.clone(), free: free.to_vec(), reference };
-        self.atoms.push(Atom { cause, columns, hypothesis, cost });
-    }
-
     fn effect(&mut self, stack: &Stack<'_>, effect: &Effect, cost: f64, waves: &mut Vec<Wave>) {
-        let law = effect.card().name.clone();
-        let pair = effect
-            .delta
-            .as_ref()
-            .is_some_and(|d| matches!(d.against, rtec_model::effect::Against::Sensor(_)));
-        let own = cost + if law == "channel" { CHANNEL_COST } else { 0.0 };
-        match law.as_str() {
-            "screw_periodic" | "subdivision" => {
-                let Some(response) = response_of(stack, effect) else { return };
-                let axis = effect.axes()[0].clone();
-                let along = stack.column(Some(response), |r, row| {
-                    r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row])
-                });
-                let h = self.hypothesis(effect);
-                let unit = if law == "subdivision" { 1e-3 } else { 1.0 };
-                let [lo, hi] = effect.card().parameters[0].limits;
-                let (from, to) = (1.0 / (hi * unit), 1.0 / (lo * unit));
-                let mut wave = Wave::new(stack, h, response, &along, from, to);
-                if law == "subdivision" {
-                    // What is finer than the positions are read cannot be told from something coarser.
-                    let finest = resolution(&wave.places).map_or(to, |step| FINEST / step);
-                    wave.to = if finest > from { to.min(finest) } else { to };
-                }
-                waves.push(Wave { effect: Some(effect.clone()), unit, ..wave });
-            }
-            "position_map" | "straightness" => {
-                let along = effect.axes()[effect.axes().len() - 1].clone();
-                let h = self.hypothesis(effect);
-                let sizes = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24];
-                let Some(places) = distinct(stack, &Role::Position(along)) else { return };
-                for k in sizes.into_iter().filter(|k| *k < places.len().min(stack.n / 3)) {
-                    let (lo, hi) = (places[0], places[places.len() - 1]);
-                    let knots: Vec<f64> =
-                        (0..k).map(|i| lo + (hi - lo) * i as f64 / (k - 1) as f64).collect();
-                    self.map(stack, h, effect, &knots, own + 1.0);
-                }
-                if (4..=48).contains(&places.len()) && places.len() < stack.n / 2 {
-                    self.map(stack, h, effect, &places, own + 1.0);
-                }
-            }
-            "thermal_lag" if pair => {
-                // Pairs are many: fewer lags; they are refined (see `search`).
-                let h = self.hypothesis(effect);
-                for tau in taus(stack).into_iter().step_by(2) {
-                    self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), false);
-                }
-            }
-            "thermal_lag" => {
-                let h = self.hypothesis(effect);
-                for tau in taus(stack) {
-                    self.thermal(stack, h, effect, Some(tau), own + (taus(stack).len() as f64).ln(), true);
-                }
-            }
-            "thermal_growth" | "thermal_expansion" => {
-                let h = self.hypothesis(effect);
-                self.thermal(stack, h, effect, None, own, !pair);
-            }
-            "warm_up" => {
-                let h = self.hypothesis(effect);
-                let grid = taus(stack);
-                for tau in &grid {
-                    self.single(stack, h, effect, &[("tau_s", *tau)], own + (grid.len() as f64).ln());
-                }
-            }
-            "reversal_spike" => {
-                let Some(places) = distinct(stack, &Role::Position(effect.axes()[0].clone())) else { return };
-                let span = places[places.len() - 1] - places[0];
-                if span <= 0.0 {
-                    return;
-                }
-                let h = self.hypothesis(effect);
-                let grid: Vec<f64> = (0..12).map(|i| span * 0.4 * 0.6_f64.powi(i)).collect();
-                for length in &grid {
-                    self.single(stack, h, effect, &[("length_mm", *length)], own + 8f64.ln());
-                }
-            }
-            "lost_counts" => {
-                let h = self.hypothesis(effect);
-                let times = moments(stack);
-                let step = (times.len() / 160).max(1);
-                let count = (times.len().max(2) as f64).ln();
-                for at in times.iter().step_by(step) {
-                    self.single(stack, h, effect, &[("at_s", *at)], own + count);
-                }
-            }
-            "probe_lobing" => {
-                let h = self.hypothesis(effect);
-                for lobes in 1..=12 {
-                    // A single lobe is an eccentric set-up as well: allowed, at a price.
-                    let extra = if lobes == 1 { 1.0 } else { 0.0 };
-                    self.single(stack, h, effect, &[("lobes", f64::from(lobes))], own + extra + 11f64.ln());
-                }
-            }
-            "form_bump" => {
-                let h = self.hypothesis(effect);
-                let mut width = 0.15;
-                while width < 4.0 {
-                    let places = (TAU / width * 4.0).ceil() as usize;
-                    for i in 0..places {
-                        let centre = TAU * i as f64 / places as f64;
-                        let at = [("centre_rad", centre), ("width_rad", width)];
-                        self.single(stack, h, effect, &at, own + (TAU / width * 2.0).ln() + 6f64.ln());
-                    }
-                    width *= 1.4;
-                }
-            }
-            "spindle_speed" => {
-                let h = self.hypothesis(effect);
-                let columns: Vec<usize> =
-                    stack.basis(effect).into_iter().map(|c| self.push(stack, c)).collect();
-                self.atom(h, effect, &[0], false, columns[..1].to_vec(), own + 0.5);
-                self.atom(h, effect, &[0, 1], false, columns, own + 1.0);
-            }
-            _ => {
-                let h = self.hypothesis(effect);
-                self.single(stack, h, effect, &[], own);
-            }
-        }
-    }
-
-    /// An atom with all coefficients free and some parameters set.
-    fn single(&mut self, stack: &Stack<'_>, h: usize, effect: &Effect, set: &[(&str, f64)], cost: f64) {
-        let mut effect = effect.clone();
-        for (name, value) in set {
-            if effect.set(name, &[*value]).is_err() {
-                return;
-            }
-        }
-        let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
-        let free: Vec<usize> = (0..columns.len()).collect();
-        self.atom(h, &effect, &free, false, columns, cost);
-    }
-
-    fn map(&mut self, stack: &Stack<'_>, h: usize, effect: &Effect, knots: &[f64], cost: f64) {
-        let mut effect = effect.clone();
-        let values: Vec<f64> = knots.iter().copied().chain(knots.iter().map(|_| 0.0)).collect();
-        if effect.set_values(&values).is_err() {
+        if let Some(facts) = effect.description().searched.wave {
+            waves.extend(self.wave(stack, effect, &facts));
             return;
         }
-        let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
-        let free: Vec<usize> = (0..columns.len()).collect();
-        self.atom(h, &effect, &free, false, columns, cost);
+        let hypothesis = self.hypothesis(effect);
+        for Point { effect, price } in effect.grid(stack) {
+            self.point(stack, hypothesis, &effect, cost + effect.description().searched.price + price);
+        }
     }
 
-    fn thermal(
-        &mut self,
-        stack: &Stack<'_>,
-        h: usize,
-        effect: &Effect,
-        tau: Option<f64>,
-        cost: f64,
-        reference: bool,
-    ) {
-        let mut effect = effect.clone();
-        if let Some(tau) = tau
-            && effect.set("tau_s", &[tau]).is_err()
-        {
-            return;
+    /// The search of a wave's period.
+    fn wave(&mut self, stack: &Stack<'_>, effect: &Effect, facts: &effect::Wave) -> Option<Wave> {
+        let response = response_of(stack, effect)?;
+        let axis = effect.axes()[0].clone();
+        let along = stack
+            .column(Some(response), |r, row| r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row]));
+        let h = self.hypothesis(effect);
+        let [lo, hi] = effect.description().parameters[0].bounds;
+        let (from, to) = (1.0 / (hi * facts.unit_mm), 1.0 / (lo * facts.unit_mm));
+        let mut wave = Wave::new(stack, h, response, &along, from, to);
+        if let (Some(steps), Some(step)) = (facts.steps, resolution(&wave.places)) {
+            // What is finer than the positions are read cannot be told from something coarser.
+            let finest = 1.0 / (steps * step);
+            wave.to = if finest > from { to.min(finest) } else { to };
         }
-        let columns: Vec<usize> = stack.basis(&effect).into_iter().map(|c| self.push(stack, c)).collect();
-        let quadratic = columns.len() == 2;
-        // A straight line from 20 °C first; a parabola, another reference, both: each a little less likely.
-        self.atom(h, &effect, &[0], false, columns[..1].to_vec(), cost + 0.5);
-        if quadratic {
-            self.atom(h, &effect, &[0, 1], false, columns.clone(), cost + 1.4);
-        }
-        if reference {
-            let constant = self.push(stack, reference_column(stack, &effect));
-            self.atom(h, &effect, &[0], true, vec![columns[0], constant], cost + 0.5 + ANOTHER_REFERENCE);
-            if quadratic {
-                self.atom(h, &effect, &[0, 1], true, vec![columns[0], columns[1], constant], cost + 2.5);
+        Some(Wave { effect: Some(effect.clone()), unit: facts.unit_mm, ..wave })
+    }
+
+    /// A grid point: one atom for each choice of free coefficients.
+    fn point(&mut self, stack: &Stack<'_>, hypothesis: usize, effect: &Effect, cost: f64) {
+        let columns: Vec<usize> = stack.basis(effect).into_iter().map(|c| self.push(stack, c)).collect();
+        let pair = effect.delta.as_ref().is_some_and(Difference::is_pair);
+        let mut level = None;
+        for choice in &effect.description().searched.choices {
+            if choice.reference && pair {
+                continue;
             }
+            let free: Vec<usize> = (0..choice.coefficients.unwrap_or(columns.len())).collect();
+            let mut own = columns[..free.len()].to_vec();
+            if choice.reference {
+                own.push(*level.get_or_insert_with(|| self.push(stack, reference_column(stack, effect))));
+            }
+            let cause = Cause::Effect { effect: effect.clone(), free, reference: choice.reference };
+            self.atoms.push(Atom { cause, columns: own, hypothesis, cost: cost + choice.price });
         }
     }
 
@@ -419,7 +292,7 @@ impl Hypotheses {
             let cost = price + grid;
             if last.as_ref() != Some(shape) {
                 let name = format!("unnamed {}", shape.against.join("·"));
-                self.list.push(Hypothesis { name, sensor: None, named: false });
+                self.list.push(Hypothesis { name, effect: None });
                 last = Some(shape.clone());
             }
             let h = self.list.len() - 1;
@@ -653,7 +526,7 @@ impl Hypotheses {
             }
             let h = self.list.len();
             let name = format!("unnamed {label}");
-            self.list.push(Hypothesis { name, sensor: None, named: false });
+            self.list.push(Hypothesis { name, effect: None });
             let shape = Shape {
                 response: response.clone(),
                 against: vec![label.to_owned()],
@@ -669,16 +542,6 @@ impl Hypotheses {
     }
 }
 
-/// The two positions of an angular effect are interchangeable: written alphabetically.
-fn in_order(effect: Effect, dictionary: &Dictionary) -> Effect {
-    match effect.axes() {
-        [a, b, c] if effect.card().name == "angular" && b > c => {
-            dictionary.effect(&format!("angular.{a}.{c}.{b}")).unwrap_or(effect)
-        }
-        _ => effect,
-    }
-}
-
 fn response_of(stack: &Stack<'_>, effect: &Effect) -> Option<usize> {
     let axis = effect.axes().first()?;
     stack.responses.iter().position(|r| *r == Role::Error(axis.clone()))
@@ -686,13 +549,26 @@ fn response_of(stack: &Stack<'_>, effect: &Effect) -> Option<usize> {
 
 /// The column that a free reference temperature adds: the effect of one kelvin, the same at all times.
 pub(crate) fn reference_column(stack: &Stack<'_>, effect: &Effect) -> Vec<f64> {
-    let expansion = effect.card().name == "thermal_expansion";
-    let axis = effect.axes()[0].clone();
-    let role = Role::Error(axis.clone());
-    let Some(j) = stack.responses.iter().position(|r| *r == role) else { return vec![0.0; stack.n] };
-    stack.column(Some(j), |r, row| {
-        if expansion { r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row] / 1000.0) } else { 1.0 }
-    })
+    let level = effect.companion().and_then(|level| stack.basis(&level).into_iter().next());
+    level.unwrap_or_else(|| vec![0.0; stack.n])
+}
+
+impl Extent for Stack<'_> {
+    fn rows(&self) -> usize {
+        self.n
+    }
+
+    fn time_constants_s(&self) -> Vec<f64> {
+        taus(self)
+    }
+
+    fn moments_s(&self) -> Vec<f64> {
+        moments(self)
+    }
+
+    fn places_mm(&self, axis: &Axis) -> Vec<f64> {
+        distinct(self, &Role::Position(axis.clone())).unwrap_or_default()
+    }
 }
 
 /// Time constants to try: from three rows to twice the longest record.
@@ -787,14 +663,10 @@ pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize) -> Vec<f
         .collect()
 }
 
-/// Leads that ball screws are made with, mm (ISO 3408-2).
-const LEADS_MM: [f64; 15] =
-    [1.0, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0];
-
-/// Which of several periods is the likeliest, being equally good otherwise: one that screws are made with, or the longest.
-pub(crate) fn likeliest(periods: &[f64], screw: bool) -> Option<usize> {
-    let made = |p: &f64| screw && LEADS_MM.iter().any(|l| (p / l - 1.0).abs() < 0.005);
-    periods.iter().position(made).or((!periods.is_empty()).then_some(0))
+/// Which of several periods is the likeliest, being equally good otherwise: one that machines are made with, or the longest.
+pub(crate) fn likeliest(periods_mm: &[f64], usual_mm: &[f64]) -> Option<usize> {
+    let made = |p: &f64| usual_mm.iter().any(|l| (p / l - 1.0).abs() < 0.005);
+    periods_mm.iter().position(made).or((!periods_mm.is_empty()).then_some(0))
 }
 
 fn bounds(x: &[f64], rows: &[usize]) -> (f64, f64) {

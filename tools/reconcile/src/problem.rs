@@ -201,7 +201,7 @@ pub(crate) fn known(stack: &Stack<'_>, noise: f64, file: &[Effect], now: &[Effec
         let width = effect.width();
         let slopes = stack.slopes(effect);
         let free: Vec<usize> = (0..slopes.len())
-            .filter(|v| effect.card().parameters[v / width].search != Search::Chosen)
+            .filter(|v| effect.description().parameters[v / width].search != Search::Chosen)
             .collect();
         let heights = free_directions(&effect.constraints(), free.len());
         let ways: Vec<Vec<(usize, f64)>> = if heights.is_empty() {

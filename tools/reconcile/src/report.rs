@@ -34,7 +34,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
     if !r.refined.is_empty() {
         h.push_str("<h2>What the model had slightly wrong</h2><table><tr><th>effect<th>parameter<th class=n>model<th class=n>data<th class=n>interval");
         for x in &r.refined {
-            for (i, p) in x.before.card().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
+            for (i, p) in x.before.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
                 let (b, a, half) = (x.before.scalar(i), x.after.0.scalar(i), x.after.1[i]);
                 let _ = write!(
                     h,
@@ -129,7 +129,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
     }
     h.push_str("<h2>What is missing</h2><table><tr><th>effect<th>law<th>parameter<th class=n>value<th class=n>interval<th>what else it might be");
     for (f, half) in &r.effects {
-        let card = f.effect.card();
+        let card = f.effect.description();
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
         let rivals = f
             .rivals

@@ -3,11 +3,11 @@
 
 use crate::gram::{self, Cholesky, Products, Vector, dot, products};
 use crate::hypotheses::{
-    ANOTHER_REFERENCE, Atom, Cause, Hypotheses, Shape, Teeth, Wave, aliases, likeliest, moments, pitch,
+    Atom, Cause, Hypotheses, Hypothesis, Shape, Teeth, Wave, aliases, likeliest, moments, pitch,
     reference_column, taus,
 };
 use crate::problem::{Known, Stack, rms};
-use rtec_model::effect::{Against, Effect};
+use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect, Refine};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
 use std::cell::{Cell, OnceCell, RefCell};
@@ -53,9 +53,6 @@ pub(crate) const GRID_SHARE: f64 = 0.02;
 
 /// Rows from which on frequencies far up are tried: among a million of them one fits a few dozen rows by chance.
 const FAR_ROWS: usize = 120;
-/// Largest amplitude of an interpolation error, in periods of the signal. A sound scale's stays within one; a figure that
-/// is so many times more is none, in however much noise it was read.
-const MOST_PERIODS: f64 = 20.0;
 /// Turns over the whole extent below which what a wave shows on a grid is no wave.
 const SLOWEST_TURNS: f64 = 1.5;
 
@@ -666,7 +663,7 @@ impl<'p, 'r> Search<'p, 'r> {
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
         let cost_of_search = ((wave.to - from) * span).max(2.0);
         let hypothesis = &self.all.list[wave.hypothesis];
-        let extra = if hypothesis.named { 0.0 } else { 3.0 };
+        let extra = if hypothesis.named() { 0.0 } else { 3.0 };
         let cost = self.all.family_cost + cost_of_search.ln() + extra;
         // What a wave that explains nothing scores.
         let nothing = set.loglik - self.price(set, cost, 2);
@@ -708,7 +705,8 @@ impl<'p, 'r> Search<'p, 'r> {
         }
         let (mut score, mut f) = best?;
         let mut cost = cost;
-        if wave.effect.is_some()
+        let facts = wave.effect.as_ref().and_then(|e| e.description().searched.wave);
+        if let Some(usual_mm) = facts.map(|w| w.usual_mm)
             && let Some(pitch) = pitch(&wave.places, GRID_SHARE / f)
         {
             // On a grid there are no more frequencies than places; which of the aliases it is the data cannot say.
@@ -724,21 +722,19 @@ impl<'p, 'r> Search<'p, 'r> {
                 .filter(|(s, _)| *s > score - 1.0)
                 .collect();
             let periods: Vec<f64> = near.iter().map(|(_, g)| 1.0 / g).collect();
-            let screw = wave.unit.total_cmp(&1.0).is_eq();
-            if let Some(i) = likeliest(&periods, screw) {
+            if let Some(i) = likeliest(&periods, usual_mm) {
                 (score, f) = near[i];
             }
         }
         let columns = self.wave_columns(wave, f);
-        if wave.unit < 1.0 && self.amplitude(set, [&columns[0], &columns[1]]) > MOST_PERIODS / (f * wave.unit)
+        if let Some(most) = facts.and_then(|w| w.most_periods)
+            && self.amplitude(set, [&columns[0], &columns[1]]) > most / (f * wave.unit)
         {
             return None;
         }
         let cause = match (&wave.effect, &wave.shape) {
             (Some(e), _) => {
-                let mut effect = e.clone();
-                let name = effect.card().parameters[0].name.clone();
-                effect.set(&name, &[1.0 / (f * wave.unit)]).ok()?;
+                let effect = e.with(&[(0, 1.0 / (f * wave.unit))])?;
                 Cause::Effect { effect, free: vec![0, 1], reference: false }
             }
             (None, Some(shape)) => {
@@ -806,14 +802,17 @@ impl<'p, 'r> Search<'p, 'r> {
             return self.sharpened_teeth(set, offer, shape, teeth);
         }
         let Cause::Effect { effect, free, reference } = &offer.cause else { return offer };
-        let law = effect.card().name.as_str();
-        let steps: &[(&str, bool, f64)] = match law {
-            "thermal_lag" | "warm_up" => &[("tau_s", true, 0.35)],
-            "reversal_spike" => &[("length_mm", true, 0.3)],
-            "form_bump" => &[("centre_rad", false, 0.12), ("width_rad", true, 0.2)],
-            "lost_counts" => &[("at_s", false, 0.0)],
-            _ => return offer,
-        };
+        let refined: Vec<(usize, Refine)> = effect
+            .description()
+            .parameters
+            .iter()
+            .enumerate()
+            .map(|(i, p)| (i, p.refine))
+            .filter(|(_, r)| *r != Refine::Stays)
+            .collect();
+        if refined.is_empty() {
+            return offer;
+        }
         let (free, reference) = (free.clone(), *reference);
         let eval = |e: &Effect| {
             let columns = self.columns(e, &free, reference);
@@ -823,16 +822,8 @@ impl<'p, 'r> Search<'p, 'r> {
         };
         let mut effect = effect.clone();
         let (mut score, mut columns) = eval(&effect);
-        // A lag far longer than the run is a straight line by another name, and no ground for prediction.
-        let longest = taus(self.stack).last().copied().unwrap_or(f64::MAX);
-        let mut take = |effect: &mut Effect, name: &str, value: f64| -> bool {
-            if name == "tau_s" && value > longest {
-                return false;
-            }
-            let mut next = effect.clone();
-            if next.set(name, &[value]).is_err() {
-                return false;
-            }
+        let mut take = |effect: &mut Effect, parameter: usize, value: f64| -> bool {
+            let Some(next) = effect.with(&[(parameter, value)]) else { return false };
             let (s, c) = eval(&next);
             let better = s > score;
             if better {
@@ -841,34 +832,38 @@ impl<'p, 'r> Search<'p, 'r> {
             }
             better
         };
-        if law == "lost_counts" {
+        for (parameter, _) in refined.iter().filter(|(_, r)| *r == Refine::Moment) {
             let times = moments(self.stack);
             let mut reach = (times.len() / 160).max(1) as isize;
             while reach >= 1 {
                 for side in [-reach, reach] {
-                    let now = effect.value("at_s").map_or(0.0, |v| v[0]);
+                    let now = effect.scalar(*parameter);
                     let at = times.partition_point(|t| *t < now) as isize + side;
                     if let Some(t) = usize::try_from(at).ok().and_then(|i| times.get(i)) {
-                        take(&mut effect, "at_s", *t);
+                        take(&mut effect, *parameter, *t);
                     }
                 }
                 reach = if reach > 1 { (reach * 2 / 3).max(1) } else { 0 };
             }
-        } else {
-            let mut shrink = 1.0;
-            for _ in 0..7 {
-                for (name, log, step) in steps {
-                    for side in [-1.0, 1.0] {
-                        let now = effect.value(name).map_or(0.0, |v| v[0]);
-                        let h = side * step * shrink;
-                        let next = if *log { now * h.exp() } else { now + h };
-                        if take(&mut effect, name, next) {
-                            break;
-                        }
+        }
+        let longest = taus(self.stack).last().copied().unwrap_or(f64::MAX);
+        let mut shrink = 1.0;
+        for _ in 0..7 {
+            for (parameter, refine) in &refined {
+                for side in [-1.0, 1.0] {
+                    let now = effect.scalar(*parameter);
+                    let next = match refine {
+                        Refine::Step(by) => now + side * by * shrink,
+                        Refine::Factor(by) | Refine::TimeConstant(by) => now * (side * by * shrink).exp(),
+                        Refine::Stays | Refine::Moment => continue,
+                    };
+                    let too_long = matches!(refine, Refine::TimeConstant(_)) && next > longest;
+                    if !too_long && take(&mut effect, *parameter, next) {
+                        break;
                     }
                 }
-                shrink *= 0.6;
             }
+            shrink *= 0.6;
         }
         let cause = Cause::Effect { effect, free, reference };
         Offer { cause, score, evidence: offer.evidence.max(score), columns: Source::Made(columns), ..offer }
@@ -966,17 +961,15 @@ impl<'p, 'r> Search<'p, 'r> {
     }
 
     pub(crate) fn named(&self, set: &Set) -> bool {
-        set.members.iter().all(|m| self.all.list[m.hypothesis].named)
+        set.members.iter().all(|m| self.all.list[m.hypothesis].named())
     }
 
     /// Whether an offer repeats what a set has: the same hypothesis, unless it may stand twice.
     fn repeats(&self, set: &Set, offer: &Offer) -> bool {
-        let may = |name: &str| {
-            ["screw_periodic", "subdivision", "form_bump", "probe_lobing"].iter().any(|l| name.starts_with(l))
-        };
+        let may = |h: &Hypothesis| h.law().is_some_and(|l| l.searched.repeats);
         set.members.iter().any(|m| {
             let (a, b) = (&self.all.list[m.hypothesis], &self.all.list[offer.hypothesis]);
-            m.hypothesis == offer.hypothesis && !(may(&b.name) || (a.named && a.name != b.name))
+            m.hypothesis == offer.hypothesis && !(may(b) || (a.named() && a.name != b.name))
         })
     }
 
@@ -997,7 +990,7 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut out: Vec<Ranked> = Vec::new();
         for offer in self.scan(set, false) {
             let hypothesis = &self.all.list[offer.hypothesis];
-            if !hypothesis.named || self.repeats(set, &offer) {
+            if !hypothesis.named() || self.repeats(set, &offer) {
                 continue;
             }
             match out.iter_mut().find(|r| r.name == hypothesis.name) {
@@ -1036,12 +1029,12 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut sensors: Vec<(String, usize)> = Vec::new();
         for offer in self.scan(set, fresh) {
             let hypothesis = &self.all.list[offer.hypothesis];
-            let room = &mut left[usize::from(hypothesis.named)];
+            let room = &mut left[usize::from(hypothesis.named())];
             if *room == 0 || self.repeats(set, &offer) {
                 continue;
             }
             // Many sensors of one law must not crowd out other laws.
-            let law = if hypothesis.named { hypothesis.name.clone() } else { offer.hypothesis.to_string() };
+            let law = if hypothesis.named() { hypothesis.name.clone() } else { offer.hypothesis.to_string() };
             match sensors.iter_mut().find(|(l, _)| *l == law) {
                 Some((_, n)) if *n >= 2 => continue,
                 Some((_, n)) => *n += 1,
@@ -1055,10 +1048,9 @@ impl<'p, 'r> Search<'p, 'r> {
     }
 }
 
-/// What does the same as another reference temperature of a thermal law: an offset, or a scale beside an expansion.
+/// The name of what does the same as another reference temperature of a thermal law.
 pub(crate) fn level_name(effect: &Effect) -> String {
-    let law = if effect.card().name == "thermal_expansion" { "scale" } else { "offset" };
-    format!("{law}.{}", effect.axes()[0])
+    effect.companion().map_or_else(String::new, |level| level.name())
 }
 
 /// log(eᵃ + eᵇ)
@@ -1295,7 +1287,7 @@ impl Search<'_, '_> {
                 let mut key: Vec<usize> =
                     set.members.iter().map(|m| m.hypothesis).chain([offer.hypothesis]).collect();
                 key.sort_unstable();
-                let pure = self.named(set) && self.all.list[offer.hypothesis].named;
+                let pure = self.named(set) && self.all.list[offer.hypothesis].named();
                 if room[usize::from(pure)] == 0 || seen.contains(&key) {
                     continue;
                 }
@@ -1337,7 +1329,7 @@ impl Search<'_, '_> {
         let all = self.all;
         all.atoms
             .iter()
-            .filter(|a| all.list[a.hypothesis].name.starts_with("offset."))
+            .filter(|a| all.list[a.hypothesis].is_offset())
             .filter(|a| set.members.iter().all(|m| m.hypothesis != a.hypothesis))
             .map(|a| self.take_atom(&set, a))
             .collect()

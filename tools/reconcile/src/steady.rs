@@ -8,7 +8,7 @@ use crate::gram::{Cholesky, dot};
 use crate::hypotheses::{Atom, Cause};
 use crate::problem::rms;
 use crate::search::{Search, Set};
-use rtec_model::effect::{Against, Difference, Effect};
+use rtec_model::effect::{Against, Difference, Effect, Heat};
 use rtec_model::record::{Kind, Role};
 
 /// Moments that later rows are foretold from, as shares of the run.
@@ -31,10 +31,6 @@ const LONGEST_LAG: f64 = 1.0 / 3.0;
 const SURROUNDINGS_K: f64 = 1.0;
 /// Fewer rows foretell nothing.
 const FEWEST_ROWS: usize = 200;
-
-/// What follows heat, or stands in for it.
-const HEAT: [&str; 6] =
-    ["thermal_growth", "thermal_lag", "thermal_expansion", "warm_up", "offset", "lost_counts"];
 
 /// How an explanation does.
 struct Trial {
@@ -96,7 +92,7 @@ impl Search<'_, '_> {
     pub(crate) fn steadier(&mut self, set: &Set) -> Option<(Set, Vec<usize>)> {
         let record = &self.stack.records[0];
         let n = self.stack.n;
-        let heat = |e: &Effect| HEAT.contains(&e.card().name.as_str());
+        let heat = |e: &Effect| e.description().heat != Heat::None;
         let of = |cause: &Cause| matches!(cause, Cause::Effect { effect, .. } if heat(effect));
         let drift = record.kind == Kind::Drift && self.stack.ranges.len() == 1 && n >= FEWEST_ROWS;
         if !drift || record.names(&Role::Temperature).count() < 2 || !set.members.iter().any(|m| of(&m.cause))
@@ -124,8 +120,8 @@ impl Search<'_, '_> {
         let cold = self.surroundings();
         let mut tried: Vec<(usize, Trial, usize)> = Vec::new();
         for (h, hypothesis) in self.all.list.iter().enumerate() {
-            let Some(difference) = &hypothesis.sensor else { continue };
-            let follows = ["thermal_lag.", "thermal_growth."].iter().any(|l| hypothesis.name.starts_with(l));
+            let Some(difference) = hypothesis.sensor() else { continue };
+            let follows = hypothesis.law().is_some_and(|l| l.heat == Heat::Growth);
             if !follows || !outward(difference, &cold) {
                 continue;
             }
@@ -169,7 +165,7 @@ impl Search<'_, '_> {
         let equals = tried.iter().map(|t| t.0).collect();
         let mut atom = self.all.atoms[at].clone();
         if let Cause::Effect { effect, free, reference } = &mut atom.cause
-            && !pair(effect.delta.as_ref())
+            && !effect.delta.as_ref().is_some_and(Difference::is_pair)
         {
             let constant = self.all.atoms.iter().find(|a| {
                 a.hypothesis == atom.hypothesis
@@ -181,8 +177,7 @@ impl Search<'_, '_> {
         }
         let mut steady = self.take_atom(&rest, &atom);
         if matches!(&atom.cause, Cause::Effect { reference: false, .. })
-            && let Some(a) =
-                self.all.atoms.iter().find(|a| self.all.list[a.hypothesis].name.starts_with("offset."))
+            && let Some(a) = self.all.atoms.iter().find(|a| self.all.list[a.hypothesis].is_offset())
         {
             steady = self.take_atom(&steady, a);
         }
@@ -198,7 +193,8 @@ impl Search<'_, '_> {
             at += m.columns();
             let Some(effect) = effect_of(&m.cause, gamma) else { return true };
             let Some(difference) = &effect.delta else { return true };
-            let gain = effect.value("um_per_K").map_or(0.0, |v| v[0].abs());
+            let growth = effect.description().heat == Heat::Growth;
+            let gain = if growth { effect.scalar(0).abs() } else { 0.0 };
             let at_rest = match difference.against {
                 Against::Reference(degc) => REFERENCE_DEGC.contains(&degc),
                 _ => true,
@@ -224,11 +220,7 @@ impl Search<'_, '_> {
 
 /// Growth that follows a temperature, or only the time.
 fn grows(cause: &Cause) -> bool {
-    matches!(cause, Cause::Effect { effect, .. } if effect.delta.is_some() || effect.card().name == "warm_up")
-}
-
-fn pair(difference: Option<&Difference>) -> bool {
-    matches!(difference, Some(Difference { against: Against::Sensor(_), .. }))
+    matches!(cause, Cause::Effect { effect, .. } if effect.delta.is_some() || effect.description().heat == Heat::FromStart)
 }
 
 /// Between a place of the machine and its surroundings, or a fixed temperature.
@@ -244,7 +236,7 @@ fn outward(difference: &Difference, surroundings: &[String]) -> bool {
 fn straight(atom: &Atom) -> Option<f64> {
     match &atom.cause {
         Cause::Effect { effect, free, reference: false } if free == &[0] => {
-            Some(effect.value("tau_s").map_or(0.0, |v| v[0]))
+            Some(effect.description().lag.map_or(0.0, |tau| effect.scalar(tau)))
         }
         _ => None,
     }

@@ -20,23 +20,24 @@ pub(crate) struct StandIn {
 
 /// What a law's term calls a label of a shape, and the role behind it.
 fn quantity(label: &str, axis: &str) -> Option<(&'static str, Role)> {
-    let role = || Role::parse(label);
-    let (head, tail) = label.split_once('.').unwrap_or((label, ""));
-    Some(match head {
-        "time" => ("t", Role::Time),
-        "temperature" => ("dT", Role::Temperature),
-        "channel" => ("channel", Role::Channel),
-        "position" if tail == axis => ("p", role()?),
-        "position" => ("p_B", role()?),
-        "direction" => ("dir", role()?),
-        "velocity" => ("v", role()?),
-        "acceleration" => ("a", role()?),
-        "load" => ("load", role()?),
-        "spindle_speed" => ("rpm", role()?),
-        "coolant" => ("wet", role()?),
-        "angle" => ("angle", role()?),
+    let head = label.split_once('.').map_or(label, |(head, _)| head);
+    let role = Role::parse(label).or_else(|| Role::parse(head))?;
+    let key = match &role {
+        Role::Time => "t",
+        Role::Temperature => "dT",
+        Role::Channel => "channel",
+        Role::Position(of) if of.as_str() == axis => "p",
+        Role::Position(_) => "p_B",
+        Role::Direction(_) => "dir",
+        Role::Velocity(_) => "v",
+        Role::Acceleration(_) => "a",
+        Role::Load(_) => "load",
+        Role::SpindleSpeed => "rpm",
+        Role::Coolant => "wet",
+        Role::Angle => "angle",
         _ => return None,
-    })
+    };
+    Some((key, role))
 }
 
 /// A stand-in for a shape with so many knots; the model adopts its law. None for a shape along what no law reads (the
@@ -50,7 +51,7 @@ pub(crate) fn stand_in(
     let axis = shape.response.split('.').nth(1)?;
     let force = shape.response.starts_with("force");
     let mut along: Vec<&str> = shape.against.iter().map(String::as_str).collect();
-    if along.last() == Some(&"coolant") {
+    if along.last().and_then(|l| Role::parse(l)) == Some(Role::Coolant) {
         along.reverse();
     }
     let over = *along.last()?;

@@ -9,7 +9,7 @@ use crate::unexplained;
 use crate::wherein::{self, Place};
 use crate::{Options, SEED};
 use rtec_driver::input::InputError;
-use rtec_model::effect::{Against, Difference, Effect, Search};
+use rtec_model::effect::{Against, Dictionary, Difference, Effect, Heat, Law, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
 use serde_json::{Map, Value, json};
@@ -188,7 +188,7 @@ pub fn reconcile(
     for (f, t) in answer.findings.iter_mut().zip(&terms[file.len()..found]) {
         f.effect = whole_counts(&t.effect, train, &t.half);
     }
-    warm_plate(&mut answer.findings, train);
+    warm_plate(&mut answer.findings, train, machine.dictionary());
     let mut refined = Vec::new();
     for (e, before) in file.iter().enumerate().filter(|(e, _)| moved[*e]) {
         let (after, half) = (&terms[e].effect, &terms[e].half);
@@ -302,18 +302,21 @@ fn thinned<'r>(train: &'r [Record], machine: &Machine, level: f64) -> (Answer, C
 
 /// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
 /// not at 20 °C.
-fn warm_plate(findings: &mut [Finding], train: &[Record]) {
+fn warm_plate(findings: &mut [Finding], train: &[Record], dictionary: &Dictionary) {
+    let Some(expansion) = dictionary.laws().map(Law::describe).find(|l| l.heat == Heat::Expansion) else {
+        return;
+    };
+    let scale = |f: &Finding| expansion.companion == Some(f.effect.description().name.as_str());
     let silent = train
         .iter()
         .all(|r| matches!(r.kind, Kind::Plate | Kind::Part) && r.column(&Role::Temperature).is_none());
-    let ppm: Vec<f64> =
-        findings.iter().filter(|f| f.effect.card().name == "scale").map(|f| f.effect.scalar(0)).collect();
+    let ppm: Vec<f64> = findings.iter().filter(|f| scale(f)).map(|f| f.effect.scalar(0)).collect();
     let (lo, hi) = ppm.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
     if !silent || ppm.len() < 2 || lo * hi <= 0.0 || (hi - lo).abs() > 0.5 * lo.abs().max(hi.abs()) {
         return;
     }
-    for f in findings.iter_mut().filter(|f| f.effect.card().name == "scale") {
-        let name = format!("thermal_expansion.{}", f.effect.axes()[0]);
+    for f in findings.iter_mut().filter(|f| scale(f)) {
+        let name = format!("{}.{}", expansion.name, f.effect.axes()[0]);
         f.rivals.push(Rival { name, sensor: None, margin: 0.0 });
     }
 }
@@ -322,11 +325,11 @@ fn warm_plate(findings: &mut [Finding], train: &[Record]) {
 fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
     let mut out = effect.clone();
     let count = records.iter().find_map(|r| r.count_um);
-    if let (true, Some(count)) = (effect.card().name == "lost_counts", count) {
+    if let (true, Some(count)) = (effect.description().whole_counts, count) {
         let um = effect.scalar(0);
         let whole = (um / count).round() * count;
         if whole != 0.0 && (um - whole).abs() < half[0] * 2.0 {
-            let _kept = out.set("um", &[whole]);
+            out = out.with(&[(0, whole)]).unwrap_or(out);
         }
     }
     out
@@ -334,14 +337,14 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
 
 fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]) {
     let width = effect.width();
-    for (i, p) in effect.card().parameters.iter().enumerate() {
+    for (i, p) in effect.description().parameters.iter().enumerate() {
         if p.search == Search::Chosen {
             continue;
         }
         let values = effect.get(i);
         let interval: Vec<[f64; 2]> =
             values.iter().zip(&half[i * width..]).map(|(v, h)| [v - h, v + h]).collect();
-        // The values come from the law itself; they keep its limits.
+        // The values come from the law itself; they keep its bounds.
         let _written = model.set(place, &p.name, values, Some(&interval));
     }
 }
@@ -349,7 +352,7 @@ fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]
 fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
     let width = effect.width();
     effect
-        .card()
+        .description()
         .parameters
         .iter()
         .enumerate()
@@ -495,18 +498,14 @@ fn blocked(stack: &Stack<'_>, terms: &[Term], answer: &Answer) -> Vec<f64> {
 
 /// Periods that a grid of targets cannot tell from the one that is given.
 fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
-    let card = effect.card();
-    let unit_mm = match card.name.as_str() {
-        "screw_periodic" => 1.0,
-        "subdivision" => 1e-3,
-        _ => return None,
-    };
+    let law = effect.description();
+    let unit_mm = law.searched.wave?.unit_mm;
     let role = Role::Position(effect.axes()[0].clone());
     let mut places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
     places.sort_by(f64::total_cmp);
     let period_mm = effect.scalar(0) * unit_mm;
     let pitch = hypotheses::pitch(&places, GRID_SHARE * period_mm)?;
-    let [lo, hi] = card.parameters[0].limits;
+    let [lo, hi] = law.parameters[0].bounds;
     let range = [1.0 / (hi * unit_mm), 1.0 / (lo * unit_mm)];
     let others: Vec<String> = hypotheses::aliases(1.0 / period_mm, pitch, range, 7)
         .iter()
@@ -514,7 +513,7 @@ fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
         .filter(|p| (p / effect.scalar(0) - 1.0).abs() > 1e-3)
         .map(|p| format!("{p:.4}"))
         .collect();
-    let unit = &card.parameters[0].unit;
+    let unit = &law.parameters[0].unit;
     (!others.is_empty()).then(|| {
         format!(
             "the targets of {} lie on a grid of {pitch:.4} mm, on which a period of {:.4} {unit} looks the same as {} {unit} \
@@ -554,7 +553,7 @@ fn advice(verdict: &str, effects: &[(Finding, Vec<f64>)], shapes: &[Shape], mach
                     }
                     seen.push(r.name.clone());
                     if let Ok(e) = dictionary.effect(&r.name) {
-                        parts.push(format!("{name} or {}: {}", r.name, e.card().experiment));
+                        parts.push(format!("{name} or {}: {}", r.name, e.description().experiment));
                     }
                 }
             }
@@ -576,7 +575,7 @@ fn advice(verdict: &str, effects: &[(Finding, Vec<f64>)], shapes: &[Shape], mach
             .join("; "),
         "named" => effects
             .iter()
-            .map(|(f, _)| format!("to narrow {}: {}", f.effect.name(), f.effect.card().experiment))
+            .map(|(f, _)| format!("to narrow {}: {}", f.effect.name(), f.effect.description().experiment))
             .collect::<Vec<_>>()
             .join("; "),
         _ => String::new(),
@@ -601,7 +600,7 @@ fn parameters(
 ) -> (Map<String, Value>, Map<String, Value>) {
     let (mut beside, mut inside) = (Map::new(), Map::new());
     let width = effect.width();
-    for (i, p) in effect.card().parameters.iter().enumerate() {
+    for (i, p) in effect.description().parameters.iter().enumerate() {
         let one = |v: Vec<f64>| if p.array { json!(v) } else { json!(v[0]) };
         if p.array && p.search == Search::Chosen {
             beside.insert(p.name.clone(), json!(effect.get(i)));

@@ -9,7 +9,8 @@ use crate::path::AXES;
 use crate::sim::{Moment, NAMES, Part, Sim, SimError, Spec, look_up};
 use rtec_driver::input::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
-use rtec_model::effect::Effect;
+use rtec_model::effect::laws::scale;
+use rtec_model::effect::{Effect, Owner};
 use rtec_model::machine::Machine as Model;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::axis::{Design, RestPolicy};
@@ -676,7 +677,7 @@ fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
         points.iter().map(|(a, p)| (*a, 1000.0 * (libm::hypot(p[0], p[2]) - radius))).collect()
     };
     let errors = radial(&probed, semifinish);
-    let knows_form = setting.known.effects().any(|e| e.card().name == "form_bump");
+    let knows_form = setting.known.effects().any(|e| e.description().owner == Owner::Part);
     let table = if knows_form { Vec::new() } else { form_errors(&errors) };
     let (mut logs, mut figures) = ([Log::default(), Log::default()], Map::new());
     for (n, log) in logs.iter_mut().enumerate() {
@@ -789,10 +790,11 @@ fn one_metre(setting: &Setting<'_>) -> (Spec, Vec<Effect>) {
     spec.design = Design::Original;
     spec.rest = RestPolicy::Wait;
     let mut extra = Vec::new();
-    let names_one = |m: &Model| m.effects().any(|e| e.name() == "scale.x");
+    let name = format!("{}.x", scale::NAME);
+    let names_one = |m: &Model| m.effects().any(|e| e.name() == name);
     if !names_one(setting.truth)
         && !names_one(setting.known)
-        && let Ok(mut effect) = setting.truth.dictionary().effect("scale.x")
+        && let Ok(mut effect) = setting.truth.dictionary().effect(&name)
         && effect.set("ppm", &[240.0]).is_ok()
     {
         extra.push(effect);

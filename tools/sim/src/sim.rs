@@ -7,7 +7,7 @@ use crate::machine::{ControllerSpec, Machine, ServoFault, Surface};
 use crate::noise::Noise;
 use crate::path::{AXES, Command};
 use rtec_driver::card::CardError;
-use rtec_model::effect::{Effect, Missing};
+use rtec_model::effect::{Effect, Mechanism, Missing, Owner};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
@@ -244,9 +244,8 @@ impl Sim {
             spec.axes.iter().map(|a| NAMES.iter().position(|n| *n == a.name).unwrap_or(0)).collect();
         let mut probe_delay_ns = 0;
         for effect in &truth {
-            let value = |name: &str| effect.value(name).map_or(0.0, |v| v[0]);
-            if effect.card().name == "probe_latency" {
-                probe_delay_ns = probe_delay_ns.max((value("us") * 1000.0).max(0.0) as u64);
+            if effect.description().mechanism == Some(Mechanism::ProbeDelay) {
+                probe_delay_ns = probe_delay_ns.max((effect.scalar(0) * 1000.0).max(0.0) as u64);
             }
         }
         for (n, &p) in place.iter().enumerate() {
@@ -261,7 +260,7 @@ impl Sim {
             true
         };
         engine.start_homed(&mut machine, &mut tell)?;
-        let on_part = |e: &&Effect| !matches!(e.card().name.as_str(), "probe_latency" | "probe_lobing");
+        let on_part = |e: &&Effect| e.description().owner != Owner::Probe;
         let known = match known {
             Some(effects) => Some(Live::new(effects.into_iter().filter(on_part), layout.clone())?),
             None => None,
@@ -637,13 +636,13 @@ fn friction(effects: &[&Effect], axis: &str) -> Friction {
     let mut friction = Friction::default();
     for effect in effects.iter().filter(|e| e.axes().first().is_some_and(|a| a.as_str() == axis)) {
         let value = effect.values().first().copied().unwrap_or(0.0);
-        match effect.card().name.as_str() {
-            "inertia" => friction.mass_kg = Some(value),
-            "friction_viscous" => friction.viscous_n_s_per_m = Some(value),
-            "friction_coulomb" => friction.coulomb_n = Some(value),
-            "friction_asymmetric" => friction.asymmetric_n_s_per_m = value,
-            "force_offset" => friction.offset_n = value,
-            _ => {}
+        match effect.description().mechanism {
+            Some(Mechanism::Mass) => friction.mass_kg = Some(value),
+            Some(Mechanism::ViscousFriction) => friction.viscous_n_s_per_m = Some(value),
+            Some(Mechanism::CoulombFriction) => friction.coulomb_n = Some(value),
+            Some(Mechanism::AsymmetricFriction) => friction.asymmetric_n_s_per_m = value,
+            Some(Mechanism::ConstantForce) => friction.offset_n = value,
+            Some(Mechanism::ProbeDelay) | None => {}
         }
     }
     friction

@@ -158,7 +158,11 @@ fn same_seed_same_bytes_another_seed_others() {
     let truth = model(&effect("scale.x", "ppm = 40"));
     let text = |seed| {
         let f = run("plate", &truth, &truth, seed);
-        let records: String = f.records.iter().map(|r| rtec_measure::record::to_csv(r) + &rtec_measure::record::to_sidecar(r)).collect();
+        let records: String = f
+            .records
+            .iter()
+            .map(|r| rtec_measure::record::to_csv(r) + &rtec_measure::record::to_sidecar(r))
+            .collect();
         records + &f.plots.iter().map(|p| p.1.as_str()).collect::<String>()
     };
     let first = text(7);

@@ -1,21 +1,21 @@
-//! `position_map.A` and `straightness.A.B`: a smooth function of one position, linear between knots, constant beyond.
+//! A smooth function of one position: linear between knots, constant beyond.
 
-use super::{Card, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, Search, State, ValueError};
-use std::sync::Arc;
+use super::{Description, Effect, Extent, Input, Law, Out, Parameter, Point, Search, State, ValueError};
 
+/// A broken line over the position of one axis.
 #[derive(Debug)]
-struct Knots {
-    card: Card,
+pub(super) struct BrokenLine {
+    pub(super) description: Description,
     /// Which axis of the name the knots lie on.
-    along: usize,
+    pub(super) along: usize,
 }
 
 const KNOTS: usize = 0;
 const UM: usize = 1;
 
-impl Law for Knots {
-    fn card(&self) -> &Card {
-        &self.card
+impl Law for BrokenLine {
+    fn describe(&self) -> &Description {
+        &self.description
     }
 
     fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
@@ -52,45 +52,39 @@ impl Law for Knots {
         }
         Err(ValueError::new("knots_mm", format!("{:?}", effect.get(KNOTS)), "knots that increase strictly"))
     }
+
+    /// From a few even knots to two dozen, and one at every place where there are not too many.
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+        let places = records.places_mm(&effect.axes()[self.along]);
+        let (Some(lo), Some(hi)) = (places.first(), places.last()) else { return Vec::new() };
+        let even = SIZES.into_iter().filter(|k| *k < places.len().min(records.rows() / 3));
+        let mut all: Vec<Vec<f64>> =
+            even.map(|k| (0..k).map(|i| lo + (hi - lo) * i as f64 / (k - 1) as f64).collect()).collect();
+        if PLACES.contains(&places.len()) && places.len() < records.rows() / 2 {
+            all.push(places);
+        }
+        let level = |knots: Vec<f64>| {
+            let values: Vec<f64> = knots.iter().copied().chain(knots.iter().map(|_| 0.0)).collect();
+            Some(Point { effect: effect.with_values(&values)?, price: 1.0 })
+        };
+        all.into_iter().filter_map(level).collect()
+    }
 }
 
-pub(super) fn laws(laws: &mut Vec<Arc<dyn Law>>) {
-    let parameters = || {
-        vec![
-            Parameter::new("knots_mm", "mm", [-1e4, 1e4], Search::Chosen).array(),
-            Parameter::linear("um", "um", 500.0).array(),
-        ]
-    };
-    let card = |name: &str, law: &str, naming, along, cause: &str, experiment: &str| Card {
-        name: name.to_owned(),
-        law: law.to_owned(),
-        cause: cause.to_owned(),
-        naming,
-        quantity: Quantity::Error,
-        parameters: parameters(),
-        needs: vec![Need::Position(along)],
-        experiment: experiment.to_owned(),
-    };
-    laws.push(Arc::new(Knots {
-        card: card(
-            "position_map",
-            "e = smooth, repeatable function of p beyond scale: linear between knots, constant beyond",
-            Naming::One,
-            0,
-            "graduation of the scale, lead variation of the screw, bending of the guideway",
-            "linear displacement with closely spaced targets (ISO 230-2), several cycles",
-        ),
-        along: 0,
-    }));
-    laws.push(Arc::new(Knots {
-        card: card(
-            "straightness",
-            "e_A = smooth non-linear function of p_B: linear between knots, constant beyond",
-            Naming::Two,
-            1,
-            "a guideway that is not straight",
-            "straightedge or laser along B read across it, forward and turned over (ISO 230-1)",
-        ),
-        along: 1,
-    }));
+/// Numbers of even knots that a search tries.
+const SIZES: [usize; 13] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24];
+/// Numbers of places that may each have a knot.
+const PLACES: std::ops::RangeInclusive<usize> = 4..=48;
+
+/// Knots and heights.
+pub(super) fn parameters() -> Vec<Parameter> {
+    vec![
+        Parameter::new("knots_mm", "mm", [-1e4, 1e4], Search::Chosen)
+            .within([-1e6, 1e6], "no axis travels a kilometre")
+            .array()
+            .telling_apart(),
+        Parameter::linear("um", "um", 500.0)
+            .within([-10_000.0, 10_000.0], "a guideway or scale that is 10 mm off is another one")
+            .array(),
+    ]
 }

@@ -16,7 +16,9 @@
 //! parameters = [{ name = "um", unit = "um", plausible = 50.0, terms = [{ factor = 1e-4, p_B = 2 }] }]
 //! ```
 
-use super::{Card, Dictionary, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, State};
+use super::{
+    Description, Dictionary, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, State, laws,
+};
 use crate::document::{self, Entry, Table};
 use rtec_driver::input::InputError;
 use std::path::Path;
@@ -58,14 +60,14 @@ struct Term {
 
 #[derive(Debug)]
 struct Own {
-    card: Card,
+    description: Description,
     /// Terms of each parameter.
     terms: Vec<Vec<Term>>,
 }
 
 impl Law for Own {
-    fn card(&self) -> &Card {
-        &self.card
+    fn describe(&self) -> &Description {
+        &self.description
     }
 
     fn basis(&self, _: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
@@ -163,7 +165,8 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<Own, InputError> {
     if parameters.is_empty() {
         return Err(name.error(format!("law `{id}` without parameters"), form));
     }
-    let card = Card {
+    let companion = needs.contains(&Need::Delta).then_some(laws::offset::NAME);
+    let description = Description {
         name: id.to_owned(),
         law: text("law", "the formula, for people")?,
         cause: text("cause", "what stands behind it in the machine")?,
@@ -172,8 +175,10 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<Own, InputError> {
         parameters,
         needs,
         experiment: text("experiment", "the run that shows it")?,
+        companion,
+        ..Description::default()
     };
-    Ok(Own { card, terms })
+    Ok(Own { description, terms })
 }
 
 fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -> Result<Term, InputError> {

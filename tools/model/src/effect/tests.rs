@@ -116,14 +116,14 @@ const TABLE: [&str; 30] = [
 #[test]
 fn dictionary_is_the_table() {
     let d = Dictionary::default();
-    let mut have: Vec<&str> = d.laws().map(|l| l.card().name.as_str()).collect();
+    let mut have: Vec<&str> = d.laws().map(|l| l.describe().name.as_str()).collect();
     let mut want = TABLE.to_vec();
     have.sort_unstable();
     want.sort_unstable();
     assert_eq!(have, want);
-    assert_eq!(one_of_each().iter().map(|e| e.card().name.as_str()).collect::<Vec<_>>(), TABLE);
+    assert_eq!(one_of_each().iter().map(|e| e.description().name.as_str()).collect::<Vec<_>>(), TABLE);
     for law in d.laws() {
-        let c = law.card();
+        let c = law.describe();
         assert!(!c.law.is_empty() && !c.cause.is_empty() && !c.experiment.is_empty(), "{}", c.name);
     }
 }
@@ -181,7 +181,7 @@ fn value_on(effect: &Effect, r: &Record, response: &str) -> Vec<f64> {
 #[test]
 fn laws_are_the_formulas() {
     for e in one_of_each() {
-        let force = e.card().quantity == Quantity::Force;
+        let force = e.description().quantity == Quantity::Force;
         let r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let out = value_on(&e, &r, if force { "force.x" } else { "error.x" });
         if by_hand(&e.name(), &r, 0).is_nan() {
@@ -198,7 +198,7 @@ fn laws_are_the_formulas() {
 #[test]
 fn a_record_in_one_go_is_its_instants_one_by_one() {
     for e in one_of_each() {
-        let force = e.card().quantity == Quantity::Force;
+        let force = e.description().quantity == Quantity::Force;
         let mut r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         // Two rows of one instant.
         r.columns[0].data[10] = r.columns[0].data[9];
@@ -218,14 +218,14 @@ fn a_record_in_one_go_is_its_instants_one_by_one() {
 #[test]
 fn slopes_agree_with_central_differences() {
     for e in one_of_each() {
-        let force = e.card().quantity == Quantity::Force;
+        let force = e.description().quantity == Quantity::Force;
         let r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let (_, component) = e.acts_on(&r)[0].clone();
         let bound = e.bind(&r).unwrap();
         let mut slopes = vec![0.0; r.rows() * e.values().len()];
         bound.slopes(&e, component, &mut slopes);
         for i in 0..e.values().len() {
-            let p = &e.card().parameters[i / e.width()];
+            let p = &e.description().parameters[i / e.width()];
             if p.search == Search::Chosen {
                 assert!(slopes[i * r.rows()..(i + 1) * r.rows()].iter().all(|s| *s == 0.0));
                 continue;

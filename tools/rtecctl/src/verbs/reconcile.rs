@@ -175,7 +175,7 @@ fn summary(r: &Reconciliation) -> String {
     for (f, half) in &r.effects {
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
         let _ = writeln!(s, "  {}{sensor}, p {:.1e}", f.effect.name(), f.p_value);
-        for (i, p) in f.effect.card().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
+        for (i, p) in f.effect.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
             let _ = writeln!(s, "    {} = {:.5} ± {:.2} {}", p.name, f.effect.scalar(i), half[i], p.unit);
         }
         for v in &f.rivals {

@@ -55,8 +55,8 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     println!("{}", machine.name());
     for l in machine.listed() {
         println!("{}", heading(&l.effect));
-        println!("    {}", l.effect.card().law);
-        for (i, p) in l.effect.card().parameters.iter().enumerate() {
+        println!("    {}", l.effect.description().law);
+        for (i, p) in l.effect.description().parameters.iter().enumerate() {
             let values = l.effect.get(i);
             let interval = l.provenance.interval.get(&p.name);
             for (k, v) in values.iter().enumerate() {
@@ -90,7 +90,7 @@ fn heading(effect: &Effect) -> String {
 fn effect_json(l: &Listed) -> Value {
     let parameters: BTreeMap<&str, Value> = l
         .effect
-        .card()
+        .description()
         .parameters
         .iter()
         .enumerate()
@@ -101,9 +101,9 @@ fn effect_json(l: &Listed) -> Value {
         })
         .collect();
     json!({
-        "name": l.effect.name(), "law": l.effect.card().law, "delta": l.effect.delta.as_ref().map(ToString::to_string),
+        "name": l.effect.name(), "law": l.effect.description().law, "delta": l.effect.delta.as_ref().map(ToString::to_string),
         "parameters": parameters, "range_K": l.effect.range_k, "added_by": l.provenance.added_by,
-        "experiment": l.effect.card().experiment,
+        "experiment": l.effect.description().experiment,
     })
 }
 
@@ -118,7 +118,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
             None => rows.push(json!({"effect": id, "change": "only in the first"})),
             Some(f) if f == e => {}
             Some(f) => {
-                for (i, p) in e.card().parameters.iter().enumerate() {
+                for (i, p) in e.description().parameters.iter().enumerate() {
                     if e.get(i) != f.get(i) {
                         rows.push(json!({"effect": id, "change": "parameter", "parameter": p.name,
                                          "first": e.get(i), "second": f.get(i)}));

@@ -1,31 +1,38 @@
 //! `reversal_spike.A`: the peak after a change of direction that dies out with the travel since.
 
-use super::{Card, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, Search, State};
+use crate::effect::{
+    Description, Effect, Extent, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "reversal_spike";
 
 #[derive(Debug)]
-pub(super) struct ReversalSpike(Card);
+struct ReversalSpike(Description);
 
 const UM: usize = 0;
 const LENGTH: usize = 1;
 
-impl ReversalSpike {
-    pub(super) fn new() -> Self {
-        Self(Card {
-            name: "reversal_spike".to_owned(),
-            law: "e = um·dir·exp(−d/length_mm), d = travel since the last reversal".to_owned(),
-            cause: "static friction: the axis sticks while the drive winds up".to_owned(),
-            naming: Naming::One,
-            quantity: Quantity::Error,
-            parameters: vec![
-                Parameter::linear("um", "um", 100.0),
-                Parameter::new("length_mm", "mm", [0.01, 50.0], Search::Smooth).limits(1e-9, 1e6),
-            ],
-            needs: vec![Need::Direction, Need::Position(0)],
-            experiment:
-                "ballbar (ISO 230-4), read at the quadrants; short strokes with dense readings after reversal"
-                    .to_owned(),
-        })
-    }
+pub(super) fn law() -> Arc<dyn Law> {
+    Arc::new(ReversalSpike(Description {
+        name: NAME.into(),
+        law: "e = um·dir·exp(−d/length_mm), d = travel since the last reversal".into(),
+        cause: "static friction: the axis sticks while the drive winds up".into(),
+        parameters: vec![
+            Parameter::linear("um", "um", 100.0)
+                .within([-1000.0, 1000.0], "a drive that winds up by a millimetre is broken"),
+            Parameter::new("length_mm", "mm", [0.01, 50.0], Search::Smooth)
+                .within([1e-9, 1e6], "a positive length")
+                .refined(Refine::Factor(0.3)),
+        ],
+        needs: vec![Need::Direction, Need::Position(0)],
+        experiment:
+            "ballbar (ISO 230-4), read at the quadrants; short strokes with dense readings after reversal"
+                .into(),
+
+        ..Description::default()
+    }))
 }
 
 /// Travel since the last row of the old direction; `None` before the first reversal or without a direction.
@@ -56,7 +63,7 @@ fn travel(now: &Input, state: &mut State) -> Option<f64> {
 }
 
 impl Law for ReversalSpike {
-    fn card(&self) -> &Card {
+    fn describe(&self) -> &Description {
         &self.0
     }
 
@@ -69,5 +76,14 @@ impl Law for ReversalSpike {
         let length = effect.scalar(LENGTH);
         out[UM] = now.dir * (-d / length).exp();
         out[LENGTH] = effect.scalar(UM) * out[UM] * d / (length * length);
+    }
+
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+        let places = records.places_mm(&effect.axes()[0]);
+        let span = places.last().zip(places.first()).map_or(0.0, |(last, first)| last - first);
+        if span <= 0.0 {
+            return Vec::new();
+        }
+        Point::along(effect, LENGTH, (0..12).map(|i| span * 0.4 * 0.6_f64.powi(i)), 8f64.ln())
     }
 }

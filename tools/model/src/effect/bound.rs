@@ -1,0 +1,204 @@
+//! An effect over a record: the columns that it reads, found once, then basis values, sums and slopes column by column.
+
+use super::{Against, Effect, Input, Need, Out, STANDARD_DEGC, State, sign};
+use crate::record::{Record, Role};
+
+/// A sensor or channel that an effect names and a record does not have.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no {what}, which effect {effect} reads (the record has: {has})")]
+pub struct Missing {
+    /// The effect.
+    pub effect: String,
+    /// `temperature.T8`, `channel.z9`.
+    pub what: String,
+    /// What the record has of that role.
+    pub has: String,
+}
+
+/// The columns of a record that an effect reads. Good for every value of the effect's parameters, so that a search
+/// over non-linear parameters binds once.
+#[derive(Debug, Clone)]
+pub struct Bound<'r> {
+    rows: usize,
+    t: &'r [f64],
+    p: [Option<&'r [f64]>; 3],
+    dir: Option<&'r [f64]>,
+    dir_from_velocity: bool,
+    v: Option<&'r [f64]>,
+    a: Option<&'r [f64]>,
+    load: Option<&'r [f64]>,
+    sensor: Option<&'r [f64]>,
+    minus: Option<&'r [f64]>,
+    reference: f64,
+    rpm: Option<&'r [f64]>,
+    coolant: Option<&'r [f64]>,
+    angle: Option<&'r [f64]>,
+    channel: Option<&'r [f64]>,
+    taken_as_zero: Vec<Role>,
+}
+
+impl Bound<'_> {
+    /// Number of rows.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Quantities the effect reads and the record does not log: taken as zero (at rest, dry, unloaded).
+    #[must_use]
+    pub fn taken_as_zero(&self) -> &[Role] {
+        &self.taken_as_zero
+    }
+
+    /// Time of a row, s.
+    pub(super) fn t_s(&self, row: usize) -> f64 {
+        self.t[row]
+    }
+
+    /// What the effect reads at a row.
+    #[must_use]
+    pub fn input(&self, row: usize) -> Input {
+        let at = |column: Option<&[f64]>| column.map_or(0.0, |c| c[row]);
+        let dir = at(self.dir);
+        Input {
+            t_s: self.t[row],
+            p_mm: [at(self.p[0]), at(self.p[1]), at(self.p[2])],
+            dir: if self.dir_from_velocity { sign(dir) } else { dir },
+            v_mm_s: at(self.v),
+            a_mm_s2: at(self.a),
+            load_n: at(self.load),
+            delta_k: self.delta_k(row),
+            rpm: at(self.rpm),
+            coolant: at(self.coolant),
+            angle_rad: at(self.angle),
+            channel: at(self.channel),
+        }
+    }
+
+    /// The temperature difference at a row, K.
+    pub(super) fn delta_k(&self, row: usize) -> f64 {
+        self.sensor.map_or(0.0, |s| s[row] - self.minus.map_or(self.reference, |m| m[row]))
+    }
+
+    /// Basis values of `effect` over the record, column by column: `out[k·rows + row]` for coefficient k.
+    ///
+    /// # Panics
+    /// When `out` does not have rows × coefficients places.
+    pub fn basis(&self, effect: &Effect, component: usize, out: Out<'_>) {
+        assert_eq!(out.len(), self.rows * effect.coefficient_count(), "one column per coefficient");
+        effect.law.basis_rows(effect, self, component, out);
+    }
+
+    /// Adds the effect to `out` at every row.
+    ///
+    /// # Panics
+    /// When `out` does not have one place per row.
+    pub fn add(&self, effect: &Effect, component: usize, out: Out<'_>) {
+        assert_eq!(out.len(), self.rows, "one place per row");
+        let coefficients = effect.coefficients();
+        let mut columns = vec![0.0; self.rows * coefficients.len()];
+        self.basis(effect, component, &mut columns);
+        for (c, column) in coefficients.iter().zip(columns.chunks(self.rows.max(1))) {
+            for (o, b) in out.iter_mut().zip(column) {
+                *o += c * b;
+            }
+        }
+    }
+
+    /// Derivative of the effect by every parameter value, column by column: `out[i·rows + row]` for value i of
+    /// [`Effect::values`]. Columns of parameters that are chosen, not searched, are zero.
+    ///
+    /// # Panics
+    /// When `out` does not have rows × values places.
+    pub fn slopes(&self, effect: &Effect, component: usize, out: Out<'_>) {
+        let n = effect.values.len();
+        assert_eq!(out.len(), self.rows * n, "one column per parameter value");
+        let mut state = State::default();
+        let mut buffer = vec![0.0; n];
+        for row in 0..self.rows {
+            buffer.fill(0.0);
+            effect.law.slopes(effect, &self.input(row), component, &mut state, &mut buffer);
+            for (i, v) in buffer.iter().enumerate() {
+                out[i * self.rows + row] = *v;
+            }
+        }
+    }
+}
+
+impl Effect {
+    /// Finds the columns that this effect reads.
+    ///
+    /// # Errors
+    /// A sensor or channel that the record does not have. A quantity that it does not log (velocity, load, …) is
+    /// taken as zero and listed in [`Bound::taken_as_zero`].
+    pub fn bind<'r>(&self, record: &'r Record) -> Result<Bound<'r>, Missing> {
+        let named = |data: Option<&'r [f64]>, role: &Role, name: &str| {
+            data.ok_or_else(|| Missing {
+                effect: self.name(),
+                what: format!("{role}.{name}"),
+                has: record.names(role).collect::<Vec<_>>().join(", "),
+            })
+        };
+        let mut bound = Bound {
+            rows: record.rows(),
+            t: record.time_s(),
+            p: [None; 3],
+            dir: None,
+            dir_from_velocity: false,
+            v: None,
+            a: None,
+            load: None,
+            sensor: None,
+            minus: None,
+            reference: STANDARD_DEGC,
+            rpm: None,
+            coolant: None,
+            angle: None,
+            channel: None,
+            taken_as_zero: Vec::new(),
+        };
+        for &need in &self.description().needs {
+            let role = need.role(&self.axes);
+            let data = record.data(&role);
+            let place = match need {
+                Need::Time => continue,
+                Need::Delta => {
+                    let Some(d) = &self.delta else { continue };
+                    bound.sensor = Some(named(record.temperature(&d.sensor), &role, &d.sensor)?);
+                    match &d.against {
+                        Against::Sensor(m) => bound.minus = Some(named(record.temperature(m), &role, m)?),
+                        Against::Reference(degc) => bound.reference = *degc,
+                        Against::Standard => {}
+                    }
+                    continue;
+                }
+                Need::Channel => {
+                    let name = self.channel().unwrap_or_default();
+                    bound.channel = Some(named(record.channel(name), &role, name)?);
+                    continue;
+                }
+                Need::Direction if data.is_none() => {
+                    bound.dir = record.data(&Role::Velocity(self.axes[0].clone()));
+                    bound.dir_from_velocity = true;
+                    if bound.dir.is_none() {
+                        bound.taken_as_zero.push(role);
+                    }
+                    continue;
+                }
+                Need::Position(n) => &mut bound.p[n],
+                Need::Direction => &mut bound.dir,
+                Need::Velocity => &mut bound.v,
+                Need::Acceleration => &mut bound.a,
+                Need::Load => &mut bound.load,
+                Need::SpindleSpeed => &mut bound.rpm,
+                Need::Coolant => &mut bound.coolant,
+                Need::Angle => &mut bound.angle,
+            };
+            *place = data;
+            if data.is_none() {
+                bound.taken_as_zero.push(role);
+            }
+        }
+        Ok(bound)
+    }
+}

@@ -1,0 +1,212 @@
+//! All laws by name, and which of their effects a set of records could show.
+
+use super::laws::BUILT_IN;
+use super::{Description, Difference, Effect, Law, Naming, Need, Parameter, Probing, Search, ValueError};
+use crate::record::{Axis, Kind, Record, Role};
+use std::sync::Arc;
+
+/// All laws by name: the built-in ones of formats.md, and a project's own.
+#[derive(Debug, Clone)]
+pub struct Dictionary {
+    laws: Vec<Arc<dyn Law>>,
+}
+
+impl Default for Dictionary {
+    fn default() -> Self {
+        Self { laws: BUILT_IN.clone() }
+    }
+}
+
+impl Dictionary {
+    /// The laws, built-in ones first.
+    pub fn laws(&self) -> impl Iterator<Item = &dyn Law> {
+        self.laws.iter().map(|l| &**l)
+    }
+
+    /// Adds a project's own law.
+    ///
+    /// # Errors
+    /// A law of that name is there already.
+    pub fn insert(&mut self, law: Arc<dyn Law>) -> Result<(), ValueError> {
+        let name = &law.describe().name;
+        if self.laws.iter().any(|l| l.describe().name == *name) {
+            return Err(ValueError::new(name, "a law of that name", "a name the dictionary does not have"));
+        }
+        self.laws.push(law);
+        Ok(())
+    }
+
+    /// The effect of a full name (`scale.x`), with every parameter at its default, or at zero (linear ones) or in
+    /// the middle of its plausible range.
+    ///
+    /// # Errors
+    /// Unknown law, or a name that does not go on as the law's does.
+    pub fn effect(&self, name: &str) -> Result<Effect, ValueError> {
+        let (head, rest) = name.split_once('.').map_or((name, None), |(h, r)| (h, Some(r)));
+        let Some(law) = self.laws.iter().find(|l| l.describe().name == head) else {
+            let known = self.laws.iter().map(|l| l.describe().name.as_str()).collect::<Vec<_>>().join(", ");
+            let expected = format!("an effect of the dictionary: {known}");
+            return Err(ValueError::new("name", format!("`{name}`"), expected));
+        };
+        let (axes, channel) = axes_of(law.describe(), rest).ok_or_else(|| {
+            let expected = format!("a name like `{head}{}`", form(law.describe().naming));
+            ValueError::new("name", format!("`{name}`"), expected)
+        })?;
+        let values = law.describe().parameters.iter().map(start_value).collect();
+        Ok(Effect { law: Arc::clone(law), axes, channel, delta: None, range_k: None, start_k: None, values })
+    }
+
+    /// Every effect that could act in these records: each law on each response, with each sensor, sensor pair and
+    /// channel that the records have in common, in a fixed order. Parameters as [`Dictionary::effect`] leaves them;
+    /// knots are for the caller to place.
+    #[must_use]
+    pub fn candidates(&self, records: &[&Record]) -> Vec<Effect> {
+        let Some(common) = Common::of(records) else { return Vec::new() };
+        let mut found: Vec<Effect> = Vec::new();
+        for law in &self.laws {
+            for name in common.names(law.describe()) {
+                let Ok(effect) = self.effect(&name) else { continue };
+                if common.shows(&effect) && !found.iter().any(|f| f.name() == effect.name()) {
+                    found.extend(common.with_sensors(effect));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// How a name goes on behind the law's.
+fn form(naming: Naming) -> &'static str {
+    match naming {
+        Naming::Plain => "",
+        Naming::One => ".x",
+        Naming::Two | Naming::Pair => ".x.y",
+        Naming::Three => ".x.y.z",
+        Naming::Channel => ".x.NAME",
+    }
+}
+
+/// The axes and the channel of a name, from what stands behind the law's; `None` where that is not how the law's names go on.
+fn axes_of(law: &Description, rest: Option<&str>) -> Option<(Vec<Axis>, Option<String>)> {
+    let parts: Vec<&str> = match (law.naming, rest) {
+        (Naming::Channel, Some(r)) => r.splitn(2, '.').collect(),
+        (_, Some(r)) => r.split('.').collect(),
+        (_, None) => Vec::new(),
+    };
+    let axes = |names: &[&str]| names.iter().map(|n| Axis::new(n)).collect::<Option<Vec<Axis>>>();
+    match (law.naming, parts.as_slice()) {
+        (Naming::Plain, []) => Some((Vec::new(), None)),
+        (Naming::One, [_]) | (Naming::Three, [_, _, _]) => Some((axes(&parts)?, None)),
+        (Naming::Two | Naming::Pair, [a, b]) if a != b => {
+            let mut axes = axes(&parts)?;
+            if law.naming == Naming::Pair {
+                axes.sort();
+            }
+            Some((axes, None))
+        }
+        (Naming::Channel, [a, channel]) if !channel.is_empty() => {
+            Some((axes(&[a])?, Some((*channel).to_owned())))
+        }
+        _ => None,
+    }
+}
+
+/// What records have in common.
+struct Common<'r> {
+    records: &'r [&'r Record],
+    sensors: Vec<&'r str>,
+    channels: Vec<&'r str>,
+    positions: Vec<&'r Axis>,
+    /// Axes of the responses.
+    axes: Vec<&'r Axis>,
+    probing: bool,
+}
+
+impl<'r> Common<'r> {
+    fn of(records: &'r [&'r Record]) -> Option<Self> {
+        let first = records.first()?;
+        let everywhere = |role: &Role| records.iter().all(|r| r.column(role).is_some());
+        let named = |role: Role| -> Vec<&str> {
+            let in_all = |n: &&str| records.iter().all(|r| r.names(&role).any(|m| m == *n));
+            first.names(&role).filter(in_all).collect()
+        };
+        let positions = first.axes(Role::Position).filter(|a| everywhere(&Role::Position((*a).clone())));
+        let responses = first.responses().map(|c| &c.role).filter(|r| everywhere(r));
+        Some(Self {
+            records,
+            sensors: named(Role::Temperature),
+            channels: named(Role::Channel),
+            positions: positions.collect(),
+            axes: responses.filter_map(Role::axis).collect(),
+            probing: records.iter().all(|r| r.kind == Kind::Probing),
+        })
+    }
+
+    fn everywhere(&self, role: &Role) -> bool {
+        self.records.iter().all(|r| r.column(role).is_some())
+    }
+
+    /// The names that a law's effects could have here.
+    fn names(&self, law: &Description) -> Vec<String> {
+        let mut names: Vec<String> = Vec::new();
+        for axis in &self.axes {
+            let name = format!("{}.{axis}", law.name);
+            let others = self.positions.iter().filter(|p| *p != axis);
+            match law.naming {
+                Naming::Plain => names.push(law.name.clone()),
+                Naming::One => names.push(name),
+                Naming::Two | Naming::Pair => names.extend(others.map(|b| format!("{name}.{b}"))),
+                Naming::Three => {
+                    for (i, b) in self.positions.iter().enumerate() {
+                        names.extend(self.positions[i + 1..].iter().map(|c| format!("{name}.{b}.{c}")));
+                    }
+                }
+                Naming::Channel => names.extend(self.channels.iter().map(|c| format!("{name}.{c}"))),
+            }
+        }
+        names
+    }
+
+    /// Whether every record has what an effect acts on and reads.
+    fn shows(&self, effect: &Effect) -> bool {
+        let law = effect.description();
+        let components = if law.naming == Naming::Pair { 2 } else { 1 };
+        let readable = |need: &Need| match need {
+            Need::Time | Need::Channel => true,
+            Need::Delta => !self.sensors.is_empty(),
+            Need::Direction => {
+                let axis = effect.axes[0].clone();
+                self.everywhere(&Role::Direction(axis.clone())) || self.everywhere(&Role::Velocity(axis))
+            }
+            _ => self.everywhere(&need.role(&effect.axes)),
+        };
+        self.records.iter().all(|r| effect.acts_on(r).len() >= components)
+            && law.needs.iter().all(readable)
+            && !(law.probing == Probing::Displaced && self.probing)
+    }
+
+    /// The effect, once for each sensor and each pair of sensors where it reads a temperature.
+    fn with_sensors(&self, effect: Effect) -> Vec<Effect> {
+        if !effect.description().needs.contains(&Need::Delta) {
+            return vec![effect];
+        }
+        let with = |delta: Difference| Effect { delta: Some(delta), ..effect.clone() };
+        let mut found = Vec::new();
+        for (i, s) in self.sensors.iter().enumerate() {
+            found.push(with(Difference::single(s)));
+            found.extend(self.sensors[i + 1..].iter().map(|m| with(Difference::pair(s, m))));
+        }
+        found
+    }
+}
+
+/// Where a parameter starts: its default, zero, or the (geometric, where it can be) middle of its plausible range.
+fn start_value(p: &Parameter) -> f64 {
+    let [lo, hi] = p.plausible;
+    match p.search {
+        _ if p.default.is_some() => p.default.unwrap_or_default(),
+        Search::Linear | Search::Amplitude | Search::Phase => 0.0,
+        _ if lo > 0.0 => (lo * hi).sqrt(),
+        _ => f64::midpoint(lo, hi),
+    }
+}

@@ -1,0 +1,71 @@
+//! Where a search for a missing effect looks first: each law lists grid points of its non-linear parameters for what the
+//! records span.
+
+use super::Effect;
+use crate::record::Axis;
+
+/// What the records of a search span, asked by a law's grid.
+pub trait Extent {
+    /// Number of rows of all responses.
+    fn rows(&self) -> usize;
+    /// Time constants that the records can show, s, rising: from a few rows to beyond the longest record.
+    fn time_constants_s(&self) -> Vec<f64>;
+    /// Instants of the rows, s, rising, but for the first and last few: where a step may fall.
+    fn moments_s(&self) -> Vec<f64>;
+    /// Places of an axis that were measured at, mm, rising, those that differ by little as one; empty where none is logged.
+    fn places_mm(&self, axis: &Axis) -> Vec<f64>;
+}
+
+/// A grid point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Point {
+    /// The effect with its non-linear parameters set.
+    pub effect: Effect,
+    /// Price of having searched, nats: the logarithm of how many points can be told apart.
+    pub price: f64,
+}
+
+impl Point {
+    /// A law without a non-linear parameter has one point.
+    #[must_use]
+    pub fn only(effect: &Effect) -> Vec<Self> {
+        vec![Self { effect: effect.clone(), price: 0.0 }]
+    }
+
+    /// One point for each value of one parameter, all at one price; values outside its bounds are left out.
+    #[must_use]
+    pub fn along(
+        effect: &Effect,
+        parameter: usize,
+        values: impl IntoIterator<Item = f64>,
+        price: f64,
+    ) -> Vec<Self> {
+        let at = |value| Some(Self { effect: effect.with(&[(parameter, value)])?, price });
+        values.into_iter().filter_map(at).collect()
+    }
+}
+
+impl Effect {
+    /// The effect with some of its scalar parameters at other values; `None` outside their bounds.
+    #[must_use]
+    pub fn with(&self, set: &[(usize, f64)]) -> Option<Self> {
+        let mut values = self.values().to_vec();
+        for (parameter, value) in set {
+            *values.get_mut(*parameter)? = *value;
+        }
+        self.with_values(&values)
+    }
+
+    /// The effect with other values of all its parameters; `None` outside their bounds.
+    #[must_use]
+    pub fn with_values(&self, values: &[f64]) -> Option<Self> {
+        let mut effect = self.clone();
+        effect.set_values(values).is_ok().then_some(effect)
+    }
+
+    /// Grid points of a search in records of this extent.
+    #[must_use]
+    pub fn grid(&self, records: &dyn Extent) -> Vec<Point> {
+        self.law().grid(self, records)
+    }
+}

@@ -1,0 +1,23 @@
+//! `acceleration_error.A`: bending under the machine's own inertia.
+
+use crate::effect::{Description, Law, Linear, Need, Parameter};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "acceleration_error";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e = um_per_m_s2·a/1000".into(),
+        cause: "drive train and structure bending under their own inertia".into(),
+        experiment: "feed sweep with the same path at several accelerations".into(),
+        parameters: vec![
+            Parameter::linear("um_per_m_s2", "um/(m/s2)", 100.0)
+                .within([-10_000.0, 10_000.0], "10 µm per mm/s²: a drive train that soft rings at 1.6 Hz"),
+        ],
+        needs: vec![Need::Acceleration],
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })
+}

@@ -1,0 +1,28 @@
+//! `channel.A.NAME`: a logged quantity with no physics named.
+
+use crate::effect::{Description, Law, Linear, Naming, Need, Parameter, Searched};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "channel";
+
+/// What a logged channel costs a search beyond an effect with physics behind it, nats.
+const NO_PHYSICS: f64 = 2.5;
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e = gain·NAME".into(),
+        cause: "a logged quantity with no physics named".into(),
+        experiment: "that quantity varied on its own, everything else held".into(),
+        naming: Naming::Channel,
+        parameters: vec![
+            // No physics, no bounds.
+            Parameter::linear("gain", "um/1", f64::INFINITY),
+        ],
+        needs: vec![Need::Channel],
+        searched: Searched { price: NO_PHYSICS, ..Searched::default() },
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.channel })
+}

@@ -1,0 +1,23 @@
+//! `coolant.A`: what coolant does while it flows.
+
+use crate::effect::{Description, Law, Linear, Need, Parameter};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "coolant";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e = um while coolant is on".into(),
+        cause: "coolant's pressure and chill on spindle and work".into(),
+        experiment: "coolant switched on and off several times in one warm, steady run".into(),
+        parameters: vec![Parameter::linear("um", "um", 200.0).within(
+            [-1000.0, 1000.0],
+            "a spindle of steel half a metre long and 100 K colder is 0.6 mm shorter",
+        )],
+        needs: vec![Need::Coolant],
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = f64::from(i.coolant > 0.5) })
+}

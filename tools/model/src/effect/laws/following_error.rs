@@ -1,0 +1,25 @@
+//! `following_error.A`: lag of the position loop.
+
+use crate::effect::{Description, Law, Linear, Need, Parameter, Probing};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "following_error";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description =
+        Description {
+            name: NAME.into(),
+            law: "e = ms·v".into(),
+            cause: "lag of the position loop (1/Kv), delay of the reading".into(),
+            experiment: "ballbar or straight line at three feeds, both ways".into(),
+            parameters: vec![Parameter::linear("ms", "ms", 200.0).within(
+                [-10_000.0, 10_000.0],
+                "a position loop slower than Kv = 0.1/s does not follow at all",
+            )],
+            needs: vec![Need::Velocity],
+            probing: Probing::Displaced,
+            ..Description::default()
+        };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s })
+}

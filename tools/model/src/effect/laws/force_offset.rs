@@ -1,0 +1,23 @@
+//! `force_offset.A`: a force that is always there.
+
+use crate::effect::{Description, Law, Linear, Mechanism, Parameter, Quantity};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "force_offset";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "f = N".into(),
+        cause: "weight that is not balanced, amplifier offset, Coulomb friction that differs by direction"
+            .into(),
+        experiment: "slow strokes both ways (dynamics run)".into(),
+        quantity: Quantity::Force,
+        parameters: vec![Parameter::linear("N", "N", 10_000.0).within([-1e6, 1e6], "the weight of 100 t")],
+        constant: true,
+        mechanism: Some(Mechanism::ConstantForce),
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |_, _, out| out[0] = 1.0 })
+}

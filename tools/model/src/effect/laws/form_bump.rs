@@ -1,0 +1,88 @@
+//! `form_bump`: a raised cosine over part of a circle, as a part's own form or a fault of the path leaves it.
+
+use crate::effect::{
+    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, Point, Refine, Search,
+    Searched, State,
+};
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "form_bump";
+
+#[derive(Debug)]
+struct FormBump(Description);
+
+const UM: usize = 0;
+const CENTRE: usize = 1;
+const WIDTH: usize = 2;
+
+pub(super) fn law() -> Arc<dyn Law> {
+    Arc::new(FormBump(Description {
+        name: NAME.into(),
+        law: "e = um·(1 + cos(2π(angle − centre_rad)/width_rad))/2 within ±width_rad/2 of the centre, else 0"
+            .into(),
+        cause: "local form: a hard spot, a chip, a mark of the cutter's entry".into(),
+        naming: Naming::Plain,
+        parameters: vec![
+            Parameter::linear("um", "um", 500.0)
+                .within([-10_000.0, 10_000.0], "a bump of 10 mm is another part"),
+            Parameter::new("centre_rad", "rad", [-PI, TAU], Search::Smooth)
+                .refined(Refine::Step(0.12))
+                .telling_apart()
+                .cyclic(),
+            Parameter::new("width_rad", "rad", [0.05, TAU], Search::Smooth)
+                .within([1e-6, TAU], "at most the whole turn")
+                .refined(Refine::Factor(0.2)),
+        ],
+        needs: vec![Need::Angle],
+        experiment: "the part probed densely all around, twice (a bump stays, a chip does not)".into(),
+        owner: Owner::Part,
+        searched: Searched { repeats: true, ..Searched::default() },
+        ..Description::default()
+    }))
+}
+
+/// Angle from the bump's centre, by the shorter way.
+fn from_centre(effect: &Effect, now: &Input) -> f64 {
+    let d = (now.angle_rad - effect.scalar(CENTRE)).rem_euclid(TAU);
+    if d > PI { d - TAU } else { d }
+}
+
+impl Law for FormBump {
+    fn describe(&self) -> &Description {
+        &self.0
+    }
+
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        let (d, width) = (from_centre(effect, now), effect.scalar(WIDTH));
+        out[0] = if d.abs() <= width / 2.0 { f64::midpoint(1.0, (TAU * d / width).cos()) } else { 0.0 };
+    }
+
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {
+        self.basis(effect, now, component, state, &mut out[UM..=UM]);
+        let (d, width) = (from_centre(effect, now), effect.scalar(WIDTH));
+        if d.abs() <= width / 2.0 {
+            let slope = effect.scalar(UM) / 2.0 * (TAU * d / width).sin() * TAU / width;
+            out[CENTRE] = slope;
+            out[WIDTH] = slope * d / width;
+        }
+    }
+
+    /// Widths in equal ratios, each at places a quarter of it apart.
+    fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<Point> {
+        let mut points = Vec::new();
+        let mut width = 0.15;
+        while width < 4.0 {
+            let places = (TAU / width * 4.0).ceil() as usize;
+            let price = (TAU / width * 2.0).ln() + 6f64.ln();
+            for i in 0..places {
+                let centre = TAU * i as f64 / places as f64;
+                let at = effect.with(&[(CENTRE, centre), (WIDTH, width)]);
+                points.extend(at.map(|effect| Point { effect, price }));
+            }
+            width *= 1.4;
+        }
+        points
+    }
+}

@@ -1,0 +1,25 @@
+//! `friction_asymmetric.A`: viscous friction that differs by direction.
+
+use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "friction_asymmetric";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "f = N_s_per_m·abs(v)/1000".into(),
+        cause: "viscous friction that differs by direction".into(),
+        experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),
+        quantity: Quantity::Force,
+        parameters: vec![
+            Parameter::linear("N_s_per_m", "N·s/m", 100_000.0)
+                .within([-1e6, 1e6], "as viscous friction itself"),
+        ],
+        needs: vec![Need::Velocity],
+        mechanism: Some(Mechanism::AsymmetricFriction),
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s.abs() / 1000.0 })
+}

@@ -1,0 +1,25 @@
+//! `friction_coulomb.A`: dry friction.
+
+use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity, sign};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "friction_coulomb";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "f = N·sign(v)".into(),
+        cause: "dry friction of guideways, seals and preloaded nuts".into(),
+        experiment: "slow strokes both ways (dynamics run)".into(),
+        quantity: Quantity::Force,
+        parameters: vec![
+            Parameter::linear("N", "N", 10_000.0)
+                .within([-1e6, 1e6], "the dry friction of 1000 t on rollers of 0.01"),
+        ],
+        needs: vec![Need::Velocity],
+        mechanism: Some(Mechanism::CoulombFriction),
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = sign(i.v_mm_s) })
+}

@@ -1,0 +1,25 @@
+//! `friction_viscous.A`: force in proportion to the velocity.
+
+use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "friction_viscous";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "f = N_s_per_m·v/1000".into(),
+        cause: "lubricant sheared in guideways, screw and bearings".into(),
+        experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),
+        quantity: Quantity::Force,
+        parameters: vec![
+            Parameter::linear("N_s_per_m", "N·s/m", 100_000.0)
+                .within([-1e6, 1e6], "1 kN at 1 mm/s: more than oil in any guideway takes"),
+        ],
+        needs: vec![Need::Velocity],
+        mechanism: Some(Mechanism::ViscousFriction),
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
+}

@@ -1,0 +1,24 @@
+//! `inertia.A`: force that accelerates an axis.
+
+use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "inertia";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "f = kg·a/1000".into(),
+        cause: "moved mass, with the drive's inertia referred to the axis".into(),
+        experiment: "strokes at several accelerations (dynamics run)".into(),
+        quantity: Quantity::Force,
+        parameters: vec![
+            Parameter::linear("kg", "kg", 100_000.0).within([-1e6, 1e6], "1000 t: no axis moves that"),
+        ],
+        needs: vec![Need::Acceleration],
+        mechanism: Some(Mechanism::Mass),
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })
+}

@@ -1,0 +1,55 @@
+//! `lost_counts.A`: a step at one moment that stays.
+
+use crate::effect::{
+    Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "lost_counts";
+
+#[derive(Debug)]
+struct LostCounts(Description);
+
+const UM: usize = 0;
+const AT: usize = 1;
+
+pub(super) fn law() -> Arc<dyn Law> {
+    Arc::new(LostCounts(Description {
+        name: NAME.into(),
+        law: "e = um from at_s on; whole counts".into(),
+        cause: "edges lost or gained by a decoder, a connector, a scale that is dirty".into(),
+        parameters: vec![
+            Parameter::linear("um", "um", 10_000.0)
+                .within([-1e6, 1e6], "a metre: a decoder that lost so much has lost the axis"),
+            Parameter::new("at_s", "s", [0.0, 1e6], Search::Chosen).refined(Refine::Moment).telling_apart(),
+        ],
+        needs: vec![Need::Time],
+        experiment: "return to a fixed stop or to the reference mark before and after".into(),
+        heat: Heat::StandsIn,
+        whole_counts: true,
+        ..Description::default()
+    }))
+}
+
+impl Law for LostCounts {
+    fn describe(&self) -> &Description {
+        &self.0
+    }
+
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        out[0] = f64::from(now.t_s >= effect.scalar(AT));
+    }
+
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {
+        self.basis(effect, now, component, state, &mut out[UM..=UM]);
+    }
+
+    /// Some 160 moments; between them the search goes on from row to row.
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+        let all = records.moments_s();
+        let price = (all.len().max(2) as f64).ln();
+        let step = (all.len() / 160).max(1);
+        Point::along(effect, AT, all.into_iter().step_by(step), price)
+    }
+}

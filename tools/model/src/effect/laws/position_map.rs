@@ -1,0 +1,25 @@
+//! `position_map.A`: what an axis repeats along its own travel beyond a straight line.
+
+use crate::effect::knots::{BrokenLine, parameters};
+use crate::effect::{Description, Law, Need};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "position_map";
+
+/// The axis of the name that the knots lie on.
+const ALONG: usize = 0;
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e = smooth, repeatable function of p beyond scale: linear between knots, constant beyond"
+            .into(),
+        cause: "graduation of the scale, lead variation of the screw, bending of the guideway".into(),
+        experiment: "linear displacement with closely spaced targets (ISO 230-2), several cycles".into(),
+        parameters: parameters(),
+        needs: vec![Need::Position(ALONG)],
+        ..Description::default()
+    };
+    Arc::new(BrokenLine { description, along: ALONG })
+}

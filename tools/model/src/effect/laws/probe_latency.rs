@@ -1,0 +1,26 @@
+//! `probe_latency.A`: time from contact to capture.
+
+use crate::effect::{Description, Law, Linear, Mechanism, Need, Owner, Parameter, Probing};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "probe_latency";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e = us·v/1000, in a record of kind probing".into(),
+        cause: "time from the probe's contact to the captured position".into(),
+        experiment: "one surface probed at several speeds, both ways".into(),
+        parameters: vec![
+            Parameter::linear("us", "us", 20000.0)
+                .within([-1e6, 1e6], "a second: no trigger of a probe is that late"),
+        ],
+        needs: vec![Need::Velocity],
+        owner: Owner::Probe,
+        probing: Probing::Only,
+        mechanism: Some(Mechanism::ProbeDelay),
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
+}

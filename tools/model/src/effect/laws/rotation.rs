@@ -1,0 +1,31 @@
+//! `rotation.A.B`: work or plate turned in the plane of two axes.
+
+use crate::effect::{Description, Law, Linear, Naming, Need, Parameter};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "rotation";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e_A = −urad·p_B/1000, e_B = +urad·p_A/1000".into(),
+        cause: "work or plate turned about the normal of the plane of both axes".into(),
+        experiment:
+            "a plate measured in both axes; the same plate turned by a quarter tells it from squareness"
+                .into(),
+        naming: Naming::Pair,
+        parameters: vec![Parameter::linear("urad", "urad", 5000.0).within(
+            [-50_000.0, 50_000.0],
+            "beyond 50 mrad an error in proportion to the angle is no longer the rotation's to a thousandth",
+        )],
+        needs: vec![Need::Position(0), Need::Position(1)],
+        ..Description::default()
+    };
+    Arc::new(Linear {
+        description,
+        basis: |i, component, out| {
+            out[0] = if component == 0 { -i.p_mm[1] / 1000.0 } else { i.p_mm[0] / 1000.0 };
+        },
+    })
+}

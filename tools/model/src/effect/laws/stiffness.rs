@@ -1,0 +1,23 @@
+//! `stiffness.A`: bending under a load.
+
+use crate::effect::{Description, Law, Linear, Need, Parameter};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "stiffness";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e = um_per_N·load".into(),
+        cause: "compliance between scale and tool or work".into(),
+        experiment: "known loads on an axis at rest (ISO 230-1, static compliance)".into(),
+        parameters: vec![
+            Parameter::linear("um_per_N", "um/N", 1.0)
+                .within([-100.0, 100.0], "0.01 N/µm: a spring, no machine"),
+        ],
+        needs: vec![Need::Load],
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.load_n })
+}

@@ -1,0 +1,43 @@
+//! `thermal_expansion.A`: what a temperature difference does to a length.
+
+use crate::effect::{
+    ANOTHER_REFERENCE, Choice, Description, Effect, Heat, Input, Law, Need, Out, Parameter, Searched, State,
+};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "thermal_expansion";
+
+#[derive(Debug)]
+struct ThermalExpansion(Description);
+
+pub(super) fn law() -> Arc<dyn Law> {
+    Arc::new(ThermalExpansion(Description {
+        name: NAME.into(),
+        law: "e = ppm_per_K·ΔT·p/1000".into(),
+        cause: "scale, screw or work longer than at the reference temperature".into(),
+        experiment: "linear displacement over the whole travel, cold and warm (ISO 230-2 and 230-3)".into(),
+        parameters: vec![
+            Parameter::linear("ppm_per_K", "ppm/K", 50.0)
+                .within([-200.0, 200.0], "plastics grow by 200 ppm/K, metals by 5 to 30"),
+        ],
+        needs: vec![Need::Delta, Need::Position(0)],
+        heat: Heat::Expansion,
+        companion: Some(super::scale::NAME),
+        searched: Searched {
+            choices: vec![Choice::first(1, 0.5), Choice::referred(1, 0.5 + ANOTHER_REFERENCE)],
+            ..Searched::default()
+        },
+        ..Description::default()
+    }))
+}
+
+impl Law for ThermalExpansion {
+    fn describe(&self) -> &Description {
+        &self.0
+    }
+
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        out[0] = effect.bounded(now.delta_k) * now.p_mm[0] / 1000.0;
+    }
+}

@@ -1,0 +1,69 @@
+//! `thermal_growth.A`: what a temperature difference does at a point.
+
+use crate::effect::{
+    ANOTHER_REFERENCE, Bound, Choice, Description, Effect, Heat, Input, Law, Need, Out, Parameter, Searched,
+    State,
+};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "thermal_growth";
+
+#[derive(Debug)]
+struct ThermalGrowth(Description);
+
+/// A straight line from 20 °C first; a parabola, another reference, both: each a little less likely.
+pub(super) const CHOICES: [Choice; 4] = [
+    Choice::first(1, 0.5),
+    Choice::first(2, 1.4),
+    Choice::referred(1, 0.5 + ANOTHER_REFERENCE),
+    Choice::referred(2, 2.5),
+];
+
+/// Growth per kelvin, and per kelvin squared.
+pub(super) fn gains() -> [Parameter; 2] {
+    let source = "five metres of steel (12 ppm/K) grow by 60 µm/K, and the point of a machine by less";
+    [
+        Parameter::linear("um_per_K", "um/K", 60.0).within([-60.0, 60.0], source),
+        Parameter::linear("um_per_K2", "um/K2", 10.0)
+            .within([-60.0, 60.0], "bent so far that one kelvin doubles the largest growth")
+            .or(0.0),
+    ]
+}
+
+pub(super) fn law() -> Arc<dyn Law> {
+    Arc::new(ThermalGrowth(Description {
+        name: NAME.into(),
+        law: "e = um_per_K·ΔT + um_per_K2·ΔT²".into(),
+        cause: "spindle, housing or column growing as it warms".into(),
+        experiment:
+            "spindle warm-up from cold with gauges at the nose, dry and wet, then cool-down (ISO 230-3)"
+                .into(),
+        parameters: gains().into(),
+        needs: vec![Need::Delta],
+        heat: Heat::Growth,
+        companion: Some(super::offset::NAME),
+        searched: Searched { choices: CHOICES.to_vec(), ..Searched::default() },
+        ..Description::default()
+    }))
+}
+
+impl Law for ThermalGrowth {
+    fn describe(&self) -> &Description {
+        &self.0
+    }
+
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        let d = effect.bounded(now.delta_k);
+        out[0] = d;
+        out[1] = d * d;
+    }
+
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, out: Out<'_>) {
+        let (first, second) = out.split_at_mut(bound.rows());
+        for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
+            *a = effect.bounded(bound.delta_k(row));
+            *b = *a * *a;
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! `warm_up.A`: drift from the start with no logged cause.
+
+use crate::effect::{
+    Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "warm_up";
+
+#[derive(Debug)]
+struct WarmUp(Description);
+
+const UM: usize = 0;
+const TAU: usize = 1;
+
+pub(super) fn law() -> Arc<dyn Law> {
+    Arc::new(WarmUp(Description {
+        name: NAME.into(),
+        law: "e = um·(1 − exp(−t/tau_s)), from t = 0".into(),
+        cause: "warming that no sensor of the record follows".into(),
+        parameters: vec![
+            Parameter::linear("um", "um", 500.0)
+                .within([-10_000.0, 10_000.0], "ten metres of steel 80 K warmer grow by 10 mm"),
+            Parameter::new("tau_s", "s", [30.0, 36_000.0], Search::Smooth)
+                .within([1e-6, 1e9], "a positive time; 30 years to warm up is no change at all")
+                .refined(Refine::TimeConstant(0.35))
+                .telling_apart(),
+        ],
+        needs: vec![Need::Time],
+        experiment: "drift from a cold start with temperatures logged at every heat source (ISO 230-3)"
+            .into(),
+        heat: Heat::FromStart,
+        ..Description::default()
+    }))
+}
+
+impl Law for WarmUp {
+    fn describe(&self) -> &Description {
+        &self.0
+    }
+
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        out[0] = -(-now.t_s.max(0.0) / effect.scalar(TAU)).exp_m1();
+    }
+
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        let (t, tau) = (now.t_s.max(0.0), effect.scalar(TAU));
+        let e = (-t / tau).exp();
+        out[UM] = 1.0 - e;
+        out[TAU] = -effect.scalar(UM) * e * t / (tau * tau);
+    }
+
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+        let all = records.time_constants_s();
+        let price = (all.len() as f64).ln();
+        Point::along(effect, TAU, all, price)
+    }
+}

@@ -1,0 +1,79 @@
+//! Waves along a position. Amplitude and phase stand for two linear coefficients, amplitude times cosine and sine of the
+//! phase.
+
+use super::{Description, Effect, Input, Law, Out, Parameter, Search, State};
+use std::f64::consts::TAU;
+
+/// Places of period, amplitude and phase among the parameters.
+const PERIOD: usize = 0;
+const UM: usize = 1;
+const PHASE: usize = 2;
+
+/// um·sin(2πp/period + phase).
+#[derive(Debug)]
+pub(super) struct Sine {
+    pub(super) description: Description,
+    /// Unit of the period, mm.
+    pub(super) unit_mm: f64,
+}
+
+/// The amplitude of a periodic law: above zero.
+pub(super) fn amplitude(plausible: f64) -> Parameter {
+    Parameter::new("um", "um", [0.0, plausible], Search::Amplitude)
+}
+
+/// The phase of a periodic law.
+pub(super) fn phase() -> Parameter {
+    Parameter::new("phase_rad", "rad", [-TAU / 2.0, TAU / 2.0], Search::Phase).or(0.0)
+}
+
+/// The period of a wave, of which a model may have several.
+pub(super) fn period(name: &str, unit: &str, bounds: [f64; 2], source: &str) -> Parameter {
+    Parameter::new(name, unit, bounds, Search::Smooth).within(bounds, source).telling_apart()
+}
+
+/// Sets amplitude and phase from the coefficients of a periodic law.
+pub(super) fn set_polar(effect: &mut Effect, um: usize, phase: usize, from: &[f64]) {
+    effect.get_mut(um)[0] = from[0].hypot(from[1]);
+    effect.get_mut(phase)[0] = from[1].atan2(from[0]);
+}
+
+impl Sine {
+    fn argument(&self, effect: &Effect, now: &Input) -> f64 {
+        // Whole periods are taken off first: the argument keeps its digits over long travel.
+        TAU * (now.p_mm[0] / (effect.scalar(PERIOD) * self.unit_mm)).fract()
+    }
+}
+
+impl Law for Sine {
+    fn describe(&self) -> &Description {
+        &self.description
+    }
+
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        // um·sin(x + φ) = um·cos φ·sin x + um·sin φ·cos x
+        (out[0], out[1]) = self.argument(effect, now).sin_cos();
+    }
+
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        let (sin, cos) = (self.argument(effect, now) + effect.scalar(PHASE)).sin_cos();
+        let (a, period) = (effect.scalar(UM), effect.scalar(PERIOD));
+        out[UM] = sin;
+        out[PHASE] = a * cos;
+        out[PERIOD] = -a * cos * TAU * now.p_mm[0] / (period * period * self.unit_mm);
+    }
+
+    fn coefficients(&self, effect: &Effect, out: Out<'_>) {
+        let (sin, cos) = effect.scalar(PHASE).sin_cos();
+        out[0] = effect.scalar(UM) * cos;
+        out[1] = effect.scalar(UM) * sin;
+    }
+
+    fn set_coefficients(&self, effect: &mut Effect, from: &[f64]) {
+        set_polar(effect, UM, PHASE, from);
+    }
+
+    fn coefficient_count(&self, _: usize) -> usize {
+        2
+    }
+}
