@@ -4,8 +4,8 @@
 //! same CPU and priority; `oslat` and `cyclictest` (Debian rt-tests) beside it where they are installed.
 
 use rtec_driver::clock::{Clock, Monotonic};
+use rtec_platform::selftest::{Backend, Options, run};
 use rtec_rt::histogram::{Snapshot, histogram};
-use rtec_rt::selftest::{Backend, Options, run};
 use rtec_rt::setup::{System, Wanted, apply};
 use std::process::Command;
 use std::time::Duration;

@@ -4,9 +4,9 @@ use crate::Outcome;
 use anyhow::Context;
 use rtec_control::config::Config;
 use rtec_driver::input::InputError;
+use rtec_platform::selftest::{Backend, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::Snapshot;
-use rtec_rt::selftest::{Backend, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure};
 use rtec_rt::setup::System;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -88,7 +88,7 @@ struct Document<'a> {
     emulated: Option<&'a str>,
     ledger_balanced: bool,
     poll_gap_faults: u64,
-    far_side: Option<&'a rtec_rt::selftest::FarSide>,
+    far_side: Option<&'a rtec_platform::selftest::FarSide>,
     missing_to_arm: Vec<&'static str>,
 }
 

@@ -8,13 +8,6 @@
 //! | poll gap | between two looks of the engine's own polling loop, as oslat does with an empty one |
 //! | edge to done | another CPU plays the scale and the MTC: from the moment before it changes A or B to the moment it has seen the second inversion |
 
-use crate::axis::AxisConfig;
-use crate::engine::{Engine, MachineConfig, StartError};
-use crate::event::{Mode, Request};
-use crate::histogram::{Recorder, Snapshot, histogram};
-use crate::link::ControlEnd;
-use crate::setup::{self, Report, System, Wanted, apply};
-use crate::thread::SpawnError;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
@@ -23,6 +16,13 @@ use rtec_driver::mapped::{MapError, MappedCard, Registers};
 use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::profile::{Profile, Width};
 use rtec_driver::quadrature::Decoder;
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{Mode, Request};
+use rtec_rt::histogram::{Recorder, Snapshot, histogram};
+use rtec_rt::link::ControlEnd;
+use rtec_rt::setup::{self, Report, System, Wanted, apply};
+use rtec_rt::thread::SpawnError;
 use serde::Serialize;
 use std::io;
 use std::sync::atomic::{
@@ -286,8 +286,8 @@ fn measure<C: Card + Send + 'static, F: Far + Send>(
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
     let engine = Engine::new(&mut card, &[axis], machine, &[])?;
     let thread =
-        crate::thread::Options { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
-    let mut running = crate::thread::spawn(engine, card, thread)?;
+        rtec_rt::thread::Options { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
+    let mut running = rtec_rt::thread::spawn(engine, card, thread)?;
 
     let between = Between::default();
     let (mut done, done_reader) = histogram();

@@ -5,7 +5,7 @@
 use rtec_driver::quadrature::State;
 use rtec_driver::trace::{Request, TraceReader};
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::replay::replay;
+use rtec_sim::replay::replay;
 use std::io::{BufWriter, Write};
 use std::time::Instant;
 
