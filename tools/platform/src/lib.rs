@@ -8,4 +8,5 @@
 //! Never known here: a machine's errors, corrections or parts; and nothing here runs while a machine is corrected.
 
 pub mod access;
+mod far;
 pub mod selftest;

@@ -7,43 +7,32 @@
 //! | wake-up | `clock_nanosleep` to an absolute time, as cyclictest does |
 //! | poll gap | between two looks of the engine's own polling loop, as oslat does with an empty one |
 //! | edge to done | another CPU plays the scale and the MTC: from the moment before it changes A or B to the moment it has seen the second inversion |
+//!
+//! Poll gap and edge to done are measured twice: undisturbed, and with requests streaming in as fast as the link takes
+//! them. The gate is given the worse of the two.
 
+pub use crate::far::FarSide;
+use crate::far::{Control, Far, play};
 use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{RngCore, SeedableRng};
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
+use rand_xoshiro::rand_core::SeedableRng;
+use rtec_driver::card::{Card, CardError, MachineLines};
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_driver::mapped::{MapError, MappedCard, Registers};
 use rtec_driver::mock::{MockCard, SharedWires};
-use rtec_driver::profile::{Profile, Width};
-use rtec_driver::quadrature::Decoder;
+use rtec_driver::profile::Profile;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{Mode, Request};
 use rtec_rt::histogram::{Recorder, Snapshot, histogram};
-use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::{self, Report, System, Wanted, apply};
-use rtec_rt::thread::SpawnError;
+use rtec_rt::thread::{Options as ThreadOptions, SpawnError, spawn};
 use serde::Serialize;
 use std::io;
-use std::sync::atomic::{
-    AtomicBool, AtomicU64,
-    Ordering::{Acquire, Relaxed, Release},
-};
 use std::time::{Duration, Instant};
 
 /// Time between two wake-ups, ns.
 pub const WAKEUP_INTERVAL_NS: u64 = 500_000;
-/// The far side waits this long, at least and at most, between an insertion and the next edge, ns: not in step with
-/// anything the loop does.
-const DWELL_NS: (u64, u64) = (20_000, 40_000);
-/// A sample for which the far side itself did not look for longer than this is not counted: its time is its own, ns.
-const RESOLUTION_NS: u64 = 1_000;
-/// How often the control side looks after the engine: seldom, because it may share the far side's CPU.
-const CONTROL_INTERVAL: Duration = Duration::from_millis(2);
-/// A request that has shown no effect for this long is sent again, ns.
-const ASK_AGAIN_NS: u64 = 20_000_000;
-/// So much longer than asked for the loop runs while not one insertion has been timed.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// How often the thread that waits for the wake-ups looks whether they are over.
+const WATCH_INTERVAL: Duration = Duration::from_millis(2);
 const SECOND: Duration = Duration::from_secs(1);
 
 /// Which card to measure with.
@@ -63,7 +52,7 @@ pub struct Options {
     pub cpu: usize,
     /// Its `SCHED_FIFO` priority.
     pub priority: u8,
-    /// How long, all in all: half for the wake-ups, half for the polling loop.
+    /// How long, all in all: a third each for the wake-ups, the polling loop, and the polling loop with requests.
     pub run: Duration,
     /// The card.
     pub backend: Backend,
@@ -95,9 +84,9 @@ pub enum SelftestError {
     /// Its thread did not.
     #[error(transparent)]
     Spawn(#[from] SpawnError),
-    /// A thread ended by a panic: a bug.
-    #[error("the {0} thread panicked")]
-    Panicked(&'static str),
+    /// The wake-up thread ended by a panic: a bug.
+    #[error("the wake-up thread panicked")]
+    Panicked,
 }
 
 /// One of the three latencies.
@@ -114,6 +103,33 @@ pub struct Latency {
     pub tid: i32,
 }
 
+/// What the polling loop did, while the far side gave edges and was the MTC.
+#[derive(Debug, Clone, Default)]
+pub struct Polling {
+    /// How long the loop does not look.
+    pub poll_gap: Latency,
+    /// The engine's own part of edge to done: from the look that saw the edge to the look that ordered the second
+    /// inversion.
+    pub seen_to_done: Snapshot,
+    /// From an edge to the second inversion, both separations included.
+    pub edge_to_done: Latency,
+    /// What the far side saw and counted.
+    pub far: FarSide,
+    /// Counts inserted according to the engine.
+    pub completed: i64,
+    /// Faults that a gap in the polling loop latched; the axis was homed again after each.
+    pub faults: u64,
+    /// Requests that streamed in.
+    pub requests: u64,
+}
+
+impl Polling {
+    /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
+    fn balanced(&self) -> bool {
+        self.far.mtc_minus_scale == self.completed && self.far.illegal == 0
+    }
+}
+
 /// Everything that was measured.
 #[derive(Debug, Clone)]
 pub struct Measured {
@@ -121,46 +137,76 @@ pub struct Measured {
     pub setup: Report,
     /// How late a sleeping thread wakes.
     pub wakeup: Latency,
-    /// How long the polling loop does not look. Empty with one CPU only.
-    pub poll_gap: Latency,
-    /// The engine's own part of it: from the look that saw the edge to the look that ordered the second inversion.
-    pub seen_to_done: Snapshot,
-    /// From an edge to the second inversion, both separations included. Empty with one CPU only.
-    pub edge_to_done: Latency,
-    /// What the far side saw and counted; `None` with one CPU only.
-    pub far: Option<FarSide>,
     /// The axis that was measured with.
     pub axis: AxisConfig,
-    /// Counts inserted according to the engine.
-    pub completed: i64,
-    /// Faults that a gap in the polling loop latched; the axis was homed again after each.
-    pub faults: u64,
+    /// The polling loop undisturbed. Empty with one CPU only: polling would leave nobody to end it.
+    pub quiet: Polling,
+    /// The polling loop with requests streaming in as fast as the link takes them. Empty with one CPU only.
+    pub with_requests: Polling,
 }
 
 impl Measured {
+    fn both(&self) -> [&Polling; 2] {
+        [&self.quiet, &self.with_requests]
+    }
+
+    /// At least one insertion was timed, undisturbed and with requests.
+    #[must_use]
+    pub fn timed(&self) -> bool {
+        self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0)
+    }
+
+    /// What the far side saw in all; `None` with one CPU only.
+    #[must_use]
+    pub fn far(&self) -> Option<FarSide> {
+        let [a, b] = self.both().map(|p| &p.far);
+        (a.edges > 0).then(|| FarSide {
+            edges: a.edges + b.edges,
+            without_insertion: a.without_insertion + b.without_insertion,
+            unresolved: a.unresolved + b.unresolved,
+            mtc_minus_scale: a.mtc_minus_scale + b.mtc_minus_scale,
+            illegal: a.illegal + b.illegal,
+        })
+    }
+
+    /// Counts inserted in all, according to the engine.
+    #[must_use]
+    pub fn completed(&self) -> i64 {
+        self.both().iter().map(|p| p.completed).sum()
+    }
+
+    /// Faults in all that a gap in the polling loop latched.
+    #[must_use]
+    pub fn faults(&self) -> u64 {
+        self.both().iter().map(|p| p.faults).sum()
+    }
+
     /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
     #[must_use]
     pub fn balanced(&self) -> bool {
-        self.far.as_ref().is_none_or(|far| far.mtc_minus_scale == self.completed && far.illegal == 0)
+        self.both().iter().all(|p| p.balanced())
     }
 
-    /// Time from an edge until the engine acts on it, ns, beyond the separations that it has to keep: at the worst seen
-    /// and, apart from one look in ten thousand, at the worst.
+    /// Time from an edge until the engine acts on it, ns, beyond the separations that it has to keep, with or without
+    /// requests streaming in, whichever is worse: at the worst seen and, apart from one look in ten thousand, at the worst.
     #[must_use]
     pub fn detect_ns(&self) -> (u64, u64) {
         let separations = self.separations_ns();
-        let of = |gap: u64, done: u64| gap.max(done.saturating_sub(separations));
-        (
-            of(self.poll_gap.ns.max(), self.edge_to_done.ns.max()),
-            of(self.poll_gap.ns.p9999(), self.edge_to_done.ns.p9999()),
-        )
+        let of = |figure: fn(&Snapshot) -> u64| {
+            let late = |p: &Polling| {
+                figure(&p.poll_gap.ns).max(figure(&p.edge_to_done.ns).saturating_sub(separations))
+            };
+            late(&self.quiet).max(late(&self.with_requests))
+        };
+        (of(Snapshot::max), of(Snapshot::p9999))
     }
 
     /// Time of one write until the next look, ns: half of what an insertion took beyond the separations that it has to
-    /// keep, but for one in ten thousand. Rarer delays are in [`Self::detect_ns`].
+    /// keep, but for one in ten thousand, with or without requests streaming in. Rarer delays are in [`Self::detect_ns`].
     #[must_use]
     pub fn write_ns(&self) -> u64 {
-        self.seen_to_done.p9999().saturating_sub(self.separations_ns()).div_ceil(2)
+        let inserting_ns = self.both().map(|p| p.seen_to_done.p9999());
+        inserting_ns[0].max(inserting_ns[1]).saturating_sub(self.separations_ns()).div_ceil(2)
     }
 
     /// The part of edge to done that is wanted: the MTC's separation after the edge, and between the two inversions.
@@ -170,239 +216,105 @@ impl Measured {
     }
 }
 
-/// What the other end of the wires saw.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
-pub struct FarSide {
-    /// Edges given.
-    pub edges: u64,
-    /// Edges that no insertion followed: the first one, and those that were seen too late.
-    pub without_insertion: u64,
-    /// Insertions whose time the far side missed because it was kept from looking itself.
-    pub unresolved: u64,
-    /// What an MTC counted minus what the scale did.
-    pub mtc_minus_scale: i64,
-    /// Illegal transitions at the MTC.
-    pub illegal: u64,
-}
-
-/// The other end of a card's wires.
-trait Far {
-    fn drive(&mut self, inputs: u64);
-    fn outputs(&mut self) -> u64;
-}
-
-impl Far for SharedWires {
-    fn drive(&mut self, inputs: u64) {
-        self.inputs.store(inputs, Release);
-    }
-
-    fn outputs(&mut self) -> u64 {
-        self.outputs.load(Acquire)
-    }
-}
-
-/// The registers of the shared-memory test card, from the machine's side.
-impl Far for Registers {
-    fn drive(&mut self, inputs: u64) {
-        self.write(0, Width::Bits32, inputs as u32);
-    }
-
-    fn outputs(&mut self) -> u64 {
-        u64::from(self.read(4, Width::Bits32))
-    }
-}
-
-/// What the far side and the control side tell each other besides the wires.
-#[derive(Debug, Default)]
-struct Between {
-    /// The engine's last look that is known of, ns. Written by: control side. Read by: far side.
-    looked_ns: AtomicU64,
-    /// The far side shall end. Written by: control side. Read by: far side.
-    stop: AtomicBool,
-    /// Nobody looks at the card any more. Written by: control side. Read by: far side.
-    ended: AtomicBool,
-}
-
-/// However the control side ends, the far side must not wait for it for ever.
-struct AtEnd<'a>(&'a Between);
-
-impl Drop for AtEnd<'_> {
-    fn drop(&mut self) {
-        self.0.stop.store(true, Relaxed);
-        self.0.ended.store(true, Relaxed);
-    }
-}
-
-/// Measures. `progress` hears, about once a second, what is going on and for how many more seconds.
+/// Measures. `progress` is called about once a second with what is going on and for how many more seconds.
 ///
 /// # Errors
 /// When the test card or a thread cannot be made, or the card fails.
 pub fn run(options: Options, progress: impl FnMut(&str, u64)) -> Result<Measured, SelftestError> {
     match options.backend {
-        Backend::Mock => {
+        Backend::Mock => measure(options, progress, || {
             let wires = SharedWires::default();
-            measure(options, MockCard::new(wires.clone(), Monotonic), wires, progress)
-        }
-        Backend::Mapped => {
+            Ok((MockCard::new(wires.clone(), Monotonic), wires))
+        }),
+        Backend::Mapped => measure(options, progress, || {
             let io = |e| SelftestError::Io("making the card's file", e);
             let shared_memory = std::path::Path::new("/dev/shm");
             let dir = if shared_memory.is_dir() { shared_memory.to_owned() } else { std::env::temp_dir() };
+            // Its name is needed until both ends have mapped it.
             let file = tempfile::Builder::new().prefix("rtec-selftest-").tempfile_in(dir).map_err(io)?;
             let profile = Profile::shared_memory();
             file.as_file().set_len(profile.size() as u64).map_err(io)?;
             let far = Registers::open(file.path(), profile.size(), &profile.name)?;
-            measure(options, MappedCard::open(file.path(), &profile, Monotonic)?, far, progress)
-        }
+            Ok((MappedCard::open(file.path(), &profile, Monotonic)?, far))
+        }),
     }
 }
 
-fn measure<C: Card + Send + 'static, F: Far + Send>(
+/// Wake-ups, then the polling loop without and with requests, each on a new card from `wires`: the engine's end and the
+/// machine's.
+fn measure<C: Card + Send + 'static, F: Far>(
     options: Options,
-    mut card: C,
-    mut far: F,
     mut progress: impl FnMut(&str, u64),
+    mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
 ) -> Result<Measured, SelftestError> {
     // Everything but the real-time thread leaves its CPU; threads started from here do as this one does.
     let left = setup::leave(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
-    if left.is_none() {
-        // Polling would leave nobody to end it.
-        return Ok(Measured {
-            setup,
-            wakeup,
-            poll_gap: Latency::default(),
-            seen_to_done: Snapshot::default(),
-            edge_to_done: Latency::default(),
-            far: None,
-            axis: AxisConfig::default(),
-            completed: 0,
-            faults: 0,
-        });
-    }
-
     // The far side keeps its dwell time and waits for each insertion: the last period alone decides.
     let axis =
         AxisConfig { max_correction_counts: i64::MAX, max_accel_counts_s2: 0.0, ..AxisConfig::default() };
+    let mut measured =
+        Measured { setup, wakeup, axis, quiet: Polling::default(), with_requests: Polling::default() };
+    if left.is_some() {
+        measured.quiet = measure_polling(options, axis, wires()?, false, &mut progress)?;
+        measured.with_requests = measure_polling(options, axis, wires()?, true, &mut progress)?;
+    }
+    Ok(measured)
+}
+
+/// The engine's own thread polls for a third of the time; this thread is the far side and the control side at once, so
+/// that requests stream in at the very moment of an edge, however few CPUs there are.
+fn measure_polling<C: Card + Send + 'static, F: Far>(
+    options: Options,
+    axis: AxisConfig,
+    (mut card, mut far): (C, F),
+    requests: bool,
+    progress: &mut impl FnMut(&str, u64),
+) -> Result<Polling, SelftestError> {
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
     let engine = Engine::new(&mut card, &[axis], machine, &[])?;
-    let thread =
-        rtec_rt::thread::Options { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
-    let mut running = rtec_rt::thread::spawn(engine, card, thread)?;
+    let thread = ThreadOptions { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
+    let mut running = spawn(engine, card, thread)?;
+    let loop_tid = tid_of("rtec-rt");
 
-    let between = Between::default();
     let (mut done, done_reader) = histogram();
-    std::thread::scope(|scope| {
-        let _end = AtEnd(&between);
-        let far_side = std::thread::Builder::new()
-            .name("far-side".into())
-            .spawn_scoped(scope, || play(&mut far, &between, &mut done, options.seed))
-            .map_err(|e| SelftestError::Io("starting the far side", e))?;
-        let mut control = Control::default();
-        let end = Instant::now() + options.run / 2;
-        let mut next = Instant::now();
-        // On a crowded machine the far side may not have had its turn yet.
-        let empty_handed = || Instant::now() < end + PATIENCE && done_reader.snapshot().samples() == 0;
-        while (Instant::now() < end || empty_handed()) && !running.control.ended() {
-            if Instant::now() >= next {
-                progress("poll gap and edge to done", end.saturating_duration_since(next).as_secs() + 1);
-                next += SECOND;
-            }
-            control.look_after(&mut running.control, &between);
-            std::thread::sleep(CONTROL_INTERVAL);
-        }
-        between.stop.store(true, Relaxed);
-        while !far_side.is_finished() && !running.control.ended() {
-            control.look_after(&mut running.control, &between);
-            std::thread::sleep(CONTROL_INTERVAL);
-        }
-        between.ended.store(true, Relaxed);
-        let loop_tid = tid_of("rtec-rt");
-        let timing = running.timing.clone();
-        let (ended, _) = running.stop();
-        if let Some(error) = ended.error {
-            return Err(error.into());
-        }
-        let (seen, far_tid, last_done_ns) =
-            far_side.join().map_err(|_| SelftestError::Panicked("far-side"))?;
-        let poll_gap_ns = timing.poll_gap_ns.snapshot();
-        Ok(Measured {
-            setup,
-            poll_gap: Latency { last_ns: poll_gap_ns.p50(), ns: poll_gap_ns, tid: loop_tid },
-            seen_to_done: timing.edge_to_done_ns.snapshot(),
-            edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: far_tid },
-            // Not the axis's own total: that begins anew at every homing.
-            completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64)
-                * axis.design.increment_counts(),
-            faults: control.faults,
-            wakeup,
-            far: Some(seen),
-            axis,
-        })
+    let what =
+        if requests { "poll gap and edge to done, with requests" } else { "poll gap and edge to done" };
+    let mut show = |left_s| progress(what, left_s);
+    let mut control = Control::new(&mut running.control, requests, options.run / 3, &mut show);
+    let (far, last_done_ns) =
+        play(&mut far, &mut control, &mut done, &mut SplitMix64::seed_from_u64(options.seed));
+    let (faults, requests) = (control.faults, control.requests);
+
+    let timing = running.timing.clone();
+    let (ended, _) = running.stop();
+    if let Some(error) = ended.error {
+        return Err(error.into());
+    }
+    let poll_gap_ns = timing.poll_gap_ns.snapshot();
+    Ok(Polling {
+        poll_gap: Latency { last_ns: poll_gap_ns.p50(), ns: poll_gap_ns, tid: loop_tid },
+        seen_to_done: timing.edge_to_done_ns.snapshot(),
+        edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
+        far,
+        // Not the axis's own total: that begins anew at every homing.
+        completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64)
+            * axis.design.increment_counts(),
+        faults,
+        requests,
     })
 }
 
-/// The control side while the engine runs: always a correction pending, homed again after a fault.
-#[derive(Debug, Default)]
-struct Control {
-    faults: u64,
-    state: Homed,
-}
-
-#[derive(Debug, Default)]
-enum Homed {
-    /// Asked for at this look of the engine, or not yet.
-    #[default]
-    Never,
-    /// Asked for at this look, ns.
-    Asked { at_ns: u64 },
-    /// Correcting.
-    Done,
-}
-
-impl Control {
-    fn look_after(&mut self, control: &mut ControlEnd, between: &Between) {
-        control.beat();
-        while control.event().is_some() {}
-        let status = control.status();
-        between.looked_ns.store(status.t_ns, Release);
-        match self.state {
-            Homed::Never => self.ask(control, status.t_ns),
-            Homed::Asked { .. } if status.mode == Mode::Run => self.state = Homed::Done,
-            // An insertion was under way, and the request refused.
-            Homed::Asked { at_ns } if status.t_ns > at_ns + ASK_AGAIN_NS => self.ask(control, status.t_ns),
-            Homed::Done if status.mode == Mode::Fault => {
-                self.faults += 1;
-                self.ask(control, status.t_ns);
-            }
-            _ => {}
-        }
-    }
-
-    fn ask(&mut self, control: &mut ControlEnd, at_ns: u64) {
-        for request in [
-            Request::Clear,
-            Request::Home { axis: 0, position_counts: 0 },
-            Request::ConfirmHome { axis: 0, position_counts: 0 },
-            Request::Enable,
-            Request::Correct { axis: 0, total_counts: i64::MAX / 2, large: true },
-        ] {
-            // A full ring means that the loop stands still: asked again at the next look.
-            let _ = control.send(request);
-        }
-        self.state = Homed::Asked { at_ns };
-    }
-}
-
-/// Wakes up for half of the time, on a thread set up as the real one.
+/// Wakes up for a third of the time, on a thread set up as the real one.
 fn measure_wake_ups(
     options: Options,
     progress: &mut impl FnMut(&str, u64),
 ) -> Result<(Latency, Report), SelftestError> {
-    let half = options.run / 2;
+    let third = options.run / 3;
     let thread = std::thread::Builder::new().name("rtec-wakeup".into()).spawn(move || {
         let (_held, report) = apply(&System::live(), options.wanted());
         let (mut recorder, reader) = histogram();
-        let last_ns = wake_ups(half.as_nanos() as u64, &mut recorder);
+        let last_ns = wake_ups(third.as_nanos() as u64, &mut recorder);
         (Latency { ns: reader.snapshot(), last_ns, tid: tid() }, report)
     });
     let thread = thread.map_err(|e| SelftestError::Io("starting the wake-up thread", e))?;
@@ -410,12 +322,12 @@ fn measure_wake_ups(
     let mut next = start;
     while !thread.is_finished() {
         if Instant::now() >= next {
-            progress("wake-up", half.saturating_sub(start.elapsed()).as_secs() + 1);
+            progress("wake-up", third.saturating_sub(start.elapsed()).as_secs() + 1);
             next += SECOND;
         }
-        std::thread::sleep(CONTROL_INTERVAL);
+        std::thread::sleep(WATCH_INTERVAL);
     }
-    thread.join().map_err(|_| SelftestError::Panicked("wake-up"))
+    thread.join().map_err(|_| SelftestError::Panicked)
 }
 
 /// Sleeps to one absolute time after the other and records how late it wakes; returns the last value, ns.
@@ -447,87 +359,6 @@ fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
         next_ns += late_ns / WAKEUP_INTERVAL_NS * WAKEUP_INTERVAL_NS;
     }
     late_ns
-}
-
-/// The far side: moves the scale edge by edge, and is the MTC. Returns what it saw, its thread and the last time, ns.
-fn play(far: &mut impl Far, between: &Between, done: &mut Recorder, seed: u64) -> (FarSide, i32, u64) {
-    let lines = AxisLines::standard(0, false);
-    let mut clock = Monotonic;
-    let mut dwell = SplitMix64::seed_from_u64(seed);
-    let mut inverters = lines.inverters(far.outputs());
-    let mut scale = Decoder::new(lines.scale(0));
-    let mut mtc = Decoder::new(scale.state().inverted(inverters));
-    let mut seen = FarSide::default();
-    let mut last_done_ns = 0;
-    while !between.stop.load(Relaxed) {
-        let until = clock.now_ns() + DWELL_NS.0 + dwell.next_u64() % (DWELL_NS.1 - DWELL_NS.0);
-        while clock.now_ns() < until {}
-        let mut late = lines.inverters(far.outputs());
-        while (late ^ inverters).is_power_of_two() && !between.ended.load(Relaxed) {
-            late = lines.inverters(far.outputs());
-        }
-        if late != inverters {
-            // It came after all.
-            seen.without_insertion -= 1;
-            seen.unresolved += 1;
-            mtc.update(mtc.state().next(true));
-            mtc.update(scale.state().inverted(late));
-            inverters = late;
-        }
-        let next = scale.state().next(true);
-        let edge_ns = clock.now_ns();
-        far.drive(u64::from(next.a()) << lines.a | u64::from(next.b()) << lines.b);
-        let mut looked_ns = clock.now_ns();
-        seen.edges += 1;
-        scale.update(next);
-        mtc.update(next.inverted(inverters));
-
-        let mut resolved = looked_ns - edge_ns <= RESOLUTION_NS;
-        let driven_ns = looked_ns;
-        let mut before_ns = edge_ns;
-        let mut heard_ns = None;
-        let mut left = 2;
-        while left > 0 {
-            let now = lines.inverters(far.outputs());
-            let now_ns = clock.now_ns();
-            if now == inverters {
-                // The engine has seen the edge at one look that is known of, and has done nothing until another.
-                let known_ns = between.looked_ns.load(Acquire);
-                let given_up = left == 2
-                    && known_ns > driven_ns
-                    && *heard_ns.get_or_insert(known_ns) < known_ns
-                    // Looked at once more: this thread may have been away since it looked.
-                    && lines.inverters(far.outputs()) == inverters;
-                if given_up || between.ended.load(Relaxed) {
-                    seen.without_insertion += 1;
-                    break;
-                }
-            } else {
-                // The lines changed after the look before, whose own time lies between two readings of the clock.
-                resolved &= now_ns - before_ns <= RESOLUTION_NS;
-                if (now ^ inverters).count_ones() == 2 {
-                    // Not looked in between: the two came one after the other all the same, the adding one first.
-                    let first = mtc.state().next(true);
-                    mtc.update(first);
-                }
-                mtc.update(next.inverted(now));
-                left -= (now ^ inverters).count_ones();
-                inverters = now;
-                if left == 0 {
-                    if resolved {
-                        last_done_ns = now_ns - edge_ns;
-                        done.record(last_done_ns);
-                    } else {
-                        seen.unresolved += 1;
-                    }
-                }
-            }
-            (before_ns, looked_ns) = (looked_ns, now_ns);
-        }
-    }
-    seen.mtc_minus_scale = mtc.count() - scale.count();
-    seen.illegal = mtc.illegal();
-    (seen, tid(), last_done_ns)
 }
 
 /// The thread of this process that has this name; 0 when there is none.
