@@ -2,22 +2,20 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`access`] | may the daemon open the card's devices, and where do their interrupts land? |
 //! | [`engine`] | all axes of a machine: one look, one write |
 //! | [`axis`] | one axis: insertion, ledger, belief window, homing, probe capture |
 //! | [`gate`] | can the next edge come before an insertion is done? |
 //! | [`event`] | requests, events and status: what goes over the link |
-//! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
-//! | [`journal`] | what survives a crash: inverters and completed totals in a mapped file |
 //! | [`link`] | requests down, events up, status in a snapshot |
-//! | [`replay`] | the engine over a recording, and what the MTC would have counted |
-//! | [`selftest`] | this machine's latencies, measured with the real engine |
-//! | [`through`] | Design B: the signals pass through the computer |
-//! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
 //! | [`snapshot`] | the latest state, for a reader that never stops the writer |
+//! | [`journal`] | what survives a crash: inverters and completed totals in a mapped file |
+//! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
 //! | [`thread`] | the pinned thread and its loop |
+//! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
+//!
+//! Never known here: why an axis should have a total (models, temperatures, parts), any file format, and whether the
+//! card is a machine, a recording or a simulation.
 
-pub mod access;
 pub mod axis;
 pub mod engine;
 pub mod event;
@@ -25,9 +23,6 @@ pub mod gate;
 pub mod histogram;
 pub mod journal;
 pub mod link;
-pub mod replay;
-pub mod selftest;
 pub mod setup;
 pub mod snapshot;
 pub mod thread;
-pub mod through;

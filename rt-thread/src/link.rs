@@ -135,6 +135,13 @@ impl RtEnd {
         self.requests.try_pop()
     }
 
+    /// No request is on its way.
+    #[inline]
+    #[must_use]
+    pub fn all_taken(&self) -> bool {
+        self.requests.is_empty()
+    }
+
     /// Sends an event up; `false` when the ring is full.
     #[inline]
     pub fn tell(&mut self, event: Event) -> bool {

@@ -35,7 +35,8 @@ pub struct OsError {
 }
 
 impl OsError {
-    pub(crate) fn of(operation: impl Into<String>, error: &io::Error) -> Self {
+    /// What failed, with the error number of `error`.
+    pub fn of(operation: impl Into<String>, error: &io::Error) -> Self {
         Self { operation: operation.into(), errno: error.raw_os_error().unwrap_or(0) }
     }
 
@@ -72,12 +73,8 @@ pub struct Finding {
 }
 
 impl Finding {
-    pub(crate) fn new(
-        name: &'static str,
-        wanted: impl Into<String>,
-        got: impl Into<String>,
-        ok: bool,
-    ) -> Self {
+    /// What was wanted and what is there; not needed to arm, and without a remedy.
+    pub fn new(name: &'static str, wanted: impl Into<String>, got: impl Into<String>, ok: bool) -> Self {
         Self {
             name,
             wanted: wanted.into(),
@@ -90,13 +87,15 @@ impl Finding {
     }
 
     /// What could not be read counts as not there.
-    pub(crate) fn unknown(name: &'static str, wanted: impl Into<String>, error: OsError) -> Self {
+    pub fn unknown(name: &'static str, wanted: impl Into<String>, error: OsError) -> Self {
         let mut finding = Self::new(name, wanted, "unknown", false);
         finding.errno = Some(error);
         finding
     }
 
-    pub(crate) fn needed(mut self) -> Self {
+    /// A real card is not armed while this one is not ok.
+    #[must_use]
+    pub fn needed(mut self) -> Self {
         self.needed_to_arm = true;
         self
     }
@@ -106,7 +105,9 @@ impl Finding {
         self
     }
 
-    pub(crate) fn remedy(mut self, remedy: impl Into<String>) -> Self {
+    /// What to do about it, where it is not ok.
+    #[must_use]
+    pub fn remedy(mut self, remedy: impl Into<String>) -> Self {
         if !self.ok {
             self.remedy = remedy.into();
         }
@@ -230,12 +231,16 @@ impl System {
     }
 
     /// A file below the root.
-    pub(crate) fn path(&self, path: impl AsRef<Path>) -> PathBuf {
+    #[must_use]
+    pub fn path(&self, path: impl AsRef<Path>) -> PathBuf {
         self.root.join(path)
     }
 
     /// A file's text without the white space around it.
-    pub(crate) fn read(&self, path: impl AsRef<Path>) -> Result<String, OsError> {
+    ///
+    /// # Errors
+    /// When it cannot be read, or is no text.
+    pub fn read(&self, path: impl AsRef<Path>) -> Result<String, OsError> {
         let path = self.path(path);
         std::fs::read_to_string(&path)
             .map(|text| text.trim().to_owned())
@@ -251,7 +256,8 @@ impl System {
     }
 
     /// The CPUs left for everything else, as a list the kernel understands; empty with one CPU only.
-    pub(crate) fn housekeeping(&self, cpu: usize) -> String {
+    #[must_use]
+    pub fn housekeeping(&self, cpu: usize) -> String {
         let others: Vec<String> =
             self.online().into_iter().filter(|c| *c != cpu).map(|c| c.to_string()).collect();
         others.join(",")
@@ -389,7 +395,7 @@ impl System {
                     .ok()?
                     .flatten()
                     .find(|inner| inner.file_type().is_ok_and(|t| t.is_dir()))?;
-                // Our own lines belong here: see `card_irq` in `access`.
+                // Our own lines belong here: see `card_irq` of `rtecctl platform`.
                 (device.file_name() != "rtec" && cpu_list(&self.irq_cpus(number)?).contains(&cpu))
                     .then(|| (number, format!("{number} {}", device.file_name().to_string_lossy())))
             })
@@ -406,7 +412,8 @@ impl System {
     }
 
     /// The CPUs that an interrupt lands on.
-    pub(crate) fn irq_cpus(&self, number: u32) -> Option<String> {
+    #[must_use]
+    pub fn irq_cpus(&self, number: u32) -> Option<String> {
         let list = |name| self.read(format!("proc/irq/{number}/{name}")).ok().filter(|text| !text.is_empty());
         list("effective_affinity_list").or_else(|| list("smp_affinity_list"))
     }
@@ -779,7 +786,8 @@ fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
 }
 
 /// `0-2,5` as numbers; what is no number (`(null)`, flags as in `isolcpus=domain,1`) is passed over.
-pub(crate) fn cpu_list(text: &str) -> Vec<usize> {
+#[must_use]
+pub fn cpu_list(text: &str) -> Vec<usize> {
     text.trim()
         .split(',')
         .filter_map(|part| {

@@ -86,7 +86,8 @@ pub fn spawn<C: Card + Send + 'static>(
 }
 
 impl<C> Running<C> {
-    /// Stops the thread and waits for it. Corrections freeze, inverters stay as they are.
+    /// Stops the thread and waits for it. Requests that were sent before are taken first, an insertion under way is
+    /// finished; then corrections freeze, inverters stay as they are.
     ///
     /// # Panics
     /// When the real-time thread itself panicked.
@@ -104,12 +105,17 @@ pub fn run<C: Card>(mut engine: Engine, mut card: C, mut rt: RtEnd, stale_after_
     let mut published_ns = 0;
     let (mut beats, mut beat_ns) = (rt.beats(), engine.now_ns());
     let error = loop {
-        while let Some(request) = rt.request() {
+        // One request a look: however many come at once, no gap between two looks grows with their number.
+        let wait_until_ns = if let Some(request) = rt.request() {
             if let Err(error) = engine.take(request, &mut card, &mut |e| rt.tell(e)) {
                 engine.card_failed(error, &mut |e| rt.tell(e));
             }
-        }
-        if let Err(error) = engine.poll(&mut card, published_ns + PUBLISH_NS, &mut |e| rt.tell(e)) {
+            // The next one may be there already: a card that sleeps must not let it wait.
+            0
+        } else {
+            published_ns + PUBLISH_NS
+        };
+        if let Err(error) = engine.poll(&mut card, wait_until_ns, &mut |e| rt.tell(e)) {
             engine.card_failed(error, &mut |e| rt.tell(e));
             if error == CardError::Ended {
                 break None;
@@ -118,7 +124,7 @@ pub fn run<C: Card>(mut engine: Engine, mut card: C, mut rt: RtEnd, stale_after_
         }
         let now_ns = engine.now_ns();
         if now_ns >= published_ns + PUBLISH_NS {
-            if rt.stopped() && engine.at_rest() {
+            if rt.stopped() && rt.all_taken() && engine.at_rest() {
                 break None;
             }
             if rt.beats() != beats {

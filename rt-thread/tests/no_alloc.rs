@@ -86,7 +86,7 @@ fn the_loop_neither_allocates_nor_releases() {
             190_000 => control.send(Request::Clear).unwrap(),
             _ => {}
         }
-        while let Some(request) = rt.request() {
+        if let Some(request) = rt.request() {
             engine.take(request, &mut card, &mut |e| rt.tell(e)).unwrap();
         }
         engine.poll(&mut card, u64::MAX, &mut |e| rt.tell(e)).unwrap();

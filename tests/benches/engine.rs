@@ -6,7 +6,7 @@ use rtec_driver::card::CardError;
 use rtec_driver::quadrature::State;
 use rtec_driver::trace::{Request, TracePoint};
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::replay::replay;
+use rtec_sim::replay::replay;
 use rtec_tests::judge::LinuxCnc;
 use rtec_tests::workload::{Motion, Workload};
 use std::time::Instant;

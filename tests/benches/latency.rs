@@ -4,8 +4,8 @@
 //! same CPU and priority; `oslat` and `cyclictest` (Debian rt-tests) beside it where they are installed.
 
 use rtec_driver::clock::{Clock, Monotonic};
+use rtec_platform::selftest::{Backend, Options, run};
 use rtec_rt::histogram::{Snapshot, histogram};
-use rtec_rt::selftest::{Backend, Options, run};
 use rtec_rt::setup::{System, Wanted, apply};
 use std::process::Command;
 use std::time::Duration;
@@ -15,7 +15,7 @@ fn main() -> anyhow::Result<()> {
     let cpu = System::live().default_cpu();
     let priority = 80;
     let options =
-        Options { cpu, priority, run: Duration::from_secs(2 * seconds), backend: Backend::Mapped, seed: 1 };
+        Options { cpu, priority, run: Duration::from_secs(3 * seconds), backend: Backend::Mapped, seed: 1 };
     let measured = run(options, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
     eprintln!("floor, oslat and cyclictest, {seconds} s each");
     let floor = floor(Wanted { cpu, priority }, Duration::from_secs(seconds))?;
@@ -36,15 +36,21 @@ fn main() -> anyhow::Result<()> {
     };
     let separations_ns = measured.separations_ns();
     row("floor: gaps of an empty loop", &floor, 0);
-    row("poll gap of the engine's loop", &measured.poll_gap.ns, 0);
-    row("edge seen to done, less separation", &measured.seen_to_done, separations_ns);
-    row("edge to done as the far side sees", &measured.edge_to_done.ns, separations_ns);
+    let quiet = &measured.quiet;
+    for (polling, how) in [(quiet, ""), (&measured.with_requests, ", with requests")] {
+        row(&format!("poll gap{how}"), &polling.poll_gap.ns, 0);
+        row(&format!("edge seen to done{how}"), &polling.seen_to_done, separations_ns);
+        row(&format!("edge to done{how}"), &polling.edge_to_done.ns, separations_ns);
+    }
     row("wake-up", &measured.wakeup.ns, 0);
-    println!("  separation: {separations_ns} ns are the MTC's, after the edge and between the inversions");
+    println!(
+        "  to done less {separations_ns} ns, which are the MTC's: after the edge and between the inversions; {} requests",
+        measured.with_requests.requests
+    );
     // What the machine itself allows: an insertion that meets such a gap is late, whatever the engine does.
     let long: u64 = floor.buckets().filter(|b| b.low >= 1000).map(|b| b.count).sum();
     let per_s = long as f64 / (floor.sum() as f64 / 1e9);
-    let window_ns = measured.seen_to_done.p50() as f64;
+    let window_ns = quiet.seen_to_done.p50() as f64;
     println!(
         "  floor: {per_s:.0} gaps of 1 µs and more per second, so {:.3} % of insertions of {window_ns:.0} ns meet one",
         100.0 * per_s * window_ns / 1e9
@@ -52,7 +58,7 @@ fn main() -> anyhow::Result<()> {
     println!(
         "  ledger {}, {} poll gap faults",
         if measured.balanced() { "balanced" } else { "DOES NOT BALANCE" },
-        measured.faults
+        measured.faults()
     );
     let (cpu, seconds, priority) = (cpu.to_string(), seconds.to_string(), priority.to_string());
     other("oslat", &["--cpu-list", &cpu, "--rtprio", &priority, "-D", &seconds, "-z"]);

@@ -5,7 +5,7 @@
 use rtec_driver::quadrature::State;
 use rtec_driver::trace::{Request, TracePoint};
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::replay::{Outcome, replay};
+use rtec_sim::replay::{Outcome, replay};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, available, sigrok};
 use rtec_tests::ledger::{self, Totals};
 use std::f64::consts::TAU;

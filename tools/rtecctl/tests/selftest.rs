@@ -38,7 +38,13 @@ fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed
     for backend in ["mock", "mapped"] {
         let out = latency(&["--json", "--backend", backend]);
         let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
-        for key in ["wakeup_ns", "poll_gap_ns", "edge_to_done_ns"] {
+        for key in [
+            "wakeup_ns",
+            "poll_gap_ns",
+            "edge_to_done_ns",
+            "poll_gap_with_requests_ns",
+            "edge_to_done_with_requests_ns",
+        ] {
             for figure in ["min", "p50", "p99", "p9999", "max", "samples"] {
                 assert!(document[key][figure].is_u64(), "{backend}: {key}.{figure}");
             }
@@ -57,7 +63,14 @@ fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed
             continue;
         }
         assert_eq!(document["ledger_balanced"], true);
-        assert!(document["edge_to_done_ns"]["samples"].as_u64() > Some(0), "{backend}: no insertion");
+        for key in ["edge_to_done_ns", "edge_to_done_with_requests_ns"] {
+            assert!(document[key]["samples"].as_u64() > Some(0), "{backend}: no insertion, {key}");
+        }
+        assert!(document["requests"].as_u64() > Some(0), "{backend}: no request streamed in");
+        // The gate is given the worse of the two.
+        let detect_ns = document["rt"]["detect_ns"].as_u64();
+        assert!(detect_ns >= document["poll_gap_ns"]["max"].as_u64());
+        assert!(detect_ns >= document["poll_gap_with_requests_ns"]["max"].as_u64());
         assert_eq!(document["far_side"]["illegal"], 0);
         // The MTC was given its separation after the edge and between the inversions, at every single insertion.
         assert!(document["edge_to_done_ns"]["min"].as_u64() >= document["separations_ns"].as_u64());

@@ -3,6 +3,8 @@
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
 use crate::noise::Noise;
+use crate::replay::{Corrector, Outcome, ReplayError, homed_engine, replay, replay_with};
+use crate::through::Through;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::input::InputError;
 use rtec_driver::quadrature::{Decoder, State};
@@ -11,8 +13,6 @@ use rtec_driver::trace::{Request, TracePoint};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind};
-use rtec_rt::replay::{Corrector, Outcome, ReplayError, homed_engine, replay, replay_with};
-use rtec_rt::through::Through;
 use serde::{Deserialize, Serialize};
 
 /// Every insertion design of the sources.

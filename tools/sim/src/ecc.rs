@@ -13,10 +13,10 @@
 //! The PLL is a behavioural model of what the paper measured of it, not of its parts.
 
 use crate::noise::Noise;
+use crate::replay::Corrector;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
-use rtec_rt::replay::Corrector;
 use serde::Serialize;
 
 /// What the paper measured of its PLL: frequencies of the XOR of A and B, which is twice the encoder's.

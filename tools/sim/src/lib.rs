@@ -5,6 +5,8 @@
 //! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
 //! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
 //! | [`mod@bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
+//! | [`through`] | Design B: the signals pass through the computer |
+//! | [`replay`] | the engine over a recording, and what the MTC would have counted |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
 //! | [`path`], [`gcode`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the machine as a card: drives, scales, decoders, probe |
@@ -24,4 +26,6 @@ pub mod heat;
 pub mod machine;
 pub mod noise;
 pub mod path;
+pub mod replay;
 pub mod sim;
+pub mod through;

@@ -4,7 +4,7 @@ use crate::Outcome;
 use anyhow::Context;
 use rtec_control::config::{CardConfig, Config, INSTALLED, MappedPlace, PortPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
-use rtec_rt::access::Device;
+use rtec_platform::access::{self, Device};
 use rtec_rt::setup::{Report, System, Wanted, apply};
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             .join()
             .map_err(|_| anyhow::anyhow!("the thread that tried the settings panicked"))?
     };
-    report.findings.extend(system.card(&devices, events, cpu));
+    report.findings.extend(access::card(&system, &devices, events, cpu));
     if args.json {
         println!(
             "{}",

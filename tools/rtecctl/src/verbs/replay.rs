@@ -9,8 +9,8 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::Listener;
 use rtec_driver::trace::{RequestReader, TraceFile, TraceFormat, TracePoint, TraceReader};
 use rtec_rt::axis::{AxisConfig, Design};
-use rtec_rt::replay::ReplayError;
 use rtec_sim::bench::{AnyDesign, replay_any};
+use rtec_sim::replay::ReplayError;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -189,7 +189,7 @@ fn word(name: impl serde::Serialize) -> String {
     value.as_str().map_or_else(|| value.to_string(), |s| s.replace('_', " "))
 }
 
-fn print(outcome: &rtec_rt::replay::Outcome) {
+fn print(outcome: &rtec_sim::replay::Outcome) {
     let rows = [
         ("edges", outcome.edges.to_string()),
         ("counts of the scale", format!("{:+}", outcome.counts_in)),

@@ -4,9 +4,11 @@ use crate::Outcome;
 use anyhow::Context;
 use rtec_control::config::Config;
 use rtec_driver::input::InputError;
+use rtec_platform::selftest::{
+    Backend, FarSide, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure,
+};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::Snapshot;
-use rtec_rt::selftest::{Backend, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure};
 use rtec_rt::setup::System;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -35,7 +37,7 @@ enum Test {
 /// The text is shaped like cyclictest's: thread 0 is the wake-up, thread 1 the poll gap, thread 2 edge to done.
 #[derive(Debug, clap::Args)]
 struct LatencyArgs {
-    /// How long: half for the wake-ups, half for the polling loop
+    /// How long: a third each for the wake-ups, the polling loop, and the polling loop with requests streaming in
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = duration)]
     duration: Duration,
     /// Take axes, CPU and priority from this configuration; without it: one axis of 1e6 counts/s², 500 ns separation
@@ -72,6 +74,12 @@ struct Document<'a> {
     edge_to_done_ns: &'a Latency,
     /// The engine's own part of it: from the look that saw the edge to the look that ordered the second inversion.
     seen_to_done_ns: &'a Snapshot,
+    /// The same three while requests stream in as fast as the link takes them.
+    poll_gap_with_requests_ns: &'a Latency,
+    edge_to_done_with_requests_ns: &'a Latency,
+    seen_to_done_with_requests_ns: &'a Snapshot,
+    /// How many streamed in.
+    requests: u64,
     /// Per axis, from the worst that was seen; null where that leaves no time for an insertion at any speed.
     max_safe_edge_rate_hz: BTreeMap<&'a str, Option<f64>>,
     /// The same but for one look in ten thousand.
@@ -88,7 +96,7 @@ struct Document<'a> {
     emulated: Option<&'a str>,
     ledger_balanced: bool,
     poll_gap_faults: u64,
-    far_side: Option<&'a rtec_rt::selftest::FarSide>,
+    far_side: Option<FarSide>,
     missing_to_arm: Vec<&'static str>,
 }
 
@@ -147,9 +155,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.json {
         let document = Document {
             wakeup_ns: &measured.wakeup,
-            poll_gap_ns: &measured.poll_gap,
-            edge_to_done_ns: &measured.edge_to_done,
-            seen_to_done_ns: &measured.seen_to_done,
+            poll_gap_ns: &measured.quiet.poll_gap,
+            edge_to_done_ns: &measured.quiet.edge_to_done,
+            seen_to_done_ns: &measured.quiet.seen_to_done,
+            poll_gap_with_requests_ns: &measured.with_requests.poll_gap,
+            edge_to_done_with_requests_ns: &measured.with_requests.edge_to_done,
+            seen_to_done_with_requests_ns: &measured.with_requests.seen_to_done,
+            requests: measured.with_requests.requests,
             max_safe_edge_rate_hz: rates.iter().map(|r| (r.name.as_str(), r.safe_hz)).collect(),
             edge_rate_at_p9999_hz: rates.iter().map(|r| (r.name.as_str(), r.usual_hz)).collect(),
             rt: RtKeys { detect_ns: measured.detect_ns().0, write_ns: measured.write_ns() },
@@ -162,8 +174,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             priority: options.priority,
             emulated: measured.setup.emulated.as_deref(),
             ledger_balanced: measured.balanced(),
-            poll_gap_faults: measured.faults,
-            far_side: measured.far.as_ref(),
+            poll_gap_faults: measured.faults(),
+            far_side: measured.far(),
             missing_to_arm: measured.setup.missing().map(|f| f.name).collect(),
         };
         println!("{}", serde_json::to_string(&document)?);
@@ -175,7 +187,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// The highest edge rate at which an insertion still has time on an axis, with this machine's latency.
 fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
-    if measured.edge_to_done.ns.samples() == 0 {
+    if !measured.timed() {
         return None; // nothing is known
     }
     let axis = AxisConfig { detect_ns, write_ns: measured.write_ns(), ..axis };
@@ -192,8 +204,8 @@ fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
         let errno = f.errno.as_ref().map(|e| format!(" ({e})")).unwrap_or_default();
         format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
     }));
-    if measured.edge_to_done.ns.samples() == 0 {
-        let why = if measured.far.is_some() {
+    if !measured.timed() {
+        let why = if measured.far().is_some() {
             "no insertion was seen"
         } else {
             "a polling loop needs a second CPU"
@@ -218,7 +230,7 @@ fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
 }
 
 fn threads(measured: &Measured) -> [&Latency; 3] {
-    [&measured.wakeup, &measured.poll_gap, &measured.edge_to_done]
+    [&measured.wakeup, &measured.quiet.poll_gap, &measured.quiet.edge_to_done]
 }
 
 fn text(measured: &Measured, options: &Options, rates: &[AxisRate], reasons: &[String]) -> String {
@@ -245,41 +257,21 @@ fn text(measured: &Measured, options: &Options, rates: &[AxisRate], reasons: &[S
         ));
     }
     line(format_args!("{}", histogram(measured).trim_end()));
-    line(format_args!("#"));
-    line(format_args!(
-        "# in ns              samples      min      p50      p99    p99.9   p99.99         max"
-    ));
-    for (name, s) in [
-        ("T0 wake-up", &measured.wakeup.ns),
-        ("T1 poll gap", &measured.poll_gap.ns),
-        ("T2 edge to done", &measured.edge_to_done.ns),
-        ("   seen to done", &measured.seen_to_done),
-    ] {
-        line(format_args!(
-            "# {name:<15} {:>11} {:>8} {:>8} {:>8} {:>8} {:>8} {:>11}",
-            s.samples(),
-            s.min(),
-            s.p50(),
-            s.p99(),
-            s.p999(),
-            s.p9999(),
-            s.max()
-        ));
-    }
+    line(format_args!("{}", table(measured).trim_end()));
     line(format_args!(
         "# Edge to done contains {} ns that the MTC is given: {} after the edge, as much between the inversions.",
         measured.separations_ns(),
         measured.axis.min_separation_ns
     ));
-    if let Some(far) = &measured.far {
+    if let Some(far) = measured.far() {
         line(format_args!(
             "# Far side: {} edges, {} without insertion, {} untimed; MTC minus scale {}, completed {}; {} poll gap faults.",
             far.edges,
             far.without_insertion,
             far.unresolved,
             far.mtc_minus_scale,
-            measured.completed,
-            measured.faults
+            measured.completed(),
+            measured.faults()
         ));
     }
     let rate = |hz: Option<f64>| hz.map_or_else(|| "none".into(), |hz| format!("{hz:.0}"));
@@ -304,6 +296,40 @@ fn text(measured: &Measured, options: &Options, rates: &[AxisRate], reasons: &[S
             line(format_args!("#   {reason}"));
         }
     }
+    out
+}
+
+/// All distributions in ns.
+fn table(measured: &Measured) -> String {
+    let mut out = String::from(
+        "#\n# in ns              samples      min      p50      p99    p99.9   p99.99         max\n",
+    );
+    let mut row = |name: &str, s: &Snapshot| {
+        let _ = writeln!(
+            out,
+            "# {name:<15} {:>11} {:>8} {:>8} {:>8} {:>8} {:>8} {:>11}",
+            s.samples(),
+            s.min(),
+            s.p50(),
+            s.p99(),
+            s.p999(),
+            s.p9999(),
+            s.max()
+        );
+    };
+    let (quiet, with_requests) = (&measured.quiet, &measured.with_requests);
+    row("T0 wake-up", &measured.wakeup.ns);
+    row("T1 poll gap", &quiet.poll_gap.ns);
+    row("   w. requests", &with_requests.poll_gap.ns);
+    row("T2 edge to done", &quiet.edge_to_done.ns);
+    row("   w. requests", &with_requests.edge_to_done.ns);
+    row("   seen to done", &quiet.seen_to_done);
+    row("   w. requests", &with_requests.seen_to_done);
+    let _ = writeln!(
+        out,
+        "# w. requests: {} came in, as fast as the link took them. Below, the worse of the two.",
+        with_requests.requests
+    );
     out
 }
 

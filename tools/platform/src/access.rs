@@ -9,8 +9,8 @@
 //! | `io_ports` | `CAP_SYS_RAWIO` in the service, where I/O ports are used |
 //! | `card_irq` | on the real-time CPU for a card that wakes the thread, elsewhere for one that is polled |
 
-use crate::setup::{Finding, OsError, System, cpu_list};
 use rtec_driver::pci::{Function, PciId};
+use rtec_rt::setup::{Finding, OsError, System, cpu_list};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -57,33 +57,39 @@ struct User {
     gids: Vec<u32>,
 }
 
-impl System {
-    /// The findings about a card with these devices, on which `events` wake the real-time thread on `cpu`.
-    #[must_use]
-    pub fn card(&self, devices: &[Device], events: bool, cpu: usize) -> Vec<Finding> {
-        let user = self.user(USER);
-        let uid = user.as_ref().map_or("none".to_owned(), |user| format!("uid {}", user.uid));
-        let mut findings = vec![
-            Finding::new("user", format!("a user {USER}"), uid, user.is_some())
-                .remedy("install the package, or: systemd-sysusers udev/rtec.sysusers"),
-            self.group(),
-        ];
-        findings.extend(devices.iter().map(|device| match device {
-            Device::Ports(_) => self.io_ports(),
-            other => self.card_access(other, user.as_ref()),
-        }));
-        if !devices.is_empty() {
-            findings.push(self.card_irq(devices, events, cpu));
-        }
-        findings
+/// The findings about a card with these devices, on which `events` wake the real-time thread on `cpu`.
+#[must_use]
+pub fn card(system: &System, devices: &[Device], events: bool, cpu: usize) -> Vec<Finding> {
+    let tree = Tree { system };
+    let user = tree.user(USER);
+    let uid = user.as_ref().map_or("none".to_owned(), |user| format!("uid {}", user.uid));
+    let mut findings = vec![
+        Finding::new("user", format!("a user {USER}"), uid, user.is_some())
+            .remedy("install the package, or: systemd-sysusers udev/rtec.sysusers"),
+        tree.group(),
+    ];
+    findings.extend(devices.iter().map(|device| match device {
+        Device::Ports(_) => tree.io_ports(),
+        other => tree.card_access(other, user.as_ref()),
+    }));
+    if !devices.is_empty() {
+        findings.push(tree.card_irq(devices, events, cpu));
     }
+    findings
+}
 
+/// The system's files, as far as they say who may open a device and where its interrupts land.
+struct Tree<'a> {
+    system: &'a System,
+}
+
+impl Tree<'_> {
     fn user(&self, name: &str) -> Option<User> {
-        let passwd = self.read("etc/passwd").ok()?;
+        let passwd = self.system.read("etc/passwd").ok()?;
         let fields = |line: &str| line.split(':').map(str::to_owned).collect::<Vec<_>>();
         let entry = passwd.lines().map(fields).find(|f| f[0] == name)?;
         let mut gids = vec![entry.get(3)?.parse().ok()?];
-        for line in self.read("etc/group").unwrap_or_default().lines().map(fields) {
+        for line in self.system.read("etc/group").unwrap_or_default().lines().map(fields) {
             let member = line.get(3).is_some_and(|members| members.split(',').any(|m| m == name));
             gids.extend(line.get(2).filter(|_| member).and_then(|gid| gid.parse::<u32>().ok()));
         }
@@ -94,11 +100,11 @@ impl System {
     fn group(&self) -> Finding {
         let wanted = format!("root, or in the group {USER}");
         let remedy = format!("usermod -aG {USER} YOU, and log in again");
-        let gid = self.read("etc/group").unwrap_or_default().lines().find_map(|line| {
+        let gid = self.system.read("etc/group").unwrap_or_default().lines().find_map(|line| {
             let mut fields = line.split(':');
             (fields.next()? == USER).then(|| fields.nth(1)?.parse::<u32>().ok())?
         });
-        let status = match self.read("proc/self/status") {
+        let status = match self.system.read("proc/self/status") {
             Ok(text) => text,
             Err(error) => return Finding::unknown("group", wanted, error).remedy(remedy),
         };
@@ -135,7 +141,7 @@ impl System {
             ),
             None => format!("chgrp {USER} /{} && chmod g+rw /{0}", file.display()),
         };
-        match std::fs::metadata(self.path(file)) {
+        match std::fs::metadata(self.system.path(file)) {
             Ok(found) => {
                 let (uid, gid, mode) = (found.uid(), found.gid(), found.mode() & 0o777);
                 let bits = match user {
@@ -173,7 +179,7 @@ impl System {
                 )
             }
             Device::Uio(name) => {
-                let known = self.read(format!("sys/class/uio/{name}/name")).ok();
+                let known = self.system.read(format!("sys/class/uio/{name}/name")).ok();
                 (
                     Path::new("dev").join(name),
                     known.map(|n| format!("uio {n}")),
@@ -196,20 +202,20 @@ impl System {
     }
 
     fn function(&self, id: &PciId) -> Option<Function> {
-        rtec_driver::pci::find_in(&self.path("sys/bus/pci/devices"), id).ok()
+        rtec_driver::pci::find_in(&self.system.path("sys/bus/pci/devices"), id).ok()
     }
 
     /// The directories above a device's in sysfs, the nearest first.
     fn parents(&self, path: &str) -> impl Iterator<Item = PathBuf> {
-        let device = std::fs::canonicalize(self.path(path)).ok();
-        let top = std::fs::canonicalize(self.path("sys/devices")).unwrap_or_default();
+        let device = std::fs::canonicalize(self.system.path(path)).ok();
+        let top = std::fs::canonicalize(self.system.path("sys/devices")).unwrap_or_default();
         let all: Vec<_> = device.iter().flat_map(|d| d.ancestors().skip(1)).map(Path::to_owned).collect();
         all.into_iter().take_while(move |p| *p != top && p.starts_with(&top))
     }
 
     /// The name of a number in `/etc/passwd` or `/etc/group`; the number where it has none.
     fn name_of(&self, table: &str, id: u32) -> String {
-        let text = self.read(format!("etc/{table}")).unwrap_or_default();
+        let text = self.system.read(format!("etc/{table}")).unwrap_or_default();
         let name = text.lines().find_map(|line| {
             let mut fields = line.split(':');
             let name = fields.next()?;
@@ -219,7 +225,7 @@ impl System {
     }
 
     fn io_ports(&self) -> Finding {
-        let entries = std::fs::read_dir(self.path(DROP_INS)).into_iter().flatten().flatten();
+        let entries = std::fs::read_dir(self.system.path(DROP_INS)).into_iter().flatten().flatten();
         let given = entries.filter(|e| e.path().extension().is_some_and(|x| x == "conf")).any(|entry| {
             let text = std::fs::read_to_string(entry.path()).unwrap_or_default();
             text.lines()
@@ -242,7 +248,7 @@ impl System {
         numbers.sort_unstable();
         numbers.dedup();
         let lists: Vec<(u32, Vec<usize>)> =
-            numbers.iter().filter_map(|n| Some((*n, cpu_list(&self.irq_cpus(*n)?)))).collect();
+            numbers.iter().filter_map(|n| Some((*n, cpu_list(&self.system.irq_cpus(*n)?)))).collect();
         let right = |cpus: &[usize]| if events { cpus == [cpu] } else { !cpus.contains(&cpu) };
         let shown = lists.iter().map(|(n, cpus)| {
             let cpus: Vec<_> = cpus.iter().map(usize::to_string).collect();
@@ -252,7 +258,7 @@ impl System {
         let ok = lists.iter().all(|(_, cpus)| right(cpus)) && !(events && lists.is_empty());
         let wrong: Vec<_> =
             lists.iter().filter(|(_, cpus)| !right(cpus)).map(|(n, _)| n.to_string()).collect();
-        let target = if events { cpu.to_string() } else { self.housekeeping(cpu) };
+        let target = if events { cpu.to_string() } else { self.system.housekeeping(cpu) };
         Finding::new("card_irq", wanted, got, ok).remedy(if wrong.is_empty() {
             "shown while rtecd runs; a chip whose lines share another interrupt has it in /proc/interrupts"
                 .into()
@@ -272,12 +278,12 @@ impl System {
                 all
             }
             Device::Uio(name) => {
-                let named = self.read(format!("sys/class/uio/{name}/name"));
+                let named = self.system.read(format!("sys/class/uio/{name}/name"));
                 named.map(|n| self.irqs_of(&n)).unwrap_or_default()
             }
             Device::Parport(name) => self.irqs_of(name),
             Device::Bar(id, _) | Device::Ports(Some(id)) => {
-                let card = self.function(id).map(|f| self.path("sys/bus/pci/devices").join(f.address));
+                let card = self.function(id).map(|f| self.system.path("sys/bus/pci/devices").join(f.address));
                 card.map(|directory| self.pci_interrupts(&directory)).unwrap_or_default()
             }
             Device::Ports(None) | Device::File(_) => Vec::new(),
@@ -286,7 +292,7 @@ impl System {
 
     /// Interrupts with a handler of that name.
     fn irqs_of(&self, action: &str) -> Vec<u32> {
-        let entries = std::fs::read_dir(self.path("proc/irq")).into_iter().flatten().flatten();
+        let entries = std::fs::read_dir(self.system.path("proc/irq")).into_iter().flatten().flatten();
         entries
             .filter(|entry| entry.path().join(action).is_dir())
             .filter_map(|entry| entry.file_name().to_str()?.parse().ok())
@@ -304,7 +310,7 @@ impl System {
         }
         numbers.retain(|n| {
             let entries =
-                std::fs::read_dir(self.path(format!("proc/irq/{n}"))).into_iter().flatten().flatten();
+                std::fs::read_dir(self.system.path(format!("proc/irq/{n}"))).into_iter().flatten().flatten();
             entries.into_iter().any(|e| e.path().is_dir())
         });
         numbers

@@ -1,16 +1,17 @@
-//! Edges per second of a replay from a CSV file, and how much memory it took: `replay_speed [EDGES]`.
+//! Edges per second of a replay from a CSV file, and how much memory it took:
+//! `cargo bench -p rtec-sim --bench replay_speed [-- EDGES]`.
 //!
 //! The axis goes 1000 counts forth and back at 2 µs a count; a correction of ±2 counts is requested every 500 edges.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::trace::{Request, TraceReader};
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::replay::replay;
+use rtec_sim::replay::replay;
 use std::io::{BufWriter, Write};
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let edges: u64 = std::env::args().nth(1).map_or(Ok(20_000_000), |n| n.parse())?;
+    let edges: u64 = std::env::args().skip(1).find_map(|n| n.parse().ok()).unwrap_or(20_000_000);
     let file = std::env::temp_dir().join(format!("rtec-replay-speed-{}.csv", std::process::id()));
     let mut out = BufWriter::new(std::fs::File::create(&file)?);
     writeln!(out, "t_ns,a,b\n0,0,0")?;

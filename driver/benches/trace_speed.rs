@@ -1,5 +1,5 @@
 //! Prints what reading and writing a trace costs per row:
-//! `cargo run --release -p rtec-driver --example trace_speed [ROWS]`.
+//! `cargo bench -p rtec-driver --bench trace_speed [-- ROWS]`.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::trace::{TraceFormat, TracePoint, TraceReader, TraceWriter};
@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let rows = std::env::args().nth(1).map_or(Ok(20_000_000), |rows| rows.parse::<u64>())?;
+    let rows: u64 = std::env::args().skip(1).find_map(|n| n.parse().ok()).unwrap_or(20_000_000);
     for (format, rows) in [(TraceFormat::Csv, rows), (TraceFormat::Vcd, rows / 4)] {
         let mut writer = TraceWriter::new(format, Vec::with_capacity(20 * rows as usize))?;
         let mut point = TracePoint { t_ns: 1_000_000_000, state: State::default() };

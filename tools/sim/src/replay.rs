@@ -1,13 +1,13 @@
 //! The engine over a recording of one axis, on a virtual clock, and what the MTC would have counted.
 
-use crate::axis::AxisConfig;
-use crate::engine::{Engine, MachineConfig, StartError};
-use crate::event::{AxisStatus, Event, EventKind, Fault, Refusal, Request};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
 use rtec_driver::input::InputError;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_driver::replay::{Gates, Listener, ReplayCard, Xor};
 use rtec_driver::trace::{Request as Total, TracePoint};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Refusal, Request};
 use serde::Serialize;
 
 /// What came of a replay.

@@ -1,4 +1,5 @@
-//! The highest edge rate at which insertions are still made and no count is lost: `edge_rate [EDGES]`.
+//! The highest edge rate at which insertions are still made and no count is lost:
+//! `cargo bench -p rtec-rt --bench edge_rate [-- EDGES]`.
 //!
 //! First this machine polls a mapped card for two seconds and notes the time between looks. Then the engine runs on a
 //! virtual card at a constant edge rate whose looks come apart by times drawn from that measurement, up to its
@@ -146,7 +147,7 @@ fn run(gaps: &[u32], period_ns: u64, edges: u64) -> Result<Option<u64>, Box<dyn 
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let edges: u64 = std::env::args().nth(1).map_or(Ok(100_000_000), |n| n.parse())?;
+    let edges: u64 = std::env::args().skip(1).find_map(|n| n.parse().ok()).unwrap_or(100_000_000);
     // On a thread of its own: the priority ends with it.
     let measured = std::thread::spawn(|| measure().map_err(|e| e.to_string())).join();
     let mut gaps = measured.map_err(|_| "the measuring thread panicked")??;

@@ -1,7 +1,7 @@
 //! What a card's devices need of the system, on trees of files that look like one.
 #![allow(clippy::unwrap_used)] // a test may
 use rtec_driver::pci::PciId;
-use rtec_rt::access::Device;
+use rtec_platform::access::{Device, card};
 use rtec_rt::setup::{Finding, System};
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
@@ -47,7 +47,7 @@ fn installed() -> tempfile::TempDir {
 }
 
 fn find(root: &Path, device: &Device, events: bool) -> Vec<Finding> {
-    System::at(root).card(std::slice::from_ref(device), events, 1)
+    card(&System::at(root), std::slice::from_ref(device), events, 1)
 }
 
 fn not_ok(findings: &[Finding]) -> Vec<&str> {
@@ -167,7 +167,7 @@ fn io_ports_need_the_addition_to_the_service() {
     let tree = installed();
     let device = Device::Ports(None);
     assert_eq!(not_ok(&find(tree.path(), &device, false)), ["io_ports"]);
-    let addition = include_str!("../../udev/drop-ins/port.conf");
+    let addition = include_str!("../../../udev/drop-ins/port.conf");
     put(tree.path(), "etc/systemd/system/rtecd.service.d/port.conf", addition);
     assert_eq!(not_ok(&find(tree.path(), &device, false)), Vec::<&str>::new());
 }
@@ -177,7 +177,7 @@ fn who_may_speak_to_the_daemon() {
     let tree = installed();
     put(tree.path(), "proc/self/status", "Uid:\t7\t7\t7\t7\nGid:\t7\t7\t7\t7\nGroups:\t\n");
     let none: [Device; 0] = [];
-    let findings = |root| System::at(root).card(&none, false, 1);
+    let findings = |root| card(&System::at(root), &none, false, 1);
     // The tree's user has group 0 where root runs the test, so that 7 is in neither case it.
     assert_eq!(not_ok(&findings(tree.path())), ["group"]);
     put(tree.path(), "proc/self/status", "Uid:\t7\t0\t0\t0\nGroups:\t\n");

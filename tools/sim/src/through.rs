@@ -4,12 +4,12 @@
 //! inserted steps go out one after the other, each with the MTC's separation before it. What the computer does not look
 //! at in time is lost, and when it stops the MTC sees an axis at rest.
 
-use crate::axis::{AxisConfig, RestPolicy};
-use crate::event::{AxisStatus, Event, EventKind, Fault, Faults, GateState, Refusal};
-use crate::gate::{Gate, GateInput};
 use crate::replay::Corrector;
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Faults, GateState, Refusal};
+use rtec_rt::gate::{Gate, GateInput};
 
 /// One axis whose signals pass through the computer: homed at zero where it stands.
 #[derive(Debug)]

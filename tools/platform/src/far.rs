@@ -1,0 +1,308 @@
+//! The other end of the wires: a scale that moves, an MTC that counts, and the control side beside them.
+
+use rand_xoshiro::rand_core::RngCore;
+use rtec_driver::card::AxisLines;
+use rtec_driver::clock::{Clock, Monotonic};
+use rtec_driver::mapped::Registers;
+use rtec_driver::mock::SharedWires;
+use rtec_driver::profile::Width;
+use rtec_driver::quadrature::{Decoder, State};
+use rtec_rt::event::{Mode, Request};
+use rtec_rt::histogram::Recorder;
+use rtec_rt::link::ControlEnd;
+use serde::Serialize;
+use std::sync::atomic::Ordering::{Acquire, Release};
+use std::time::Duration;
+
+/// The axis's wires on the test cards.
+const LINES: AxisLines = AxisLines::standard(0, false);
+/// The far side waits this long, at least and at most, between an insertion and the next edge, ns: not in step with
+/// anything the loop does.
+const DWELL_NS: (u64, u64) = (20_000, 40_000);
+/// A sample for which the far side itself did not look for longer than this is not counted: its time is its own, ns.
+const RESOLUTION_NS: u64 = 1_000;
+/// How often the control side looks after the engine, ns: seldom, because it is the far side's time.
+const CONTROL_INTERVAL_NS: u64 = 2_000_000;
+/// A request that has shown no effect for this long is sent again, ns.
+const ASK_AGAIN_NS: u64 = 20_000_000;
+/// So much longer than asked for the loop runs while not one insertion has been timed, ns.
+const PATIENCE_NS: u64 = 10_000_000_000;
+const SECOND_NS: u64 = 1_000_000_000;
+/// The total that is always pending.
+const WITHOUT_END: Request = Request::Correct { axis: 0, total_counts: i64::MAX / 2, large: true };
+
+/// What the other end of the wires saw.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct FarSide {
+    /// Edges given.
+    pub edges: u64,
+    /// Edges that no insertion followed: the first one, and those that were seen too late.
+    pub without_insertion: u64,
+    /// Insertions whose time the far side missed because it was kept from looking itself.
+    pub unresolved: u64,
+    /// What an MTC counted minus what the scale did.
+    pub mtc_minus_scale: i64,
+    /// Illegal transitions at the MTC.
+    pub illegal: u64,
+}
+
+/// The other end of a card's wires.
+pub(crate) trait Far {
+    fn drive(&mut self, inputs: u64);
+    fn outputs(&mut self) -> u64;
+}
+
+impl Far for SharedWires {
+    fn drive(&mut self, inputs: u64) {
+        self.inputs.store(inputs, Release);
+    }
+
+    fn outputs(&mut self) -> u64 {
+        self.outputs.load(Acquire)
+    }
+}
+
+/// The registers of the shared-memory test card, from the machine's side.
+impl Far for Registers {
+    fn drive(&mut self, inputs: u64) {
+        self.write(0, Width::Bits32, inputs as u32);
+    }
+
+    fn outputs(&mut self) -> u64 {
+        u64::from(self.read(4, Width::Bits32))
+    }
+}
+
+/// The control side while the engine runs: always a correction pending, homed again after a fault.
+pub(crate) struct Control<'a> {
+    link: &'a mut ControlEnd,
+    /// Requests are sent as fast as the link takes them.
+    streaming: bool,
+    homed: Homed,
+    /// Faults seen; the axis was homed again after each.
+    pub faults: u64,
+    /// Requests that streamed in.
+    pub requests: u64,
+    /// The engine's last look that is known of, ns.
+    looked_ns: u64,
+    /// When the control side looks after the engine again, ns.
+    due_ns: u64,
+    end_ns: u64,
+    /// When `progress` is called again, ns, and what is called with the seconds that are left.
+    progress_ns: u64,
+    progress: &'a mut dyn FnMut(u64),
+}
+
+#[derive(Debug)]
+enum Homed {
+    /// Not asked for yet.
+    Never,
+    /// Asked for at this look of the engine, ns.
+    Asked { at_ns: u64 },
+    /// Correcting.
+    Done,
+}
+
+impl<'a> Control<'a> {
+    pub(crate) fn new(
+        link: &'a mut ControlEnd,
+        streaming: bool,
+        time: Duration,
+        progress: &'a mut dyn FnMut(u64),
+    ) -> Self {
+        let now_ns = Monotonic.now_ns();
+        Self {
+            link,
+            streaming,
+            homed: Homed::Never,
+            faults: 0,
+            requests: 0,
+            looked_ns: 0,
+            due_ns: now_ns,
+            end_ns: now_ns + time.as_nanos() as u64,
+            progress_ns: now_ns,
+            progress,
+        }
+    }
+
+    /// Does what is due, and sends up to so many requests where they shall stream in.
+    #[inline]
+    fn attend(&mut self, now_ns: u64, requests: u64) {
+        if self.streaming && matches!(self.homed, Homed::Done) {
+            self.requests += (0..requests).take_while(|_| self.link.send(WITHOUT_END).is_ok()).count() as u64;
+        }
+        if now_ns >= self.due_ns {
+            self.due_ns = now_ns + CONTROL_INTERVAL_NS;
+            self.look_after();
+            if now_ns >= self.progress_ns {
+                self.progress_ns += SECOND_NS;
+                (self.progress)(self.end_ns.saturating_sub(now_ns).div_ceil(SECOND_NS));
+            }
+        }
+    }
+
+    fn look_after(&mut self) {
+        self.link.beat();
+        while self.link.event().is_some() {}
+        let status = self.link.status();
+        self.looked_ns = status.t_ns;
+        match self.homed {
+            Homed::Never => self.ask(),
+            Homed::Asked { .. } if status.mode == Mode::Run => self.homed = Homed::Done,
+            // An insertion was under way, and the request refused.
+            Homed::Asked { at_ns } if self.looked_ns > at_ns + ASK_AGAIN_NS => self.ask(),
+            Homed::Done if status.mode == Mode::Fault => {
+                self.faults += 1;
+                self.ask();
+            }
+            _ => {}
+        }
+    }
+
+    fn ask(&mut self) {
+        for request in [
+            Request::Clear,
+            Request::Home { axis: 0, position_counts: 0 },
+            Request::ConfirmHome { axis: 0, position_counts: 0 },
+            Request::Enable,
+            WITHOUT_END,
+        ] {
+            // A full ring: asked again when it has been worked off.
+            let _ = self.link.send(request);
+        }
+        self.homed = Homed::Asked { at_ns: self.looked_ns };
+    }
+
+    /// The time is up. On a crowded machine it goes on until one insertion has been `timed`.
+    fn over(&self, now_ns: u64, timed: bool) -> bool {
+        now_ns >= self.end_ns && (timed || now_ns >= self.end_ns + PATIENCE_NS) || self.link.ended()
+    }
+}
+
+/// The scale and the MTC.
+struct Player<'a, 'c, F> {
+    far: &'a mut F,
+    control: &'a mut Control<'c>,
+    done: &'a mut Recorder,
+    clock: Monotonic,
+    scale: Decoder,
+    mtc: Decoder,
+    /// The inverters as last seen.
+    inverters: u8,
+    seen: FarSide,
+    last_done_ns: Option<u64>,
+}
+
+/// Moves the scale edge by edge, and is the MTC, until the time is up; the times from edge to second inversion go to
+/// `done`. Returns what was seen and the last of those times, ns.
+pub(crate) fn play(
+    far: &mut impl Far,
+    control: &mut Control,
+    done: &mut Recorder,
+    random: &mut impl RngCore,
+) -> (FarSide, u64) {
+    let inverters = LINES.inverters(far.outputs());
+    let scale = Decoder::new(LINES.scale(0));
+    let mtc = Decoder::new(scale.state().inverted(inverters));
+    let (clock, seen) = (Monotonic, FarSide::default());
+    let mut player = Player { far, control, done, clock, scale, mtc, inverters, seen, last_done_ns: None };
+    loop {
+        let now_ns = player.clock.now_ns();
+        if player.control.over(now_ns, player.last_done_ns.is_some()) {
+            break;
+        }
+        player.dwell_until(now_ns + DWELL_NS.0 + random.next_u64() % (DWELL_NS.1 - DWELL_NS.0));
+        player.edge();
+    }
+    player.seen.mtc_minus_scale = player.mtc.count() - player.scale.count();
+    player.seen.illegal = player.mtc.illegal();
+    (player.seen, player.last_done_ns.unwrap_or(0))
+}
+
+impl<F: Far> Player<'_, '_, F> {
+    fn inverters_now(&mut self) -> u8 {
+        LINES.inverters(self.far.outputs())
+    }
+
+    /// Leaves the axis at rest until then; an insertion that came after it had been given up is entered.
+    fn dwell_until(&mut self, until_ns: u64) {
+        loop {
+            let now_ns = self.clock.now_ns();
+            self.control.attend(now_ns, 16);
+            if now_ns >= until_ns {
+                break;
+            }
+        }
+        let mut late = self.inverters_now();
+        while (late ^ self.inverters).is_power_of_two() && !self.control.link.ended() {
+            late = self.inverters_now();
+        }
+        if late != self.inverters {
+            self.seen.without_insertion -= 1;
+            self.seen.unresolved += 1;
+            self.mtc.update(self.mtc.state().next(true));
+            self.mtc.update(self.scale.state().inverted(late));
+            self.inverters = late;
+        }
+    }
+
+    /// One edge of the scale, and the insertion that follows it.
+    fn edge(&mut self) {
+        let next = self.scale.state().next(true);
+        let edge_ns = self.clock.now_ns();
+        self.far.drive(u64::from(next.a()) << LINES.a | u64::from(next.b()) << LINES.b);
+        let driven_ns = self.clock.now_ns();
+        self.seen.edges += 1;
+        self.scale.update(next);
+        self.mtc.update(next.inverted(self.inverters));
+
+        let mut resolved = driven_ns - edge_ns <= RESOLUTION_NS;
+        let (mut before_ns, mut looked_ns) = (edge_ns, driven_ns);
+        let mut known_ns = None;
+        let mut left = 2;
+        while left > 0 {
+            let now = self.inverters_now();
+            let now_ns = self.clock.now_ns();
+            if now == self.inverters {
+                if left == 2 && self.passed_over(driven_ns, &mut known_ns) || self.control.link.ended() {
+                    self.seen.without_insertion += 1;
+                    return;
+                }
+            } else {
+                // The lines changed after the look before, whose own time lies between two readings of the clock.
+                resolved &= now_ns - before_ns <= RESOLUTION_NS;
+                left -= self.inverted(next, now);
+            }
+            (before_ns, looked_ns) = (looked_ns, now_ns);
+            self.control.attend(now_ns, 1);
+        }
+        if resolved {
+            let done_ns = looked_ns - edge_ns;
+            self.done.record(done_ns);
+            self.last_done_ns = Some(done_ns);
+        } else {
+            self.seen.unresolved += 1;
+        }
+    }
+
+    /// Enters a change of the inverters into the MTC's count; returns how many inversions it was.
+    fn inverted(&mut self, scale: State, now: u8) -> u32 {
+        let inversions = (now ^ self.inverters).count_ones();
+        if inversions == 2 {
+            // Not looked in between: the two came one after the other all the same, the adding one first.
+            self.mtc.update(self.mtc.state().next(true));
+        }
+        self.mtc.update(scale.inverted(now));
+        self.inverters = now;
+        inversions
+    }
+
+    /// The engine has seen the edge of `driven_ns` at one look that is known of, and has done nothing until another.
+    fn passed_over(&mut self, driven_ns: u64, known_ns: &mut Option<u64>) -> bool {
+        let looked_ns = self.control.looked_ns;
+        looked_ns > driven_ns
+            && *known_ns.get_or_insert(looked_ns) < looked_ns
+            // Looked at once more: this thread may have been away since it looked.
+            && self.inverters_now() == self.inverters
+    }
+}

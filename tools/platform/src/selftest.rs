@@ -1,0 +1,375 @@
+//! How late this machine can be: the latencies that the speed gate stands on, measured with the real engine.
+//!
+//! Nothing is understated: where a clock had to be read before or after an event, the worse side was taken.
+//!
+//! | figure | how |
+//! |---|---|
+//! | wake-up | `clock_nanosleep` to an absolute time, as cyclictest does |
+//! | poll gap | between two looks of the engine's own polling loop, as oslat does with an empty one |
+//! | edge to done | another CPU plays the scale and the MTC: from the moment before it changes A or B to the moment it has seen the second inversion |
+//!
+//! Poll gap and edge to done are measured twice: undisturbed, and with requests streaming in as fast as the link takes
+//! them. The gate is given the worse of the two.
+
+pub use crate::far::FarSide;
+use crate::far::{Control, Far, play};
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::SeedableRng;
+use rtec_driver::card::{Card, CardError, MachineLines};
+use rtec_driver::clock::{Clock, Monotonic};
+use rtec_driver::mapped::{MapError, MappedCard, Registers};
+use rtec_driver::mock::{MockCard, SharedWires};
+use rtec_driver::profile::Profile;
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::histogram::{Recorder, Snapshot, histogram};
+use rtec_rt::setup::{self, Report, System, Wanted, apply};
+use rtec_rt::thread::{Options as ThreadOptions, SpawnError, spawn};
+use serde::Serialize;
+use std::io;
+use std::time::{Duration, Instant};
+
+/// Time between two wake-ups, ns.
+pub const WAKEUP_INTERVAL_NS: u64 = 500_000;
+/// How often the thread that waits for the wake-ups looks whether they are over.
+const WATCH_INTERVAL: Duration = Duration::from_millis(2);
+const SECOND: Duration = Duration::from_secs(1);
+
+/// Which card to measure with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Backend {
+    /// Wires in the same process.
+    Mock,
+    /// Registers in a file that is mapped twice, as the two sides of a PCI card see them.
+    Mapped,
+}
+
+/// What to measure, and where.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// The CPU of the real-time thread.
+    pub cpu: usize,
+    /// Its `SCHED_FIFO` priority.
+    pub priority: u8,
+    /// How long, all in all: a third each for the wake-ups, the polling loop, and the polling loop with requests.
+    pub run: Duration,
+    /// The card.
+    pub backend: Backend,
+    /// Seed of the far side's dwell times.
+    pub seed: u64,
+}
+
+impl Options {
+    fn wanted(&self) -> Wanted {
+        Wanted { cpu: self.cpu, priority: self.priority }
+    }
+}
+
+/// Why nothing could be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum SelftestError {
+    /// A file or thread that the test needs.
+    #[error("{0}: {1}")]
+    Io(&'static str, #[source] io::Error),
+    /// The card's registers.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// The card failed.
+    #[error(transparent)]
+    Card(#[from] CardError),
+    /// The engine did not start.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// Its thread did not.
+    #[error(transparent)]
+    Spawn(#[from] SpawnError),
+    /// The wake-up thread ended by a panic: a bug.
+    #[error("the wake-up thread panicked")]
+    Panicked,
+}
+
+/// One of the three latencies.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct Latency {
+    /// Its distribution, ns.
+    #[serde(flatten)]
+    pub ns: Snapshot,
+    /// The last value, ns; of the poll gap, of which none is kept, the median.
+    #[serde(skip)]
+    pub last_ns: u64,
+    /// The thread that measured it.
+    #[serde(skip)]
+    pub tid: i32,
+}
+
+/// What the polling loop did, while the far side gave edges and was the MTC.
+#[derive(Debug, Clone, Default)]
+pub struct Polling {
+    /// How long the loop does not look.
+    pub poll_gap: Latency,
+    /// The engine's own part of edge to done: from the look that saw the edge to the look that ordered the second
+    /// inversion.
+    pub seen_to_done: Snapshot,
+    /// From an edge to the second inversion, both separations included.
+    pub edge_to_done: Latency,
+    /// What the far side saw and counted.
+    pub far: FarSide,
+    /// Counts inserted according to the engine.
+    pub completed: i64,
+    /// Faults that a gap in the polling loop latched; the axis was homed again after each.
+    pub faults: u64,
+    /// Requests that streamed in.
+    pub requests: u64,
+}
+
+impl Polling {
+    /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
+    fn balanced(&self) -> bool {
+        self.far.mtc_minus_scale == self.completed && self.far.illegal == 0
+    }
+}
+
+/// Everything that was measured.
+#[derive(Debug, Clone)]
+pub struct Measured {
+    /// The set-up under which it was measured.
+    pub setup: Report,
+    /// How late a sleeping thread wakes.
+    pub wakeup: Latency,
+    /// The axis that was measured with.
+    pub axis: AxisConfig,
+    /// The polling loop undisturbed. Empty with one CPU only: polling would leave nobody to end it.
+    pub quiet: Polling,
+    /// The polling loop with requests streaming in as fast as the link takes them. Empty with one CPU only.
+    pub with_requests: Polling,
+}
+
+impl Measured {
+    fn both(&self) -> [&Polling; 2] {
+        [&self.quiet, &self.with_requests]
+    }
+
+    /// At least one insertion was timed, undisturbed and with requests.
+    #[must_use]
+    pub fn timed(&self) -> bool {
+        self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0)
+    }
+
+    /// What the far side saw in all; `None` with one CPU only.
+    #[must_use]
+    pub fn far(&self) -> Option<FarSide> {
+        let [a, b] = self.both().map(|p| &p.far);
+        (a.edges > 0).then(|| FarSide {
+            edges: a.edges + b.edges,
+            without_insertion: a.without_insertion + b.without_insertion,
+            unresolved: a.unresolved + b.unresolved,
+            mtc_minus_scale: a.mtc_minus_scale + b.mtc_minus_scale,
+            illegal: a.illegal + b.illegal,
+        })
+    }
+
+    /// Counts inserted in all, according to the engine.
+    #[must_use]
+    pub fn completed(&self) -> i64 {
+        self.both().iter().map(|p| p.completed).sum()
+    }
+
+    /// Faults in all that a gap in the polling loop latched.
+    #[must_use]
+    pub fn faults(&self) -> u64 {
+        self.both().iter().map(|p| p.faults).sum()
+    }
+
+    /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
+    #[must_use]
+    pub fn balanced(&self) -> bool {
+        self.both().iter().all(|p| p.balanced())
+    }
+
+    /// Time from an edge until the engine acts on it, ns, beyond the separations that it has to keep, with or without
+    /// requests streaming in, whichever is worse: at the worst seen and, apart from one look in ten thousand, at the worst.
+    #[must_use]
+    pub fn detect_ns(&self) -> (u64, u64) {
+        let separations = self.separations_ns();
+        let of = |figure: fn(&Snapshot) -> u64| {
+            let late = |p: &Polling| {
+                figure(&p.poll_gap.ns).max(figure(&p.edge_to_done.ns).saturating_sub(separations))
+            };
+            late(&self.quiet).max(late(&self.with_requests))
+        };
+        (of(Snapshot::max), of(Snapshot::p9999))
+    }
+
+    /// Time of one write until the next look, ns: half of what an insertion took beyond the separations that it has to
+    /// keep, but for one in ten thousand, with or without requests streaming in. Rarer delays are in [`Self::detect_ns`].
+    #[must_use]
+    pub fn write_ns(&self) -> u64 {
+        let inserting_ns = self.both().map(|p| p.seen_to_done.p9999());
+        inserting_ns[0].max(inserting_ns[1]).saturating_sub(self.separations_ns()).div_ceil(2)
+    }
+
+    /// The part of edge to done that is wanted: the MTC's separation after the edge, and between the two inversions.
+    #[must_use]
+    pub fn separations_ns(&self) -> u64 {
+        2 * self.axis.min_separation_ns
+    }
+}
+
+/// Measures. `progress` is called about once a second with what is going on and for how many more seconds.
+///
+/// # Errors
+/// When the test card or a thread cannot be made, or the card fails.
+pub fn run(options: Options, progress: impl FnMut(&str, u64)) -> Result<Measured, SelftestError> {
+    match options.backend {
+        Backend::Mock => measure(options, progress, || {
+            let wires = SharedWires::default();
+            Ok((MockCard::new(wires.clone(), Monotonic), wires))
+        }),
+        Backend::Mapped => measure(options, progress, || {
+            let io = |e| SelftestError::Io("making the card's file", e);
+            let shared_memory = std::path::Path::new("/dev/shm");
+            let dir = if shared_memory.is_dir() { shared_memory.to_owned() } else { std::env::temp_dir() };
+            // Its name is needed until both ends have mapped it.
+            let file = tempfile::Builder::new().prefix("rtec-selftest-").tempfile_in(dir).map_err(io)?;
+            let profile = Profile::shared_memory();
+            file.as_file().set_len(profile.size() as u64).map_err(io)?;
+            let far = Registers::open(file.path(), profile.size(), &profile.name)?;
+            Ok((MappedCard::open(file.path(), &profile, Monotonic)?, far))
+        }),
+    }
+}
+
+/// Wake-ups, then the polling loop without and with requests, each on a new card from `wires`: the engine's end and the
+/// machine's.
+fn measure<C: Card + Send + 'static, F: Far>(
+    options: Options,
+    mut progress: impl FnMut(&str, u64),
+    mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
+) -> Result<Measured, SelftestError> {
+    // Everything but the real-time thread leaves its CPU; threads started from here do as this one does.
+    let left = setup::leave(options.cpu);
+    let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
+    // The far side keeps its dwell time and waits for each insertion: the last period alone decides.
+    let axis =
+        AxisConfig { max_correction_counts: i64::MAX, max_accel_counts_s2: 0.0, ..AxisConfig::default() };
+    let mut measured =
+        Measured { setup, wakeup, axis, quiet: Polling::default(), with_requests: Polling::default() };
+    if left.is_some() {
+        measured.quiet = measure_polling(options, axis, wires()?, false, &mut progress)?;
+        measured.with_requests = measure_polling(options, axis, wires()?, true, &mut progress)?;
+    }
+    Ok(measured)
+}
+
+/// The engine's own thread polls for a third of the time; this thread is the far side and the control side at once, so
+/// that requests stream in at the very moment of an edge, however few CPUs there are.
+fn measure_polling<C: Card + Send + 'static, F: Far>(
+    options: Options,
+    axis: AxisConfig,
+    (mut card, mut far): (C, F),
+    requests: bool,
+    progress: &mut impl FnMut(&str, u64),
+) -> Result<Polling, SelftestError> {
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
+    let engine = Engine::new(&mut card, &[axis], machine, &[])?;
+    let thread = ThreadOptions { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
+    let mut running = spawn(engine, card, thread)?;
+    let loop_tid = tid_of("rtec-rt");
+
+    let (mut done, done_reader) = histogram();
+    let what =
+        if requests { "poll gap and edge to done, with requests" } else { "poll gap and edge to done" };
+    let mut show = |left_s| progress(what, left_s);
+    let mut control = Control::new(&mut running.control, requests, options.run / 3, &mut show);
+    let (far, last_done_ns) =
+        play(&mut far, &mut control, &mut done, &mut SplitMix64::seed_from_u64(options.seed));
+    let (faults, requests) = (control.faults, control.requests);
+
+    let timing = running.timing.clone();
+    let (ended, _) = running.stop();
+    if let Some(error) = ended.error {
+        return Err(error.into());
+    }
+    let poll_gap_ns = timing.poll_gap_ns.snapshot();
+    Ok(Polling {
+        poll_gap: Latency { last_ns: poll_gap_ns.p50(), ns: poll_gap_ns, tid: loop_tid },
+        seen_to_done: timing.edge_to_done_ns.snapshot(),
+        edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
+        far,
+        // Not the axis's own total: that begins anew at every homing.
+        completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64)
+            * axis.design.increment_counts(),
+        faults,
+        requests,
+    })
+}
+
+/// Wakes up for a third of the time, on a thread set up as the real one.
+fn measure_wake_ups(
+    options: Options,
+    progress: &mut impl FnMut(&str, u64),
+) -> Result<(Latency, Report), SelftestError> {
+    let third = options.run / 3;
+    let thread = std::thread::Builder::new().name("rtec-wakeup".into()).spawn(move || {
+        let (_held, report) = apply(&System::live(), options.wanted());
+        let (mut recorder, reader) = histogram();
+        let last_ns = wake_ups(third.as_nanos() as u64, &mut recorder);
+        (Latency { ns: reader.snapshot(), last_ns, tid: tid() }, report)
+    });
+    let thread = thread.map_err(|e| SelftestError::Io("starting the wake-up thread", e))?;
+    let start = Instant::now();
+    let mut next = start;
+    while !thread.is_finished() {
+        if Instant::now() >= next {
+            progress("wake-up", third.saturating_sub(start.elapsed()).as_secs() + 1);
+            next += SECOND;
+        }
+        std::thread::sleep(WATCH_INTERVAL);
+    }
+    thread.join().map_err(|_| SelftestError::Panicked)
+}
+
+/// Sleeps to one absolute time after the other and records how late it wakes; returns the last value, ns.
+fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
+    let mut clock = Monotonic;
+    let start_ns = clock.now_ns();
+    let mut next_ns = start_ns;
+    let mut late_ns = 0;
+    while next_ns - start_ns < run_ns {
+        next_ns += WAKEUP_INTERVAL_NS;
+        let next = libc::timespec {
+            tv_sec: (next_ns / 1_000_000_000) as libc::time_t,
+            tv_nsec: (next_ns % 1_000_000_000) as _,
+        };
+        // SAFETY: the request is a valid timespec that outlives the call; a null remainder is allowed.
+        while unsafe {
+            libc::clock_nanosleep(
+                libc::CLOCK_MONOTONIC,
+                libc::TIMER_ABSTIME,
+                &raw const next,
+                std::ptr::null_mut(),
+            )
+        } == libc::EINTR
+        {}
+        let now_ns = clock.now_ns();
+        late_ns = now_ns - next_ns;
+        recorder.record(late_ns);
+        // After a long delay: go on from now, do not wake a hundred times at once.
+        next_ns += late_ns / WAKEUP_INTERVAL_NS * WAKEUP_INTERVAL_NS;
+    }
+    late_ns
+}
+
+/// The thread of this process that has this name; 0 when there is none.
+fn tid_of(name: &str) -> i32 {
+    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let mut named =
+        tasks.filter(|t| std::fs::read_to_string(t.path().join("comm")).is_ok_and(|n| n.trim() == name));
+    named.find_map(|t| t.file_name().to_str()?.parse().ok()).unwrap_or(0)
+}
+
+fn tid() -> i32 {
+    // SAFETY: takes nothing and always succeeds.
+    unsafe { libc::gettid() }
+}
