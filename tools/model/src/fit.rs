@@ -22,7 +22,7 @@ use crate::machine::{FitNote, Machine, Provenance, Source, Validity};
 use crate::plot::{Chart, Series, Style};
 use crate::record::{Axis, Column, Record, Role};
 use nalgebra::{DMatrix, DVector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 
 use crate::plot::{Chart, Series, Style};
 use crate::record::{Axis, Kind, Record, Role};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};

@@ -9,7 +9,7 @@ use crate::fit::{Fitted, Intervals, jackknife_interval};
 use crate::machine::{Machine, Provenance, Source};
 use crate::record::{Record, Role};
 use nalgebra::{DMatrix, DVector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use serde::Serialize;
 use std::path::Path;
 

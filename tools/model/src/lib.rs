@@ -16,12 +16,10 @@
 //! | [`plan`] | the test sequence a machine is characterised with |
 //! | [`import`] | other tools' files as run records |
 //! | [`plot`] | charts as SVG |
-//! | [`document`], [`date`] | TOML tables read with line and column; calendar days |
 
 pub mod chain;
 pub mod chain_fit;
 pub mod date;
-pub mod document;
 pub mod effect;
 pub mod fit;
 pub mod import;

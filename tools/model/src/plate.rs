@@ -2,7 +2,7 @@
 
 use crate::plot::{Chart, Series, Style};
 use crate::record::{Axis, Record, Role};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -9,9 +9,9 @@
 //! | `csv` | a recorded CSV, replayed by its `t` column (s) |
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
-use crate::document::Table;
 use crate::record::{Record, Role};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::toml::Table;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read};

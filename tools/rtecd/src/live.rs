@@ -7,7 +7,7 @@
 use crate::temperatures;
 use rtec_control::config::{Axis as AxisConfig, Config};
 use rtec_control::protocol::{Change, Explained, ModelPreview, Part, PartTable, Reading, TableNow, Trip};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::effect::{Difference, Effect, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
@@ -1140,7 +1140,7 @@ mod tests {
             (beside(|t| t.radius_mm = -1.0), "a positive radius_mm"),
             (beside(|t| t.origin_mm[1] = f64::NAN), "finite places"),
             (beside(|t| t.lead_ms = 2000.0), "lead_ms of 0 to 1000"),
-            (beside(|t| t.errors.push_str(".none")), "error.cor.none: found an unreadable file"),
+            (beside(|t| t.errors.push_str(".none")), "error.cor.none: found No such file"),
         ] {
             let text = bench.corrector.load_table(wanted).unwrap_err();
             assert!(text.contains(said), "{text}");

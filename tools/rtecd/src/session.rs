@@ -9,10 +9,9 @@ use rtec_control::protocol::{
     Axis, Distribution, Happened, Jump, ModelPreview, PartTable, Request, Response, Rt, Status,
     explain_fault, explain_refusal, word,
 };
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::machine::Machine;
-use rtec_model::record::write_whole;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{self, Event, EventKind, Mode, Refusal};
 use rtec_rt::histogram::Reader;
@@ -422,7 +421,7 @@ impl Session {
 
     fn remember(&self, text: &str, log: &mut Log) {
         let path = self.directory().join(TAKEN);
-        if let Err(error) = write_whole(&path, text.as_bytes()) {
+        if let Err(error) = rtec_files::write::whole(&path, text.as_bytes()) {
             let text = format!("{}: {error}: a restart will not know which model was taken", path.display());
             log.say(Level::Warning, &text);
         }

@@ -3,7 +3,7 @@
 use crate::Outcome;
 use anyhow::Context;
 use rtec_control::config::Config;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::Snapshot;
 use rtec_rt::selftest::{Backend, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure};

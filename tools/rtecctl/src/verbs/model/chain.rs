@@ -1,7 +1,7 @@
 //! `rtecctl model fit-chain`: a chain's polynomials from records, component by component.
 
 use super::fit::draw;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::chain::Chain;
 use rtec_model::chain_fit::{self, Run};
 use rtec_model::fit::residual_chart;

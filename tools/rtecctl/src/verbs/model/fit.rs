@@ -1,14 +1,14 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::fit::{self, Fitted, Options, Report};
 use rtec_model::least;
 use rtec_model::machine::Machine;
 use rtec_model::plot::Chart;
-use rtec_model::record::{Record, write_whole};
+use rtec_model::record::Record;
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -235,7 +235,8 @@ pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
     for (i, chart) in charts.iter().enumerate() {
         let path = if i == 0 { path.to_owned() } else { path.with_extension(format!("{}.svg", i + 1)) };
         let svg = chart.svg(1000, 520)?;
-        write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+        rtec_files::write::whole(&path, svg.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())
 }

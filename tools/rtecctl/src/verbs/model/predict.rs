@@ -1,9 +1,9 @@
 //! `rtecctl model predict`: the sum of a model's effects at every row of a record.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, write_whole};
+use rtec_model::record::Record;
 use std::path::PathBuf;
 
 /// Predict a record's responses from a machine model
@@ -49,5 +49,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         columns.push((format!("predicted_{name}"), data));
     }
     let text = record.csv_with(&columns)?;
-    write_whole(&args.out, text.as_bytes()).with_context(|| format!("writing {}", args.out.display()))
+    rtec_files::write::whole(&args.out, text.as_bytes())
+        .with_context(|| format!("writing {}", args.out.display()))
 }

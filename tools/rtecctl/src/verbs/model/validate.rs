@@ -5,7 +5,7 @@ use anyhow::Context;
 use rtec_model::date;
 use rtec_model::fit;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, write_whole};
+use rtec_model::record::Record;
 use rtec_model::rehearse;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -75,7 +75,8 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
                 };
                 let svg =
                     fit::prediction_chart(&record, column, predicted, widths.as_deref()).svg(1000, 520)?;
-                write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+                rtec_files::write::whole(&path, svg.as_bytes())
+                    .with_context(|| format!("writing {}", path.display()))?;
             }
             if after >= before && before > 0.0 {
                 worse.push(format!("{}: {response}", path.display()));
@@ -139,7 +140,8 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         for axis in &found.axes {
             let path = path.with_extension(format!("{}.svg", axis.axis));
             let svg = axis.chart().svg(900, 480)?;
-            write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+            rtec_files::write::whole(&path, svg.as_bytes())
+                .with_context(|| format!("writing {}", path.display()))?;
         }
     }
     if args.json {
