@@ -14,13 +14,12 @@
 //! | [`mock`] | a card in the same process |
 //! | [`moving`] | a small moving machine at the other end of the mock card's wires |
 //! | [`replay`] | a recorded trace on a virtual clock |
-//! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
-//! | [`input`] | the one shape of error for a file that a person wrote |
+//!
+//! No file format is read here: profiles and traces come as data.
 
 pub mod card;
 pub mod clock;
 pub mod gpio;
-pub mod input;
 pub mod mapped;
 pub mod mock;
 pub mod moving;
@@ -30,4 +29,3 @@ pub mod profile;
 pub mod quadrature;
 pub mod registers;
 pub mod replay;
-pub mod trace;

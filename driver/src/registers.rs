@@ -301,7 +301,6 @@ mod tests {
     use crate::clock::Virtual;
     use crate::quadrature::{Decoder, State};
     use std::cell::RefCell;
-    use std::path::Path;
     use std::rc::Rc;
 
     /// Registers that a test reads and turns; and what was written to which offset.
@@ -341,7 +340,16 @@ mod tests {
         // The scale stands in the third state of its cycle, the counter anywhere.
         bench.set(0, STATES[2]);
         bench.set(12, 0xffff_fff0);
-        let profile = Profile::shipped("counter-card").unwrap();
+        let at = |offset| Register { offset, width: Width::Bits32 };
+        let counter = |n: u8| Counter {
+            lines: (2 * n, 2 * n + 1),
+            count: at(12 + 4 * usize::from(n)),
+            latch: Some(Order { register: at(8), value: 1 << n }),
+            overflow: Some(Flag { register: at(20), bit: 2 * n }),
+            error: Some(Flag { register: at(20), bit: 2 * n + 1 }),
+            clear: Some(Order { register: at(20), value: 3 << (2 * n) }),
+        };
+        let profile = Profile { counters: vec![counter(0), counter(1)], ..Profile::shared_memory() };
         let card = RegisterCard::new(bench.clone(), &profile, Virtual::default()).unwrap();
         (bench, card)
     }
@@ -404,9 +412,9 @@ mod tests {
 
     #[test]
     fn setting_up_is_done_once_and_only_on_the_card_that_was_meant() {
-        let text = "name='c'\ninputs=[{register=0,width=32}]\noutputs=[{register=4,width=32}]\n[lines]\n\
-                    [[setup]]\nregister=12\nwidth=32\nvalue=0x92\nafter_reset=0x9b\n";
-        let profile = Profile::parse(Path::new("c.toml"), text).unwrap();
+        let order = Order { register: Register { offset: 12, width: Width::Bits32 }, value: 0x92 };
+        let setup = vec![SetUp { order, after_reset: 0x9b }];
+        let profile = Profile { setup, ..Profile::shared_memory() };
         let bench = Bench::default();
         bench.0.borrow_mut().0 = vec![0; 8];
         let open = || RegisterCard::new(bench.clone(), &profile, Virtual::default());

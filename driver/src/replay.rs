@@ -1,9 +1,25 @@
 //! A recorded trace of one axis, on a virtual clock: time jumps from one event to the next.
 
 use crate::card::{AxisLines, Card, CardError, Sample};
-use crate::input::InputError;
 use crate::quadrature::State;
-use crate::trace::TracePoint;
+
+/// The state that the two signals take at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TracePoint {
+    /// Time of the change in ns; in the first point the time from which the initial state is known.
+    pub t_ns: u64,
+    /// The levels from this time on.
+    pub state: State,
+}
+
+/// A requested total and the time at which it is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Request {
+    /// Time in ns.
+    pub t_ns: u64,
+    /// Requested total in counts since homing.
+    pub requested: i64,
+}
 
 /// What is told of every change that the MTC sees, in order.
 pub trait Listener {
@@ -57,17 +73,18 @@ impl Gates for Through {
     }
 }
 
-/// Plays a trace to the engine as axis 0 of the standard layout, and what comes out to a listener.
+/// Plays a trace to the engine as axis 0 of the standard layout, and what comes out to a listener. Where the points come
+/// from is the caller's matter, and so is the error `E` that ends them.
 ///
 /// Changes carry their own times, writes are in effect at the time of the look before them: the order of edges and
 /// inversions is always certain here.
 #[derive(Debug)]
-pub struct ReplayCard<T, L, G = Xor> {
+pub struct ReplayCard<T, L, E, G = Xor> {
     gates: G,
     trace: T,
     listener: L,
     next: Option<TracePoint>,
-    error: Option<InputError>,
+    error: Option<E>,
     t_ns: u64,
     scale: State,
     /// A' and B' as they stand.
@@ -76,12 +93,12 @@ pub struct ReplayCard<T, L, G = Xor> {
     edges: u64,
 }
 
-impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> ReplayCard<T, L, G> {
+impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> ReplayCard<T, L, E, G> {
     /// Reads the initial state. An empty trace stands for an axis at rest at A = B = low.
     ///
     /// # Errors
     /// When the first row is bad.
-    pub fn new(gates: G, mut trace: T, mut listener: L) -> Result<Self, InputError> {
+    pub fn new(gates: G, mut trace: T, mut listener: L) -> Result<Self, E> {
         let first = trace.next().transpose()?.unwrap_or(TracePoint { t_ns: 0, state: State::default() });
         listener.changed(first.t_ns, first.state);
         let mut card = Self {
@@ -113,7 +130,7 @@ impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> 
     }
 
     /// The bad row that ended the replay, if one did.
-    pub fn take_error(&mut self) -> Option<InputError> {
+    pub fn take_error(&mut self) -> Option<E> {
         self.error.take()
     }
 
@@ -133,7 +150,7 @@ impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> 
     }
 }
 
-impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> Card for ReplayCard<T, L, G> {
+impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> Card for ReplayCard<T, L, E, G> {
     #[inline]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         let mut edge_ns = None;
@@ -176,11 +193,12 @@ impl<T: Iterator<Item = Result<TracePoint, InputError>>, L: Listener, G: Gates> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::convert::Infallible;
 
     #[test]
     fn time_jumps_to_edges_and_appointments_and_the_listener_hears_all() {
         let points = [(10, 0), (20, 1), (30, 3)]
-            .map(|(t_ns, bits)| Ok(TracePoint { t_ns, state: State::from_bits(bits) }));
+            .map(|(t_ns, bits)| Ok::<_, Infallible>(TracePoint { t_ns, state: State::from_bits(bits) }));
         let mut heard = Vec::new();
         let mut card =
             ReplayCard::new(Xor, points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();

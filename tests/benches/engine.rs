@@ -4,7 +4,7 @@
 
 use rtec_driver::card::CardError;
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::{Request, TracePoint};
+use rtec_driver::replay::{Request, TracePoint};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::replay;
 use rtec_tests::judge::LinuxCnc;
@@ -108,7 +108,7 @@ fn replay_speed() -> anyhow::Result<()> {
         let mut point = TracePoint { t_ns: 0, state: State::default() };
         let trace = (0..EDGES).map(|n| {
             point = TracePoint { t_ns: point.t_ns + 2000, state: point.state.next(n / 1000 % 2 == 0) };
-            Ok(point)
+            Ok::<_, std::convert::Infallible>(point)
         });
         let requests = (1..EDGES / every)
             .map(|n| Ok(Request { t_ns: n * every * 2000, requested: if n % 2 == 0 { 2 } else { 0 } }));

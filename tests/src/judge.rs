@@ -3,7 +3,8 @@
 use crate::root;
 use anyhow::{Context, bail, ensure};
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::{TraceFile, TracePoint};
+use rtec_driver::replay::TracePoint;
+use rtec_files::trace::TraceFile;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::os::unix::fs::MetadataExt;

@@ -1,8 +1,8 @@
 //! What a corrected trace must count, at every state, without counting the corrected trace itself.
 
 use anyhow::{Context, bail};
-use rtec_driver::input::InputError;
-use rtec_driver::trace::TracePoint;
+use rtec_driver::replay::TracePoint;
+use rtec_files::InputError;
 
 /// Sums over a corrected trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

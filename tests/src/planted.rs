@@ -1,7 +1,7 @@
 //! Corrected traces made without the engine, right ones and, on demand, wrong ones: what shows that a judge judges.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::TracePoint;
+use rtec_driver::replay::TracePoint;
 
 /// What is wrong with a planted trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

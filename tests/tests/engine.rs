@@ -3,11 +3,12 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::{Request, TracePoint};
+use rtec_driver::replay::{Request, TracePoint};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::{Outcome, replay};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, available, sigrok};
 use rtec_tests::ledger::{self, Totals};
+use std::convert::Infallible;
 use std::f64::consts::TAU;
 
 /// Strokes of a sine, reversal after reversal: at 7 rad/s just within the axis's 1e6 counts/s².
@@ -37,9 +38,9 @@ fn corrected(scale: &[TracePoint], every_ns: u64) -> (Outcome, Vec<(TracePoint, 
     let mut mtc = Vec::new();
     let requests = totals(scale.last().unwrap().t_ns, every_ns);
     let hear = |t_ns: u64, state: State| mtc.push(TracePoint { t_ns, state });
+    let trace = scale.iter().map(|p| Ok::<_, Infallible>(*p));
     let (outcome, _) =
-        replay(AxisConfig::default(), scale.iter().map(|p| Ok(*p)), requests.into_iter().map(Ok), true, hear)
-            .unwrap();
+        replay(AxisConfig::default(), trace, requests.into_iter().map(Ok), true, hear).unwrap();
     let mut due = Vec::new();
     let totals = ledger::walk(scale.iter().map(|p| Ok(*p)), mtc.into_iter().map(Ok), |point, count| {
         due.push((point, count));

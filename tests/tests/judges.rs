@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_driver::trace::{TraceFormat, TracePoint, TraceReader, TraceWriter};
+use rtec_driver::replay::TracePoint;
+use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, Verdict, available, sigrok};
 use rtec_tests::ledger;
 use rtec_tests::planted::{Fault, corrected, motion};

@@ -5,7 +5,7 @@
 use anyhow::{Context, ensure};
 use clap::{Parser, Subcommand};
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::TraceReader;
+use rtec_files::trace::TraceReader;
 use rtec_tests::judge::{LinuxCnc, Verdict, sigrok};
 use rtec_tests::ledger;
 use std::path::PathBuf;
@@ -65,7 +65,7 @@ fn main() -> anyhow::Result<()> {
 impl Traces {
     fn walk(
         &self,
-        each: impl FnMut(rtec_driver::trace::TracePoint, i64) -> anyhow::Result<()>,
+        each: impl FnMut(rtec_driver::replay::TracePoint, i64) -> anyhow::Result<()>,
     ) -> anyhow::Result<ledger::Totals> {
         let (scale, mtc) = (TraceReader::open(&self.scale)?, TraceReader::open(&self.mtc)?);
         let totals = ledger::walk(scale, mtc, each).with_context(|| self.mtc.display().to_string())?;

@@ -41,20 +41,20 @@
 //! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
 //! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.
 
-use crate::section::{At, BIASES, DRIVES, LineName, Section, Source, nearest};
+use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
+use crate::profile;
 use rtec_correct::sensors;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
-use rtec_driver::input::InputError;
 use rtec_driver::pci::PciId;
-use rtec_driver::profile::{Place, Profile, SHIPPED, Space, Width};
-use rtec_model::document;
+use rtec_driver::profile::{Place, Profile, Space, Width};
+use rtec_files::toml::{At, Document, Section, Source, Table};
+use rtec_files::{InputError, nearest};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::event::MAX_AXES;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use toml::de::DeTable;
 
 /// A machine's configuration, checked.
 #[derive(Debug, Clone, PartialEq)]
@@ -280,9 +280,7 @@ impl Config {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn load(file: &Path) -> Result<Self, Findings> {
-        let text = std::fs::read_to_string(file).map_err(|e| {
-            Findings(vec![InputError::whole(file, e.to_string(), "a configuration that can be read")])
-        })?;
+        let text = rtec_files::text::read(file).map_err(|finding| Findings(vec![finding]))?;
         Self::parse(file, &text)
     }
 
@@ -292,15 +290,9 @@ impl Config {
     /// Everything that is wrong with it.
     pub fn parse(file: &Path, text: &str) -> Result<Self, Findings> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let mut source = Source { file, text, findings: Vec::new() };
-        let (table, errors) = DeTable::parse_recoverable(text);
-        for error in errors {
-            let offset = error.span().map_or(0, |s| s.start);
-            let message = error.message().lines().collect::<Vec<_>>().join(", ");
-            let (found, expected) = message.split_once(", expected ").unwrap_or((&message, "TOML"));
-            source.finding(offset, found, expected);
-        }
-        let config = if source.findings.is_empty() { read(&mut source, table.get_ref()) } else { None };
+        let (document, findings) = Document::parse_all(file, text);
+        let mut source = Source { file, text, findings };
+        let config = if source.findings.is_empty() { read(&mut source, &document) } else { None };
         source.findings.sort_by_key(|f| (f.line, f.column));
         match config {
             Some(config) if source.findings.is_empty() => Ok(config),
@@ -376,8 +368,8 @@ enum Kind {
 }
 
 /// The file's whole content; findings are in the source, `None` where there is no way on.
-fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
-    let mut root = Section::root(table);
+fn read(source: &mut Source<'_>, document: &Document<'_>) -> Option<Config> {
+    let mut root = Section::root(document);
     let mut notes = Vec::new();
 
     let mut machine = root.table(source, "machine", "[machine]");
@@ -392,7 +384,7 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
     let write_ns = rt_table.integer(source, "write_ns", 0..=1_000_000_000);
     let guard_ns = rt_table.integer(source, "guard_ns", 0..=1_000_000_000);
     rt_table.finish(source);
-    let ns = |at: Option<crate::section::At<i64>>| at.map_or(0, |at| at.value as u64);
+    let ns = |at: Option<At<i64>>| at.map_or(0, |at| at.value as u64);
     let rt = RtConfig {
         cpu: cpu.map(|c| c.value as usize),
         priority: priority.map_or(80, |p| p.value as u8),
@@ -439,7 +431,7 @@ fn read(source: &mut Source<'_>, table: &DeTable<'_>) -> Option<Config> {
     let stale_ms = control_table.integer(source, "stale_ms", 10..=60_000);
     control_table.finish(source);
     let model = read_model(source, &mut root);
-    let sensors = if root.has("sensor") { read_sensors(source) } else { Vec::new() };
+    let sensors = if root.has("sensor") { read_sensors(source, &document.root()) } else { Vec::new() };
     root.finish(source);
 
     let relative = |path: &str| source.file.parent().unwrap_or(Path::new("")).join(path);
@@ -487,14 +479,9 @@ fn read_model(source: &mut Source<'_>, root: &mut Section<'_>) -> ModelConfig {
 }
 
 /// The `[[sensor]]` tables, as the model's library reads them; recordings to replay are beside the configuration.
-fn read_sensors(source: &mut Source<'_>) -> Vec<sensors::Config> {
-    let (file, text) = (source.file, source.text);
-    let found = document::parse(file, text)
-        .and_then(|document| sensors::read_tables(&document::Table::root(file, text, &document)));
-    let mut all = found.unwrap_or_else(|finding| {
-        source.findings.push(finding);
-        Vec::new()
-    });
+fn read_sensors(source: &mut Source<'_>, root: &Table<'_>) -> Vec<sensors::Config> {
+    let file = source.file;
+    let mut all = source.keep(sensors::read_tables(root)).unwrap_or_default();
     for sensor in &mut all {
         if let sensors::Source::Csv { record, .. } = &mut sensor.source {
             *record = file.parent().unwrap_or(Path::new("")).join(&*record);
@@ -563,11 +550,11 @@ fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
 /// Where the registers are, and what they mean.
 fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut Card, port: bool) {
     let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
-    let profile = section.string(source, "profile", "a profile's name or path");
+    let named = section.string(source, "profile", "a profile's name or path");
     let default = if port { "parallel-port" } else { "shared-memory" };
-    card.profile = match profile {
-        None => Profile::shipped(default),
-        Some(at) => Profile::shipped(at.value)
+    card.profile = match named {
+        None => profile::shipped(default),
+        Some(at) => profile::shipped(at.value)
             .or_else(|| load_profile(source, &directory.join(at.value), at.value, at.offset)),
     };
     let pci_at = section.string(source, "pci", "a card as \"1af4:1110\", or its address \"0000:00:04.0\"");
@@ -582,7 +569,7 @@ fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut
     });
     let bar = section.integer(source, "bar", 0..=5);
     // A card is looked for on the bus only when somebody has named it, or its profile.
-    let place = card.profile.as_ref().filter(|_| profile.is_some()).and_then(|p| p.pci);
+    let place = card.profile.as_ref().filter(|_| named.is_some()).and_then(|p| p.pci);
     let bar_of = bar.map(|b| b.value as u8).or(place.map(|p| p.bar));
     let mut places = usize::from(pci_at.is_some());
     let path = |at: At<&str>| directory.join(at.value);
@@ -620,11 +607,7 @@ fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut
             Space::Memory => ("mapped registers", "mapped"),
         };
         let found = format!("profile \"{name}\" of {found}");
-        source.finding(
-            profile.map_or(section.offset, |p| p.offset),
-            found,
-            format!("backend = \"{backend}\""),
-        );
+        source.finding(named.map_or(section.offset, |p| p.offset), found, format!("backend = \"{backend}\""));
     }
     let of_profile = place.map(|p| PciId::Card(p.id.0, p.id.1)).filter(|_| places == 0);
     if let Some(id) = pci.or(of_profile) {
@@ -659,19 +642,15 @@ fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut
 }
 
 fn load_profile(source: &mut Source<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
-    let text = match std::fs::read_to_string(path) {
+    let text = match rtec_files::text::read(path) {
         Ok(text) => text,
         Err(error) => {
-            let shipped = SHIPPED.map(|(name, _)| name);
-            let hint =
-                nearest(named, &shipped).map_or(String::new(), |near| format!("; did you mean \"{near}\"?"));
-            let found = format!("profile {}: {error}", path.display());
-            let expected = format!("the path of a card profile, or one of {}{hint}", shipped.join(", "));
-            source.finding(offset, found, expected);
+            let found = format!("profile {}: {}", path.display(), error.found);
+            source.finding(offset, found, profile::names_for(named));
             return None;
         }
     };
-    Profile::parse(path, &text).map_err(|finding| source.findings.push(finding)).ok()
+    source.keep(profile::parse(path, &text))
 }
 
 /// The lines that belong to no axis.
@@ -689,7 +668,7 @@ fn wire_gpio(
     output: bool,
     (group, owner): (u8, &str),
 ) -> Option<u8> {
-    let At { value: line, offset } = section.gpio_line(source, key, &gpio.default)?;
+    let At { value: line, offset } = gpio_line(section, source, key, &gpio.default)?;
     if line.chip.is_none() && matches!(line.line, LineId::Offset(_)) {
         let expected = "a name, or a chip too: chip = \"gpiochip0\" in [card], or in the line's own table";
         source.finding(offset, format!("{key} = {} on no chip", line.line), expected);
@@ -725,7 +704,7 @@ fn wire(
     if card.kind == Some(Kind::Gpio) {
         return wire_gpio(source, section, &mut card.gpio, key, output, (group, owner));
     }
-    let at = section.line(source, key)?;
+    let at = line(section, source, key)?;
     let profile = card.profile.as_ref()?;
     let direction = if output { "an output" } else { "an input" };
     let bit = match at.value {

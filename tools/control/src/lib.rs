@@ -6,13 +6,13 @@
 //! | [`protocol`] | requests and answers of the control socket |
 //! | [`client`] | the client's end of it |
 //! | [`card`] | the real card that a configuration names, opened |
+//! | [`profile`] | card profiles, from their files |
 //! | [`lock`] | one program at a time on a socket, on a card |
 
 pub mod card;
 pub mod client;
 pub mod config;
+mod lines;
 pub mod lock;
+pub mod profile;
 pub mod protocol;
-mod section;
-
-pub use section::nearest;

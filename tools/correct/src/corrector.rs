@@ -7,7 +7,7 @@ use crate::part_table::{NEAR_MM, PartErrors, PartTable, TableNow};
 use crate::sensors::Watch;
 use crate::source::{ModelSource, acts};
 use crate::total::{Total, Wanted};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::live::AxisNow;

@@ -6,7 +6,7 @@
 
 use crate::sensors::{Config, Source, Watch};
 use crate::{AxisSetup, Corrector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use rtec_rt::event::{MAX_AXES, Mode, Status};

@@ -9,8 +9,8 @@
 //! | `csv` | a recorded CSV, replayed by its `t` column (s) |
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
-use rtec_driver::input::InputError;
-use rtec_model::document::Table;
+use rtec_files::InputError;
+use rtec_files::toml::Table;
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::fs;

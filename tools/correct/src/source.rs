@@ -1,7 +1,7 @@
 //! The machine model as a source: fed with sensors, it says what each axis is off by, or why nothing can be said.
 
 use crate::sensors::{Use, Watch};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;

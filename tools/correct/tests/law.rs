@@ -5,7 +5,7 @@
 use rtec_correct::part_table::PartTable;
 use rtec_correct::sensors::{Config, Source, Watch};
 use rtec_correct::{AxisSetup, Corrector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
 use rtec_part::errors::PointError;

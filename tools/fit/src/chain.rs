@@ -6,11 +6,9 @@
 //! but for products of two small quantities, which a second pass takes in.
 
 use crate::least::{Found, Problem};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::chain::{COMPONENTS, Chain};
-use rtec_model::document;
 use rtec_model::record::{Record, Role};
-use rtec_model::whole::write_whole;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, Item, TableLike, Value, value};
@@ -207,7 +205,7 @@ pub fn fit(
 /// # Errors
 /// The file that it was read from is not there any more, or the new one cannot be written.
 pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Result<(), InputError> {
-    let text = document::read(from)?;
+    let text = rtec_files::text::read(from)?;
     let mut doc: DocumentMut =
         text.parse().map_err(|e| InputError::whole(from, format!("{e}"), "the chain that was read"))?;
     let interval = |joint: &str, kind: usize, p: u8, dt: u8| {
@@ -230,7 +228,7 @@ pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Res
             }
         }
     }
-    write_whole(to, doc.to_string().as_bytes())
+    rtec_files::write::whole(to, doc.to_string().as_bytes())
         .map_err(|e| InputError::whole(to, format!("error `{e}`"), "a file that can be written"))
 }
 

@@ -6,7 +6,7 @@
 
 use crate::thermal::{Fitted, Intervals, jackknife_interval};
 use nalgebra::{DMatrix, DVector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};

@@ -16,7 +16,7 @@
 //! equilibrium (fading with its lag).
 
 use nalgebra::{DMatrix, DVector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_measure::iso230::correlation;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;

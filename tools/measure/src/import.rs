@@ -2,8 +2,8 @@
 //! holes, and any CSV whose columns somebody names.
 
 use crate::plate::NOMINAL_DIAMETER;
-use crate::record::{column_of, rows, unquote};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::csv::Reader;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -210,58 +210,26 @@ impl Wanted {
 /// A wanted column that is not there or there twice, a row that is too short or too long, a field that is no number; and
 /// what [`Record::new`] finds.
 pub fn csv(from: &Path, text: &str, wanted: &[Wanted], kind: Kind, to: &Path) -> Result<Record, InputError> {
-    let mut lines = rows(text);
-    let empty = || InputError::whole(from, "an empty file", "a header line");
-    let (header_line, header) = lines.next().ok_or_else(empty)?;
-    let by = [';', '\t'].into_iter().find(|by| header.contains(*by)).unwrap_or(',');
-    let names: Vec<&str> = header.split(by).map(unquote).collect();
-    let mut places = Vec::new();
-    for w in wanted {
-        let mut own = names.iter().enumerate().filter(|(_, n)| **n == w.column).map(|(i, _)| i);
-        let found = match (own.next(), own.next()) {
-            (Some(place), None) => {
-                places.push(place);
-                continue;
-            }
-            (None, _) => format!("no column `{}`", w.column),
-            (Some(_), Some(_)) => format!("column `{}` twice", w.column),
-        };
-        return Err(InputError::at(
-            from,
-            header_line,
-            1,
-            found,
-            format!("one of each of {}", names.join(", ")),
-        ));
-    }
+    let mut reader = Reader::new(from, text.as_bytes())?;
+    let header = reader.header_by_any("a header line")?;
+    let decimal_comma = reader.separator() == ';';
+    let places = wanted.iter().map(|w| header.place(&w.column)).collect::<Result<Vec<_>, _>>()?;
     let mut data = vec![Vec::new(); wanted.len()];
-    for (number, line) in lines {
-        let fields: Vec<&str> = line.split(by).collect();
-        if fields.len() != names.len() {
-            let expected = format!("{}, one per column of the header", names.len());
-            let found = format!("{} values", fields.len());
-            return Err(InputError::at(from, number, line.chars().count() + 1, found, expected));
-        }
+    while let Some(row) = reader.row()? {
+        let cells = header.cells(row)?;
         for ((w, place), data) in wanted.iter().zip(&places).zip(&mut data) {
-            let field = unquote(fields[*place]);
-            let point = if by == ';' { field.replace(',', ".") } else { field.to_owned() };
-            let number_of = point.parse::<f64>().ok().filter(|v| v.is_finite());
-            let v = number_of.ok_or_else(|| {
-                let found = if field.is_empty() { "no value".to_owned() } else { format!("`{field}`") };
-                let column = column_of(line, fields[*place].trim_start());
-                InputError::at(
-                    from,
-                    number,
-                    column,
-                    format!("{found} in column `{}`", w.column),
-                    "a finite number",
-                )
-            })?;
-            data.push(v * w.scale[0] + w.scale[1]);
+            let cell = &cells[*place];
+            let v = if decimal_comma {
+                let number = cell.text().replace(',', ".").parse().ok().filter(|v: &f64| v.is_finite());
+                number.ok_or_else(|| cell.finding("a finite number"))
+            } else {
+                cell.finite()
+            };
+            data.push(v.map_err(|e| header.named(*place, e))? * w.scale[0] + w.scale[1]);
         }
     }
     if data.first().is_none_or(Vec::is_empty) {
-        return Err(InputError::at(from, header_line + 1, 0, "no rows", "at least one row of values"));
+        return Err(header.no_rows());
     }
     let columns = wanted.iter().zip(data).map(|(w, data)| column(&w.column, w.role.clone(), data)).collect();
     Record::new(to, kind, columns)

@@ -1,7 +1,7 @@
 //! Evaluations of the ISO 230 series: positioning (230-2), thermal drift (230-3), circular tests (230-4).
 
 use crate::plot::{Chart, Series, Style};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! A plate of holes drilled by the machine and measured elsewhere: offset, scale, rotation, and what is left.
 
 use crate::plot::{Chart, Series, Style};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -1,10 +1,10 @@
 //! Run records on file: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
 
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::csv::{self, Reader};
+use rtec_files::toml::Document;
 use rtec_model::date;
-use rtec_model::document::{self, Table};
-use rtec_model::record::{Column, Kind, Record, Role, check};
-use rtec_model::whole::{hex, write_whole};
+use rtec_model::record::{Column, Kind, Record, Role, check, hex};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -37,8 +37,7 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
     let bytes = std::fs::read(&csv_path).map_err(|e| {
         sidecar.file_error.clone().with(format!("`{}` ({e})", csv_path.display()), "a CSV that can be read")
     })?;
-    let text = document::decode(&csv_path, &bytes)?;
-    let columns = parse_csv(&csv_path, &text, &sidecar)?;
+    let columns = parse_csv(&csv_path, &bytes, &sidecar)?;
     let mut record = Record::of_checked(path, sidecar.kind, columns);
     record.file = sidecar.file;
     record.sha256 = hex(&Sha256::digest(&bytes));
@@ -52,21 +51,17 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
 /// The CSV can no longer be read, or its number of rows has changed since.
 pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String, InputError> {
     let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
-    let bytes = std::fs::read(&path)
-        .map_err(|e| InputError::whole(&path, format!("error `{e}`"), "a CSV that can be read"))?;
-    let text = document::decode(&path, &bytes)?;
-    let mut out = String::with_capacity(text.len() + 24 * extra.len() * record.rows());
-    let mut lines = rows(&text);
-    if let Some((_, header)) = lines.next() {
-        out.push_str(header);
-        for (name, _) in extra {
-            let _ = write!(out, ",{name}");
-        }
-        out.push('\n');
+    let mut reader = Reader::open(&path)?;
+    let mut out = String::with_capacity(24 * (record.columns.len() + extra.len()) * record.rows());
+    let header = reader.header("a header line")?;
+    out.push_str(header.text());
+    for (name, _) in extra {
+        let _ = write!(out, ",{}", csv::cell(name));
     }
+    out.push('\n');
     let mut n = 0;
-    for (_, line) in lines {
-        out.push_str(line);
+    while let Some(row) = reader.row()? {
+        out.push_str(row.text());
         for (_, data) in extra {
             let Some(v) = data.get(n) else { break };
             let _ = write!(out, ",{v}");
@@ -84,7 +79,7 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
 /// The CSV text of the record's columns: shortest decimal that reads back as the same number.
 #[must_use]
 pub fn to_csv(record: &Record) -> String {
-    let mut out = record.columns.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(",");
+    let mut out = csv::header_line(record.columns.iter().map(|c| c.name.as_str()));
     out.push('\n');
     for row in 0..record.rows() {
         for (i, c) in record.columns.iter().enumerate() {
@@ -129,120 +124,45 @@ pub fn to_sidecar(record: &Record) -> String {
 pub fn write(record: &mut Record) -> std::io::Result<()> {
     let csv = to_csv(record);
     let dir = record.path.parent().unwrap_or(Path::new(""));
-    write_whole(&dir.join(&record.file), csv.as_bytes())?;
+    rtec_files::write::whole(&dir.join(&record.file), csv.as_bytes())?;
     record.sha256 = hex(&Sha256::digest(csv.as_bytes()));
-    write_whole(&record.path, to_sidecar(record).as_bytes())
+    rtec_files::write::whole(&record.path, to_sidecar(record).as_bytes())
 }
 
-/// The lines of a CSV that carry something: comments cut, ends trimmed, with their numbers from 1.
-pub(crate) fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    text.lines().enumerate().filter_map(|(i, line)| {
-        let line = comment_start(line).map_or(line, |at| &line[..at]);
-        let line = line.trim_end();
-        (!line.trim_start().is_empty()).then_some((i + 1, line))
-    })
-}
-
-/// The `#` that starts a comment; one inside double quotes is part of a name.
-fn comment_start(line: &str) -> Option<usize> {
-    line.find('#')?;
-    let mut quoted = false;
-    line.bytes().position(|b| {
-        quoted ^= b == b'"';
-        b == b'#' && !quoted
-    })
-}
-
-pub(crate) fn unquote(field: &str) -> &str {
-    // A bare number, as nearly every field is, has nothing to take off.
-    if let [first, .., last] = field.as_bytes()
-        && first.is_ascii_graphic()
-        && *first != b'"'
-        && last.is_ascii_graphic()
-    {
-        return field;
-    }
-    let field = field.trim();
-    field.strip_prefix('"').and_then(|f| f.strip_suffix('"')).unwrap_or(field)
-}
-
-/// The fields of a line. Byte by byte: they are too short for the search that `str::split` does.
-fn fields_of(line: &str) -> impl Iterator<Item = &str> {
-    let mut rest = Some(line);
-    std::iter::from_fn(move || {
-        let line = rest?;
-        let Some(at) = line.bytes().position(|b| b == b',') else { return rest.take() };
-        rest = Some(&line[at + 1..]);
-        Some(&line[..at])
-    })
-}
-
-/// Column in characters, from 1, of a part of a line.
-pub(crate) fn column_of(line: &str, part: &str) -> usize {
-    let at = (part.as_ptr() as usize).saturating_sub(line.as_ptr() as usize).min(line.len());
-    line.get(..at).map_or(0, |s| s.chars().count()) + 1
-}
-
-fn parse_csv(path: &Path, text: &str, sidecar: &Sidecar) -> Result<Vec<Column>, InputError> {
-    let mut lines = rows(text);
-    let (header_line, header) =
-        lines.next().ok_or_else(|| InputError::whole(path, "an empty file", "a header line"))?;
-    let names: Vec<&str> = header.split(',').map(unquote).collect();
-    for (i, name) in names.iter().enumerate() {
-        if names[..i].contains(name) && sidecar.columns.iter().any(|c| c.name == *name) {
-            let column = header.split(',').nth(i).map_or(0, |f| column_of(header, f.trim_start()));
-            let found = format!("column `{name}` twice");
-            return Err(InputError::at(path, header_line, column, found, "each name once"));
-        }
-    }
+fn parse_csv(path: &Path, bytes: &[u8], sidecar: &Sidecar) -> Result<Vec<Column>, InputError> {
+    let mut reader = Reader::new(path, bytes)?;
+    let header = reader.header("a header line")?;
     // For every field of the CSV the listed column it belongs to.
-    let mut slots: Vec<Option<usize>> = vec![None; names.len()];
-    let mut columns: Vec<Column> = Vec::new();
+    let mut slots: Vec<Option<usize>> = vec![None; header.names().count()];
     for listed in &sidecar.columns {
-        let Some(at) = names.iter().position(|n| *n == listed.name) else {
-            let expected = format!("a column of {} ({})", path.display(), names.join(", "));
+        if header.find(&listed.name).is_none() {
+            let missing = header.place(&listed.name).err();
+            let expected = missing.map_or_else(String::new, |e| e.expected);
+            let expected = format!("{expected} in {}", path.display());
             return Err(listed.place.clone().with(format!("column `{}`", listed.name), &expected));
-        };
-        slots[at] = Some(0);
+        }
+        header.place(&listed.name)?;
     }
-    for (slot, name) in slots.iter_mut().zip(&names).filter(|(s, _)| s.is_some()) {
-        let listed = sidecar.columns.iter().find(|c| c.name == *name);
-        if let Some(l) = listed {
+    let mut columns: Vec<Column> = Vec::new();
+    for (slot, name) in slots.iter_mut().zip(header.names()) {
+        if let Some(l) = sidecar.columns.iter().find(|c| c.name == name) {
             *slot = Some(columns.len());
             let (name, role, unit) = (l.name.clone(), l.role.clone(), l.unit.clone());
             columns.push(Column { name, role, unit, data: Vec::new() });
         }
     }
-    for (number, line) in lines {
-        let mut fields = fields_of(line);
-        for (i, slot) in slots.iter().enumerate() {
-            let Some(field) = fields.next() else {
-                let found = format!("{i} values");
-                let expected = format!("{}, one per column of the header", names.len());
-                return Err(InputError::at(path, number, line.chars().count() + 1, found, expected));
-            };
-            let Some(slot) = *slot else { continue };
-            let column = &mut columns[slot];
-            let text = unquote(field);
-            let at = |found: String, expected: &str| {
-                let place = column_of(line, field.trim_start());
-                InputError::at(path, number, place, format!("{found} in column `{}`", names[i]), expected)
-            };
-            let Ok(v) = text.parse::<f64>() else {
-                let found = if text.is_empty() { "no value".into() } else { format!("`{text}`") };
-                return Err(at(found, "a finite number"));
-            };
-            check(&column.role, v, column.data.last().copied()).map_err(|(f, e)| at(f, e))?;
+    while let Some(row) = reader.row()? {
+        header.each(row, |place, cell| {
+            let Some(column) = slots[place].map(|slot| &mut columns[slot]) else { return Ok(()) };
+            let v = cell.finite().map_err(|e| header.named(place, e))?;
+            let checked = check(&column.role, v, column.data.last().copied());
+            checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
             column.data.push(v);
-        }
-        if let Some(field) = fields.next() {
-            let found = format!("more than {} values", names.len());
-            let place = column_of(line, field);
-            return Err(InputError::at(path, number, place, found, "one per column of the header"));
-        }
+            Ok(())
+        })?;
     }
     if columns.first().is_none_or(|c| c.data.is_empty()) {
-        return Err(InputError::at(path, header_line + 1, 0, "no rows", "at least one row of values"));
+        return Err(header.no_rows());
     }
     Ok(columns)
 }
@@ -278,9 +198,9 @@ struct Sidecar {
 
 impl Sidecar {
     fn read(path: &Path) -> Result<Self, InputError> {
-        let text = document::read(path)?;
-        let doc = document::parse(path, &text)?;
-        let root = Table::root(path, &text, &doc);
+        let text = rtec_files::text::read(path)?;
+        let doc = Document::parse(path, &text)?;
+        let root = doc.root();
         root.only(&["file", "kind", "count_um", "date", "note", "columns"])?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
@@ -289,7 +209,7 @@ impl Sidecar {
             .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
         let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
         // A date may be TOML's own or a string.
-        let day = |v: document::Entry<'_>| match date::parse(&v.text()) {
+        let day = |v: rtec_files::toml::Entry<'_>| match date::parse(&v.text()) {
             Some(_) => Ok(v.text()),
             None => Err(v.error(v.text(), "a day as 2026-05-01")),
         };
@@ -351,14 +271,28 @@ mod tests {
     }
 
     #[test]
+    fn a_header_with_a_quoted_comma_is_read_and_written() {
+        let sidecar = SIDECAR.replace("T3 =", "\"T3, \\\"bed\\\" #2\" =");
+        let csv = "t,\"y\", \"T3, \"\"bed\"\" #2\" ,e\n0,1.5,20,3\n1,2.5,\"20.5\",4\n";
+        let mut r = read(&sidecar, csv).unwrap();
+        assert_eq!(r.temperature("T3, \"bed\" #2"), Some(&[20.0, 20.5][..]));
+        let folder = tempfile::tempdir().unwrap();
+        r.path = folder.path().join("y.run.toml");
+        write(&mut r).unwrap();
+        assert_eq!(super::read(&r.path).unwrap(), r);
+        let more = csv_with(&r, &[("predicted, e".to_owned(), vec![1.0, 2.0])]).unwrap();
+        assert!(more.starts_with("t,y,\"T3, \"\"bed\"\" #2\",e,\"predicted, e\"\n0,1.5,20,3,1\n"), "{more}");
+    }
+
+    #[test]
     fn findings_in_the_rows_carry_their_place() {
         for (rows, line, column, found) in [
-            ("0,1,20\n", 2, 7, "3 values"),
-            ("0,1,20,3,4\n", 2, 10, "more than 4"),
-            ("0,1,20,\n", 2, 8, "no value"),
-            ("0,1,20,nan\n", 2, 8, "NaN"),
+            ("0,1,20\n", 2, 7, "after 3 of 4 fields"),
+            ("0,1,20,3,4\n", 2, 10, "'4'"),
+            ("0,1,20,\n", 2, 8, "nothing in column e"),
+            ("0,1,20,nan\n", 2, 8, "nan"),
             ("0,1,20,inf\n", 2, 8, "inf"),
-            ("0,1,abc,3\n", 2, 5, "`abc`"),
+            ("0,1,abc,3\n", 2, 5, "'abc' in column T3"),
             ("0,1,20,3\n5,1,20,3\n4.5,1,20,3\n", 4, 1, "time 4.5 after 5"),
             ("", 2, 0, "no rows"),
         ] {
@@ -366,19 +300,19 @@ mod tests {
             assert_eq!((e.line, e.column), (line, column), "{rows}: {e}");
             assert!(e.found.contains(found) && e.file.ends_with("y.csv"), "{rows}: {e}");
         }
-        assert!(read(SIDECAR, "").unwrap_err().found.contains("empty"));
+        assert!(read(SIDECAR, "").unwrap_err().found.contains("no header"));
     }
 
     #[test]
     fn findings_in_the_sidecar_carry_their_place() {
         for (from, to, line, column, found) in [
-            ("count_um", "count", 3, 1, "unknown key `count`"),
+            ("count_um", "count", 3, 1, "unknown key count"),
             ("count_um = 1.0", "date = \"1.5.2026\"", 3, 8, "1.5.2026"),
             ("positioning", "walking", 2, 8, "kind `walking`"),
             ("\"time\"", "\"clock\"", 5, 14, "role `clock`"),
             ("position.y", "position", 6, 14, "role `position`"),
             ("unit = \"mm\"", "unit = \"um\"", 6, 35, "unit `um`"),
-            ("degC\" }", "degC\", x = 1 }", 7, 45, "unknown key `x`"),
+            ("degC\" }", "degC\", x = 1 }", 7, 45, "unknown key x"),
             ("1.0", "-1.0", 3, 12, "count_um"),
             ("1.0", "nan", 3, 12, "count_um"),
             ("T3 =", "T4 =", 7, 1, "column `T4`"),

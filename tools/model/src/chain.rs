@@ -5,11 +5,11 @@
 //! position and errs by six components, each a polynomial of position and of a temperature difference. The error is
 //! where the tool point is in the frame of the work, minus where it should be.
 
-use crate::document::{self, Entry, Table};
 use crate::effect::{Against, Difference, Missing, STANDARD_DEGC};
 use crate::record::{Axis, Record, Role};
 use nalgebra::{Matrix4, Vector4};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::toml::{Document, Entry, Table};
 use std::path::Path;
 
 /// The six components of a joint's error: displacements (µm) along x, y, z, rotations (µrad) about x, y, z.
@@ -144,9 +144,9 @@ impl Chain {
     /// # Errors
     /// The first finding, with file, line and column.
     pub fn read(path: &Path) -> Result<Self, InputError> {
-        let text = document::read(path)?;
-        let doc = document::parse(path, &text)?;
-        let root = Table::root(path, &text, &doc);
+        let text = rtec_files::text::read(path)?;
+        let doc = Document::parse(path, &text)?;
+        let root = doc.root();
         root.only(&["note", "tool_mm", "joint"])?;
         let tool_mm = triple(root.get("tool_mm"), "tool_mm = [x, y, z], mm")?.unwrap_or_default();
         let mut joints: Vec<Joint> = Vec::new();

@@ -7,16 +7,14 @@
 //! | [`machine`] | `machine.toml`: a list of named effects, read strictly, written without losing a comment |
 //! | [`live`] | a model evaluated at one instant, without allocation |
 //! | [`record`] | a run in memory: what an effect is evaluated over, column by column |
-//! | [`document`], [`whole`], [`date`] | TOML tables read with line and column; files written whole; calendar days |
+//! | [`date`] | calendar days |
 //!
 //! What must not live here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`), counts, ramps
 //! and limits (`rtec-correct`).
 
 pub mod chain;
 pub mod date;
-pub mod document;
 pub mod effect;
 pub mod live;
 pub mod machine;
 pub mod record;
-pub mod whole;

@@ -2,11 +2,10 @@
 
 use crate::chain::Chain;
 use crate::date;
-use crate::document::{self, Table};
 use crate::effect::{Against, Dictionary, Difference, Effect, Heat, Need, Parameter, ValueError};
-use crate::record::{Record, Role};
-use crate::whole::{hex, write_whole};
-use rtec_driver::input::InputError;
+use crate::record::{Record, Role, hex};
+use rtec_files::InputError;
+use rtec_files::toml::{Document, Table};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -188,7 +187,7 @@ impl Machine {
     /// The first finding, with file, line and column: syntax, unknown key or effect, a parameter that is missing, not
     /// a finite number or outside its limits, `minus` together with `reference_degC`, one effect twice.
     pub fn read(path: &Path) -> Result<Self, InputError> {
-        let text = document::read(path)?;
+        let text = rtec_files::text::read(path)?;
         Self::parse(path, &text)
     }
 
@@ -197,8 +196,8 @@ impl Machine {
     /// # Errors
     /// As [`Machine::read`].
     pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
-        let doc = document::parse(path, text)?;
-        let root = Table::root(path, text, &doc);
+        let doc = Document::parse(path, text)?;
+        let root = doc.root();
         root.only(&["name", "note", "dictionary", "chain", "fit", "effect"])?;
         let name = root.required("name", "the machine's name, as name = \"…\"")?.str("the machine's name")?;
         if let Some(note) = root.get("note") {
@@ -208,7 +207,7 @@ impl Machine {
         // The files it names are part of it.
         let mut beside = |file: &str| {
             let path = path.parent().unwrap_or(Path::new("")).join(file);
-            document::read(&path).map(|text| {
+            rtec_files::text::read(&path).map(|text| {
                 hash.update(&text);
                 path
             })
@@ -237,7 +236,11 @@ impl Machine {
             listed.push(next);
         }
         let name = name.to_owned();
-        let doc = doc.into_mut();
+        // For writing it back with its comments; the same text was read above.
+        let doc = text.parse::<DocumentMut>().map_err(|e| {
+            let at = e.span().map_or(0, |s| s.start);
+            InputError::at_offset(path, text, at, e.message(), "TOML")
+        })?;
         Ok(Self { path: path.to_owned(), sha256, name, listed, fits, chain, dictionary, adopted: false, doc })
     }
 
@@ -383,7 +386,9 @@ impl Machine {
     /// The laws are refused, or its present dictionary cannot be read.
     pub fn adopt(&mut self, file: &str, laws: &str) -> Result<String, InputError> {
         let mut text = match self.doc.get("dictionary").and_then(Item::as_str) {
-            Some(own) => document::read(&self.path.parent().unwrap_or(Path::new("")).join(own))? + "\n",
+            Some(own) => {
+                rtec_files::text::read(&self.path.parent().unwrap_or(Path::new("")).join(own))? + "\n"
+            }
             None => String::new(),
         };
         text += laws;
@@ -515,7 +520,7 @@ impl Machine {
     /// # Errors
     /// The directory cannot be written.
     pub fn write(&self, path: &Path) -> std::io::Result<()> {
-        write_whole(path, self.text_at(path).as_bytes())
+        rtec_files::write::whole(path, self.text_at(path).as_bytes())
     }
 
     /// The sum of the effects at every row of a record, for each response in the record's order; and what the record
@@ -692,7 +697,7 @@ fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, Inpu
         effect.delta = Some(read_difference(table)?);
         let range = "a pair [lowest, highest] of temperature differences in K";
         effect.range_k = table.get("range_K").map(|r| r.pair(range)).transpose()?;
-        let start = |e: document::Entry<'_>| match e.number("K, not below zero")? {
+        let start = |e: rtec_files::toml::Entry<'_>| match e.number("K, not below zero")? {
             v if v >= 0.0 => Ok(v),
             v => Err(e.error(v.to_string(), "K, not below zero")),
         };
@@ -969,10 +974,10 @@ mod tests {
             ("name = \"scale.x.y\"\nppm = 1\n", 3, 8, "`scale.x.y`"),
             ("name = \"squareness.x.x\"\nurad = 1\n", 3, 8, "`squareness.x.x`"),
             ("name = \"scale.x\"\nppm = nan\n", 4, 7, "ppm = nan"),
-            ("name = \"scale.x\"\nppm = \"1\"\n", 4, 7, "ppm = 1"),
-            ("name = \"scale.x\"\nppm = 1\npmp = 2\n", 5, 1, "unknown key `pmp`"),
-            ("name = \"scale.x\"\nppm = 1\nsensor = \"T1\"\n", 5, 1, "unknown key `sensor`"),
-            ("name = \"thermal_growth.x\"\num_per_K = 1\n", 2, 1, "no `sensor`"),
+            ("name = \"scale.x\"\nppm = \"1\"\n", 4, 7, "ppm = \"1\""),
+            ("name = \"scale.x\"\nppm = 1\npmp = 2\n", 5, 1, "unknown key pmp"),
+            ("name = \"scale.x\"\nppm = 1\nsensor = \"T1\"\n", 5, 1, "unknown key sensor"),
+            ("name = \"thermal_growth.x\"\num_per_K = 1\n", 2, 1, "no sensor"),
             (
                 "name = \"thermal_growth.x\"\num_per_K = 1\nsensor = \"T1\"\nminus = \"T2\"\nreference_degC = 20\n",
                 7,
@@ -991,7 +996,7 @@ mod tests {
             assert_eq!((e.line, e.column), (line, column), "{body}: {e}");
             assert!(e.to_string().contains(found), "{body}: {e}");
         }
-        assert!(parse("[[effect]]\nname = \"scale.x\"\nppm = 1\n").unwrap_err().found.contains("no `name`"));
+        assert!(parse("[[effect]]\nname = \"scale.x\"\nppm = 1\n").unwrap_err().found.contains("no name"));
         assert_eq!(parse("nam = \"x\"\n").unwrap_err().line, 1);
     }
 

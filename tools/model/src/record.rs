@@ -1,8 +1,8 @@
 //! A run in memory: columns by role, row by row. On file it is a run record (formats.md, "Run record"), which
 //! `rtec-measure` reads and writes.
 
-use rtec_driver::input::InputError;
-use std::fmt;
+use rtec_files::InputError;
+use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 /// The name of an axis (`x`, `y`, `z`, `c`; `r` for the radial error of a probing run).
@@ -402,4 +402,13 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
         }
         _ => Ok(()),
     }
+}
+
+/// Bytes in hexadecimal.
+#[must_use]
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut s, b| {
+        let _ = write!(s, "{b:02x}");
+        s
+    })
 }

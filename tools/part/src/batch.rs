@@ -2,8 +2,8 @@
 //! offered as a change, with its statistics; nothing is applied (NISTIR 4854, section 1).
 
 use crate::errors::PointError;
-use crate::sheet::Sheet;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::Sheet;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -86,7 +86,7 @@ pub struct Batch {
 /// # Errors
 /// A bad file; a place measured twice on one part; fewer than three parts at a place.
 pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
-    evaluate_text(file, &crate::sheet::read_text(file)?, seen, judgement)
+    evaluate_text(file, &rtec_files::text::read(file)?, seen, judgement)
 }
 
 /// As [`evaluate`], from text already in memory; `file` only names it.

@@ -8,7 +8,7 @@ use crate::fit::Zx;
 use dxf::entities::{Entity, EntityType};
 use dxf::enums::Units;
 use dxf::{Drawing, Vector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 

@@ -2,10 +2,10 @@
 //! (NISTIR 4854, section 3).
 
 use crate::fit::{self, FitError, Fitted, Shape, Zx, sequence};
-use crate::sheet::Sheet;
 use crate::svg::Svg;
 use dxf::entities::{Entity, EntityType};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::Sheet;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
@@ -115,7 +115,7 @@ impl Probed {
     /// # Errors
     /// As [`Sheet::read`]; a direction without length; one approach column without the other.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        Self::parse(file, &crate::sheet::read_text(file)?)
+        Self::parse(file, &rtec_files::text::read(file)?)
     }
 
     /// As [`Probed::read`], from text already in memory; `file` only names it.
@@ -373,7 +373,7 @@ pub fn error_cor(errors: &[PointError]) -> String {
 /// Not two finite numbers in a line, angles that do not ascend, or no line at all.
 pub fn read_error_cor(file: &Path) -> Result<Vec<PointError>, InputError> {
     let mut errors: Vec<PointError> = Vec::new();
-    for (i, line) in crate::sheet::read_text(file)?.lines().enumerate() {
+    for (i, line) in rtec_files::text::read(file)?.lines().enumerate() {
         let content = line.split('#').next().unwrap_or_default();
         let words: Vec<&str> = content.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
         if words.is_empty() {

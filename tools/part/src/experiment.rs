@@ -12,7 +12,7 @@ use crate::probe::{Trip, TripFault, assign, captured, probed_csv, run_record};
 use crate::program::{self, Controller, Parameters};
 use crate::svg::escaped;
 use crate::table::{Cut, Table, csv};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record as RunRecord;
 use rtec_rt::axis::Design;

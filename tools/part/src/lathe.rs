@@ -6,14 +6,14 @@
 use crate::contour::Segment;
 use crate::errors::PointError;
 use crate::fit::Zx;
-use crate::sheet::Sheet;
 use crate::table::{AxisCounts, Cut, Holding, Table};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_driver::input::InputError;
 use rtec_driver::mock::Wires;
 use rtec_driver::quadrature::{Decoder, State};
+use rtec_files::InputError;
+use rtec_files::Sheet;
 use rtec_model::effect::Missing;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
@@ -887,7 +887,7 @@ impl Cuts {
             let rough_um = self.bench.cut_sd_um * noise.normal();
             self.part.cut(&self.bench, place, rough_um);
         }
-        crate::sheet::write_whole(&self.file, self.part.to_csv().as_bytes())
+        rtec_files::write::whole(&self.file, self.part.to_csv().as_bytes())
     }
 }
 
@@ -897,11 +897,9 @@ impl Duty {
     /// # Errors
     /// Not such a file, or a value that is out of range.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        let text = crate::sheet::read_text(file)?;
-        let mut duty: Self = toml::from_str(&text).map_err(|e| {
-            let at = e.span().map_or(0, |s| s.start);
-            InputError::at_offset(file, &text, at, e.message(), "what the simulated turning centre does")
-        })?;
+        let text = rtec_files::text::read(file)?;
+        let expected = "what the simulated turning centre does";
+        let mut duty: Self = rtec_files::toml::from_str(file, &text, expected)?;
         let at = |key: &str, found: String, expected: &str| {
             InputError::at_offset(file, &text, text.find(key).unwrap_or(0), found, expected)
         };

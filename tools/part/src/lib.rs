@@ -2,7 +2,6 @@
 //!
 //! | module | what lives there |
 //! |---|---|
-//! | [`sheet`], [`svg`] | CSV files of numbers with findings by line and column; drawings as SVG |
 //! | [`contour`], [`drawing`] | the part's features in probing order; read from DXF |
 //! | [`path`], [`web`] | probing points, the probe's path, collisions; the page to pick them in |
 //! | [`program`] | the NC probing program: template, parameters, dialects |
@@ -11,6 +10,7 @@
 //! | [`table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |
 //! | [`lathe`], [`experiment`] | a simulated turning centre for the unchanged engine; the report's experiment on it |
+//! | [`svg`] | drawings as SVG |
 //!
 //! All lengths are in mm, all errors in µm. `z` runs along the part's axis, `x` is the distance from it (a radius).
 
@@ -24,7 +24,6 @@ pub mod lathe;
 pub mod path;
 pub mod probe;
 pub mod program;
-pub mod sheet;
 pub mod svg;
 pub mod table;
 pub mod web;

@@ -4,9 +4,9 @@
 use crate::contour::{Contour, Place};
 use crate::drawing::Unit;
 use crate::fit::Zx;
-use crate::sheet::{Sheet, read_text};
 use crate::svg::Svg;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::Sheet;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -387,7 +387,7 @@ pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> 
 fn read_records(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
     let mut records = Vec::new();
     let mut touches = 0;
-    for (i, line) in read_text(file)?.lines().enumerate() {
+    for (i, line) in rtec_files::text::read(file)?.lines().enumerate() {
         let words: Vec<&str> = line.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
         if words.is_empty() {
             continue;

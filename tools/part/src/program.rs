@@ -3,7 +3,8 @@
 use crate::drawing::Unit;
 use crate::fit::Zx;
 use crate::path::{Record, Role};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::toml::Document;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -133,30 +134,13 @@ impl Parameters {
     /// # Errors
     /// No TOML, an unknown name, a value that is no string or number, or one the parameter does not take.
     pub fn read(&mut self, file: &Path) -> Result<(), InputError> {
-        let text = crate::sheet::read_text(file)?;
-        let table: toml::Table = text.parse().map_err(|e: toml::de::Error| {
-            InputError::at_offset(file, &text, e.span().map_or(0, |s| s.start), e.message(), "name = value")
-        })?;
-        for (name, value) in table {
-            let value = match value {
-                toml::Value::String(s) => s,
-                toml::Value::Integer(i) => i.to_string(),
-                toml::Value::Float(f) if f.is_finite() => f.to_string(),
-                other => {
-                    let at = text.find(&name).unwrap_or(0);
-                    return Err(InputError::at_offset(
-                        file,
-                        &text,
-                        at,
-                        other.to_string(),
-                        "a text or a number",
-                    ));
-                }
-            };
-            self.set(&name, &value).map_err(|(found, expected)| {
-                let at = text.find(&name).unwrap_or(0);
-                InputError::at_offset(file, &text, at, found, expected)
-            })?;
+        let text = rtec_files::text::read(file)?;
+        for entry in Document::parse(file, &text)?.root().entries() {
+            let number =
+                || entry.as_integer().map(|i| i.to_string()).or(entry.as_number().map(|f| f.to_string()));
+            let value = entry.as_str().map(str::to_owned).or_else(number);
+            let value = value.ok_or_else(|| entry.mismatch("a text or a number"))?;
+            self.set(entry.key(), &value).map_err(|(found, expected)| entry.key_error(found, expected))?;
         }
         Ok(())
     }
@@ -249,20 +233,12 @@ impl Controller {
     /// # Errors
     /// Unreadable, or no dialect: the key is named.
     pub fn read(dialect: &Path, template: &Path) -> Result<Self, InputError> {
-        let text = crate::sheet::read_text(dialect)?;
-        Self::parse(dialect, &text, &crate::sheet::read_text(template)?)
+        let text = rtec_files::text::read(dialect)?;
+        Self::parse(dialect, &text, &rtec_files::text::read(template)?)
     }
 
     fn parse(file: &Path, dialect: &str, template: &str) -> Result<Self, InputError> {
-        let parsed = toml::from_str(dialect).map_err(|e: toml::de::Error| {
-            InputError::at_offset(
-                file,
-                dialect,
-                e.span().map_or(0, |s| s.start),
-                e.message(),
-                "a dialect's keys",
-            )
-        })?;
+        let parsed = rtec_files::toml::from_str(file, dialect, "a dialect's keys")?;
         Ok(Self { dialect: parsed, template: template.to_owned() })
     }
 }

@@ -4,7 +4,6 @@ use crate::contour::Contour;
 use crate::drawing::Unit;
 use crate::fit::Zx;
 use crate::path::{Plan, pathfin};
-use crate::sheet::write_whole;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -174,7 +173,7 @@ fn change(session: &mut Session, what: &str, asked: &Value) -> Result<(), String
 fn save(session: &Session) -> std::io::Result<()> {
     std::fs::create_dir_all(&session.folder)?;
     for (name, text) in files(&session.contour, &session.plan, session.unit) {
-        write_whole(&Path::new(&session.folder).join(name), text.as_bytes())?;
+        rtec_files::write::whole(&Path::new(&session.folder).join(name), text.as_bytes())?;
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_part::batch::{Batch, Finding, Judgement, evaluate};
 use rtec_part::errors::PointError;
 use std::fmt::Write as _;

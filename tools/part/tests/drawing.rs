@@ -4,7 +4,7 @@
 use dxf::entities::{Arc, Ellipse, Entity, EntityType, Line, LwPolyline, Spline};
 use dxf::enums::Units;
 use dxf::{LwPolylineVertex, Point, Vector};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_part::contour::{Contour, Kind};
 use rtec_part::drawing::{Options, Unit, new_dxf, read};
 use rtec_part::fit::Zx;

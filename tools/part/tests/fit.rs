@@ -2,8 +2,8 @@
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
+use rtec_files::Sheet;
 use rtec_part::fit::{FitError, Fitted, Shape, Zx, deviations_um, least_squares, robust, sd, two_step};
-use rtec_part::sheet::Sheet;
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::path::{Path, PathBuf};
 

@@ -8,7 +8,7 @@ use crate::search::GRID_SHARE;
 use crate::unexplained;
 use crate::wherein::{self, Place};
 use crate::{Options, SEED};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::effect::{Against, Dictionary, Difference, Effect, Heat, Law, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};

@@ -4,7 +4,7 @@ mod daemon;
 mod verbs;
 
 use clap::{Parser, Subcommand};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use std::process::ExitCode;
 
 /// Real-time error corrector: correct a machine tool's repeatable errors in its position feedback.

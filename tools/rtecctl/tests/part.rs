@@ -81,7 +81,7 @@ fn a_table_is_checked_before_the_daemon_is_asked_and_no_daemon_is_said() {
     std::fs::write(folder.join("dxf.cor"), "0.0\n").unwrap();
     let load = "load --socket none --centre-z-mm 127";
     for (line, code, said) in [
-        (format!("{load} --radius-mm 38.1 --errors none.cor"), 2, "none.cor: found an unreadable file"),
+        (format!("{load} --radius-mm 38.1 --errors none.cor"), 2, "none.cor: found No such file"),
         (format!("{load} --radius-mm 38.1 --errors bad.cor"), 2, "bad.cor:3:1: found angle 0.1 after"),
         (
             format!("{load} --radius-mm 38.1 --errors dxf.cor"),

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::Decoder;
-use rtec_driver::trace::TraceReader;
+use rtec_files::trace::TraceReader;
 use std::path::Path;
 use std::process::{Command, Output};
 

@@ -26,7 +26,7 @@ use rtec_control::card::{self, OpenError};
 use rtec_control::config::{CardConfig, Config, Findings, PortPlace};
 use rtec_control::lock::{self, LockError};
 use rtec_driver::card::Card;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Fault, MAX_AXES};
 use rtec_rt::journal::{Journal, Record, resume};

@@ -11,11 +11,10 @@ use rtec_control::protocol::{
 use rtec_correct::Corrector;
 use rtec_correct::explain::Reading;
 use rtec_correct::sensors::Watch;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
-use rtec_model::whole::write_whole;
 use rtec_part::errors::read_error_cor;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{self, Event, EventKind, Mode, Refusal};
@@ -432,7 +431,7 @@ impl Session {
 
     fn remember(&self, text: &str, log: &mut Log) {
         let path = self.directory().join(TAKEN);
-        if let Err(error) = write_whole(&path, text.as_bytes()) {
+        if let Err(error) = rtec_files::write::whole(&path, text.as_bytes()) {
             let text = format!("{}: {error}: a restart will not know which model was taken", path.display());
             log.say(Level::Warning, &text);
         }

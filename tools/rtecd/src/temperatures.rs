@@ -2,7 +2,7 @@
 //! back.
 
 use rtec_correct::sensors::{Bank, Config, Source, Use, Watch};
-use rtec_driver::input::InputError;
+use rtec_files::{InputError, csv};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};
@@ -157,7 +157,7 @@ impl Log {
 /// Adds a row; what is not good is left empty.
 fn append(directory: &Path, names: &[String], now_s: f64, values: &[Option<f64>]) -> io::Result<()> {
     let [path, old] = NAMES.map(|n| directory.join(n));
-    let header = format!("t,{}\n", names.join(","));
+    let header = format!("t,{}\n", csv::header_line(names.iter().map(String::as_str)));
     let mut begun = String::new();
     if let Ok(file) = File::open(&path) {
         let size = file.metadata()?.len();
@@ -181,19 +181,23 @@ fn append(directory: &Path, names: &[String], now_s: f64, values: &[Option<f64>]
 pub(crate) fn history(directory: &Path, names: &[String], now_s: f64) -> Vec<(f64, Vec<f64>)> {
     let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
     for name in NAMES.iter().rev() {
-        let Ok(text) = std::fs::read_to_string(directory.join(name)) else { continue };
+        let file = directory.join(name);
+        let Ok(mut bytes) = std::fs::read(&file) else { continue };
         // What has no end was torn.
-        let mut lines = text.split_inclusive('\n').filter_map(|l| l.strip_suffix('\n'));
-        let header: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
-        let places: Option<Vec<usize>> = names.iter().map(|n| header.iter().position(|h| h == n)).collect();
+        bytes.truncate(bytes.iter().rposition(|b| *b == b'\n').map_or(0, |end| end + 1));
+        let Ok(mut reader) = csv::Reader::new(&file, bytes.as_slice()) else { continue };
+        let Ok(header) = reader.header("the sensors' names") else { continue };
+        let places: Option<Vec<usize>> = names.iter().map(|n| header.find(n)).collect();
         let Some(places) = places else { continue };
-        for line in lines {
-            let cells: Vec<&str> = line.split(',').collect();
-            let number =
-                |k: usize| cells.get(k).and_then(|c| c.parse::<f64>().ok()).filter(|v| v.is_finite());
-            let values: Option<Vec<f64>> = places.iter().map(|k| number(*k)).collect();
-            if cells.len() == header.len()
-                && let (Some(t_s), Some(values)) = (number(0), values)
+        loop {
+            let row = match reader.row() {
+                Ok(Some(row)) => row,
+                Ok(None) => break,
+                Err(_) => continue,
+            };
+            let Ok(cells) = header.cells(row) else { continue };
+            let values: Result<Vec<f64>, _> = places.iter().map(|k| cells[*k].finite()).collect();
+            if let (Ok(t_s), Ok(values)) = (cells[0].finite(), values)
                 && t_s <= now_s
                 && rows.last().is_none_or(|(before, _)| *before < t_s)
             {

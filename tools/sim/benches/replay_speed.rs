@@ -4,7 +4,8 @@
 //! The axis goes 1000 counts forth and back at 2 µs a count; a correction of ±2 counts is requested every 500 edges.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::{Request, TraceReader};
+use rtec_driver::replay::Request;
+use rtec_files::trace::TraceReader;
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::replay;
 use std::io::{BufWriter, Write};

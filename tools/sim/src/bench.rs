@@ -6,10 +6,9 @@ use crate::noise::Noise;
 use crate::replay::{Corrector, Outcome, ReplayError, homed_engine, replay, replay_with};
 use crate::through::Through;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
-use rtec_driver::input::InputError;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_driver::replay::{Gates, Listener, Through as Direct, Xor};
-use rtec_driver::trace::{Request, TracePoint};
+use rtec_driver::replay::{Request, TracePoint};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind};
@@ -83,17 +82,17 @@ impl AnyDesign {
 ///
 /// # Errors
 /// At the first bad row, or when the axis cannot be corrected as configured.
-pub fn replay_any<T, R, L>(
+pub fn replay_any<T, R, L, E>(
     design: AnyDesign,
     config: AxisConfig,
     trace: T,
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError>
+) -> Result<(Outcome, L), ReplayError<E>>
 where
-    T: Iterator<Item = Result<TracePoint, InputError>>,
-    R: Iterator<Item = Result<Request, InputError>>,
+    T: Iterator<Item = Result<TracePoint, E>>,
+    R: Iterator<Item = Result<Request, E>>,
     L: Listener,
 {
     let config = AxisConfig { lines: AxisLines::standard(0, false), design: design.engine(), ..config };

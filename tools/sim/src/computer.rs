@@ -1,7 +1,7 @@
 //! Computing hardware as a timing model: how long from an edge until the outputs change.
 
 use crate::noise::Noise;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_rt::axis::{AxisConfig, Design};
 use serde::{Deserialize, Serialize};
 use std::path::Path;

@@ -7,7 +7,7 @@ use crate::heat::{FIGURE_9, SENSORS};
 use crate::noise::Noise;
 use crate::path::AXES;
 use crate::sim::{Moment, NAMES, Part, Sim, SimError, Spec, look_up};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::laws::scale;
 use rtec_model::effect::{Effect, Owner};

@@ -1,7 +1,7 @@
 //! NC programs for the simulated controller: G00 to G04, G17 to G19, G90, G91, M03, M05, M08, M09, F, S.
 
 use crate::path::AXES;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use std::path::Path;
 
 /// One block, all positions absolute, mm.

@@ -1,10 +1,8 @@
 //! The engine over a recording of one axis, on a virtual clock, and what the MTC would have counted.
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
-use rtec_driver::input::InputError;
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_driver::replay::{Gates, Listener, ReplayCard, Xor};
-use rtec_driver::trace::{Request as Total, TracePoint};
+use rtec_driver::replay::{Gates, Listener, ReplayCard, Request as Total, TracePoint, Xor};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Refusal, Request};
@@ -71,10 +69,10 @@ pub struct Latched {
 
 /// Why a replay could not be made.
 #[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// A bad row in the trace or the requests.
-    #[error(transparent)]
-    Input(#[from] InputError),
+pub enum ReplayError<E> {
+    /// What the trace or the requests ended with: a bad row, as a rule.
+    #[error("{0}")]
+    Input(E),
     /// The axis cannot be corrected as configured.
     #[error(transparent)]
     Start(#[from] StartError),
@@ -190,19 +188,19 @@ pub fn homed_engine<C: Card>(
 ///
 /// # Errors
 /// At the first bad row, or when the axis cannot be corrected as configured.
-pub fn replay<T, R, L>(
+pub fn replay<T, R, L, E>(
     config: AxisConfig,
     trace: T,
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError>
+) -> Result<(Outcome, L), ReplayError<E>>
 where
-    T: Iterator<Item = Result<TracePoint, InputError>>,
-    R: Iterator<Item = Result<Total, InputError>>,
+    T: Iterator<Item = Result<TracePoint, E>>,
+    R: Iterator<Item = Result<Total, E>>,
     L: Listener,
 {
-    let start = |card: &mut ReplayCard<T, Mtc<L>>| homed_engine(config, card, &mut |_| true);
+    let start = |card: &mut ReplayCard<T, Mtc<L>, E>| homed_engine(config, card, &mut |_| true);
     replay_with(Xor, start, trace, totals, large, to)
 }
 
@@ -210,23 +208,23 @@ where
 ///
 /// # Errors
 /// At the first bad row, or when `start` fails.
-pub fn replay_with<G, M, T, R, L>(
+pub fn replay_with<G, M, T, R, L, E>(
     gates: G,
-    start: impl FnOnce(&mut ReplayCard<T, Mtc<L>, G>) -> Result<M, StartError>,
+    start: impl FnOnce(&mut ReplayCard<T, Mtc<L>, E, G>) -> Result<M, StartError>,
     trace: T,
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError>
+) -> Result<(Outcome, L), ReplayError<E>>
 where
     G: Gates,
     M: Corrector,
-    T: Iterator<Item = Result<TracePoint, InputError>>,
-    R: Iterator<Item = Result<Total, InputError>>,
+    T: Iterator<Item = Result<TracePoint, E>>,
+    R: Iterator<Item = Result<Total, E>>,
     L: Listener,
 {
     let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
-    let mut card = ReplayCard::new(gates, trace, mtc)?;
+    let mut card = ReplayCard::new(gates, trace, mtc).map_err(ReplayError::Input)?;
     let mut corrector = start(&mut card)?;
     let mut outcome = Outcome::default();
     let mut tell = |event: Event| {
@@ -240,11 +238,11 @@ where
         true
     };
     let mut totals = totals;
-    let mut next = totals.next().transpose()?;
+    let mut next = totals.next().transpose().map_err(ReplayError::Input)?;
     loop {
         while let Some(total) = next.filter(|t| t.t_ns <= corrector.now_ns()) {
             corrector.correct(total.requested, large, &mut card, &mut tell).map_err(StartError::Card)?;
-            next = totals.next().transpose()?;
+            next = totals.next().transpose().map_err(ReplayError::Input)?;
         }
         match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut tell) {
             Ok(()) => {}
@@ -253,7 +251,7 @@ where
         }
     }
     if let Some(error) = card.take_error() {
-        return Err(error.into());
+        return Err(ReplayError::Input(error));
     }
     let axis = corrector.axis();
     outcome.edges = card.edges();

@@ -19,8 +19,8 @@
 use super::{
     Description, Dictionary, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, State, laws,
 };
-use crate::document::{self, Entry, Table};
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
+use rtec_files::toml::{Document, Entry, Table};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -105,7 +105,7 @@ impl Dictionary {
     /// The first finding, with file, line and column: a name that is taken, a quantity that does not suit the naming,
     /// an unknown key.
     pub fn read_own(&mut self, path: &Path) -> Result<(), InputError> {
-        self.add_own(path, &document::read(path)?)
+        self.add_own(path, &rtec_files::text::read(path)?)
     }
 
     /// As [`Dictionary::read_own`], from text; `path` is for messages.
@@ -113,8 +113,8 @@ impl Dictionary {
     /// # Errors
     /// As [`Dictionary::read_own`].
     pub fn add_own(&mut self, path: &Path, text: &str) -> Result<(), InputError> {
-        let doc = document::parse(path, text)?;
-        let root = Table::root(path, text, &doc);
+        let doc = Document::parse(path, text)?;
+        let root = doc.root();
         root.only(&["law"])?;
         for t in root.required("law", "[[law]] tables")?.tables("[[law]] tables")? {
             let name = t.required("name", "the law's name")?;

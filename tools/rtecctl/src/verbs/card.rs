@@ -6,15 +6,15 @@ use clap::Subcommand;
 use rtec_control::card;
 use rtec_control::config::{CardConfig, Config, MappedPlace, PortPlace};
 use rtec_control::lock::{self, Held, LockError};
-use rtec_control::nearest;
+use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::card::Card;
 use rtec_driver::gpio::{self, GpioSetup};
-use rtec_driver::input::InputError;
 use rtec_driver::mapped::Registers;
 use rtec_driver::pci;
 use rtec_driver::port::{Parport, Ports};
-use rtec_driver::profile::{Place, Profile, Register, SHIPPED, Space};
+use rtec_driver::profile::{Place, Profile, Register, Space};
 use rtec_driver::registers::Bus;
+use rtec_files::InputError;
 use serde_json::{Value, json};
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -91,7 +91,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     let mut profiles = Vec::new();
     for (name, _) in SHIPPED {
         // A name of the list itself.
-        let Some(p) = Profile::shipped(name) else { continue };
+        let Some(p) = profile::shipped(name) else { continue };
         let id = p.pci.map(|p| format!("{:04x}:{:04x}", p.id.0, p.id.1));
         profiles.push(json!({"profile": name, "backend": backend(&p, name), "name": p.name, "pci": id}));
     }
@@ -102,7 +102,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     let cards: Vec<_> = pci::functions()
         .into_iter()
         .filter_map(|f| {
-            let is = |(name, _): &&(&str, &str)| Profile::shipped(name)?.pci.map(|p| p.id == f.id);
+            let is = |(name, _): &&(&str, &str)| profile::shipped(name)?.pci.map(|p| p.id == f.id);
             let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
             Some(json!({"address": f.address, "pci": format!("{:04x}:{:04x}", f.id.0, f.id.1), "profile": name}))
         })
@@ -162,19 +162,14 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
     let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
     let text = match shipped {
         Some((_, text)) => (*text).to_owned(),
-        None => std::fs::read_to_string(path).map_err(|e| {
-            let names = SHIPPED.map(|(name, _)| name);
-            let hint =
-                nearest(name, &names).map_or(String::new(), |near| format!("; did you mean \"{near}\"?"));
-            let expected = format!("the path of a card profile, or one of {}{hint}", names.join(", "));
-            InputError::whole(path, e.to_string(), expected)
-        })?,
+        None => rtec_files::text::read(path)
+            .map_err(|e| InputError { expected: profile::names_for(name), ..e })?,
     };
     if as_toml {
         print!("{text}");
         return Ok(());
     }
-    let p = Profile::parse(path, &text)?;
+    let p = profile::parse(path, &text)?;
     let space = |space| if space == Space::Io { "I/O ports" } else { "memory" };
     if as_json {
         let register = |r: &Register| json!({"offset": r.offset, "bits": r.width.bits()});

@@ -1,7 +1,6 @@
 //! `rtecctl designs`: every insertion design of the sources on the same motion and computer.
 
 use anyhow::Context;
-use rtec_model::whole::write_whole;
 use rtec_sim::bench::AnyDesign;
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{Motion, compare, waveforms};
@@ -72,7 +71,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         for design in AnyDesign::ALL {
             let file = dir.join(format!("design-{}.svg", design.name()));
             let svg = waveforms(design, &computer, 3);
-            write_whole(&file, svg.as_bytes()).with_context(|| format!("writing {}", file.display()))?;
+            rtec_files::write::whole(&file, svg.as_bytes())
+                .with_context(|| format!("writing {}", file.display()))?;
             eprintln!("rtecctl: wrote {}", file.display());
         }
     }

@@ -2,9 +2,8 @@
 
 use super::characterise::record::{Recorder, record};
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::whole::write_whole;
 use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, SEED, find, html, reconcile};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -114,7 +113,8 @@ fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) 
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         let write = |name: &str, text: &str| {
             let path = dir.join(name);
-            write_whole(&path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
+            rtec_files::write::whole(&path, text.as_bytes())
+                .with_context(|| format!("writing {}", path.display()))
         };
         write("verdict.json", &format!("{text}\n"))?;
         for (name, text) in files {

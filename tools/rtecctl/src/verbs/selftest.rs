@@ -3,7 +3,7 @@
 use crate::Outcome;
 use anyhow::Context;
 use rtec_control::config::Config;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_platform::selftest::{
     Backend, FarSide, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure,
 };

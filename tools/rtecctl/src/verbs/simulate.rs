@@ -1,9 +1,8 @@
 //! `rtecctl simulate`: experiments on the simulated machine.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::whole::write_whole;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::sim::SimError;
 use std::io::Write;
@@ -68,7 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     for (name, svg) in &findings.plots {
         let file = out.join(name);
-        write_whole(&file, svg.as_bytes()).with_context(|| writing(&file))?;
+        rtec_files::write::whole(&file, svg.as_bytes()).with_context(|| writing(&file))?;
         files.push(file.display().to_string());
     }
     let text = if args.json {

@@ -2,10 +2,11 @@
 
 use anyhow::Context;
 use clap::{Subcommand, ValueEnum};
-use rtec_driver::input::InputError;
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::{TraceFile, TracePoint, TraceReader};
-use std::io::BufRead;
+use rtec_driver::replay::TracePoint;
+use rtec_files::InputError;
+use rtec_files::csv::{Header, Reader};
+use rtec_files::trace::{TraceFile, TraceReader};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -198,7 +199,7 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
         if !fits {
             let expected =
                 "a motion of at most one count a nanosecond (is --count-um, or the unit, too small?)";
-            return Err(record.error(0, "a faster motion", expected).into());
+            return Err(InputError::at(&args.input, record.line, 0, "a faster motion", expected).into());
         }
     }
     out.file.finish().with_context(|| format!("writing {}", args.out.display()))?;
@@ -254,10 +255,10 @@ impl Scale {
 
 /// The rows of a position record, as time in ns and position in counts.
 struct Record {
-    file: PathBuf,
-    input: std::io::BufReader<std::fs::File>,
+    rows: Reader<std::fs::File>,
+    header: Header,
+    /// The present row's line.
     line: usize,
-    text: String,
     time: usize,
     ns_per_unit: f64,
     position: usize,
@@ -267,111 +268,64 @@ struct Record {
 
 impl Record {
     fn open(args: &FromPosition) -> Result<Self, InputError> {
-        let file = args.input.clone();
-        let input = std::fs::File::open(&file)
-            .map_err(|e| InputError::whole(&file, e.to_string(), "a file that can be read"))?;
-        let input = std::io::BufReader::new(input);
-        let mut record = Self {
-            file,
-            input,
-            line: 0,
-            text: String::new(),
-            time: 0,
-            ns_per_unit: 0.0,
-            position: 0,
-            counts_per_unit: 0.0,
-            last_ns: None,
-        };
-        if !record.row()? {
-            return Err(InputError::whole(&record.file, "no header", "a header such as t_s,position_mm"));
-        }
-        let header = record.text.clone();
-        let names: Vec<&str> = header.split(',').map(str::trim).collect();
+        let mut rows = Reader::open(&args.input)?;
+        let header = rows.header("a header such as t_s,position_mm")?;
+        let columns = || format!("the columns {}", header.text());
         let times = [("t_s", 1e9), ("t_ms", 1e6), ("t_us", 1e3), ("t_ns", 1.0)];
-        (record.time, record.ns_per_unit) = times
+        let (time, ns_per_unit) = times
             .iter()
-            .find_map(|(name, ns)| Some((names.iter().position(|n| n == name)?, *ns)))
-            .ok_or_else(|| {
-                record.error(1, &format!("the columns {header}"), "a time column: t_s, t_ms, t_us or t_ns")
-            })?;
-        let wanted = |name: &&str| match &args.column {
-            Some(column) => *name == column,
+            .find_map(|(name, ns)| Some((header.find(name)?, *ns)))
+            .ok_or_else(|| header.finding(columns(), "a time column: t_s, t_ms, t_us or t_ns"))?;
+        let wanted = |name: &str| match &args.column {
+            Some(column) => name == column,
             None => name.starts_with("position"),
         };
-        let expected = match &args.column {
-            Some(column) => format!("one column named {column}"),
-            None => "one column whose name begins with position (or --column NAME)".to_owned(),
-        };
-        let mut matching = names.iter().enumerate().filter(|(_, name)| wanted(name));
+        let mut matching = header.names().enumerate().filter(|(_, name)| wanted(name));
         let (Some((position, name)), None) = (matching.next(), matching.next()) else {
-            return Err(record.error(1, &format!("the columns {header}"), &expected));
+            let expected = match &args.column {
+                Some(column) => format!("one column named {column}"),
+                None => "one column whose name begins with position (or --column NAME)".to_owned(),
+            };
+            return Err(header.finding(columns(), expected));
         };
-        record.position = position;
         let unit = args.unit.or_else(|| Unit::of(name)).unwrap_or_else(|| {
             eprintln!("{}: column '{name}' names no unit: taken as m (see --unit)", args.input.display());
             Unit::M
         });
-        record.counts_per_unit = unit.in_um() / args.count_um;
-        Ok(record)
-    }
-
-    fn error(&self, column: usize, found: &str, expected: &str) -> InputError {
-        InputError::at(&self.file, self.line, column, found, expected)
-    }
-
-    /// Reads the next line that holds something besides a comment into `text`; `false` at the end.
-    fn row(&mut self) -> Result<bool, InputError> {
-        loop {
-            self.line += 1;
-            self.text.clear();
-            match self.input.read_line(&mut self.text) {
-                Ok(0) => return Ok(false),
-                Ok(_) => {}
-                Err(e) => return Err(self.error(0, &e.to_string(), "a text file in UTF-8 that can be read")),
-            }
-            if self.line == 1 && self.text.starts_with('\u{feff}') {
-                self.text.remove(0);
-            }
-            let content = self.text.split('#').next().unwrap_or_default().trim_end().len();
-            self.text.truncate(content);
-            if content > 0 {
-                return Ok(true);
-            }
-        }
-    }
-
-    fn number(&self, n: usize, name: &str) -> Result<f64, InputError> {
-        let column = self.text.split(',').take(n).map(|field| field.chars().count() + 1).sum::<usize>() + 1;
-        let Some(field) = self.text.split(',').nth(n) else {
-            let found = format!("the end of the row after {} fields", self.text.split(',').count());
-            return Err(self.error(self.text.chars().count() + 1, &found, &format!("the {name}")));
-        };
-        let value = field.trim().parse::<f64>().ok().filter(|v| v.is_finite());
-        value.ok_or_else(|| {
-            self.error(column, &format!("'{}'", field.trim()), &format!("the {name}: a finite number"))
-        })
+        let counts_per_unit = unit.in_um() / args.count_um;
+        drop(matching);
+        Ok(Self { rows, header, line: 0, time, ns_per_unit, position, counts_per_unit, last_ns: None })
     }
 
     fn next(&mut self) -> Result<Option<(u64, f64)>, InputError> {
-        if !self.row()? {
-            return Ok(None);
-        }
-        let time = self.number(self.time, "time")? * self.ns_per_unit;
-        let counts = self.number(self.position, "position")? * self.counts_per_unit;
+        let Some(row) = self.rows.row()? else { return Ok(None) };
+        self.line = row.line();
+        let (mut time, mut counts) = (0.0, 0.0);
+        self.header.each(row, |place, cell| {
+            let finite =
+                |name| cell.finite().map_err(|_| cell.finding(format!("the {name}: a finite number")));
+            if place == self.time {
+                time = finite("time")? * self.ns_per_unit;
+            }
+            if place == self.position {
+                counts = finite("position")? * self.counts_per_unit;
+            }
+            Ok(())
+        })?;
         // Beyond 2^53 neither a time in ns nor a count is exact in a float any more.
         let exact = 9_007_199_254_740_992.0;
         if !(0.0..exact).contains(&time) {
-            return Err(self.error(0, "a time out of range", "a time from 0 to 104 days"));
+            return Err(row.finding("a time out of range", "a time from 0 to 104 days"));
         }
         if counts.abs() >= exact {
-            return Err(self.error(0, "a position out of range", "a position below 2^53 counts"));
+            return Err(row.finding("a position out of range", "a position below 2^53 counts"));
         }
         let t_ns = time.round() as u64;
         if let Some(last) = self.last_ns
             && t_ns <= last
         {
             let expected = format!("a time after the row before, {} s", last as f64 / 1e9);
-            return Err(self.error(0, &format!("the time {} s", t_ns as f64 / 1e9), &expected));
+            return Err(row.finding(format!("the time {} s", t_ns as f64 / 1e9), expected));
         }
         self.last_ns = Some(t_ns);
         Ok(Some((t_ns, counts)))
@@ -489,7 +443,7 @@ mod tests {
             ),
             (
                 "t_s,position_mm\n0,0\n0.1\n",
-                "/p.csv:3:4: found the end of the row after 1 fields, expected the position",
+                "/p.csv:3:4: found the end of the row after 1 of 2 fields, expected the field position_mm",
             ),
             (
                 "t_s,position_mm\n0,0\n0.1,inf\n",

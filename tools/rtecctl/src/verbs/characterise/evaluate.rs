@@ -1,11 +1,10 @@
 //! `rtecctl characterise evaluate`: a run's figures as its standard defines them, with a plot.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_measure::{iso230, plate};
 use rtec_model::record::Record;
-use rtec_model::whole::write_whole;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -64,7 +63,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         for (i, chart) in charts.iter().enumerate() {
             let path = if i == 0 { path.clone() } else { path.with_extension(format!("{}.svg", i + 1)) };
             let svg = chart.svg(900, 560)?;
-            write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+            rtec_files::write::whole(&path, svg.as_bytes())
+                .with_context(|| format!("writing {}", path.display()))?;
         }
     }
     if args.json {

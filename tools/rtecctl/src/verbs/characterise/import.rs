@@ -1,10 +1,9 @@
 //! `rtecctl characterise import`: other tools' files as run records.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_measure::import;
 use rtec_measure::import::Wanted;
-use rtec_model::document;
 use rtec_model::record::{Axis, Kind};
 use std::path::{Path, PathBuf};
 
@@ -45,7 +44,7 @@ enum Format {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let text = document::read(&args.file)?;
+    let text = rtec_files::text::read(&args.file)?;
     let axis = || -> Result<Axis, InputError> {
         let name = args.axis.as_deref().unwrap_or_default();
         let found = if name.is_empty() { "no --axis".to_owned() } else { format!("--axis {name}") };

@@ -1,10 +1,9 @@
 //! `rtecctl characterise plan`: the test sequence for this machine.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_measure::plan::{self, PlanAxis};
 use rtec_model::record::Axis;
-use rtec_model::whole::write_whole;
 use std::path::{Path, PathBuf};
 
 /// Write the test sequence for this machine: what to mount where, how to move, what to record
@@ -49,7 +48,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let steps = plan::sequence(&axes, args.max_rpm, args.ballbar_mm);
     let text = plan::markdown(&args.machine, &steps);
     if let Some(path) = &args.out {
-        write_whole(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+        rtec_files::write::whole(path, text.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&steps)?);

@@ -5,8 +5,8 @@ use anyhow::Context;
 use rtec_control::client::Client;
 use rtec_control::protocol::{Request, Response, Status};
 use rtec_correct::sensors::{self, Bank, Config, Feed, Use};
-use rtec_driver::input::InputError;
-use rtec_model::document::{self, Table};
+use rtec_files::InputError;
+use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -258,9 +258,9 @@ fn wait_until(start: Instant, due_s: f64) {
 
 fn read_sensors(path: Option<&Path>) -> Result<Vec<Config>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
-    let text = document::read(path)?;
-    let doc = document::parse(path, &text)?;
-    let root = Table::root(path, &text, &doc);
+    let text = rtec_files::text::read(path)?;
+    let doc = Document::parse(path, &text)?;
+    let root = doc.root();
     root.only(&["sensor"])?;
     root.required("sensor", "[[sensor]] tables")?;
     sensors::read_tables(&root)

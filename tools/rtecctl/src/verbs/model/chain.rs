@@ -1,7 +1,7 @@
 //! `rtecctl model fit-chain`: a chain's polynomials from records, component by component.
 
 use super::fit::draw;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_fit::chain::{self as chain_fit, Run};
 use rtec_fit::thermal::residual_chart;
 use rtec_model::chain::Chain;

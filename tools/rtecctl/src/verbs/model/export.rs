@@ -1,12 +1,11 @@
 //! `rtecctl model export`: a model's correction table for one axis, for a controller that compensates by itself.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
-use rtec_model::whole::write_whole;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -112,5 +111,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             Format::Csv => writeln!(text, "{p},{up},{down}"),
         };
     }
-    write_whole(&args.out, text.as_bytes()).with_context(|| format!("writing {}", args.out.display()))
+    rtec_files::write::whole(&args.out, text.as_bytes())
+        .with_context(|| format!("writing {}", args.out.display()))
 }

@@ -1,7 +1,7 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_fit::least;
 use rtec_fit::thermal::{self, Fitted, Options, Report};
 use rtec_measure::plot::Chart;
@@ -9,7 +9,6 @@ use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
-use rtec_model::whole::write_whole;
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -236,7 +235,8 @@ pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
     for (i, chart) in charts.iter().enumerate() {
         let path = if i == 0 { path.to_owned() } else { path.with_extension(format!("{}.svg", i + 1)) };
         let svg = chart.svg(1000, 520)?;
-        write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+        rtec_files::write::whole(&path, svg.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())
 }

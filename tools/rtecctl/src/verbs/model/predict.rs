@@ -1,9 +1,8 @@
 //! `rtecctl model predict`: the sum of a model's effects at every row of a record.
 
 use anyhow::Context;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::whole::write_whole;
 use std::path::PathBuf;
 
 /// Predict a record's responses from a machine model
@@ -49,5 +48,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         columns.push((format!("predicted_{name}"), data));
     }
     let text = rtec_measure::record::csv_with(&record, &columns)?;
-    write_whole(&args.out, text.as_bytes()).with_context(|| format!("writing {}", args.out.display()))
+    rtec_files::write::whole(&args.out, text.as_bytes())
+        .with_context(|| format!("writing {}", args.out.display()))
 }

@@ -8,7 +8,6 @@ use rtec_fit::thermal;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
 use rtec_model::machine::Machine;
-use rtec_model::whole::write_whole;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -80,7 +79,8 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
                 };
                 let svg = thermal::prediction_chart(&record, column, predicted, widths.as_deref())
                     .svg(1000, 520)?;
-                write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+                rtec_files::write::whole(&path, svg.as_bytes())
+                    .with_context(|| format!("writing {}", path.display()))?;
             }
             if after >= before && before > 0.0 {
                 worse.push(format!("{}: {response}", path.display()));
@@ -148,7 +148,8 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         for axis in &found.axes {
             let path = path.with_extension(format!("{}.svg", axis.axis));
             let svg = chart(axis).svg(900, 480)?;
-            write_whole(&path, svg.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+            rtec_files::write::whole(&path, svg.as_bytes())
+                .with_context(|| format!("writing {}", path.display()))?;
         }
     }
     if args.json {

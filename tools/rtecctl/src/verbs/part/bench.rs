@@ -2,11 +2,10 @@
 
 use super::points::{MotionArgs, positive};
 use super::usage;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::experiment::Setup;
 use rtec_part::lathe::{self, Bench};
-use rtec_part::sheet::read_text;
 use std::path::{Path, PathBuf};
 
 /// The simulated machine
@@ -75,11 +74,8 @@ impl BenchArgs {
 }
 
 fn read_bench(file: &Path) -> anyhow::Result<Bench> {
-    let text = read_text(file)?;
-    let bench: Bench = toml::from_str(&text).map_err(|e| {
-        let expected = "keys of the simulated machine";
-        InputError::at_offset(file, &text, e.span().map_or(0, |s| s.start), e.message(), expected)
-    })?;
+    let text = rtec_files::text::read(file)?;
+    let bench: Bench = rtec_files::toml::from_str(file, &text, "keys of the simulated machine")?;
     bench.check().map_err(|(key, expected)| {
         let at = text.find(key).unwrap_or(0);
         InputError::at_offset(file, &text, at, format!("{key} out of range"), expected)

@@ -66,7 +66,7 @@ fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for (name, content) in files {
         let file = folder.join(name);
-        rtec_part::sheet::write_whole(&file, content)
+        rtec_files::write::whole(&file, content)
             .with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }
@@ -84,7 +84,7 @@ fn print(text: &str) -> anyhow::Result<()> {
 
 /// A usage finding that clap cannot express: exit code 2.
 fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> anyhow::Error {
-    rtec_driver::input::InputError::whole(Path::new(argument), found, expected).into()
+    rtec_files::InputError::whole(Path::new(argument), found, expected).into()
 }
 
 /// An experiment's failure with its exit code: bad points are bad input, a latched fault is a fault, a trip that is

@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     if let Some(template) = &args.template {
-        controller.template = rtec_part::sheet::read_text(template)?;
+        controller.template = rtec_files::text::read(template)?;
     }
     let mut parameters = Parameters::in_unit(unit);
     let feed = positive("--feed-mm-min", args.feed_mm_min)? / unit.0;

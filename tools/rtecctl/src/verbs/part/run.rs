@@ -5,7 +5,7 @@ use super::features::{How, write_drawn};
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
-use rtec_driver::input::InputError;
+use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::experiment::nose_of;
 use std::fmt::Write as _;

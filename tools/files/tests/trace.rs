@@ -3,11 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use proptest::prelude::*;
-use rtec_driver::input::InputError;
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::{
-    Request, RequestReader, TraceFile, TraceFormat, TracePoint, TraceReader, TraceWriter,
-};
+use rtec_driver::replay::{Request, TracePoint};
+use rtec_files::InputError;
+use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, TraceWriter};
 use std::io::Read;
 use std::path::Path;
 

@@ -1,13 +1,15 @@
-//! A CSV of numbers: the columns by name, every finding with its line and column.
+//! A CSV whose columns are known, read whole: columns by name, every finding with its line and column.
 
-use rtec_driver::input::InputError;
+use crate::csv::{Header, Reader};
+use crate::input::InputError;
+use crate::words::shown;
 use std::path::{Path, PathBuf};
 
-/// A CSV file read whole. UTF-8, a byte-order mark and CRLF accepted, `#` starts a comment.
+/// A CSV file read whole.
 #[derive(Debug, Clone)]
 pub struct Sheet {
     file: PathBuf,
-    header_line: usize,
+    header: Header,
     names: Vec<String>,
     rows: Vec<Row>,
 }
@@ -19,44 +21,13 @@ struct Row {
     cells: Vec<(String, usize)>,
 }
 
-/// Read a file as UTF-8 text, without its byte-order mark.
-///
-/// # Errors
-/// The file cannot be read or is no UTF-8.
-pub fn read_text(file: &Path) -> Result<String, InputError> {
-    let bytes = std::fs::read(file)
-        .map_err(|e| InputError::whole(file, format!("an unreadable file ({e})"), "a readable file"))?;
-    let mut text = String::from_utf8(bytes).map_err(|e| {
-        let found = format!("a byte that is no UTF-8 at offset {}", e.utf8_error().valid_up_to());
-        InputError::whole(file, found, "UTF-8 text")
-    })?;
-    if text.starts_with('\u{feff}') {
-        text.remove(0);
-    }
-    Ok(text)
-}
-
-/// Write a whole file or none: to a neighbour first, then renamed over the name.
-///
-/// # Errors
-/// As the file system reports them.
-pub fn write_whole(file: &Path, content: &[u8]) -> std::io::Result<()> {
-    let mut name = file.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.tmp", std::process::id()));
-    let neighbour = file.with_file_name(name);
-    std::fs::write(&neighbour, content).and_then(|()| std::fs::rename(&neighbour, file)).inspect_err(|_| {
-        // The first error is the one to report; a neighbour that was never made needs no removal.
-        let _ = std::fs::remove_file(&neighbour);
-    })
-}
-
 impl Sheet {
     /// Read a file whose columns are all in `known`, or match `also` (say, temperature columns).
     ///
     /// # Errors
     /// Unreadable, no header, unknown or repeated column, a row that is too short or too long.
     pub fn read(file: &Path, known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
-        Self::parse(file, &read_text(file)?, known, also)
+        Self::of(file, Reader::open(file)?, known, also)
     }
 
     /// As [`Sheet::read`], from text already in memory; `file` only names it.
@@ -69,34 +40,25 @@ impl Sheet {
         known: &[&str],
         also: fn(&str) -> bool,
     ) -> Result<Self, InputError> {
-        let mut lines = text.lines().enumerate().filter_map(|(i, line)| {
-            let line = line.split('#').next().unwrap_or_default();
-            (!line.trim().is_empty()).then(|| Row { line: i + 1, cells: cells(line) })
-        });
-        let Some(header) = lines.next() else {
-            return Err(InputError::whole(file, "no line at all", format!("a header: {}", known.join(","))));
-        };
-        let mut names: Vec<String> = Vec::new();
-        for (name, column) in header.cells {
-            if !known.contains(&name.as_str()) && !also(&name) {
-                let expected = format!("one of the columns {}", known.join(", "));
-                return Err(InputError::at(file, header.line, column, format!("column '{name}'"), expected));
-            }
-            if names.contains(&name) {
-                let found = format!("column '{name}' a second time");
-                return Err(InputError::at(file, header.line, column, found, "every column once"));
-            }
-            names.push(name);
+        Self::of(file, Reader::new(file, text.as_bytes())?, known, also)
+    }
+
+    fn of<R: std::io::Read>(
+        file: &Path,
+        mut reader: Reader<R>,
+        known: &[&str],
+        also: fn(&str) -> bool,
+    ) -> Result<Self, InputError> {
+        let header = reader.header(&format!("a header: {}", known.join(",")))?;
+        header.only(known, also)?;
+        let mut rows = Vec::new();
+        while let Some(row) = reader.row()? {
+            let cells = header.cells(row)?;
+            let cells = cells.iter().map(|cell| (cell.text().to_owned(), cell.column())).collect();
+            rows.push(Row { line: row.line(), cells });
         }
-        let rows: Vec<Row> = lines.collect();
-        for row in &rows {
-            if row.cells.len() != names.len() {
-                let found = format!("{} values", row.cells.len());
-                let expected = format!("{} values, one per column of the header", names.len());
-                return Err(InputError::at(file, row.line, 0, found, expected));
-            }
-        }
-        Ok(Self { file: file.to_owned(), header_line: header.line, names, rows })
+        let names = header.names().map(str::to_owned).collect();
+        Ok(Self { file: file.to_owned(), header, names, rows })
     }
 
     /// The file as the user named it.
@@ -135,25 +97,18 @@ impl Sheet {
         InputError::at(&self.file, self.line(row), 0, found, expected)
     }
 
-    fn index(&self, name: &str) -> Result<usize, InputError> {
-        self.names.iter().position(|n| n == name).ok_or_else(|| {
-            let found = format!("the columns {}", self.names.join(", "));
-            InputError::at(&self.file, self.header_line, 0, found, format!("a column '{name}'"))
-        })
-    }
-
     /// A column of finite numbers.
     ///
     /// # Errors
     /// No such column, or a cell that is no finite number.
     pub fn numbers(&self, name: &str) -> Result<Vec<f64>, InputError> {
-        let i = self.index(name)?;
+        let i = self.header.place(name)?;
         self.rows
             .iter()
             .map(|row| {
                 let (text, column) = &row.cells[i];
                 text.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| {
-                    let found = format!("'{text}' in column '{name}'");
+                    let found = format!("{} in column {name}", shown(text));
                     InputError::at(&self.file, row.line, *column, found, "a finite number")
                 })
             })
@@ -173,31 +128,19 @@ impl Sheet {
     /// # Errors
     /// No such column, or an empty cell.
     pub fn words(&self, name: &str) -> Result<Vec<String>, InputError> {
-        let i = self.index(name)?;
+        let i = self.header.place(name)?;
         self.rows
             .iter()
             .map(|row| {
                 let (text, column) = &row.cells[i];
                 if text.is_empty() {
-                    let found = format!("an empty cell in column '{name}'");
+                    let found = format!("{} in column {name}", shown(text));
                     return Err(InputError::at(&self.file, row.line, *column, found, "a name"));
                 }
                 Ok(text.clone())
             })
             .collect()
     }
-}
-
-fn cells(line: &str) -> Vec<(String, usize)> {
-    let mut column = 1;
-    line.split(',')
-        .map(|cell| {
-            let lead = cell.chars().take_while(|c| c.is_whitespace()).count();
-            let at = column + lead;
-            column += cell.chars().count() + 1;
-            (cell.trim().to_owned(), at)
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -220,14 +163,14 @@ mod tests {
         let at = |e: InputError| (e.line, e.column);
         assert_eq!(at(parse("z_mm,y_mm\n").unwrap_err()), (1, 6));
         assert_eq!(at(parse("z_mm,z_mm\n").unwrap_err()), (1, 6));
-        assert_eq!(at(parse("z_mm,x_mm\n1,2\n1\n").unwrap_err()), (3, 0));
+        assert_eq!(at(parse("z_mm,x_mm\n1,2\n1\n").unwrap_err()), (3, 2));
         for bad in ["nan", "inf", "", "1e999", "1;2"] {
             let sheet = parse(&format!("z_mm,x_mm\n1, {bad}\n")).unwrap();
             let e = sheet.numbers("x_mm").unwrap_err();
             assert_eq!(e.line, 2, "{bad}");
             assert!(e.column >= 3, "{bad}");
         }
-        assert_eq!(at(parse("z_mm\n1\n").unwrap().numbers("x_mm").unwrap_err()), (1, 0));
+        assert_eq!(at(parse("z_mm\n1\n").unwrap().numbers("x_mm").unwrap_err()), (1, 1));
         assert!(parse("").is_err());
     }
 }

@@ -2,7 +2,8 @@
 //! `cargo bench -p rtec-driver --bench trace_speed [-- ROWS]`.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::trace::{TraceFormat, TracePoint, TraceReader, TraceWriter};
+use rtec_driver::replay::TracePoint;
+use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
 use std::path::Path;
 use std::time::Instant;
 

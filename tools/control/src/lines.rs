@@ -1,0 +1,72 @@
+//! How a configuration names a line of a card.
+
+use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
+use rtec_files::toml::{At, Entry, Section, Source};
+
+/// How a configuration names a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LineName<'a> {
+    /// A line of the card's profile.
+    Name(&'a str),
+    /// A bit of the card's input or output word.
+    Bit(u8),
+}
+
+/// What `bias` can be.
+pub(crate) const BIASES: [(&str, Bias); 3] =
+    [("pull-up", Bias::PullUp), ("pull-down", Bias::PullDown), ("disabled", Bias::Disabled)];
+/// What `drive` can be.
+pub(crate) const DRIVES: [(&str, Drive); 3] =
+    [("push-pull", Drive::PushPull), ("open-drain", Drive::OpenDrain), ("open-source", Drive::OpenSource)];
+
+/// A line: its name, or its bit.
+pub(crate) fn line<'a>(
+    section: &mut Section<'a>,
+    source: &mut Source<'_>,
+    key: &'static str,
+) -> Option<At<LineName<'a>>> {
+    section.value(source, key, "the name of a line of the card's profile, or its bit from 0 to 63", |v| {
+        let bit = || u8::try_from(v.as_integer()?).ok().filter(|b| *b < 64);
+        v.as_str().map(LineName::Name).or_else(|| bit().map(LineName::Bit))
+    })
+}
+
+/// A GPIO line: its name, its number, or a table that says more. What the table leaves out is in `card`.
+pub(crate) fn gpio_line(
+    section: &mut Section<'_>,
+    source: &mut Source<'_>,
+    key: &'static str,
+    card: &GpioLine,
+) -> Option<At<GpioLine>> {
+    let expected = "the name of a line or its number, or { line = …, chip = \"gpiochip0\", active_low = true, \
+                    bias = \"pull-up\" | \"pull-down\" | \"disabled\", drive = \"push-pull\" | \"open-drain\" | \
+                    \"open-source\" }";
+    let line_of = |value: Entry<'_>| match value.as_str() {
+        Some(name) => Some(LineId::Name(name.to_owned())).filter(|_| !name.trim().is_empty()),
+        None => u32::try_from(value.as_integer()?).ok().map(LineId::Offset),
+    };
+    section.value(source, key, expected, |value| {
+        let mut line = card.clone();
+        let Some(table) = value.as_table() else {
+            line.line = line_of(value)?;
+            return Some(line);
+        };
+        line.line = line_of(table.get("line")?)?;
+        for entry in table.entries() {
+            match entry.key() {
+                "line" => {}
+                "chip" => line.chip = Some(entry.as_str()?.to_owned()),
+                "active_low" => line.active_low = entry.as_bool()?,
+                "bias" => line.bias = Some(word(entry, &BIASES)?),
+                "drive" => line.drive = Some(word(entry, &DRIVES)?),
+                _ => return None,
+            }
+        }
+        Some(line)
+    })
+}
+
+fn word<T: Copy>(entry: Entry<'_>, words: &[(&str, T)]) -> Option<T> {
+    let found = entry.as_str()?;
+    words.iter().find(|(name, _)| *name == found).map(|(_, value)| *value)
+}

@@ -1,0 +1,656 @@
+//! CSV, line by line: UTF-8, a byte-order mark and CRLF accepted, `#` starts a comment, a cell in double quotes may hold
+//! commas, `#` and doubled quotes. Every finding has its line and column.
+//!
+//! Lines and comments are ours, because the `csv` crate knows comments only as whole lines and gives no columns. Cells
+//! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote at their commas: a third of
+//! the time.
+//!
+//! ```
+//! use rtec_files::csv::Reader;
+//! let text = "t, \"T3, bed\" # degC\n0,20.5\n";
+//! let mut reader = Reader::new("log.csv".as_ref(), text.as_bytes())?;
+//! let header = reader.header("t and a temperature")?;
+//! let at = header.place("T3, bed")?;
+//! let row = reader.row()?.expect("one row");
+//! assert_eq!(header.cells(row)?[at].finite()?, 20.5);
+//! # Ok::<(), rtec_files::InputError>(())
+//! ```
+
+use crate::input::InputError;
+use crate::lines::Lines;
+use crate::text::{UTF8, not_utf8, unreadable};
+use crate::words::{nearest, quoted, shown};
+use std::borrow::Cow;
+use std::cell::RefCell;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Reads a CSV row by row; memory stays flat for a file of any length.
+#[derive(Debug)]
+pub struct Reader<R> {
+    pub(crate) lines: Lines<R>,
+    parser: Parser,
+    by: u8,
+}
+
+/// Shared by the rows: the parser's state ends with the cell, and it cannot be cloned once it is built.
+type Parser = RefCell<csv_core::Reader>;
+
+impl Reader<File> {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn open(file: &Path) -> Result<Self, InputError> {
+        Self::new(file, File::open(file).map_err(|e| unreadable(file, &e))?)
+    }
+}
+
+impl<R: Read> Reader<R> {
+    /// Reads from `input`; `file` is its name in error messages.
+    ///
+    /// # Errors
+    /// The input cannot be read.
+    pub fn new(file: &Path, input: R) -> Result<Self, InputError> {
+        Ok(Self { lines: Lines::new(file, input)?, parser: parser(b','), by: b',' })
+    }
+
+    /// The next row that holds something besides a comment.
+    ///
+    /// # Errors
+    /// It is not UTF-8, a quote in it is not closed, or the input cannot be read.
+    pub fn row(&mut self) -> Result<Option<Row<'_>>, InputError> {
+        let (range, length) = loop {
+            let Some(range) = self.lines.line()? else { return Ok(None) };
+            let length = content(self.lines.bytes(range.clone())).len();
+            if length > 0 {
+                break (range, length);
+            }
+        };
+        let (lines, parser) = (&self.lines, &self.parser);
+        let bytes = lines.bytes(range);
+        let text = std::str::from_utf8(bytes).map(|line| &line[..length]).map_err(|e| {
+            let (good, bad) = bytes.split_at(e.valid_up_to());
+            let column = String::from_utf8_lossy(good).chars().count() + 1;
+            InputError::at(&lines.file, lines.line, column, not_utf8(bad[0]), UTF8)
+        })?;
+        let row = Row { file: &lines.file, line: lines.line, text, parser, by: self.by };
+        if text.contains('"') {
+            row.quotes_are_closed()?;
+        }
+        Ok(Some(row))
+    }
+
+    /// The first row, as the columns' names.
+    ///
+    /// # Errors
+    /// There is none: `expected` says what it would hold. Or as [`Reader::row`].
+    pub fn header(&mut self, expected: &str) -> Result<Header, InputError> {
+        let file = self.lines.file.clone();
+        match self.row()? {
+            Some(row) => Ok(Header::of(row)),
+            None => Err(InputError::whole(&file, "no header", expected)),
+        }
+    }
+
+    /// The first row, as the columns' names; what parts it (`;`, a tab, or else a comma) parts all rows.
+    ///
+    /// # Errors
+    /// As [`Reader::header`].
+    pub fn header_by_any(&mut self, expected: &str) -> Result<Header, InputError> {
+        let file = self.lines.file.clone();
+        let Some(row) = self.row()? else { return Err(InputError::whole(&file, "no header", expected)) };
+        let has = |by: &u8| outside_quotes(row.text.as_bytes()).any(|(_, byte)| byte == *by);
+        if let Some(by) = [b';', b'\t'].into_iter().find(has) {
+            let parser = parser(by);
+            let header = Header::of(Row { parser: &parser, by, ..row });
+            (self.parser, self.by) = (parser, by);
+            return Ok(header);
+        }
+        Ok(Header::of(row))
+    }
+
+    /// The first row, which must be these names.
+    ///
+    /// # Errors
+    /// It is not.
+    pub fn expect_header<const N: usize>(&mut self, names: [&str; N]) -> Result<(), InputError> {
+        let expected = format!("the header {}", names.join(","));
+        let header = self.header(&expected)?;
+        if header.names().eq(names) { Ok(()) } else { Err(header.finding(quoted(&header.text), expected)) }
+    }
+
+    /// What parts the cells: a comma unless [`Reader::header_by_any`] found another.
+    #[must_use]
+    pub fn separator(&self) -> char {
+        char::from(self.by)
+    }
+}
+
+fn parser(by: u8) -> Parser {
+    let any = csv_core::Terminator::Any(b'\n');
+    RefCell::new(csv_core::ReaderBuilder::new().delimiter(by).terminator(any).build())
+}
+
+/// A line without its comment and the blanks at its end; empty where nothing else is in it.
+fn content(line: &[u8]) -> &[u8] {
+    let comment =
+        if line.contains(&b'#') { outside_quotes(line).find(|(_, byte)| *byte == b'#') } else { None };
+    let comment = comment.map(|(at, _)| at);
+    let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
+    if text.trim_ascii_start().is_empty() { &[] } else { text }
+}
+
+/// The bytes of a line, with their places, that stand behind an even number of quotes.
+fn outside_quotes(line: &[u8]) -> impl Iterator<Item = (usize, u8)> {
+    let mut inside = false;
+    line.iter().copied().enumerate().filter(move |(_, byte)| {
+        inside ^= *byte == b'"';
+        !inside
+    })
+}
+
+/// One row, without comment.
+#[derive(Debug, Clone, Copy)]
+pub struct Row<'a> {
+    file: &'a Path,
+    line: usize,
+    text: &'a str,
+    parser: &'a Parser,
+    by: u8,
+}
+
+impl<'a> Row<'a> {
+    /// Its line, from 1.
+    #[must_use]
+    pub fn line(&self) -> usize {
+        self.line
+    }
+
+    /// The row as it stands.
+    #[must_use]
+    pub fn text(&self) -> &'a str {
+        self.text
+    }
+
+    /// A finding about the row as a whole.
+    #[must_use]
+    pub fn finding(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+        InputError::at(self.file, self.line, 0, found, expected)
+    }
+
+    /// The cells, from left to right.
+    #[inline]
+    #[must_use]
+    pub fn cells(self) -> Cells<'a> {
+        Cells { row: self, next: Some(0), quotes: self.text.contains('"') }
+    }
+
+    /// The cells of a row that must have these columns.
+    ///
+    /// # Errors
+    /// The row is too short or too long.
+    pub fn exactly<const N: usize>(self, names: [&str; N]) -> Result<[Cell<'a>; N], InputError> {
+        let mut cells = self.cells();
+        let mut found = Vec::with_capacity(N);
+        found.extend(cells.by_ref().take(N));
+        let found =
+            found.try_into().map_err(|short: Vec<_>| self.short(short.len(), N, names[short.len()]))?;
+        match cells.next() {
+            Some(cell) => Err(cell.beyond(N, &names.join(","))),
+            None => Ok(found),
+        }
+    }
+
+    fn short(&self, cells: usize, columns: usize, missing: &str) -> InputError {
+        let found = format!("the end of the row after {cells} of {columns} fields");
+        let column = self.text.chars().count() + 1;
+        InputError::at(self.file, self.line, column, found, format!("the field {missing}"))
+    }
+
+    fn quotes_are_closed(self) -> Result<(), InputError> {
+        let mut cells = self.cells();
+        while let Some(start) = cells.next {
+            let open = cells.quoted_cell(start).is_none();
+            if open {
+                let found =
+                    format!("a quote that is not closed: {}", quoted(self.text[start..].trim_start()));
+                return Err(self.at(start, found, "a second quote on the same line"));
+            }
+        }
+        Ok(())
+    }
+
+    /// A finding at the first character from a byte of the text on.
+    fn at(&self, start: usize, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+        let column = self.text[..start].chars().count() + 1;
+        let blanks = self.text[start..].chars().take_while(|c| c.is_whitespace()).count();
+        InputError::at(self.file, self.line, column + blanks, found, expected)
+    }
+}
+
+/// The cells of a row.
+#[derive(Debug)]
+pub struct Cells<'a> {
+    row: Row<'a>,
+    /// Where the next cell begins, in bytes.
+    next: Option<usize>,
+    /// There is a quote somewhere in the row.
+    quotes: bool,
+}
+
+impl<'a> Cells<'a> {
+    /// The cell that begins at a byte, by the `csv` crate's parser; `None` where its quote is not closed.
+    #[cold]
+    fn quoted_cell(&mut self, start: usize) -> Option<Cow<'a, str>> {
+        self.next = None;
+        let rest = self.row.text[start..].trim_ascii_start();
+        if !rest.starts_with('"') {
+            return Some(Cow::Borrowed(self.plain_cell(start)));
+        }
+        let mut parser = self.row.parser.borrow_mut();
+        parser.reset();
+        let mut out = vec![0; rest.len() + 1];
+        let (result, used, mut length) = parser.read_field(rest.as_bytes(), &mut out);
+        let mut raw = rest;
+        if let csv_core::ReadFieldResult::Field { .. } = result {
+            self.next = Some(self.row.text.len() - rest.len() + used);
+            raw = &rest[..used - 1];
+        } else {
+            // Within quotes the line's end is text, outside it is the end.
+            let (end, _, more) = parser.read_field(b"\n", &mut out[length..]);
+            length += more;
+            if !matches!(end, csv_core::ReadFieldResult::Field { .. }) {
+                return None;
+            }
+        }
+        // The blanks behind the closing quote do not belong to the cell.
+        out.truncate(length - (raw.len() - raw.trim_ascii_end().len()));
+        Some(Cow::Owned(String::from_utf8_lossy(&out).into_owned()))
+    }
+
+    #[inline]
+    fn plain_cell(&mut self, start: usize) -> &'a str {
+        let rest = &self.row.text[start..];
+        // Byte by byte: cells are too short for the search that `str::split` does.
+        match rest.bytes().position(|byte| byte == self.row.by) {
+            Some(at) => {
+                self.next = Some(start + at + 1);
+                rest[..at].trim_ascii()
+            }
+            None => {
+                self.next = None;
+                rest.trim_ascii()
+            }
+        }
+    }
+}
+
+impl<'a> Iterator for Cells<'a> {
+    type Item = Cell<'a>;
+
+    #[inline]
+    fn next(&mut self) -> Option<Cell<'a>> {
+        let start = self.next?;
+        let text = if self.quotes {
+            // The row's quotes were looked at when it was read: all are closed.
+            self.quoted_cell(start).unwrap_or_default()
+        } else {
+            Cow::Borrowed(self.plain_cell(start))
+        };
+        Some(Cell { row: self.row, start, text })
+    }
+}
+
+/// One cell, without quotes and the blanks around it.
+#[derive(Debug, Clone)]
+pub struct Cell<'a> {
+    row: Row<'a>,
+    start: usize,
+    text: Cow<'a, str>,
+}
+
+impl<'a> Cell<'a> {
+    /// What is in it.
+    #[inline]
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The row it is in.
+    #[must_use]
+    pub fn row(&self) -> Row<'a> {
+        self.row
+    }
+
+    /// A finding at this cell: what is in it is not what was expected.
+    #[must_use]
+    pub fn finding(&self, expected: impl Into<String>) -> InputError {
+        self.said(shown(&self.text), expected)
+    }
+
+    /// A finding at this cell, in words of one's own.
+    #[must_use]
+    pub fn said(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+        self.row.at(self.start, found, expected)
+    }
+
+    /// Its column in characters, from 1.
+    #[must_use]
+    pub fn column(&self) -> usize {
+        self.said("", "").column
+    }
+
+    /// The number in it.
+    ///
+    /// # Errors
+    /// There is none.
+    #[inline]
+    pub fn number<T: std::str::FromStr>(&self, expected: &str) -> Result<T, InputError> {
+        self.text.parse().map_err(|_| self.finding(expected))
+    }
+
+    /// The finite number in it.
+    ///
+    /// # Errors
+    /// There is none.
+    #[inline]
+    pub fn finite(&self) -> Result<f64, InputError> {
+        let number = self.text.parse().ok().filter(|v: &f64| v.is_finite());
+        number.ok_or_else(|| self.finding("a finite number"))
+    }
+
+    fn beyond(&self, columns: usize, names: &str) -> InputError {
+        let after =
+            if names.len() <= 60 { names.to_owned() } else { format!("{columns} fields, one per column") };
+        self.finding(format!("the end of the row after {after}"))
+    }
+}
+
+/// The columns' names, from the first row.
+#[derive(Debug, Clone)]
+pub struct Header {
+    file: PathBuf,
+    line: usize,
+    text: String,
+    /// Name and column in characters, from 1, of each.
+    names: Vec<(String, usize)>,
+}
+
+impl Header {
+    fn of(row: Row<'_>) -> Self {
+        let named = |cell: Cell<'_>| {
+            let column = cell.column();
+            (cell.text.into_owned(), column)
+        };
+        let names = row.cells().map(named).collect();
+        Self { file: row.file.to_owned(), line: row.line, text: row.text.to_owned(), names }
+    }
+
+    /// The names, in the file's order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.names.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Its line, from 1.
+    #[must_use]
+    pub fn line(&self) -> usize {
+        self.line
+    }
+
+    /// The row as it stands.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The names as a message shows them.
+    #[must_use]
+    pub fn shown(&self) -> String {
+        self.names().collect::<Vec<_>>().join(", ")
+    }
+
+    /// Where a column is, and that it is there once.
+    ///
+    /// # Errors
+    /// It is not there, or a second time.
+    pub fn place(&self, name: &str) -> Result<usize, InputError> {
+        let mut found = self.names.iter().enumerate().filter(|(_, (n, _))| n == name);
+        match (found.next(), found.next()) {
+            (Some((place, _)), None) => Ok(place),
+            (Some(_), Some((again, _))) => Err(self.twice(again)),
+            (None, _) => {
+                let names: Vec<&str> = self.names().collect();
+                let near = nearest(name, &names).map_or_else(String::new, |n| format!("; did you mean {n}?"));
+                let found = format!("no column {name}");
+                Err(self.finding(found, format!("a column {name} among {}{near}", self.shown())))
+            }
+        }
+    }
+
+    /// A finding at a cell, with its column's name.
+    #[must_use]
+    pub fn named(&self, place: usize, finding: InputError) -> InputError {
+        let name = self.names.get(place).map_or("", |(name, _)| name);
+        InputError { found: format!("{} in column {name}", finding.found), ..finding }
+    }
+
+    /// A column of this name, if there is one.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<usize> {
+        self.names().position(|n| n == name)
+    }
+
+    /// That every column is known and there once.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn only(&self, known: &[&str], also: impl Fn(&str) -> bool) -> Result<(), InputError> {
+        for (n, (name, column)) in self.names.iter().enumerate() {
+            if !known.contains(&name.as_str()) && !also(name) {
+                let near = nearest(name, known).map_or_else(String::new, |k| format!("; did you mean {k}?"));
+                let expected = format!("one of the columns {}{near}", known.join(", "));
+                let found = format!("column {}", quoted(name));
+                return Err(InputError::at(&self.file, self.line, *column, found, expected));
+            }
+            if self.find(name) != Some(n) {
+                return Err(self.twice(n));
+            }
+        }
+        Ok(())
+    }
+
+    /// The name of a column stands a second time.
+    #[must_use]
+    pub fn twice(&self, place: usize) -> InputError {
+        let (name, column) = &self.names[place];
+        let found = format!("column {} a second time", quoted(name));
+        InputError::at(&self.file, self.line, *column, found, "every column once")
+    }
+
+    /// A finding about the header.
+    #[must_use]
+    pub fn finding(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+        InputError::at(&self.file, self.line, 1, found, expected)
+    }
+
+    /// The file ends where rows should begin.
+    #[must_use]
+    pub fn no_rows(&self) -> InputError {
+        InputError::at(&self.file, self.line + 1, 0, "no rows", "at least one row of values")
+    }
+
+    /// Gives each cell of a row with its column's number.
+    ///
+    /// # Errors
+    /// The first that `take` returns; then that the row is too short or too long.
+    #[inline]
+    pub fn each<'a>(
+        &self,
+        row: Row<'a>,
+        mut take: impl FnMut(usize, Cell<'a>) -> Result<(), InputError>,
+    ) -> Result<(), InputError> {
+        let mut columns = 0;
+        for cell in row.cells() {
+            if columns == self.names.len() {
+                return Err(cell.beyond(columns, &self.text));
+            }
+            take(columns, cell)?;
+            columns += 1;
+        }
+        match self.names.get(columns) {
+            Some((missing, _)) => Err(row.short(columns, self.names.len(), missing)),
+            None => Ok(()),
+        }
+    }
+
+    /// The cells of a row, as many as there are columns.
+    ///
+    /// # Errors
+    /// The row is too short or too long.
+    pub fn cells<'a>(&self, row: Row<'a>) -> Result<Vec<Cell<'a>>, InputError> {
+        let mut cells = Vec::with_capacity(self.names.len());
+        self.each(row, |_, cell| {
+            cells.push(cell);
+            Ok(())
+        })?;
+        Ok(cells)
+    }
+}
+
+/// A cell as it must be written so that it reads back: in quotes where it holds a comma, a quote, a `#` or has blanks
+/// at its ends.
+#[must_use]
+pub fn cell(text: &str) -> Cow<'_, str> {
+    if text.contains([',', '"', '#', ';', '\t']) || text.trim().len() < text.len() {
+        return Cow::Owned(format!("\"{}\"", text.replace('"', "\"\"")));
+    }
+    Cow::Borrowed(text)
+}
+
+/// The names of columns as a header line, without its end.
+#[must_use]
+pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
+    names.into_iter().map(cell).collect::<Vec<_>>().join(",")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reader(text: &str) -> Reader<&[u8]> {
+        Reader::new(Path::new("a.csv"), text.as_bytes()).unwrap()
+    }
+
+    fn rows(text: &str) -> Result<Vec<Vec<String>>, InputError> {
+        let (mut reader, mut rows) = (reader(text), Vec::new());
+        while let Some(row) = reader.row()? {
+            rows.push(row.cells().map(|c| c.text().to_owned()).collect());
+        }
+        Ok(rows)
+    }
+
+    #[test]
+    fn mark_line_ends_comments_and_blanks_are_no_matter() {
+        let text =
+            "\u{feff}# bench 3\r\n\r\nt, y # s, mm\r\n 1 ,\t2# up\r\n   # none\r\n,\r\n\"#1\", 2 # \"last\"";
+        assert_eq!(rows(text).unwrap(), [["t", "y"], ["1", "2"], ["", ""], ["#1", "2"]]);
+        assert!(rows("").unwrap().is_empty());
+    }
+
+    #[test]
+    fn quotes_hold_commas_quotes_comments_and_blanks() {
+        let text = "t, \"T3, bed\" ,\"5\"\" pipe\",\" # \",5\" bar,\n\"a\"";
+        let expected = [vec!["t", "T3, bed", "5\" pipe", " # ", "5\" bar", ""], vec!["a"]];
+        assert_eq!(rows(text).unwrap(), expected);
+        let error = rows("t,e\nµ, \"1,2\n3,4\n").unwrap_err();
+        let says =
+            "a.csv:2:4: found a quote that is not closed: '\"1,2', expected a second quote on the same line";
+        assert_eq!(error.to_string(), says);
+    }
+
+    #[test]
+    fn a_byte_that_is_no_utf8_has_its_place() {
+        let mut reader = Reader::new(Path::new("a.csv"), b"t,\xc2\xb5,\xb5\n".as_slice()).unwrap();
+        let error = reader.row().unwrap_err().to_string();
+        assert_eq!(error, "a.csv:1:5: found byte 0xb5, expected text in UTF-8");
+    }
+
+    #[test]
+    fn short_and_long_rows_and_wrong_numbers_have_their_place() {
+        let read = |row: &str| {
+            let text = format!("t,\"e, z\"\n{row}\n");
+            let mut reader = reader(&text);
+            let header = reader.header("t and e")?;
+            let row = reader.row()?.expect("a row");
+            let numbers = header.cells(row)?.iter().map(Cell::finite).collect::<Result<Vec<_>, _>>()?;
+            Ok::<_, InputError>(numbers)
+        };
+        assert_eq!(read(" 1 ,\"2.5\"").unwrap(), [1.0, 2.5]);
+        for (row, says) in [
+            ("1", "a.csv:2:2: found the end of the row after 1 of 2 fields, expected the field e, z"),
+            ("1,2, 3", "a.csv:2:6: found '3', expected the end of the row after t,\"e, z\""),
+            ("1,2,", "a.csv:2:5: found nothing, expected the end of the row after t,\"e, z\""),
+            ("µ,2", "a.csv:2:1: found 'µ', expected a finite number"),
+            ("1, ", "a.csv:2:3: found nothing, expected a finite number"),
+            ("1,  inf", "a.csv:2:5: found 'inf', expected a finite number"),
+            ("1,NaN", "a.csv:2:3: found 'NaN', expected a finite number"),
+            ("\"µ,\",2;5", "a.csv:2:1: found 'µ,', expected a finite number"),
+            ("\"1\",2;5", "a.csv:2:5: found '2;5', expected a finite number"),
+        ] {
+            assert_eq!(read(row).unwrap_err().to_string(), says, "{row}");
+        }
+    }
+
+    #[test]
+    fn columns_are_found_by_name_and_the_nearest_is_said() {
+        let header = |text: &str| reader(text).header("names").unwrap();
+        let h = header("t_s, temperature_3, e");
+        assert_eq!((h.place("e").unwrap(), h.find("x"), h.line()), (2, None, 1));
+        let says = "a.csv:1:1: found no column temprature_3, expected a column temprature_3 among t_s, \
+                    temperature_3, e; did you mean temperature_3?";
+        assert_eq!(h.place("temprature_3").unwrap_err().to_string(), says);
+        let twice = header("t, e,e").place("e").unwrap_err().to_string();
+        assert_eq!(twice, "a.csv:1:6: found column 'e' a second time, expected every column once");
+        let says =
+            "a.csv:1:3: found column 'zmm', expected one of the columns z_mm, x_mm; did you mean z_mm?";
+        assert_eq!(header("# c\nx_mm,z_mm").only(&["z_mm", "x_mm"], |_| false), Ok(()));
+        assert_eq!(header("a,zmm").only(&["z_mm", "x_mm"], |n| n == "a").unwrap_err().to_string(), says);
+        let none = reader("# nothing\n").header("names").unwrap_err().to_string();
+        assert_eq!(none, "a.csv: found no header, expected names");
+    }
+
+    #[test]
+    fn the_header_says_what_parts_the_cells() {
+        for (text, by) in [("a;\"b;c\"\n1,5;2\n", ';'), ("a\tb,c\n1\t2\n", '\t'), ("a,\"b;c\"\n1,2\n", ',')] {
+            let mut reader = reader(text);
+            let header = reader.header_by_any("names").unwrap();
+            assert_eq!((reader.separator(), header.names().count()), (by, 2), "{text}");
+            assert_eq!(header.cells(reader.row().unwrap().unwrap()).unwrap().len(), 2);
+        }
+    }
+
+    #[test]
+    fn whoever_reads_on_after_a_finding_comes_to_the_end() {
+        let text = format!("t,e\n{}\n\"1,2\n3,4\n", "\0".repeat(300_000));
+        let (mut reader, mut found, mut read) = (reader(&text), 0, 0);
+        loop {
+            match reader.row() {
+                Ok(Some(_)) => read += 1,
+                Ok(None) => break,
+                Err(_) => found += 1,
+            }
+        }
+        // Twice too long, and a quote that is not closed; the header, the end of the long line, the last row.
+        assert_eq!((found, read), (3, 3));
+    }
+
+    #[test]
+    fn what_is_written_reads_back() {
+        let names = ["t", "T3, bed", "5\" pipe", "#1", " x ", "a;b", "µ", ""];
+        let line = header_line(names);
+        assert_eq!(rows(&line).unwrap(), [names]);
+    }
+}

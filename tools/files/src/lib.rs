@@ -1,0 +1,30 @@
+//! How a file is read and written. Everything that a person or another program wrote comes in through here, and every
+//! finding about it is one [`InputError`]: file, line, column, what was found, what was expected.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`input`] | the one shape of error for a file that a person wrote |
+//! | [`text`] | a text file read whole: UTF-8, without its byte-order mark |
+//! | [`csv`] | CSV: rows of cells with their places, columns by name |
+//! | [`Sheet`] | a CSV whose columns are known, read whole |
+//! | [`toml`] | TOML read strictly: the first finding, or all of them |
+//! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
+//! | [`write`] | files that appear whole or not at all |
+//! | [`words`] | the word that was probably meant |
+//!
+//! No format of the layers above lives here (records, models, configurations): only what they are made of.
+
+pub mod csv;
+pub mod input;
+mod lines;
+mod sheet;
+pub mod text;
+pub mod toml;
+pub mod trace;
+mod vcd;
+pub mod words;
+pub mod write;
+
+pub use input::InputError;
+pub use sheet::Sheet;
+pub use words::nearest;

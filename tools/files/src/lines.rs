@@ -1,0 +1,157 @@
+//! Buffered input of any length that knows its line: rows of a CSV, words of a VCD.
+
+use crate::input::InputError;
+use crate::text::unreadable;
+use std::io::{self, Read};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Bytes held of the input; also the longest line or word that is read.
+pub(crate) const BUFFER: usize = 128 * 1024;
+
+/// The input, as much of it as the buffer holds.
+#[derive(Debug)]
+pub(crate) struct Lines<R> {
+    pub(crate) file: PathBuf,
+    input: R,
+    buffer: Box<[u8]>,
+    start: usize,
+    end: usize,
+    exhausted: bool,
+    /// Lines taken so far: the number of the present line, from 1.
+    pub(crate) line: usize,
+    /// Characters of the present line that are in the buffer no more.
+    gone: usize,
+}
+
+impl<R: Read> Lines<R> {
+    /// Begins to read; a byte-order mark is dropped.
+    pub(crate) fn new(file: &Path, input: R) -> Result<Self, InputError> {
+        let buffer = vec![0; BUFFER].into_boxed_slice();
+        let file = file.to_owned();
+        let mut lines = Self { file, input, buffer, start: 0, end: 0, exhausted: false, line: 0, gone: 0 };
+        while lines.end < 3 && lines.fill()? {}
+        if lines.buffer[..lines.end].starts_with(b"\xEF\xBB\xBF") {
+            lines.buffer.copy_within(3..lines.end, 0);
+            lines.end -= 3;
+        }
+        Ok(lines)
+    }
+
+    /// What a range of the buffer holds.
+    #[inline]
+    pub(crate) fn bytes(&self, range: Range<usize>) -> &[u8] {
+        &self.buffer[range]
+    }
+
+    /// The next `N` bytes where the buffer holds them.
+    #[inline]
+    pub(crate) fn ahead<const N: usize>(&self) -> Option<&[u8; N]> {
+        self.buffer[..self.end].get(self.start..)?.first_chunk()
+    }
+
+    /// Takes a whole line of so many bytes that was seen with [`Lines::ahead`].
+    #[inline]
+    pub(crate) fn take_line(&mut self, length: usize) {
+        self.start += length;
+        self.line += 1;
+    }
+
+    /// Reads on; `false` at the end of the input.
+    fn fill(&mut self) -> Result<bool, InputError> {
+        if self.exhausted {
+            return Ok(false);
+        }
+        let read = &self.buffer[..self.start];
+        let newline = read.iter().rposition(|&byte| byte == b'\n');
+        let tail = String::from_utf8_lossy(&read[newline.map_or(0, |at| at + 1)..]).chars().count();
+        self.gone = if newline.is_some() { tail } else { self.gone + tail };
+        self.buffer.copy_within(self.start..self.end, 0);
+        self.end -= self.start;
+        self.start = 0;
+        if self.end == self.buffer.len() {
+            // Dropped, so that whoever reads on gets further.
+            self.end = 0;
+            let found = format!("{BUFFER} bytes without an end of line");
+            return Err(InputError::at(&self.file, self.line + 1, 0, found, "a text file of short lines"));
+        }
+        let read = loop {
+            match self.input.read(&mut self.buffer[self.end..]) {
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                other => break other,
+            }
+        };
+        let line = self.line + 1;
+        self.exhausted = read.is_err();
+        let read = read.map_err(|e| InputError { line, ..unreadable(&self.file, &e) })?;
+        self.end += read;
+        self.exhausted = read == 0;
+        Ok(read > 0)
+    }
+
+    /// The next line without its end, as a range of the buffer.
+    pub(crate) fn line(&mut self) -> Result<Option<Range<usize>>, InputError> {
+        let mut searched = 0;
+        let length = loop {
+            let unread = &self.buffer[self.start..self.end];
+            if let Some(at) = unread[searched..].iter().position(|&byte| byte == b'\n') {
+                break searched + at;
+            }
+            searched = unread.len();
+            if !self.fill()? {
+                break searched;
+            }
+        };
+        if length == 0 && self.start == self.end {
+            return Ok(None);
+        }
+        let range = self.start..self.start + length;
+        self.start = (range.end + 1).min(self.end);
+        self.line += 1;
+        Ok(Some(range))
+    }
+
+    /// The next word between white space, as a range of the buffer.
+    pub(crate) fn word(&mut self) -> Result<Option<Range<usize>>, InputError> {
+        loop {
+            let Some(&byte) = self.buffer[..self.end].get(self.start) else {
+                if self.fill()? {
+                    continue;
+                }
+                return Ok(None);
+            };
+            if !byte.is_ascii_whitespace() {
+                break;
+            }
+            self.line += usize::from(byte == b'\n');
+            self.start += 1;
+        }
+        let mut searched = 0;
+        let length = loop {
+            let unread = &self.buffer[self.start..self.end];
+            if let Some(at) = unread[searched..].iter().position(u8::is_ascii_whitespace) {
+                break searched + at;
+            }
+            searched = unread.len();
+            if !self.fill()? {
+                break searched;
+            }
+        };
+        let range = self.start..self.start + length;
+        self.start = range.end;
+        Ok(Some(range))
+    }
+}
+
+impl<R> Lines<R> {
+    /// A finding at the word that was just read.
+    pub(crate) fn at_word(&self, found: &str, expected: &str) -> InputError {
+        let before = &self.buffer[..self.start];
+        let newline = before.iter().rposition(|&byte| byte == b'\n');
+        let line_start = newline.map_or(0, |at| at + 1);
+        let word_start = before.iter().rposition(u8::is_ascii_whitespace).map_or(0, |at| at + 1);
+        let gone = if newline.is_some() { 0 } else { self.gone };
+        let column = gone + String::from_utf8_lossy(&before[line_start..word_start]).chars().count() + 1;
+        InputError::at(&self.file, self.line, column, found, expected)
+    }
+}

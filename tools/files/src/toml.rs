@@ -1,0 +1,542 @@
+//! TOML read strictly: unknown keys are findings, every finding has its line and column.
+//!
+//! [`Table`] and [`Entry`] end at the first finding; [`Section`] asks for each key once and collects every finding of a
+//! file. Both say the same of the same mistake.
+
+use crate::input::InputError;
+use crate::words::{cut, nearest};
+use serde::de::DeserializeOwned;
+use std::fmt::{self, Display};
+use std::ops::RangeInclusive;
+use std::path::Path;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// A parsed file.
+#[derive(Debug)]
+pub struct Document<'t> {
+    file: &'t Path,
+    text: &'t str,
+    root: Spanned<DeTable<'t>>,
+}
+
+impl<'t> Document<'t> {
+    /// Parses a text; `file` is its name in findings.
+    ///
+    /// # Errors
+    /// The first syntax error.
+    pub fn parse(file: &'t Path, text: &'t str) -> Result<Self, InputError> {
+        let (document, findings) = Self::parse_all(file, text);
+        findings.into_iter().next().map_or(Ok(document), Err)
+    }
+
+    /// As [`Document::parse`], with every syntax error; the document is what could be understood.
+    #[must_use]
+    pub fn parse_all(file: &'t Path, text: &'t str) -> (Self, Vec<InputError>) {
+        let (root, errors) = DeTable::parse_recoverable(text);
+        let findings = errors.iter().map(|error| finding(file, text, error, "TOML")).collect();
+        (Self { file, text, root }, findings)
+    }
+
+    /// The file's outermost table.
+    #[must_use]
+    pub fn root(&self) -> Table<'_> {
+        Table { file: self.file, text: self.text, of: self.root.get_ref(), title: Title::File, start: 0 }
+    }
+}
+
+/// Reads a text into a type that says itself which keys it has; `expected` says what the file is.
+///
+/// # Errors
+/// The first finding.
+pub fn from_str<T: DeserializeOwned>(file: &Path, text: &str, expected: &str) -> Result<T, InputError> {
+    toml::from_str(text).map_err(|error| finding(file, text, &error, expected))
+}
+
+/// What the parser says, as a finding.
+fn finding(file: &Path, text: &str, error: &toml::de::Error, expected: &str) -> InputError {
+    let start = error.span().map_or(0, |s| s.start);
+    let message = error.message().trim().lines().collect::<Vec<_>>().join(", ");
+    let (found, expected) = message.split_once(", expected ").unwrap_or((&message, expected));
+    let Some(key) = found.strip_prefix("unknown field ").map(|key| key.trim_matches('`')) else {
+        return InputError::at_offset(file, text, start, found, expected);
+    };
+    let known: Vec<&str> = expected.split('`').skip(1).step_by(2).collect();
+    let (found, expected) = unknown(key, &Title::Here, &known);
+    InputError::at_offset(file, text, start, found, expected)
+}
+
+/// What is said of a key that nobody knows: found, expected.
+fn unknown(key: &str, title: &impl Display, known: &[&str]) -> (String, String) {
+    let expected = match nearest(key, known) {
+        Some(near) => format!("a key of {title}; did you mean {near}?"),
+        None => format!("a key of {title}: {}", known.join(", ")),
+    };
+    (format!("unknown key {key}"), expected)
+}
+
+/// What a person calls a table.
+#[derive(Debug, Clone, Copy)]
+enum Title<'d> {
+    File,
+    Here,
+    Table(&'d str),
+    Tables(&'d str),
+}
+
+impl Display for Title<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File => f.write_str("the file"),
+            Self::Here => f.write_str("this table"),
+            Self::Table(key) => write!(f, "[{key}]"),
+            Self::Tables(key) => write!(f, "[[{key}]]"),
+        }
+    }
+}
+
+/// A table and where it stands.
+#[derive(Debug, Clone, Copy)]
+pub struct Table<'d> {
+    file: &'d Path,
+    text: &'d str,
+    of: &'d DeTable<'d>,
+    title: Title<'d>,
+    start: usize,
+}
+
+impl<'d> Table<'d> {
+    /// Refuses every key that is not among `known`.
+    ///
+    /// # Errors
+    /// The first unknown key, with the closest known one where there is one.
+    pub fn only(&self, known: &[&str]) -> Result<(), InputError> {
+        match self.entries().find(|entry| !known.contains(&entry.key)) {
+            Some(entry) => Err(entry.unknown(&self.title, known)),
+            None => Ok(()),
+        }
+    }
+
+    /// The entry of a key.
+    #[must_use]
+    pub fn get(&self, key: &str) -> Option<Entry<'d>> {
+        let (key, value) = self.of.get_key_value(key)?;
+        Some(self.entry(key, value))
+    }
+
+    /// The entry of a key that must be there.
+    ///
+    /// # Errors
+    /// It is missing.
+    pub fn required(&self, key: &str, expected: &str) -> Result<Entry<'d>, InputError> {
+        self.get(key).ok_or_else(|| self.error(format!("no {key} in {}", self.title), expected))
+    }
+
+    /// All entries, in the file's order.
+    pub fn entries(&self) -> impl Iterator<Item = Entry<'d>> + use<'d> {
+        let table = *self;
+        self.of.iter().map(move |(key, value)| table.entry(key, value))
+    }
+
+    fn entry(&self, key: &'d Spanned<toml::de::DeString<'d>>, value: &'d Spanned<DeValue<'d>>) -> Entry<'d> {
+        let (file, text) = (self.file, self.text);
+        Entry { file, text, key: key.get_ref(), key_start: key.span().start, value }
+    }
+
+    /// A finding about this table.
+    #[must_use]
+    pub fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+        InputError::at_offset(self.file, self.text, self.start, found, expected)
+    }
+}
+
+/// A key with its value.
+#[derive(Debug, Clone, Copy)]
+pub struct Entry<'d> {
+    file: &'d Path,
+    text: &'d str,
+    key: &'d str,
+    key_start: usize,
+    value: &'d Spanned<DeValue<'d>>,
+}
+
+impl<'d> Entry<'d> {
+    /// The key.
+    #[must_use]
+    pub fn key(&self) -> &'d str {
+        self.key
+    }
+
+    /// The value as it is written, a text without its quotes.
+    #[must_use]
+    pub fn text(&self) -> String {
+        self.as_str().unwrap_or_else(|| self.written()).to_owned()
+    }
+
+    fn written(&self) -> &'d str {
+        self.text.get(self.value.span()).unwrap_or_default().trim()
+    }
+
+    /// Where the value stands, as a byte of the text.
+    #[must_use]
+    pub fn offset(&self) -> usize {
+        self.value.span().start
+    }
+
+    /// A finding about the value.
+    #[must_use]
+    pub fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+        InputError::at_offset(self.file, self.text, self.offset(), found, expected)
+    }
+
+    /// A finding about the key.
+    #[must_use]
+    pub fn key_error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+        InputError::at_offset(self.file, self.text, self.key_start, found, expected)
+    }
+
+    /// The key is not known here.
+    #[must_use]
+    pub fn unknown_key(&self, expected: &str) -> InputError {
+        self.key_error(format!("unknown key {}", self.key), expected)
+    }
+
+    fn unknown(&self, title: &impl Display, known: &[&str]) -> InputError {
+        let (found, expected) = unknown(self.key, title, known);
+        self.key_error(found, expected)
+    }
+
+    /// The value is not what was expected.
+    #[must_use]
+    pub fn mismatch(&self, expected: impl Into<String>) -> InputError {
+        let first_line = self.written().lines().next().unwrap_or_default();
+        self.error(format!("{} = {}", self.key, cut(first_line)), expected)
+    }
+
+    /// The value, if it is text.
+    #[must_use]
+    pub fn as_str(&self) -> Option<&'d str> {
+        self.value.get_ref().as_str()
+    }
+
+    /// The value, if it is a truth value.
+    #[must_use]
+    pub fn as_bool(&self) -> Option<bool> {
+        self.value.get_ref().as_bool()
+    }
+
+    /// The value, if it is a whole number of 64 bits.
+    #[must_use]
+    pub fn as_integer(&self) -> Option<i64> {
+        let number = self.value.get_ref().as_integer()?;
+        i64::from_str_radix(number.as_str(), number.radix()).ok()
+    }
+
+    /// The value, if it is a finite number; a whole one will do.
+    #[must_use]
+    pub fn as_number(&self) -> Option<f64> {
+        number(self.value.get_ref())
+    }
+
+    /// The value, if it is a table.
+    #[must_use]
+    pub fn as_table(&self) -> Option<Table<'d>> {
+        let of = self.value.get_ref().as_table()?;
+        Some(Table {
+            file: self.file,
+            text: self.text,
+            of,
+            title: Title::Table(self.key),
+            start: self.offset(),
+        })
+    }
+
+    /// The value as text.
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn str(&self, expected: &str) -> Result<&'d str, InputError> {
+        self.as_str().ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as a truth value.
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn bool(&self, expected: &str) -> Result<bool, InputError> {
+        self.as_bool().ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as a whole number within bounds.
+    ///
+    /// # Errors
+    /// It is something else, or out of them.
+    pub fn integer<T: TryFrom<i64>>(&self, expected: &str) -> Result<T, InputError> {
+        self.as_integer().and_then(|n| n.try_into().ok()).ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as a finite number; an integer will do.
+    ///
+    /// # Errors
+    /// It is something else, infinite or not a number.
+    pub fn number(&self, expected: &str) -> Result<f64, InputError> {
+        self.as_number().ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as a finite number above zero.
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn positive(&self, expected: &str) -> Result<f64, InputError> {
+        self.as_number().filter(|v| *v > 0.0).ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as an array of finite numbers.
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn numbers(&self, expected: &str) -> Result<Vec<f64>, InputError> {
+        numbers(self.value.get_ref()).ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as a pair of finite numbers, the first not above the second.
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn pair(&self, expected: &str) -> Result<[f64; 2], InputError> {
+        pair(self.value.get_ref()).ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as pairs of finite numbers: one pair, or an array of pairs.
+    ///
+    /// # Errors
+    /// It is something else, or a pair runs backwards.
+    pub fn pairs(&self, expected: &str) -> Result<Vec<[f64; 2]>, InputError> {
+        let array = self.value.get_ref().as_array().ok_or_else(|| self.mismatch(expected))?;
+        if array.iter().all(|v| v.get_ref().is_array()) {
+            let pairs: Option<Vec<_>> = array.iter().map(|v| pair(v.get_ref())).collect();
+            return pairs.ok_or_else(|| self.mismatch(expected));
+        }
+        Ok(vec![self.pair(expected)?])
+    }
+
+    /// The value as a table, `[header]` or inline.
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn table(&self, expected: &str) -> Result<Table<'d>, InputError> {
+        self.as_table().ok_or_else(|| self.mismatch(expected))
+    }
+
+    /// The value as a list of tables: `[[header]]` or an array of inline tables (empty too).
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn tables(&self, expected: &str) -> Result<Vec<Table<'d>>, InputError> {
+        let array = self.value.get_ref().as_array().ok_or_else(|| self.mismatch(expected))?;
+        let of = |v: &'d Spanned<DeValue<'d>>| {
+            let (file, text, title) = (self.file, self.text, Title::Tables(self.key));
+            let table =
+                v.get_ref().as_table().map(|of| Table { file, text, of, title, start: v.span().start });
+            table.ok_or_else(|| InputError::at_offset(file, text, v.span().start, self.key, expected))
+        };
+        array.iter().map(of).collect()
+    }
+}
+
+fn number(value: &DeValue<'_>) -> Option<f64> {
+    let text = match value {
+        DeValue::Integer(n) if n.radix() == 10 => n.as_str(),
+        DeValue::Float(n) => n.as_str(),
+        _ => return None,
+    };
+    text.parse().ok().filter(|n: &f64| n.is_finite())
+}
+
+fn numbers(value: &DeValue<'_>) -> Option<Vec<f64>> {
+    value.as_array()?.iter().map(|v| number(v.get_ref())).collect()
+}
+
+fn pair(value: &DeValue<'_>) -> Option<[f64; 2]> {
+    match numbers(value)?[..] {
+        [lo, hi] if lo <= hi => Some([lo, hi]),
+        _ => None,
+    }
+}
+
+/// A file whose every finding is collected.
+#[derive(Debug)]
+pub struct Source<'a> {
+    /// The file, as the user named it.
+    pub file: &'a Path,
+    /// Its text.
+    pub text: &'a str,
+    /// What was found wrong so far.
+    pub findings: Vec<InputError>,
+}
+
+impl Source<'_> {
+    /// Adds a finding at a byte of the text.
+    pub fn finding(&mut self, offset: usize, found: impl Into<String>, expected: impl Into<String>) {
+        self.findings.push(InputError::at_offset(self.file, self.text, offset, found, expected));
+    }
+
+    /// The value; or else its finding is added.
+    pub fn keep<T>(&mut self, value: Result<T, InputError>) -> Option<T> {
+        value.map_err(|finding| self.findings.push(finding)).ok()
+    }
+}
+
+/// A value and the byte of the text at which it stands.
+#[derive(Debug, Clone, Copy)]
+pub struct At<T> {
+    /// The value.
+    pub value: T,
+    /// Where it stands.
+    pub offset: usize,
+}
+
+/// A table whose keys are asked for once each: what nobody asked for is a finding.
+#[derive(Debug)]
+pub struct Section<'a> {
+    /// As a person writes it: `[card]`.
+    pub title: &'static str,
+    /// Where it begins.
+    pub offset: usize,
+    table: Option<Table<'a>>,
+    asked: Vec<&'static str>,
+}
+
+impl<'a> Section<'a> {
+    /// The file's outermost table.
+    #[must_use]
+    pub fn root(document: &'a Document<'_>) -> Self {
+        Self { title: "the file", offset: 0, table: Some(document.root()), asked: Vec::new() }
+    }
+
+    /// A table that the file may not have: every key in it is missing then.
+    fn of(title: &'static str, offset: usize, table: Option<Table<'a>>) -> Self {
+        Self { title, offset, table, asked: Vec::new() }
+    }
+
+    fn take(&mut self, key: &'static str) -> Option<Entry<'a>> {
+        self.asked.push(key);
+        self.table?.get(key)
+    }
+
+    /// Is the key there? Counts as asked for.
+    pub fn has(&mut self, key: &'static str) -> bool {
+        self.take(key).is_some()
+    }
+
+    /// The table under a key, or an absent one.
+    pub fn table(&mut self, source: &mut Source<'_>, key: &'static str, title: &'static str) -> Self {
+        let Some(entry) = self.take(key) else { return Self::of(title, self.offset, None) };
+        let table = source.keep(entry.table(&format!("a table, written {title}")));
+        Self::of(title, entry.offset(), table)
+    }
+
+    /// The tables of an array of tables.
+    pub fn tables(&mut self, source: &mut Source<'_>, key: &'static str, title: &'static str) -> Vec<Self> {
+        let Some(entry) = self.take(key) else { return Vec::new() };
+        let tables = source.keep(entry.tables(&format!("{title}, one per {key}"))).unwrap_or_default();
+        tables.into_iter().map(|table| Self::of(title, table.start, Some(table))).collect()
+    }
+
+    /// The value of a key, if it is there and as `parse` wants it.
+    pub fn value<T>(
+        &mut self,
+        source: &mut Source<'_>,
+        key: &'static str,
+        expected: impl Display,
+        parse: impl FnOnce(Entry<'a>) -> Option<T>,
+    ) -> Option<At<T>> {
+        let entry = self.take(key)?;
+        let parsed = parse(entry).ok_or_else(|| entry.mismatch(format!("{key} = {expected}")));
+        source.keep(parsed).map(|value| At { value, offset: entry.offset() })
+    }
+
+    /// A text that is not empty.
+    pub fn string(
+        &mut self,
+        source: &mut Source<'_>,
+        key: &'static str,
+        expected: &str,
+    ) -> Option<At<&'a str>> {
+        self.value(source, key, expected, |v| v.as_str().filter(|s| !s.trim().is_empty()))
+    }
+
+    /// One of several words; the first `offered` of them are those a person is told of.
+    pub fn choice<T: Copy>(
+        &mut self,
+        source: &mut Source<'_>,
+        key: &'static str,
+        offered: usize,
+        choices: &[(&str, T)],
+    ) -> Option<At<T>> {
+        let names: Vec<&str> = choices.iter().map(|(name, _)| *name).take(offered).collect();
+        let mut expected = names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(" or ");
+        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
+            && let Some(near) = nearest(word, &names)
+        {
+            expected = format!("{expected}; did you mean \"{near}\"?");
+        }
+        self.value(source, key, expected, |v| {
+            choices.iter().find(|(name, _)| v.as_str() == Some(name)).map(|(_, choice)| *choice)
+        })
+    }
+
+    /// A whole number within bounds.
+    pub fn integer(
+        &mut self,
+        source: &mut Source<'_>,
+        key: &'static str,
+        range: RangeInclusive<i64>,
+    ) -> Option<At<i64>> {
+        let expected = format!("a whole number from {} to {}", range.start(), range.end());
+        self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
+    }
+
+    /// A finite number above 0 and up to `high`.
+    pub fn positive(&mut self, source: &mut Source<'_>, key: &'static str, high: f64) -> Option<At<f64>> {
+        self.value(source, key, format!("a number above 0, up to {high}"), |v| {
+            v.as_number().filter(|n| *n > 0.0 && *n <= high)
+        })
+    }
+
+    /// A finite number within ±`limit`.
+    pub fn signed(&mut self, source: &mut Source<'_>, key: &'static str, limit: f64) -> Option<At<f64>> {
+        self.value(source, key, format!("a number from -{limit} to {limit}"), |v| {
+            v.as_number().filter(|n| n.abs() <= limit)
+        })
+    }
+
+    /// Says that a key must be there.
+    pub fn missing(&self, source: &mut Source<'_>, key: &str, meaning: &str) {
+        let found = format!("no {key} in {}", self.title);
+        source.finding(self.offset, found, format!("{key}: {meaning}"));
+    }
+
+    /// A key that must be there: reports it where it is missing.
+    pub fn required<T>(
+        &self,
+        source: &mut Source<'_>,
+        key: &str,
+        meaning: &str,
+        value: Option<T>,
+    ) -> Option<T> {
+        if value.is_none() && self.table.is_none_or(|t| t.get(key).is_none()) {
+            self.missing(source, key, meaning);
+        }
+        value
+    }
+
+    /// Reports every key that nobody asked for.
+    pub fn finish(self, source: &mut Source<'_>) {
+        for entry in self.table.iter().flat_map(Table::entries) {
+            if !self.asked.contains(&entry.key()) {
+                source.findings.push(entry.unknown(&self.title, &self.asked));
+            }
+        }
+    }
+}

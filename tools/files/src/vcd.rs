@@ -1,0 +1,251 @@
+//! Value change dumps (IEEE 1364) with the signals a and b, as simulators and logic analysers write them.
+
+use crate::input::InputError;
+use crate::lines::Lines;
+use crate::words::quoted;
+use rtec_driver::quadrature::State;
+use rtec_driver::replay::TracePoint;
+use std::io::Read;
+
+/// What the definitions of a VCD say, and where in its changes we are.
+#[derive(Debug)]
+pub(crate) struct Vcd {
+    /// ns per time unit as a fraction: 1 µs is (1000, 1), 100 ps is (1, 10).
+    ns_per_unit: (u64, u64),
+    /// Identifier codes of a and b.
+    codes: [Vec<u8>; 2],
+    /// Present time in units.
+    now: u64,
+    levels: [Option<bool>; 2],
+    /// A level was written since `now`.
+    touched: bool,
+}
+
+impl Vcd {
+    pub(crate) fn definitions<R: Read>(input: &mut Lines<R>) -> Result<Self, InputError> {
+        input.line = 1;
+        let (mut ns_per_unit, mut codes) = (None, [None, None]);
+        loop {
+            let Some(keyword) = word(input)? else {
+                return Err(input.at_word("the end of the file", "$enddefinitions"));
+            };
+            match keyword.as_str() {
+                "$enddefinitions" => {
+                    skip_to_end(input)?;
+                    break;
+                }
+                "$timescale" => {
+                    let text = until_end(input)?.concat();
+                    ns_per_unit = Some(timescale(input, &text)?);
+                }
+                "$var" => {
+                    let body = until_end(input)?;
+                    variable(input, &body, &mut codes)?;
+                }
+                "$comment" | "$date" | "$version" | "$scope" | "$upscope" => skip_to_end(input)?,
+                other => {
+                    let expected = "a VCD definition: $timescale, $scope, $var, $upscope, $enddefinitions";
+                    return Err(input.at_word(&quoted(other), expected));
+                }
+            }
+        }
+        let Some(ns_per_unit) = ns_per_unit else {
+            return Err(input.at_word("no $timescale", "for example $timescale 1 ns $end"));
+        };
+        let [Some(a), Some(b)] = codes else {
+            let missing = if codes[0].is_none() { "a" } else { "b" };
+            let expected = "two variables of one bit named a and b";
+            return Err(input.at_word(&format!("no variable named {missing}"), expected));
+        };
+        Ok(Self { ns_per_unit, codes: [a, b], now: 0, levels: [None; 2], touched: false })
+    }
+
+    /// Reads to the end of the next time step in which a or b changed.
+    pub(crate) fn next<R: Read>(
+        &mut self,
+        input: &mut Lines<R>,
+        last: Option<TracePoint>,
+    ) -> Result<Option<TracePoint>, InputError> {
+        loop {
+            let Some(range) = input.word()? else { return self.step(input, last) };
+            let word = input.bytes(range);
+            match word[0] {
+                b'#' => {
+                    let text = std::str::from_utf8(&word[1..]).unwrap_or_default();
+                    let Ok(time) = text.parse::<u64>() else {
+                        let found = quoted(&String::from_utf8_lossy(word));
+                        return Err(input.at_word(&found, "a time in whole units, as #1000"));
+                    };
+                    if time < self.now {
+                        let expected = format!("a time not before #{}", self.now);
+                        return Err(input.at_word(&format!("#{time}"), &expected));
+                    }
+                    let step = if time > self.now { self.step(input, last)? } else { None };
+                    self.now = time;
+                    if step.is_some() {
+                        return Ok(step);
+                    }
+                }
+                value @ (b'0' | b'1' | b'x' | b'X' | b'z' | b'Z') => {
+                    if let Some(signal) = self.codes.iter().position(|code| *code == word[1..]) {
+                        self.set(input, signal, value)?;
+                    }
+                }
+                // A vector of one bit is written `b1 !`; only its last bit counts.
+                b'b' | b'B' | b'r' | b'R' | b's' | b'S' => {
+                    let (kind, value) = (word[0], word[word.len() - 1]);
+                    let Some(code) = input.word()? else {
+                        return Err(input.at_word("the end of the file", "the identifier of a value"));
+                    };
+                    let signal =
+                        self.codes.iter().position(|own| own.as_slice() == input.bytes(code.clone()));
+                    if let Some(signal) = signal {
+                        if !kind.eq_ignore_ascii_case(&b'b') {
+                            let expected = "a level 0 or 1 of a and b";
+                            return Err(input.at_word("a real number or a string", expected));
+                        }
+                        self.set(input, signal, value)?;
+                    }
+                }
+                b'$' => match word {
+                    b"$comment" => skip_to_end(input)?,
+                    b"$dumpvars" | b"$dumpall" | b"$dumpon" | b"$dumpoff" | b"$end" => {}
+                    _ => {
+                        let found = quoted(&String::from_utf8_lossy(word));
+                        return Err(
+                            input.at_word(&found, "$dumpvars, $dumpall, $dumpon, $dumpoff or $comment")
+                        );
+                    }
+                },
+                _ => {
+                    let found = quoted(&String::from_utf8_lossy(word));
+                    return Err(input.at_word(&found, "a time (#1000) or a value change (1!)"));
+                }
+            }
+        }
+    }
+
+    fn set<R: Read>(&mut self, input: &Lines<R>, signal: usize, value: u8) -> Result<(), InputError> {
+        self.levels[signal] = match value {
+            b'0' => Some(false),
+            b'1' => Some(true),
+            other => {
+                let found = format!("{} for signal {}", char::from(other), ["a", "b"][signal]);
+                return Err(
+                    input.at_word(&found, "the level 0 or 1: unknown and open lines cannot be counted")
+                );
+            }
+        };
+        self.touched = true;
+        Ok(())
+    }
+
+    /// The point that the present time step makes, if a or b changed in it.
+    fn step<R: Read>(
+        &mut self,
+        input: &Lines<R>,
+        last: Option<TracePoint>,
+    ) -> Result<Option<TracePoint>, InputError> {
+        if !std::mem::take(&mut self.touched) {
+            return Ok(None);
+        }
+        let [Some(a), Some(b)] = self.levels else {
+            let missing = if self.levels[0].is_none() { "a" } else { "b" };
+            let found = format!("no value of {missing} at #{}", self.now);
+            return Err(input.at_word(&found, "a value of a and b at the first change of either"));
+        };
+        let state = State::new(a, b);
+        let Some(scaled) = self.now.checked_mul(self.ns_per_unit.0) else {
+            return Err(input.at_word(&format!("#{}", self.now), "a time below 18446744073709551616 ns"));
+        };
+        let t_ns = scaled / self.ns_per_unit.1;
+        match last {
+            Some(last) if last.state == state => Ok(None),
+            Some(last) if last.t_ns >= t_ns => {
+                let found = format!("two changes within the nanosecond {t_ns}");
+                Err(input.at_word(&found, "changes at least 1 ns apart"))
+            }
+            _ => Ok(Some(TracePoint { t_ns, state })),
+        }
+    }
+}
+
+fn word<R: Read>(input: &mut Lines<R>) -> Result<Option<String>, InputError> {
+    Ok(input.word()?.map(|range| String::from_utf8_lossy(input.bytes(range)).into_owned()))
+}
+
+/// The words up to `$end`.
+fn until_end<R: Read>(input: &mut Lines<R>) -> Result<Vec<String>, InputError> {
+    let mut words = Vec::new();
+    while let Some(word) = word(input)? {
+        if word == "$end" {
+            return Ok(words);
+        }
+        if words.len() > 16 {
+            break;
+        }
+        words.push(word);
+    }
+    Err(input.at_word("no $end", "$end after a definition"))
+}
+
+/// Free text, of any length, up to `$end`.
+fn skip_to_end<R: Read>(input: &mut Lines<R>) -> Result<(), InputError> {
+    while let Some(range) = input.word()? {
+        if *input.bytes(range) == *b"$end" {
+            return Ok(());
+        }
+    }
+    Err(input.at_word("the end of the file", "$end"))
+}
+
+fn timescale<R>(input: &Lines<R>, text: &str) -> Result<(u64, u64), InputError> {
+    let digits = text.bytes().take_while(u8::is_ascii_digit).count();
+    let (magnitude, unit) = text.split_at(digits);
+    let magnitude = match magnitude {
+        "1" => 1,
+        "10" => 10,
+        "100" => 100,
+        _ => 0,
+    };
+    let (mul, div) = match unit {
+        "s" => (1_000_000_000, 1),
+        "ms" => (1_000_000, 1),
+        "us" => (1_000, 1),
+        "ns" => (1, 1),
+        "ps" => (1, 1_000),
+        "fs" => (1, 1_000_000),
+        _ => (0, 1),
+    };
+    if magnitude * mul == 0 {
+        return Err(input.at_word(&quoted(text), "1, 10 or 100 of s, ms, us, ns, ps or fs"));
+    }
+    Ok((magnitude * mul, div))
+}
+
+/// Takes the identifier of a or b out of a `$var TYPE SIZE CODE NAME [RANGE] $end`.
+fn variable<R>(
+    input: &Lines<R>,
+    body: &[String],
+    codes: &mut [Option<Vec<u8>>; 2],
+) -> Result<(), InputError> {
+    let [_kind, size, code, name, ..] = body else {
+        return Err(input.at_word(&quoted(&body.join(" ")), "$var TYPE SIZE CODE NAME $end"));
+    };
+    let signal = match name.as_str() {
+        "a" | "A" => 0,
+        "b" | "B" => 1,
+        _ => return Ok(()),
+    };
+    if size != "1" {
+        return Err(input.at_word(&format!("{name} of {size} bits"), "one bit"));
+    }
+    let code = code.as_bytes().to_vec();
+    if codes[signal].as_ref().is_some_and(|known| *known != code) {
+        return Err(
+            input.at_word(&format!("a second variable named {name}"), "one a and one b in all scopes")
+        );
+    }
+    codes[signal] = Some(code);
+    Ok(())
+}

@@ -1,0 +1,165 @@
+//! Files that appear whole or not at all: written beside their place under another name, made safe on the disk, then
+//! renamed. What was there before stays until then, and stays where anything fails.
+
+use std::fs::{File, Metadata, OpenOptions, Permissions};
+use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+
+/// Writes a file whole or not at all.
+///
+/// # Errors
+/// What the file system reports; nothing is left behind then, and what was there before stands.
+pub fn whole(file: &Path, content: &[u8]) -> io::Result<()> {
+    let mut out = WholeFile::create(file)?;
+    out.write_all(content)?;
+    out.finish()
+}
+
+/// A file being written: it has its name only after [`WholeFile::finish`], and dropped before that it leaves nothing.
+///
+/// A symbolic link stays and what it names is replaced, with the permissions that it had. What is no regular file (a
+/// pipe, a terminal, `/dev/null`) is written to as it stands: it cannot be replaced.
+#[derive(Debug)]
+pub struct WholeFile(Place);
+
+#[derive(Debug)]
+enum Place {
+    Beside { temporary: NamedTempFile, folder: PathBuf, file: PathBuf },
+    Through(File),
+}
+
+impl WholeFile {
+    /// Starts a file.
+    ///
+    /// # Errors
+    /// Its folder cannot be written to.
+    pub fn create(file: &Path) -> io::Result<Self> {
+        let before = std::fs::metadata(file).ok();
+        if before.as_ref().is_some_and(|m| !m.is_file() && !m.is_dir()) {
+            return Ok(Self(Place::Through(OpenOptions::new().write(true).open(file)?)));
+        }
+        let file = if before.is_some() { std::fs::canonicalize(file)? } else { file.to_owned() };
+        let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
+        // As any new file: what the process's mask leaves of read and write for all.
+        let mode = before.as_ref().map_or(0o666, |m| m.permissions().mode() & 0o777);
+        let temporary = tempfile::Builder::new()
+            .prefix(".rtec-")
+            .permissions(Permissions::from_mode(mode | 0o200))
+            .tempfile_in(&folder)?;
+        if let Some(before) = before.as_ref().map(Metadata::permissions) {
+            temporary.as_file().set_permissions(before)?;
+        }
+        Ok(Self(Place::Beside { temporary, folder, file }))
+    }
+
+    /// Gives the file its name, once all of it is safe on the disk.
+    ///
+    /// # Errors
+    /// What the file system reports; nothing is left behind then.
+    pub fn finish(self) -> io::Result<()> {
+        match self.0 {
+            Place::Through(mut out) => out.flush(),
+            Place::Beside { temporary, folder, file } => {
+                temporary.as_file().sync_all()?;
+                temporary.persist(file).map_err(|e| e.error)?;
+                match File::open(folder)?.sync_all() {
+                    // Some file systems know no such thing for a folder.
+                    Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
+                    done => done,
+                }
+            }
+        }
+    }
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, content: &[u8]) -> io::Result<usize> {
+        match &mut self.0 {
+            Place::Beside { temporary, .. } => temporary.write(content),
+            Place::Through(out) => out.write(content),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.0 {
+            Place::Beside { temporary, .. } => temporary.flush(),
+            Place::Through(out) => out.flush(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+    use std::os::unix::fs::{FileTypeExt, symlink};
+    use std::os::unix::net::UnixListener;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_is_there_whole_or_as_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.toml");
+        let mut out = WholeFile::create(&file).unwrap();
+        out.write_all(b"half").unwrap();
+        assert!(!file.exists());
+        drop(out);
+        assert!(names(folder.path()).is_empty());
+        whole(&file, b"one").unwrap();
+        let mut out = WholeFile::create(&file).unwrap();
+        out.write_all(b"half").unwrap();
+        drop(out);
+        assert_eq!(fs::read(&file).unwrap(), b"one");
+        whole(&file, b"two").unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"two");
+        assert_eq!(names(folder.path()), ["a.toml"]);
+    }
+
+    #[test]
+    fn nothing_is_left_behind_when_the_name_cannot_be_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = folder.path().join("taken");
+        fs::create_dir(&taken).unwrap();
+        fs::write(taken.join("inside"), "x").unwrap();
+        whole(&taken, b"no").unwrap_err();
+        assert_eq!(names(folder.path()), ["taken"]);
+        whole(&folder.path().join("none/a.toml"), b"no").unwrap_err();
+        assert_eq!(names(folder.path()), ["taken"]);
+    }
+
+    #[test]
+    fn permissions_and_links_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let (plain, file, link) =
+            (folder.path().join("plain"), folder.path().join("f"), folder.path().join("link"));
+        // Another program's new file has what the mask leaves; so has ours.
+        fs::write(&plain, "x").unwrap();
+        whole(&file, b"one").unwrap();
+        let mode = |f: &Path| fs::metadata(f).unwrap().permissions().mode() & 0o777;
+        assert_eq!(mode(&file), mode(&plain));
+        fs::set_permissions(&file, Permissions::from_mode(0o640)).unwrap();
+        symlink("f", &link).unwrap();
+        whole(&link, b"two").unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!((fs::read(&file).unwrap().as_slice(), mode(&file)), (b"two".as_slice(), 0o640));
+        assert_eq!(names(folder.path()), ["f", "link", "plain"]);
+    }
+
+    #[test]
+    fn what_is_no_regular_file_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("socket");
+        let _listener = UnixListener::bind(&file).unwrap();
+        whole(&file, b"x").unwrap_err();
+        assert!(fs::symlink_metadata(&file).unwrap().file_type().is_socket());
+        assert_eq!(names(folder.path()), ["socket"]);
+    }
+}
