@@ -3,12 +3,12 @@
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
 use crate::noise::Noise;
-use crate::replay::{Corrector, Outcome, ReplayError, homed_engine, replay, replay_with};
-use crate::through::Through;
+use crate::replay::{Corrector, ReplayError, ReplayOutcome, homed_engine, replay, replay_with};
+use crate::through::DesignB;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::input::InputError;
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_driver::replay::{Gates, Listener, Through as Direct, Xor};
+use rtec_driver::replay::{Gates, Listener, Through, Xor};
 use rtec_driver::trace::{Request, TracePoint};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::StartError;
@@ -90,7 +90,7 @@ pub fn replay_any<T, R, L>(
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError>
+) -> Result<(ReplayOutcome, L), ReplayError>
 where
     T: Iterator<Item = Result<TracePoint, InputError>>,
     R: Iterator<Item = Result<Request, InputError>>,
@@ -100,8 +100,8 @@ where
     match design {
         AnyDesign::Original | AnyDesign::A | AnyDesign::C => replay(config, trace, totals, large, to),
         AnyDesign::B => replay_with(
-            Direct,
-            |card| Through::new(config, card)?.ok_or(StartError::NoGate(0)),
+            Through,
+            |card| DesignB::new(config, card)?.ok_or(StartError::NoGate(0)),
             trace,
             totals,
             large,
@@ -109,7 +109,7 @@ where
         ),
         AnyDesign::Ecc => {
             let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?);
-            replay_with(Direct, start, trace, totals, large, to)
+            replay_with(Through, start, trace, totals, large, to)
         }
     }
 }
@@ -407,10 +407,10 @@ impl Run<'_> {
                 self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
             }
             AnyDesign::B => {
-                self.go(Direct, |card| Through::new(config, card).ok().flatten(), |_| (0.0, None))
+                self.go(Through, |card| DesignB::new(config, card).ok().flatten(), |_| (0.0, None))
             }
             AnyDesign::Ecc => self.go(
-                Direct,
+                Through,
                 |card| Ecc::new(Pll::default(), self.seed, card).ok(),
                 |ecc| (ecc.worst_phase_deg(), ecc.pulse_ns()),
             ),

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 /// What came of a replay.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Default)]
-pub struct Outcome {
+pub struct ReplayOutcome {
     /// Counts of the scale, first row to last.
     pub counts_in: i64,
     /// Counts of the MTC, decoded from what it was sent.
@@ -41,7 +41,7 @@ pub struct Outcome {
     pub edges: u64,
 }
 
-impl Outcome {
+impl ReplayOutcome {
     /// Counts to the MTC minus counts of the scale are what was completed.
     #[must_use]
     pub fn balanced(&self) -> bool {
@@ -108,7 +108,7 @@ impl<L: Listener> Listener for Mtc<L> {
 }
 
 /// One corrected axis, homed: what a replay, or a comparison of designs, drives. [`Engine`] is one for the designs on XOR
-/// gates, [`crate::through::Through`] one for Design B.
+/// gates, [`crate::through::DesignB`] one for Design B.
 pub trait Corrector {
     /// One look at the card and everything that follows from it; a card that can wait does so at most until `by_ns`.
     ///
@@ -118,7 +118,7 @@ pub trait Corrector {
         &mut self,
         card: &mut C,
         by_ns: u64,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError>;
 
     /// Takes a new total, counts.
@@ -130,7 +130,7 @@ pub trait Corrector {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError>;
 
     /// The axis at this moment.
@@ -145,9 +145,9 @@ impl Corrector for Engine {
         &mut self,
         card: &mut C,
         by_ns: u64,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
-        Engine::poll(self, card, by_ns, tell)
+        Engine::poll(self, card, by_ns, report)
     }
 
     fn correct<C: Card>(
@@ -155,9 +155,9 @@ impl Corrector for Engine {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
-        self.take(Request::Correct { axis: 0, total_counts, large }, card, tell)
+        self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
     }
 
     fn axis(&self) -> AxisStatus {
@@ -176,12 +176,12 @@ impl Corrector for Engine {
 pub fn homed_engine<C: Card>(
     config: AxisConfig,
     card: &mut C,
-    tell: &mut impl FnMut(Event) -> bool,
+    report: &mut impl FnMut(Event) -> bool,
 ) -> Result<Engine, StartError> {
     let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(card, &[config], machine, &[])?;
-    engine.start_homed(card, tell)?;
+    engine.start_homed(card, report)?;
     Ok(engine)
 }
 
@@ -196,7 +196,7 @@ pub fn replay<T, R, L>(
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError>
+) -> Result<(ReplayOutcome, L), ReplayError>
 where
     T: Iterator<Item = Result<TracePoint, InputError>>,
     R: Iterator<Item = Result<Total, InputError>>,
@@ -217,7 +217,7 @@ pub fn replay_with<G, M, T, R, L>(
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError>
+) -> Result<(ReplayOutcome, L), ReplayError>
 where
     G: Gates,
     M: Corrector,
@@ -228,8 +228,8 @@ where
     let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
     let mut card = ReplayCard::new(gates, trace, mtc)?;
     let mut corrector = start(&mut card)?;
-    let mut outcome = Outcome::default();
-    let mut tell = |event: Event| {
+    let mut outcome = ReplayOutcome::default();
+    let mut report = |event: Event| {
         match event.kind {
             EventKind::Refused { total_counts, why } => {
                 outcome.refused.push(Refused { t_ns: event.t_ns, requested: total_counts, why });
@@ -243,10 +243,10 @@ where
     let mut next = totals.next().transpose()?;
     loop {
         while let Some(total) = next.filter(|t| t.t_ns <= corrector.now_ns()) {
-            corrector.correct(total.requested, large, &mut card, &mut tell).map_err(StartError::Card)?;
+            corrector.correct(total.requested, large, &mut card, &mut report).map_err(StartError::Card)?;
             next = totals.next().transpose()?;
         }
-        match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut tell) {
+        match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut report) {
             Ok(()) => {}
             Err(CardError::Ended) => break,
             Err(error) => return Err(StartError::Card(error).into()),
