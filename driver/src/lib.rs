@@ -16,6 +16,8 @@
 //! | [`replay`] | a recorded trace on a virtual clock |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`input`] | the one shape of error for a file that a person wrote |
+//!
+//! Never known here: what an axis should be corrected by, or when: no insertion, no gate, no ledger, no thread.
 
 pub mod card;
 pub mod clock;

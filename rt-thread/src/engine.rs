@@ -268,6 +268,7 @@ impl Engine {
         }
     }
 
+    /// Lets each axis act on what this look found, and writes what they want at once.
     fn work<C: Card>(
         &mut self,
         card: &mut C,
