@@ -115,7 +115,7 @@ impl Sample {
 /// What a card found wrong, and on which input lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Trouble {
-    /// What.
+    /// What is wrong with what the card saw.
     pub kind: TroubleKind,
     /// Mask of the input lines concerned.
     pub lines: u64,
@@ -130,16 +130,16 @@ pub enum TroubleKind {
     QueueOverflow,
     /// A line is not where its edges have led: one of them was never reported, or reported with the wrong polarity.
     EdgeMissed,
-    /// The card's own counter says that it has overflowed.
+    /// The card's own counter reports that it has overflowed.
     CounterOverflow,
-    /// The card's own decoder says that it saw an illegal transition, or disagrees with the lines.
+    /// The card's own decoder reports an illegal transition, or disagrees with the lines.
     CounterError,
 }
 
 /// An I/O card. The engine is generic over it; nothing here may allocate, lock or log.
 pub trait Card {
-    /// The card sleeps until a line changes: the time between two looks says nothing, the age of an edge when it is
-    /// seen says all.
+    /// The card sleeps until a line changes: not the time between two looks counts but the age of
+    /// an edge when it is seen.
     const SLEEPS: bool = false;
 
     /// Looks at all lines. The engine has nothing to do before `wake_ns` unless a line changes: a card that can sleep,
@@ -172,7 +172,7 @@ pub enum CardError {
     /// The system refused.
     #[error("{op}: {}", std::io::Error::from_raw_os_error(*errno))]
     Io {
-        /// What was tried.
+        /// The operation that failed, as a verb with its object.
         op: &'static str,
         /// The system's error number.
         errno: i32,

@@ -61,7 +61,7 @@ impl fmt::Display for LineId {
 pub struct GpioLine {
     /// The chip: `gpiochip0`, a path, or its label; `None` looks for the line's name on every chip.
     pub chip: Option<String>,
-    /// The line.
+    /// The line on its chip, by name or offset.
     pub line: LineId,
     /// Active is low.
     pub active_low: bool,
@@ -74,7 +74,7 @@ pub struct GpioLine {
 /// An input line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioInput {
-    /// The line.
+    /// Where the line is and how it is to be requested.
     pub line: GpioLine,
     /// Its bit in the input word.
     pub bit: u8,
@@ -87,7 +87,7 @@ pub struct GpioInput {
 /// An output line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioOutput {
-    /// The line.
+    /// Where the line is and how it is to be requested.
     pub line: GpioLine,
     /// Its bit in the output word.
     pub bit: u8,
@@ -96,9 +96,9 @@ pub struct GpioOutput {
 /// All lines of a card.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioSetup {
-    /// Inputs.
+    /// Every input that the profile of the axes and the machine needs.
     pub inputs: Vec<GpioInput>,
-    /// Outputs.
+    /// Every output, inverters and feed hold.
     pub outputs: Vec<GpioOutput>,
     /// Sleep until an edge comes; otherwise read levels as fast as it goes.
     pub events: bool,
@@ -112,7 +112,7 @@ pub enum GpioError {
     Chip {
         /// The chip as it was named.
         chip: String,
-        /// What the system said.
+        /// The system's answer, with its error number.
         source: io::Error,
         /// The chips that are there.
         found: String,
@@ -132,7 +132,7 @@ pub enum GpioError {
         line: LineId,
         /// A chip that has it.
         first: String,
-        /// Another one.
+        /// Another chip that has it.
         second: String,
     },
     /// Somebody else has the line.
@@ -152,7 +152,7 @@ pub enum GpioError {
     Apart {
         /// The line as it was named.
         line: LineId,
-        /// Its chip.
+        /// The chip that this line is on.
         chip: String,
         /// The chip of the others.
         other: String,
@@ -171,11 +171,11 @@ pub enum GpioError {
     /// The system refused.
     #[error("{op} {chip}: {source}")]
     Io {
-        /// What was tried.
+        /// The operation that failed, as a verb with its object.
         op: &'static str,
         /// The chip's path.
         chip: String,
-        /// What the system said.
+        /// The system's answer, with its error number.
         source: io::Error,
     },
 }
@@ -278,7 +278,7 @@ pub fn chips() -> Vec<(String, String, u32)> {
     chips.filter_map(|chip| chip.info().ok().map(|info| (info.name, info.label, info.num_lines))).collect()
 }
 
-/// What the kernel says of a line, in words: where it is, its direction, who has it. Nothing is requested.
+/// What the kernel reports of a line, in words: where it is, its direction, who has it. Nothing is requested.
 ///
 /// # Errors
 /// When it is not there.
@@ -684,7 +684,7 @@ fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
     Ok(requests)
 }
 
-/// What a descriptor holds, as the kernel tells: the chip's name and the lines in the request's order.
+/// What a descriptor holds, as the kernel reports it: the chip's name and the lines in the request's order.
 fn held(fd: BorrowedFd<'_>) -> io::Result<(String, Vec<u32>)> {
     let text = std::fs::read_to_string(format!("/proc/self/fdinfo/{}", fd.as_raw_fd()))?;
     let values = |key: &'static str| text.lines().filter_map(move |l| l.strip_prefix(key).map(str::trim));

@@ -15,7 +15,8 @@
 //! | [`moving`] | a small moving machine at the other end of the mock card's wires |
 //! | [`replay`] | a recorded trace on a virtual clock |
 //!
-//! No file format is read here: profiles and traces come as data.
+//! No file format is read here: profiles and traces come as data. Never known here: what an axis should be corrected
+//! by, or when: no insertion, no gate, no ledger, no thread.
 
 pub mod card;
 pub mod clock;

@@ -18,11 +18,11 @@ pub enum MapError {
     /// The file could not be opened, measured or mapped.
     #[error("{op} {}: {source}", path.display())]
     Io {
-        /// What was tried.
+        /// The operation that failed, as a verb with its object.
         op: &'static str,
-        /// The file.
+        /// The file that was to be opened, measured or mapped.
         path: PathBuf,
-        /// What the system said.
+        /// The system's answer, with its error number.
         source: std::io::Error,
     },
     /// The file holds fewer bytes than the profile's registers need.
@@ -31,7 +31,7 @@ pub enum MapError {
          is this the right file or BAR?", path.display()
     )]
     TooSmall {
-        /// The file.
+        /// The file that is too small.
         path: PathBuf,
         /// Its size in bytes.
         found: u64,
@@ -40,13 +40,13 @@ pub enum MapError {
         /// The profile's name.
         profile: String,
     },
-    /// A device that says nowhere how long it is.
+    /// A device whose length is stated nowhere.
     #[error(
         "{}: found a device without map {map}, expected a file of registers, a PCI resource in sysfs, or a UIO device \
          with that map (/sys/class/uio)", path.display()
     )]
     NoSize {
-        /// The device.
+        /// The device whose registers were to be mapped.
         path: PathBuf,
         /// The map that was looked for.
         map: u8,
@@ -191,7 +191,7 @@ impl Bus for Registers {
 pub type MappedCard<K> = RegisterCard<Registers, K>;
 
 impl<K: Clock> MappedCard<K> {
-    /// Maps `path` as the profile says. No register is written but those that the profile sets up after a reset; the
+    /// Maps `path` as the profile states. No register is written but those that the profile sets up after a reset; the
     /// outputs are taken over as they stand.
     ///
     /// # Errors

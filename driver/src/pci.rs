@@ -64,12 +64,12 @@ pub enum PciError {
         /// Where they are.
         addresses: Vec<String>,
     },
-    /// The BAR is not what the profile says.
+    /// The BAR is not what the profile states.
     #[error("PCI card {address}, BAR {bar}: found {found}, expected {expected}")]
     Bar {
         /// The card's place.
         address: String,
-        /// The BAR.
+        /// Number of the BAR, 0 to 5.
         bar: u8,
         /// What it is.
         found: String,
@@ -98,17 +98,17 @@ pub enum PciError {
     Held {
         /// The card's place.
         address: String,
-        /// The driver.
+        /// The name of the kernel's driver.
         driver: String,
     },
     /// The system refused.
     #[error("{op} {}: {source}", path.display())]
     Io {
-        /// What was tried.
+        /// The operation that failed, as a verb with its object.
         op: &'static str,
-        /// The file.
+        /// The file in sysfs that could not be read or written.
         path: PathBuf,
-        /// What the system said.
+        /// The system's answer, with its error number.
         source: io::Error,
     },
 }
@@ -116,7 +116,7 @@ pub enum PciError {
 /// A base address register.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Bar {
-    /// First address.
+    /// First address of the region, on the memory or the I/O bus.
     pub start: u64,
     /// Size, bytes.
     pub size: u64,

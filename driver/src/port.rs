@@ -20,21 +20,21 @@ pub enum PortError {
          that has port I/O"
     )]
     Refused {
-        /// First port.
+        /// Address of the first I/O port.
         base: u16,
-        /// Last port.
+        /// Address of the last I/O port.
         last: usize,
-        /// What the system said.
+        /// The system's answer, with its error number.
         source: io::Error,
     },
     /// The parallel port could not be opened or claimed.
     #[error("{op} {}: {source}{hint}", path.display())]
     Parport {
-        /// What was tried.
+        /// The operation that failed, as a verb with its object.
         op: &'static str,
-        /// The device.
+        /// The parallel port's character device.
         path: PathBuf,
-        /// What the system said.
+        /// The system's answer, with its error number.
         source: io::Error,
         /// What to do about it.
         hint: &'static str,

@@ -19,7 +19,7 @@ pub trait Bus {
     fn write(&self, offset: usize, width: Width, value: u32) -> Result<(), CardError>;
 }
 
-/// Why a card cannot be used as its profile says.
+/// Why a card cannot be used as its profile states.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SetUpError {
     /// A register cannot be read or written.
@@ -155,7 +155,7 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
     /// A card as it stands: no register is written but those that the profile sets up after a reset.
     ///
     /// # Errors
-    /// When a register cannot be read, or is not what the profile says.
+    /// When a register cannot be read, or is not what the profile states.
     pub fn new(bus: B, profile: &Profile, clock: K) -> Result<Self, SetUpError> {
         for SetUp { order: Order { register: Register { offset, width }, value }, after_reset } in
             &profile.setup

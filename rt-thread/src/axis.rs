@@ -128,7 +128,7 @@ enum Insertion {
     /// that no other edge comes has run out, and the insertion is given up unmade.
     Opened { add: bool, pairs: u8, from_ns: u64, until_ns: u64 },
     /// The first inversion of a pair is written: until the second is, the MTC counts mirrored. It is known to be in
-    /// effect from `effective_ns` on, once the card or the next look has said so.
+    /// effect from `effective_ns` on, once the card or the next look has confirmed it.
     Half { add: bool, pairs: u8, effective_ns: Option<u64>, edges: u8, seen_ns: u64 },
     /// Full-cycle designs: one pair is done, the MTC gets its separation before the next.
     Between { add: bool, pairs: u8, effective_ns: Option<u64>, seen_ns: u64 },
@@ -148,6 +148,19 @@ enum Order {
     EdgeLast,
     EdgeFirst,
     Unknown,
+}
+
+/// What became of a new total.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Answer {
+    /// It is the axis's total from now on.
+    Accepted,
+    /// The same, and it is at or beyond the axis's warning limit.
+    AcceptedWithWarning,
+    /// The total stays what it was.
+    Refused(Refusal),
+    /// The total stays what it was, and this is to be latched.
+    Fault(Fault),
 }
 
 /// What the machine as a whole lets an axis do at this look.
@@ -181,9 +194,9 @@ struct Wire {
     completed: i64,
 }
 
-/// One axis.
+/// One axis between two edges: its count, its inverters, and the insertion under way.
 #[derive(Debug)]
-pub(crate) struct Axis {
+pub(crate) struct AxisEngine {
     config: AxisConfig,
     gate: Gate,
     min_interval_ns: u64,
@@ -204,15 +217,16 @@ pub(crate) struct Axis {
     period_ns: Option<u64>,
     /// No insertion before this, ns: the rate cap.
     next_allowed_ns: u64,
-    /// The gate was shut at the last edge for this reason.
-    shut: GateState,
-    doubts: u8,
+    /// Why the last edge opened no insertion.
+    waits_for: GateState,
+    /// Requests in a row outside the belief window.
+    not_believed: u8,
     homing: Option<i64>,
     homed: bool,
     faults: Faults,
     capture: Option<Capture>,
     last_boundary: i64,
-    /// Appointment: nothing to do before this unless a line changes.
+    /// Nothing to do before this, ns, unless a line changes.
     pub wake_ns: u64,
     insertions: u64,
     waited_for_gate: u64,
@@ -233,7 +247,7 @@ pub(crate) struct Found {
 /// A capture that finds no further edge is complete after this time: the axis has stopped.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
-impl Axis {
+impl AxisEngine {
     /// `None` where the configuration leaves no time for an insertion at any speed.
     pub(crate) fn new(config: AxisConfig, found: Found) -> Option<Self> {
         // Left between two inversions, the MTC counts mirrored: the pair is finished as soon as its separation allows,
@@ -272,8 +286,8 @@ impl Axis {
             last_edge: None,
             period_ns: None,
             next_allowed_ns: found.t_ns,
-            shut: GateState::WaitingForEdge,
-            doubts: 0,
+            waits_for: GateState::WaitingForEdge,
+            not_believed: 0,
             homing: None,
             homed: false,
             faults,
@@ -319,7 +333,7 @@ impl Axis {
 
     /// Whether four counts may have passed unseen since the look at `since_ns`: the axis was on its way, and the time
     /// was enough for them. Four counts look like none.
-    pub(crate) fn may_have_turned_round(&self, sample: &Sample, since_ns: u64) -> bool {
+    pub(crate) fn may_have_missed_a_cycle(&self, sample: &Sample, since_ns: u64) -> bool {
         let Some((_, last_ns)) = self.last_edge else { return false };
         let gap_ns = sample.t_ns - since_ns;
         self.homed
@@ -343,7 +357,7 @@ impl Axis {
 
     pub(crate) fn clear(&mut self) {
         self.faults = Faults::NONE;
-        self.doubts = 0;
+        self.not_believed = 0;
     }
 
     /// Enters or leaves shadow mode; in it everything happens on a copy of the wire.
@@ -389,28 +403,32 @@ impl Axis {
         self.homed
     }
 
-    /// A new total. `Ok(true)` where it passed the warning limit.
-    pub(crate) fn request(&mut self, total: i64, large: bool) -> Result<bool, Result<Refusal, Fault>> {
+    /// Takes a new total, counts since homing. The caller latches the fault that it may be.
+    pub(crate) fn request(&mut self, total: i64, large: bool) -> Answer {
         if total.unsigned_abs() > self.config.max_correction_counts.unsigned_abs() {
-            return Err(Ok(Refusal::AboveMaximum));
+            return Answer::Refused(Refusal::AboveMaximum);
         }
         if total.unsigned_abs() >= self.config.error_counts.unsigned_abs() {
-            return Err(Err(Fault::ErrorLimit));
+            return Answer::Fault(Fault::ErrorLimit);
         }
         // Not believed once; two more readings to come back into range, then a fault (NISTIR 4832, General
         // Considerations: "I Don't Believe You", "I Still Don't Believe You").
         if !large && total.abs_diff(self.requested) > self.config.window_counts.unsigned_abs() {
-            self.doubts += 1;
-            return Err(if self.doubts > 2 {
-                Err(Fault::StillNotBelieved)
+            self.not_believed += 1;
+            return if self.not_believed > 2 {
+                Answer::Fault(Fault::StillNotBelieved)
             } else {
-                Ok(Refusal::NotBelieved)
-            });
+                Answer::Refused(Refusal::NotBelieved)
+            };
         }
-        self.doubts = 0;
+        self.not_believed = 0;
         self.requested = total;
         self.wake_ns = 0;
-        Ok(total.unsigned_abs() >= self.config.warn_counts.unsigned_abs())
+        if total.unsigned_abs() >= self.config.warn_counts.unsigned_abs() {
+            Answer::AcceptedWithWarning
+        } else {
+            Answer::Accepted
+        }
     }
 
     /// The probe tripped between the two times. `false` where a capture is already under way: a bounce.
@@ -445,15 +463,15 @@ impl Axis {
         {
             *effective_ns = at_ns;
         }
-        self.appoint();
+        self.set_wake_time();
     }
 
     /// One look. Returns the inverters to be toggled now (bit 0 A, bit 1 B; at most one).
     #[inline]
-    pub(crate) fn look(&mut self, look: &Look, tell: &mut impl FnMut(EventKind)) -> u8 {
+    pub(crate) fn look(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> u8 {
         let state = self.config.lines.scale(look.sample.inputs);
         if state != self.scale.state() {
-            self.edge(state, look, tell);
+            self.edge(state, look, report);
         }
         if let Some(u) = self.unsettled {
             let now_ns = look.sample.edge_ns.unwrap_or(look.sample.t_ns);
@@ -473,28 +491,28 @@ impl Axis {
         {
             self.back_due = None;
             if self.config.lines.back(look.sample.inputs).is_some_and(|back| back != self.wire.mtc) {
-                self.fault(Fault::ReadBackMismatch, tell);
+                self.fault(Fault::ReadBackMismatch, report);
             }
         }
         if let Some(c) = self.capture
             && look.sample.t_ns > c.trip_ns.1 + CAPTURE_LIMIT_NS
         {
             self.capture = None;
-            tell(EventKind::Trip(c));
+            report(EventKind::Trip(c));
         }
-        let toggle = if look.sample.more { 0 } else { self.act(look, tell) };
-        self.appoint();
+        let toggle = if look.sample.more { 0 } else { self.act(look, report) };
+        self.set_wake_time();
         toggle
     }
 
-    fn fault(&mut self, fault: Fault, tell: &mut impl FnMut(EventKind)) {
+    fn fault(&mut self, fault: Fault, report: &mut impl FnMut(EventKind)) {
         if self.latch(fault) {
-            tell(EventKind::Fault(fault));
+            report(EventKind::Fault(fault));
         }
     }
 
     /// The scale has changed.
-    fn edge(&mut self, state: State, look: &Look, tell: &mut impl FnMut(EventKind)) {
+    fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         let edge =
             (look.sample.edge_ns.unwrap_or(look.since_ns), look.sample.edge_ns.unwrap_or(look.sample.t_ns));
         let before = self.scale.state();
@@ -508,7 +526,7 @@ impl Axis {
             && self.last_edge.is_some()
             && self.gate.travel_ns(self.period_ns.unwrap_or(u64::MAX), 3.0) < gap_ns as f64
         {
-            self.fault(Fault::PollGap, tell);
+            self.fault(Fault::PollGap, report);
         }
         self.period_ns = self.last_edge.map(|(_, last)| edge.0.saturating_sub(last));
         self.last_edge = Some(edge);
@@ -517,24 +535,24 @@ impl Axis {
             if let Insertion::Half { edges, .. } = &mut self.insertion {
                 *edges += 1;
             }
-            self.fault(Fault::IllegalTransition, tell);
+            self.fault(Fault::IllegalTransition, report);
             return;
         };
         let signal = before.signal_towards(step > 0);
-        self.pass_on(signal, edge.1, tell);
+        self.pass_on(signal, edge.1, report);
         if self.wire.inverters == 0 || self.wire.inverters == 3 {
             if self.wire.mtc_count - self.scale.count() != self.wire.completed && self.faults == Faults::NONE
             {
-                self.fault(Fault::LedgerImbalance, tell);
+                self.fault(Fault::LedgerImbalance, report);
             }
         } else {
             self.overlaps += 1;
-            tell(EventKind::Overlap);
+            report(EventKind::Overlap);
         }
         let boundary = self.home_counts + self.scale.count() + i64::from(step < 0);
         if let Some(mut c) = self.capture.take() {
             c.after = Some((boundary, edge.1));
-            tell(EventKind::Trip(c));
+            report(EventKind::Trip(c));
         }
         self.last_boundary = boundary;
         match &mut self.insertion {
@@ -545,7 +563,7 @@ impl Axis {
     }
 
     /// Enters a real edge of `signal` into the MTC's count, in the order in which it and an inversion fell.
-    fn pass_on(&mut self, signal: Signal, edge_ns: u64, tell: &mut impl FnMut(EventKind)) {
+    fn pass_on(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
             None => Order::EdgeLast,
             // Two changes of the same signal: the MTC is where it was, whichever came first.
@@ -568,7 +586,7 @@ impl Axis {
         }
         w.mtc = w.mtc.flipped(signal);
         if order == Order::Unknown {
-            self.fault(Fault::OrderUnknown, tell);
+            self.fault(Fault::OrderUnknown, report);
         } else if order == Order::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
             // The edge came before the second inversion after all: what the pair made is known only now.
             w.completed = w.mtc_count - self.scale.count();
@@ -600,21 +618,21 @@ impl Axis {
             return Insertion::Idle;
         }
         if !self.place() {
-            self.shut = GateState::WaitingForEdge;
+            self.waits_for = GateState::WaitingForEdge;
             return Insertion::Idle;
         }
         if edge.1 < self.next_allowed_ns {
-            self.shut = GateState::RateCap;
+            self.waits_for = GateState::RateCap;
             return Insertion::Idle;
         }
         let period_ns = self.period_ns.unwrap_or(0);
         let quiet_ns = self.gate.quiet_ns(period_ns);
         if period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
-            self.shut = GateState::TooFast;
+            self.waits_for = GateState::TooFast;
             self.waited_for_gate += 1;
             return Insertion::Idle;
         }
-        self.shut = GateState::WaitingForEdge;
+        self.waits_for = GateState::WaitingForEdge;
         Insertion::Opened {
             add: self.pending() > 0,
             pairs: self.pairs(),
@@ -624,7 +642,7 @@ impl Axis {
     }
 
     /// What is due at this look.
-    fn act(&mut self, look: &Look, tell: &mut impl FnMut(EventKind)) -> u8 {
+    fn act(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> u8 {
         let t_ns = look.sample.t_ns;
         match self.insertion {
             Insertion::Idle => {
@@ -645,7 +663,7 @@ impl Axis {
                 }
                 if t_ns > until_ns {
                     self.late += 1;
-                    tell(EventKind::Late);
+                    report(EventKind::Late);
                     return 0;
                 }
                 self.invert_first(add, pairs, t_ns, from_ns - self.config.min_separation_ns)
@@ -655,7 +673,7 @@ impl Axis {
                 if t_ns < self.apart_ns(effective) && edges < 2 {
                     return 0;
                 }
-                self.invert_second(add, pairs, edges > 0, t_ns, seen_ns, tell)
+                self.invert_second(add, pairs, edges > 0, t_ns, seen_ns, report)
             }
             Insertion::Between { add, pairs, effective_ns: Some(effective), seen_ns } => {
                 if t_ns < self.apart_ns(effective) {
@@ -683,7 +701,7 @@ impl Axis {
         overlapped: bool,
         t_ns: u64,
         seen_ns: u64,
-        tell: &mut impl FnMut(EventKind),
+        report: &mut impl FnMut(EventKind),
     ) -> u8 {
         let wanted = self.wire.completed + if add { 2 } else { -2 };
         let offset_after = |signal: Signal| {
@@ -698,7 +716,7 @@ impl Axis {
         } else {
             self.wire.completed = wanted;
             if offset != wanted {
-                self.fault(Fault::LedgerImbalance, tell);
+                self.fault(Fault::LedgerImbalance, report);
             }
         }
         let pairs = pairs - 1;
@@ -728,8 +746,8 @@ impl Axis {
         last_out + self.config.min_separation_ns
     }
 
-    /// Sets the appointment for the next look that matters without a change of lines.
-    fn appoint(&mut self) {
+    /// Works out until when nothing is due unless a line changes.
+    fn set_wake_time(&mut self) {
         let mut wake = match self.insertion {
             Insertion::Opened { from_ns, .. } => from_ns,
             Insertion::Half { effective_ns: Some(e), edges: 0..2, .. }
@@ -774,7 +792,7 @@ impl Axis {
         } else if at_rest && self.config.rest == RestPolicy::Wait {
             GateState::AtRest
         } else {
-            self.shut
+            self.waits_for
         };
         let period_ns = since_ns.map_or(0, |s| s.max(self.period_ns.unwrap_or(0)));
         AxisStatus {

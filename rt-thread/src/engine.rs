@@ -1,11 +1,11 @@
 //! All axes of one machine: looks at the card, lets each axis act, writes once.
 
-use crate::axis::{Axis, AxisConfig, Found, Look, Permit};
+use crate::axis::{Answer, AxisConfig, AxisEngine, Found, Look, Permit};
 use crate::event::{
     AxisStatus, Event, EventKind, Fault, Faults, GateState, MAX_AXES, Mode, Refusal, Request, Status,
 };
 use crate::histogram::{Reader, Recorder, histogram};
-use crate::journal::{Journal, Record};
+use crate::journal::{Journal, StateRecord};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
 
 /// The machine as a whole, beforehand.
@@ -29,12 +29,12 @@ pub enum StartError {
     /// The axis's acceleration limit, hysteresis, separation and latency leave no time for an insertion.
     #[error("axis {0}: no speed leaves time for an insertion; lower max_accel or the time it needs")]
     NoGate(usize),
-    /// The two inverters of an axis are not equal, and what was completed says nothing of an insertion under way.
+    /// The two inverters of an axis are not equal, and what was completed is no total halfway through an insertion.
     #[error("axis {0}: its two inverters are not equal")]
     HalfInverted(usize),
 }
 
-/// Distributions of the loop's times, for whoever wants to look at any moment.
+/// Distributions of the loop's times, to be read at any moment.
 #[derive(Debug, Clone)]
 pub struct Timing {
     /// Between two looks, ns; on a card that sleeps, from an edge to the look that shows it.
@@ -47,7 +47,7 @@ pub struct Timing {
 /// The engine. Generic over the card at each look; it owns no thread, no file and no clock.
 #[derive(Debug)]
 pub struct Engine {
-    axes: Box<[Axis]>,
+    axes: Box<[AxisEngine]>,
     machine: MachineConfig,
     watched: u64,
     inputs: u64,
@@ -74,7 +74,7 @@ pub struct Engine {
 
 impl Engine {
     /// An engine on a card as it stands: inverters are taken over, `completed` gives each axis's total from before
-    /// (zero at a first start), as [`Engine::in_effect`] told it. Nothing is written; corrections are off.
+    /// (zero at a first start), as [`Engine::in_effect`] returned it. Nothing is written; corrections are off.
     ///
     /// An axis that was left between two inversions is latched as [`Fault::Interrupted`]; the second one follows from
     /// [`Engine::poll`].
@@ -103,7 +103,7 @@ impl Engine {
             }
             let scale = config.lines.scale(sample.inputs);
             let found = Found { scale, inverters, completed, t_ns: sample.t_ns };
-            all.push(Axis::new(*config, found).ok_or(StartError::NoGate(n))?);
+            all.push(AxisEngine::new(*config, found).ok_or(StartError::NoGate(n))?);
             watched |= config.lines.input_mask();
         }
         for bit in [machine.lines.probe, machine.lines.disable].into_iter().flatten() {
@@ -111,7 +111,7 @@ impl Engine {
         }
         let (poll_gap_ns, gap_reader) = histogram();
         let (edge_to_done_ns, done_reader) = histogram();
-        let late_ns = all.iter().map(Axis::need_ns).min().unwrap_or(u64::MAX);
+        let late_ns = all.iter().map(AxisEngine::need_ns).min().unwrap_or(u64::MAX);
         let mut engine = Self {
             axes: all.into_boxed_slice(),
             machine,
@@ -147,13 +147,13 @@ impl Engine {
     pub fn start_homed<C: Card>(
         &mut self,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         for axis in 0..self.axes.len() as u8 {
-            self.take(Request::Home { axis, position_counts: 0 }, card, tell)?;
-            self.take(Request::ConfirmHome { axis, position_counts: 0 }, card, tell)?;
+            self.take(Request::Home { axis, position_counts: 0 }, card, report)?;
+            self.take(Request::ConfirmHome { axis, position_counts: 0 }, card, report)?;
         }
-        self.take(Request::Enable, card, tell)
+        self.take(Request::Enable, card, report)
     }
 
     /// From here on every inversion is noted in `journal` before it is made.
@@ -167,12 +167,12 @@ impl Engine {
         if let Some(journal) = &mut self.journal {
             for (n, axis) in self.axes.iter().enumerate() {
                 let (inverters, completed) = axis.in_effect();
-                journal.record(n, Record { inverters, completed });
+                journal.record(n, StateRecord { inverters, completed });
             }
         }
     }
 
-    /// Says whether corrections may be enabled: the card is a mock, or every real-time setting has been verified.
+    /// Sets whether corrections may be enabled: the card is a mock, or every real-time setting has been verified.
     pub fn set_may_arm(&mut self, may_arm: bool) {
         self.machine.may_arm = may_arm;
     }
@@ -180,14 +180,14 @@ impl Engine {
     /// No insertion is under way on any axis: both inverters are equal everywhere.
     #[must_use]
     pub fn at_rest(&self) -> bool {
-        self.axes.iter().all(Axis::idle)
+        self.axes.iter().all(AxisEngine::idle)
     }
 
     /// The card has failed: every axis is latched. Nothing more can be written.
-    pub fn card_failed(&mut self, error: CardError, tell: &mut impl FnMut(Event) -> bool) {
+    pub fn card_failed(&mut self, error: CardError, report: &mut impl FnMut(Event) -> bool) {
         if error != CardError::Ended && self.faults.latch(Fault::Card) {
             self.mode = Mode::Fault;
-            self.say(None, EventKind::Fault(Fault::Card), tell);
+            self.emit(None, EventKind::Fault(Fault::Card), report);
         }
     }
 
@@ -198,7 +198,7 @@ impl Engine {
     }
 
     /// One look at the card and everything that follows from it. A card that can wait does so at most until `by_ns`.
-    /// `tell` takes events and says whether it kept them.
+    /// `report` takes an event and returns whether it was kept.
     ///
     /// # Errors
     /// When the card fails; every axis is then latched, and the outputs stay as they are.
@@ -207,7 +207,7 @@ impl Engine {
         &mut self,
         card: &mut C,
         by_ns: u64,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let sample = card.sample(self.wake_ns.min(by_ns))?;
         let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
@@ -218,32 +218,32 @@ impl Engine {
             None if !C::SLEEPS && self.polls > 1 => {
                 self.poll_gap_ns.record(sample.t_ns - since_ns);
                 if sample.t_ns - since_ns > self.late_ns {
-                    self.looked_late(&sample, since_ns, tell);
+                    self.check_late_look(&sample, since_ns, report);
                 }
             }
             _ => {}
         }
         if let Some(trouble) = sample.trouble {
-            self.found_by_card(trouble, tell);
+            self.latch_trouble(trouble, report);
         }
         let changed = (sample.inputs ^ self.inputs) & self.watched;
         if changed == 0 && sample.t_ns < self.wake_ns && sample.trouble.is_none() {
             return Ok(());
         }
-        self.work(card, sample, changed, since_ns, tell)
+        self.work(card, sample, changed, since_ns, report)
     }
 
     /// After a look that came late, an axis that was moving and shows no change may have moved by whole cycles.
     #[cold]
-    fn looked_late(&mut self, sample: &Sample, since_ns: u64, tell: &mut impl FnMut(Event) -> bool) {
+    fn check_late_look(&mut self, sample: &Sample, since_ns: u64, report: &mut impl FnMut(Event) -> bool) {
         let changed = sample.inputs ^ self.inputs;
         for n in 0..self.axes.len() {
             let axis = &mut self.axes[n];
             if changed & axis.lines().input_mask() == 0
-                && axis.may_have_turned_round(sample, since_ns)
+                && axis.may_have_missed_a_cycle(sample, since_ns)
                 && axis.latch(Fault::PollGap)
             {
-                self.say(Some(n as u8), EventKind::Fault(Fault::PollGap), tell);
+                self.emit(Some(n as u8), EventKind::Fault(Fault::PollGap), report);
                 // The mode is worked out anew at this very look.
                 self.wake_ns = 0;
             }
@@ -252,41 +252,42 @@ impl Engine {
 
     /// Latches what the card found, for every axis that it concerns, or for the machine where it concerns none.
     #[cold]
-    fn found_by_card(&mut self, trouble: Trouble, tell: &mut impl FnMut(Event) -> bool) {
+    fn latch_trouble(&mut self, trouble: Trouble, report: &mut impl FnMut(Event) -> bool) {
         let fault = Fault::from(trouble.kind);
         let mut of_an_axis = false;
         for n in 0..self.axes.len() {
             if self.axes[n].lines().input_mask() & trouble.lines != 0 {
                 of_an_axis = true;
                 if self.axes[n].latch(fault) {
-                    self.say(Some(n as u8), EventKind::Fault(fault), tell);
+                    self.emit(Some(n as u8), EventKind::Fault(fault), report);
                 }
             }
         }
         if !of_an_axis && self.faults.latch(fault) {
-            self.say(None, EventKind::Fault(fault), tell);
+            self.emit(None, EventKind::Fault(fault), report);
         }
     }
 
+    /// Lets each axis act on what this look found, and writes what they want at once.
     fn work<C: Card>(
         &mut self,
         card: &mut C,
         sample: Sample,
         changed: u64,
         since_ns: u64,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         self.inputs = sample.inputs;
         let t_ns = sample.t_ns;
         let lost = &mut self.events_lost;
-        let mut say = |axis, kind| *lost += u64::from(!tell(Event { t_ns, axis, kind }));
+        let mut emit = |axis, kind| *lost += u64::from(!report(Event { t_ns, axis, kind }));
 
         let trip = self.machine.lines.probe.is_some_and(|b| changed & sample.inputs & 1 << b != 0);
         if trip && self.probing {
             let at_ns = (sample.edge_ns.unwrap_or(since_ns), sample.edge_ns.unwrap_or(t_ns));
             for (n, axis) in self.axes.iter_mut().enumerate() {
                 if !axis.trip(at_ns) {
-                    say(Some(n as u8), EventKind::Bounce);
+                    emit(Some(n as u8), EventKind::Bounce);
                 }
             }
         }
@@ -303,7 +304,7 @@ impl Engine {
         let mut wake_ns = u64::MAX;
         for (n, axis) in self.axes.iter_mut().enumerate() {
             if changed & axis.lines().input_mask() != 0 || t_ns >= axis.wake_ns || trip {
-                let toggle = axis.look(&look, &mut |kind| say(Some(n as u8), kind));
+                let toggle = axis.look(&look, &mut |kind| emit(Some(n as u8), kind));
                 if let Some(ns) = axis.take_edge_to_done_ns() {
                     self.edge_to_done_ns.record(ns);
                 }
@@ -338,7 +339,7 @@ impl Engine {
         let switch_off = is_high(self.machine.lines.disable, sample.inputs);
         if switch_off != self.switch_off || faulted != (self.mode == Mode::Fault) || self.hold_out.is_none() {
             self.switch_off = switch_off;
-            self.update_mode(card, tell)?;
+            self.update_mode(card, report)?;
         }
         Ok(())
     }
@@ -347,7 +348,7 @@ impl Engine {
     fn update_mode<C: Card>(
         &mut self,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
         // A cleared fault leaves corrections off: they come on again by a decision, not by themselves.
@@ -374,7 +375,7 @@ impl Engine {
         }
         if mode != self.mode {
             self.mode = mode;
-            self.say(None, EventKind::Mode(mode), tell);
+            self.emit(None, EventKind::Mode(mode), report);
             // A pending correction at rest has no edge to wake it.
             self.wake_ns = 0;
             for axis in &mut self.axes {
@@ -384,8 +385,8 @@ impl Engine {
         Ok(())
     }
 
-    fn say(&mut self, axis: Option<u8>, kind: EventKind, tell: &mut impl FnMut(Event) -> bool) {
-        self.events_lost += u64::from(!tell(Event { t_ns: self.look_ns, axis, kind }));
+    fn emit(&mut self, axis: Option<u8>, kind: EventKind, report: &mut impl FnMut(Event) -> bool) {
+        self.events_lost += u64::from(!report(Event { t_ns: self.look_ns, axis, kind }));
     }
 
     /// Takes one request from the control side.
@@ -396,25 +397,25 @@ impl Engine {
         &mut self,
         request: Request,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let (axis, total_counts) = match request {
             Request::Correct { axis, total_counts, .. } => (Some(axis), total_counts),
             Request::Home { axis, .. } | Request::ConfirmHome { axis, .. } => (Some(axis), 0),
             _ => (None, 0),
         };
-        if let Err(why) = self.try_take(request, tell) {
-            self.say(axis, EventKind::Refused { total_counts, why }, tell);
+        if let Err(why) = self.try_take(request, report) {
+            self.emit(axis, EventKind::Refused { total_counts, why }, report);
         }
         self.note();
         self.wake_ns = self.axes.iter().map(|a| a.wake_ns).min().unwrap_or(0);
-        self.update_mode(card, tell)
+        self.update_mode(card, report)
     }
 
-    fn try_take(&mut self, request: Request, tell: &mut impl FnMut(Event) -> bool) -> Result<(), Refusal> {
+    fn try_take(&mut self, request: Request, report: &mut impl FnMut(Event) -> bool) -> Result<(), Refusal> {
         match request {
             Request::Correct { axis, total_counts, large } => {
-                self.correct(axis, total_counts, large, tell)?;
+                self.correct(axis, total_counts, large, report)?;
             }
             Request::Home { axis, position_counts } => {
                 let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
@@ -425,14 +426,14 @@ impl Engine {
                     return Err(Refusal::Busy);
                 }
                 a.home(position_counts);
-                self.say(Some(axis), EventKind::HomeSet { position_counts }, tell);
+                self.emit(Some(axis), EventKind::HomeSet { position_counts }, report);
             }
             Request::ConfirmHome { axis, position_counts } => {
                 let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
                 if !a.confirm_home(position_counts) {
                     return Err(Refusal::NotHomed);
                 }
-                self.say(Some(axis), EventKind::Homed, tell);
+                self.emit(Some(axis), EventKind::Homed, report);
             }
             Request::Enable | Request::Shadow => {
                 let shadow = request == Request::Shadow;
@@ -454,7 +455,7 @@ impl Engine {
             Request::Hold(on) => self.held = on,
             Request::Clear => {
                 self.faults = Faults::NONE;
-                self.axes.iter_mut().for_each(Axis::clear);
+                self.axes.iter_mut().for_each(AxisEngine::clear);
             }
         }
         Ok(())
@@ -480,7 +481,7 @@ impl Engine {
         axis: u8,
         total_counts: i64,
         large: bool,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), Refusal> {
         let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
         if self.mode == Mode::Fault {
@@ -502,26 +503,25 @@ impl Engine {
             };
         }
         match a.request(total_counts, large) {
-            Ok(false) => Ok(()),
-            Ok(true) => {
-                self.say(Some(axis), EventKind::Warning { total_counts }, tell);
-                Ok(())
+            Answer::Accepted => {}
+            Answer::AcceptedWithWarning => {
+                self.emit(Some(axis), EventKind::Warning { total_counts }, report);
             }
-            Err(Ok(refusal)) => Err(refusal),
-            Err(Err(fault)) => {
+            Answer::Refused(why) => return Err(why),
+            Answer::Fault(fault) => {
                 if a.latch(fault) {
-                    self.say(Some(axis), EventKind::Fault(fault), tell);
+                    self.emit(Some(axis), EventKind::Fault(fault), report);
                 }
-                Ok(())
             }
         }
+        Ok(())
     }
 
-    /// Says whether the control side is heard. While it is silent no new insertion begins.
-    pub fn set_control_stale(&mut self, stale: bool, tell: &mut impl FnMut(Event) -> bool) {
+    /// Sets whether the control side is silent (`stale`). While it is, no new insertion begins.
+    pub fn set_control_stale(&mut self, stale: bool, report: &mut impl FnMut(Event) -> bool) {
         if stale != self.stale {
             self.stale = stale;
-            self.say(None, EventKind::ControlStale(stale), tell);
+            self.emit(None, EventKind::ControlStale(stale), report);
             self.wake_ns = 0;
             self.axes.iter_mut().for_each(|a| a.wake_ns = 0);
         }
@@ -536,16 +536,16 @@ impl Engine {
         axis: Option<u8>,
         fault: Fault,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let new = match axis.and_then(|n| self.axes.get_mut(usize::from(n))) {
             Some(a) => a.latch(fault),
             None => self.faults.latch(fault),
         };
         if new {
-            self.say(axis, EventKind::Fault(fault), tell);
+            self.emit(axis, EventKind::Fault(fault), report);
         }
-        self.update_mode(card, tell)
+        self.update_mode(card, report)
     }
 
     /// The card's time of the last look, ns.
@@ -564,7 +564,7 @@ impl Engine {
     /// insertion: what a restart must know.
     #[must_use]
     pub fn in_effect(&self, axis: usize) -> Option<(u8, i64)> {
-        self.axes.get(axis).map(Axis::in_effect)
+        self.axes.get(axis).map(AxisEngine::in_effect)
     }
 
     /// Everything at this moment.

@@ -32,7 +32,7 @@ pub enum Request {
         /// The position as read back, counts.
         position_counts: i64,
     },
-    /// Corrections on.
+    /// Corrections on: every axis homed, no fault, on a real card every setting verified.
     Enable,
     /// Corrections off: they freeze where they are.
     Disable,
@@ -127,7 +127,7 @@ impl Fault {
 pub struct Faults(u32);
 
 impl Faults {
-    /// None latched.
+    /// The empty set.
     pub const NONE: Self = Self(0);
 
     /// Adds one; `true` when it is new.
@@ -138,7 +138,7 @@ impl Faults {
         new
     }
 
-    /// Any latched.
+    /// At least one fault is in the set.
     #[must_use]
     pub const fn any(self) -> bool {
         self.0 != 0
@@ -183,18 +183,18 @@ pub struct Event {
     pub t_ns: u64,
     /// Which axis, from 0; `None` for the machine as a whole.
     pub axis: Option<u8>,
-    /// What.
+    /// What happened, with its figures.
     pub kind: EventKind,
 }
 
-/// What happened.
+/// What an [`Event`] reports.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EventKind {
     /// A request was not accepted.
     Refused {
         /// Its total where it was a correction, else 0.
         total_counts: i64,
-        /// Why.
+        /// What stands against it.
         why: Refusal,
     },
     /// A fault was latched.
@@ -217,7 +217,7 @@ pub enum EventKind {
     Late,
     /// The mode is now this one.
     Mode(Mode),
-    /// Nobody has been heard on the control side for too long: corrections freeze. `false`: heard again.
+    /// No sign of life from the control side for too long: corrections freeze. `false`: it is back.
     ControlStale(bool),
     /// The probe tripped.
     Trip(Capture),
@@ -263,7 +263,7 @@ pub enum Mode {
     /// Corrections are off, frozen where they are.
     #[default]
     Disabled,
-    /// Correcting.
+    /// Corrections are on: insertions are made where a total is pending and the gate allows.
     Run,
     /// Everything is computed, nothing is written.
     Shadow,
@@ -292,7 +292,7 @@ pub enum GateState {
     RateCap,
     /// The axis is at rest, and its rest policy is to wait.
     AtRest,
-    /// Not homed.
+    /// The axis has not been homed since the start or since a fault that loses its count.
     NotHomed,
     /// Corrections are off (see the mode).
     Off,
@@ -317,15 +317,15 @@ pub struct AxisStatus {
     pub in_effect: i64,
     /// Both inverters are on.
     pub inverted: bool,
-    /// Homed.
+    /// Counters zeroed at the known place, and the place confirmed.
     pub homed: bool,
     /// Why it is or is not correcting.
     pub gate: GateState,
     /// Scale edges per second now.
     pub edge_rate_hz: f64,
-    /// Latched.
+    /// The axis's latched faults.
     pub faults: Faults,
-    /// Insertions made.
+    /// Insertions made since the start.
     pub insertions: u64,
     /// Edges at which a correction was pending and the gate was shut.
     pub waited_for_gate: u64,
@@ -356,12 +356,12 @@ pub struct Status {
     pub faults: Faults,
     /// Axes in use.
     pub axes_used: u8,
-    /// The axes.
+    /// Every axis that the engine can hold; only the first `axes_used` mean anything.
     pub axes: [AxisStatus; MAX_AXES],
 }
 
 impl Status {
-    /// The axes in use.
+    /// The axes in use, in the order of the configuration.
     #[must_use]
     pub fn axes(&self) -> &[AxisStatus] {
         &self.axes[..usize::from(self.axes_used)]

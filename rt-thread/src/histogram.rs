@@ -2,10 +2,10 @@
 //!
 //! Log-linear buckets: every octave is cut into 64 equal buckets, so a bucket is never wider than 1/64 (1.6 %) of its
 //! lowest value, and values below 128 ns are kept exactly. The range ends at 2^40 ns (18 minutes); what lies beyond
-//! is counted in the last bucket, and `max` still tells it exactly.
+//! is counted in the last bucket, and `max` is still exact.
 //!
 //! The two halves are types: [`Recorder`] (one per histogram, moved to the thread that measures) and [`Reader`]
-//! (cloned to whoever looks). Nothing is allocated after [`histogram`] returns the two, except by a reader's
+//! (any number of them). Nothing is allocated after [`histogram`] returns the two, except by a reader's
 //! [`Reader::snapshot`].
 
 use serde::Serialize;

@@ -1,7 +1,7 @@
 //! What must survive a crash of the process: each axis's inverters and completed total, in a mapped file.
 //!
 //! The engine writes a record *before* it inverts anything, alternating between two slots per axis. After a crash one
-//! of the two records agrees with the inverters as they are read back, and tells what was completed; if none does, the
+//! of the two records agrees with the inverters as they are read back, and holds what was completed; if none does, the
 //! axis is at fault. Writing is a few stores to memory: no system call in the loop. Put the file on a tmpfs (`/run`),
 //! where the kernel never makes a page read-only to write it back; it is worthless after a power cut anyway, because
 //! the inverters are.
@@ -25,7 +25,7 @@ const BYTES: NonZeroUsize = NonZeroUsize::new(WORDS * 8).unwrap();
 
 /// What an axis had in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Record {
+pub struct StateRecord {
     /// Bit 0: A inverted, bit 1: B inverted.
     pub inverters: u8,
     /// What is in the MTC's count, counts: the completed total, or an odd number halfway through an insertion.
@@ -37,7 +37,7 @@ pub struct Record {
 pub struct Journal {
     words: NonNull<AtomicU64>,
     next: [u64; MAX_AXES],
-    last: [Option<Record>; MAX_AXES],
+    last: [Option<StateRecord>; MAX_AXES],
 }
 
 // SAFETY: the mapping belongs to this value alone and is accessed as atomics only.
@@ -58,7 +58,7 @@ impl Journal {
     ///
     /// # Errors
     /// When the file cannot be opened, sized or mapped, or is something else.
-    pub fn open(path: &Path) -> io::Result<(Self, [[Option<Record>; 2]; MAX_AXES])> {
+    pub fn open(path: &Path) -> io::Result<(Self, [[Option<StateRecord>; 2]; MAX_AXES])> {
         let file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
         let len = file.metadata()?.len();
         if len != 0 && len != BYTES.get() as u64 {
@@ -98,17 +98,17 @@ impl Journal {
         unsafe { self.words.add(n).as_ref() }
     }
 
-    fn slot(&self, axis: usize, n: usize) -> Option<(u64, Record)> {
+    fn slot(&self, axis: usize, n: usize) -> Option<(u64, StateRecord)> {
         let at = 8 + axis * AXIS_WORDS + n * SLOT_WORDS;
         let [seq, inverters, completed, sum] =
             [0, 1, 2, 3].map(|k| self.word(at + k).load(Ordering::Acquire));
         let valid = seq != 0 && sum == check(seq, inverters, completed) && inverters < 4;
-        valid.then_some((seq, Record { inverters: inverters as u8, completed: completed as i64 }))
+        valid.then_some((seq, StateRecord { inverters: inverters as u8, completed: completed as i64 }))
     }
 
     /// Notes what an axis will have in effect once the write that follows is made. No system call.
     #[inline]
-    pub fn record(&mut self, axis: usize, record: Record) {
+    pub fn record(&mut self, axis: usize, record: StateRecord) {
         if self.last[axis] == Some(record) {
             return;
         }
@@ -135,7 +135,7 @@ impl Drop for Journal {
 
 /// What was completed, by the records found and the inverters as they are read back: the newest record that agrees.
 #[must_use]
-pub fn resume(found: [Option<Record>; 2], inverters: u8) -> Option<i64> {
+pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<i64> {
     found.into_iter().flatten().find(|r| r.inverters == inverters).map(|r| r.completed)
 }
 
@@ -143,7 +143,7 @@ pub fn resume(found: [Option<Record>; 2], inverters: u8) -> Option<i64> {
 mod tests {
     use super::*;
 
-    fn open(file: &tempfile::NamedTempFile) -> [Option<Record>; 2] {
+    fn open(file: &tempfile::NamedTempFile) -> [Option<StateRecord>; 2] {
         Journal::open(file.path()).unwrap().1[2]
     }
 
@@ -151,7 +151,7 @@ mod tests {
     fn the_record_before_the_write_is_found_beside_the_newest() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let records = [(0, 0), (1, 0), (3, 2), (2, 2), (0, 4)]
-            .map(|(inverters, completed)| Record { inverters, completed });
+            .map(|(inverters, completed)| StateRecord { inverters, completed });
         let (mut journal, found) = Journal::open(file.path()).unwrap();
         assert_eq!(found, [[None; 2]; MAX_AXES]);
         for pair in records.windows(2) {
@@ -159,7 +159,7 @@ mod tests {
             journal.record(2, pair[1]);
             let found = open(&file);
             assert_eq!(found, [Some(pair[1]), Some(pair[0])]);
-            // Killed before or after the write: the inverters tell which.
+            // Killed before or after the write: the inverters decide which.
             assert_eq!(resume(found, pair[0].inverters), Some(pair[0].completed));
             assert_eq!(resume(found, pair[1].inverters), Some(pair[1].completed));
         }
@@ -169,12 +169,12 @@ mod tests {
     fn a_torn_record_is_not_believed() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let (mut journal, _) = Journal::open(file.path()).unwrap();
-        journal.record(2, Record { inverters: 0, completed: 10 });
-        journal.record(2, Record { inverters: 3, completed: 12 });
+        journal.record(2, StateRecord { inverters: 0, completed: 10 });
+        journal.record(2, StateRecord { inverters: 3, completed: 12 });
         for word in 0..SLOT_WORDS {
             let at = 8 + 2 * AXIS_WORDS + word;
             let kept = journal.word(at).swap(77, Ordering::AcqRel);
-            assert_eq!(open(&file), [Some(Record { inverters: 0, completed: 10 }), None]);
+            assert_eq!(open(&file), [Some(StateRecord { inverters: 0, completed: 10 }), None]);
             journal.word(at).store(kept, Ordering::Release);
         }
         assert_eq!(resume(open(&file), 1), None);

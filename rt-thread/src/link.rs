@@ -14,7 +14,7 @@ use std::sync::{
 };
 
 use crate::event::{Event, Request, Status};
-use crate::snapshot::{Reader, Writer, snapshot};
+use crate::snapshot::{SnapshotReader, SnapshotWriter, snapshot};
 use crossbeam_utils::CachePadded;
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
@@ -35,11 +35,11 @@ struct Shared {
     ended: CachePadded<AtomicBool>,
 }
 
-/// The control side's end. `Send`, not `Clone`: one thread speaks at a time.
+/// The control side's end. `Send`, not `Clone`: one thread at a time is the control side.
 pub struct ControlEnd {
     requests: HeapProd<Request>,
     events: HeapCons<Event>,
-    status: Reader<Status>,
+    status: SnapshotReader<Status>,
     shared: Arc<Shared>,
 }
 
@@ -47,7 +47,7 @@ pub struct ControlEnd {
 pub struct RtEnd {
     requests: HeapCons<Request>,
     events: HeapProd<Event>,
-    status: Writer<Status>,
+    status: SnapshotWriter<Status>,
     shared: Arc<Shared>,
 }
 
@@ -110,7 +110,7 @@ impl ControlEnd {
         self.status.read()
     }
 
-    /// Says "I am here". Without it new insertions cease after the stale time.
+    /// A sign of life. Without one new insertions cease after the stale time.
     pub fn beat(&mut self) {
         // This side is the only writer: no read-modify-write is needed.
         self.shared.beats.store(self.shared.beats.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
@@ -144,7 +144,7 @@ impl RtEnd {
 
     /// Sends an event up; `false` when the ring is full.
     #[inline]
-    pub fn tell(&mut self, event: Event) -> bool {
+    pub fn report(&mut self, event: Event) -> bool {
         self.events.try_push(event).is_ok()
     }
 
@@ -168,7 +168,7 @@ impl RtEnd {
         self.shared.stop.load(Ordering::Acquire)
     }
 
-    /// Says that nothing more will come.
+    /// Nothing more will come: the last status and all events are there.
     pub fn end(&self) {
         self.shared.ended.store(true, Ordering::Release);
     }
@@ -194,7 +194,7 @@ mod tests {
         use crate::event::EventKind;
         let (mut control, mut rt) = link(Status::default());
         let event = |t_ns| Event { t_ns, axis: None, kind: EventKind::Homed };
-        let kept = (0..5000).filter(|t| rt.tell(event(*t))).count();
+        let kept = (0..5000).filter(|t| rt.report(event(*t))).count();
         assert_eq!(kept, EVENTS);
         assert_eq!(control.event().map(|e| e.t_ns), Some(0));
     }

@@ -155,7 +155,7 @@ impl Report {
 #[derive(Debug, Clone)]
 pub struct System {
     root: PathBuf,
-    /// Is it the running system? CPU instructions and signals to the kernel tell about that one only.
+    /// Is it the running system? CPU instructions and signals to the kernel concern that one only.
     live: bool,
 }
 
@@ -538,7 +538,7 @@ impl System {
         if signature.as_deref() == Some("TCGTCGTCGTCG") {
             return Some("QEMU TCG".into());
         }
-        // Without cpuid (other architectures, a recorded tree) the name that TCG gives its CPU tells it.
+        // Without cpuid (other architectures, a recorded tree) the name that TCG gives its CPU shows it.
         let cpuinfo = self.read("proc/cpuinfo").unwrap_or_default();
         cpuinfo.contains("QEMU TCG").then(|| "QEMU TCG".into())
     }
@@ -600,14 +600,14 @@ pub struct Wanted {
 /// What must be kept for the set-up to last: `/dev/cpu_dma_latency` counts only while it is open.
 #[derive(Debug)]
 #[must_use = "the CPU may sleep deeply again as soon as this is dropped"]
-pub struct Held {
+pub struct DmaLatencyHold {
     _cpu_dma_latency: Option<File>,
 }
 
 /// Set up the calling thread and its process, read everything back, and report it together with [`System::inspect`].
 /// Never fails: without privileges the thread runs on as it is, and the report says what is missing. Takes some
 /// milliseconds and allocates: call it before the loop, on the thread that will run the loop.
-pub fn apply(system: &System, wanted: Wanted) -> (Held, Report) {
+pub fn apply(system: &System, wanted: Wanted) -> (DmaLatencyHold, Report) {
     // Memory first: what is locked before the stack is touched stays.
     let memory_lock = memory_lock(system);
     let (cpu_dma_latency, dma_finding) = cpu_dma_latency(system);
@@ -615,7 +615,7 @@ pub fn apply(system: &System, wanted: Wanted) -> (Held, Report) {
     let thread = [scheduler(wanted.priority), affinity(wanted.cpu), memory_lock, stack(), dma_finding]
         .map(Finding::needed);
     report.findings.splice(0..0, thread);
-    (Held { _cpu_dma_latency: cpu_dma_latency }, report)
+    (DmaLatencyHold { _cpu_dma_latency: cpu_dma_latency }, report)
 }
 
 /// The calling thread and those it starts stay off a CPU until this is dropped.

@@ -56,27 +56,27 @@ unsafe impl<T: Send> Sync for Shared<T> {}
 
 /// The side that writes.
 #[derive(Debug)]
-pub struct Writer<T> {
+pub struct SnapshotWriter<T> {
     shared: Arc<Shared<T>>,
     own: u8,
 }
 
 /// The side that reads.
 #[derive(Debug)]
-pub struct Reader<T> {
+pub struct SnapshotReader<T> {
     shared: Arc<Shared<T>>,
     own: u8,
 }
 
 /// A snapshot that begins as `value`, split into its two sides.
-pub fn snapshot<T: Copy + Send>(value: T) -> (Writer<T>, Reader<T>) {
+pub fn snapshot<T: Copy + Send>(value: T) -> (SnapshotWriter<T>, SnapshotReader<T>) {
     let slot = || CachePadded::new(UnsafeCell::new(value));
     let shared =
         Arc::new(Shared { slots: [slot(), slot(), slot()], between: CachePadded::new(AtomicU8::new(1)) });
-    (Writer { shared: Arc::clone(&shared), own: 0 }, Reader { shared, own: 2 })
+    (SnapshotWriter { shared: Arc::clone(&shared), own: 0 }, SnapshotReader { shared, own: 2 })
 }
 
-impl<T: Copy + Send> Writer<T> {
+impl<T: Copy + Send> SnapshotWriter<T> {
     /// Makes `value` the latest. Never waits.
     #[inline]
     pub fn write(&mut self, value: T) {
@@ -86,7 +86,7 @@ impl<T: Copy + Send> Writer<T> {
     }
 }
 
-impl<T: Copy + Send> Reader<T> {
+impl<T: Copy + Send> SnapshotReader<T> {
     /// The latest value. Never waits, and never holds the writer up.
     #[inline]
     pub fn read(&mut self) -> T {

@@ -1,4 +1,4 @@
-//! The pinned thread: sets itself up, says what it got, then looks at the card until it is told to stop.
+//! The pinned thread: sets itself up, reports what it got, then looks at the card until it is asked to stop.
 
 use crate::engine::{Engine, Timing};
 use crate::event::Status;
@@ -13,7 +13,7 @@ const PUBLISH_NS: u64 = 1_000_000;
 
 /// How the thread shall run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Options {
+pub struct ThreadOptions {
     /// CPU and priority; `None` runs as an ordinary thread.
     pub wanted: Option<Wanted>,
     /// The card drives a real machine: it is armed only with every setting read back as wanted.
@@ -25,7 +25,7 @@ pub struct Options {
 /// A running engine, seen from the control side.
 #[derive(Debug)]
 pub struct Running<C> {
-    /// The link.
+    /// The control side's end of the link.
     pub control: ControlEnd,
     /// The loop's own timing.
     pub timing: Timing,
@@ -41,7 +41,7 @@ pub struct Ended<C> {
     pub card: C,
     /// The state at the end.
     pub status: Status,
-    /// Why it ended, if not by being told to.
+    /// Why it ended, if not because it was asked to.
     pub error: Option<CardError>,
 }
 
@@ -66,19 +66,19 @@ pub enum SpawnError {
 pub fn spawn<C: Card + Send + 'static>(
     mut engine: Engine,
     card: C,
-    options: Options,
+    options: ThreadOptions,
 ) -> Result<Running<C>, SpawnError> {
     if options.wanted.is_some() && System::live().cpus_online() == 1 {
         return Err(SpawnError::OneCpu);
     }
     let (control, rt) = link(engine.status());
     let timing = engine.timing();
-    let (say_report, report) = mpsc::sync_channel(1);
+    let (send_report, report) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("rtec-rt".into()).spawn(move || {
         let (_held, report) = options.wanted.map(|w| apply(&System::live(), w)).unzip();
         engine.set_may_arm(!options.real || report.as_ref().is_some_and(Report::can_arm));
-        // The receiver waits for exactly this message; if it has gone, the loop below is told to stop.
-        let _ = say_report.send(report);
+        // The receiver waits for exactly this message; if it has gone, the loop below is asked to stop.
+        let _ = send_report.send(report);
         run(engine, card, rt, options.stale_after_ns)
     })?;
     let report = report.recv().map_err(|_| SpawnError::SetUp)?;
@@ -107,16 +107,16 @@ pub fn run<C: Card>(mut engine: Engine, mut card: C, mut rt: RtEnd, stale_after_
     let error = loop {
         // One request a look: however many come at once, no gap between two looks grows with their number.
         let wait_until_ns = if let Some(request) = rt.request() {
-            if let Err(error) = engine.take(request, &mut card, &mut |e| rt.tell(e)) {
-                engine.card_failed(error, &mut |e| rt.tell(e));
+            if let Err(error) = engine.take(request, &mut card, &mut |e| rt.report(e)) {
+                engine.card_failed(error, &mut |e| rt.report(e));
             }
             // The next one may be there already: a card that sleeps must not let it wait.
             0
         } else {
             published_ns + PUBLISH_NS
         };
-        if let Err(error) = engine.poll(&mut card, wait_until_ns, &mut |e| rt.tell(e)) {
-            engine.card_failed(error, &mut |e| rt.tell(e));
+        if let Err(error) = engine.poll(&mut card, wait_until_ns, &mut |e| rt.report(e)) {
+            engine.card_failed(error, &mut |e| rt.report(e));
             if error == CardError::Ended {
                 break None;
             }
@@ -130,7 +130,7 @@ pub fn run<C: Card>(mut engine: Engine, mut card: C, mut rt: RtEnd, stale_after_
             if rt.beats() != beats {
                 (beats, beat_ns) = (rt.beats(), now_ns);
             }
-            engine.set_control_stale(now_ns - beat_ns > stale_after_ns, &mut |e| rt.tell(e));
+            engine.set_control_stale(now_ns - beat_ns > stale_after_ns, &mut |e| rt.report(e));
             rt.publish(engine.status());
             published_ns = now_ns;
         }

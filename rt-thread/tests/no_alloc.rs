@@ -87,9 +87,9 @@ fn the_loop_neither_allocates_nor_releases() {
             _ => {}
         }
         if let Some(request) = rt.request() {
-            engine.take(request, &mut card, &mut |e| rt.tell(e)).unwrap();
+            engine.take(request, &mut card, &mut |e| rt.report(e)).unwrap();
         }
-        engine.poll(&mut card, u64::MAX, &mut |e| rt.tell(e)).unwrap();
+        engine.poll(&mut card, u64::MAX, &mut |e| rt.report(e)).unwrap();
         if n % 1000 == 0 {
             rt.publish(engine.status());
         }

@@ -4,7 +4,7 @@
 //! same CPU and priority; `oslat` and `cyclictest` (Debian rt-tests) beside it where they are installed.
 
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_platform::selftest::{Backend, Options, run};
+use rtec_platform::selftest::{Backend, SelftestOptions, run};
 use rtec_rt::histogram::{Snapshot, histogram};
 use rtec_rt::setup::{System, Wanted, apply};
 use std::process::Command;
@@ -14,8 +14,13 @@ fn main() -> anyhow::Result<()> {
     let seconds = std::env::args().skip(1).find_map(|a| a.parse::<u64>().ok()).unwrap_or(10);
     let cpu = System::live().default_cpu();
     let priority = 80;
-    let options =
-        Options { cpu, priority, run: Duration::from_secs(3 * seconds), backend: Backend::Mapped, seed: 1 };
+    let options = SelftestOptions {
+        cpu,
+        priority,
+        run: Duration::from_secs(3 * seconds),
+        backend: Backend::Mapped,
+        seed: 1,
+    };
     let measured = run(options, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
     eprintln!("floor, oslat and cyclictest, {seconds} s each");
     let floor = floor(Wanted { cpu, priority }, Duration::from_secs(seconds))?;

@@ -5,7 +5,7 @@
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{Request, TracePoint};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::replay::{Outcome, replay};
+use rtec_sim::replay::{ReplayOutcome, replay};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, available, sigrok};
 use rtec_tests::ledger::{self, Totals};
 use std::convert::Infallible;
@@ -34,7 +34,7 @@ fn totals(end_ns: u64, every_ns: u64) -> Vec<Request> {
     (1..end_ns / every_ns).map(|n| Request { t_ns: n * every_ns, requested: total(n) }).collect()
 }
 
-fn corrected(scale: &[TracePoint], every_ns: u64) -> (Outcome, Vec<(TracePoint, i64)>, Totals) {
+fn corrected(scale: &[TracePoint], every_ns: u64) -> (ReplayOutcome, Vec<(TracePoint, i64)>, Totals) {
     let mut mtc = Vec::new();
     let requests = totals(scale.last().unwrap().t_ns, every_ns);
     let hear = |t_ns: u64, state: State| mtc.push(TracePoint { t_ns, state });

@@ -24,7 +24,7 @@ use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::histogram::{Recorder, Snapshot, histogram};
 use rtec_rt::setup::{self, Report, System, Wanted, apply};
-use rtec_rt::thread::{Options as ThreadOptions, SpawnError, spawn};
+use rtec_rt::thread::{SpawnError, ThreadOptions, spawn};
 use serde::Serialize;
 use std::io;
 use std::time::{Duration, Instant};
@@ -47,7 +47,7 @@ pub enum Backend {
 
 /// What to measure, and where.
 #[derive(Debug, Clone, Copy)]
-pub struct Options {
+pub struct SelftestOptions {
     /// The CPU of the real-time thread.
     pub cpu: usize,
     /// Its `SCHED_FIFO` priority.
@@ -60,7 +60,7 @@ pub struct Options {
     pub seed: u64,
 }
 
-impl Options {
+impl SelftestOptions {
     fn wanted(&self) -> Wanted {
         Wanted { cpu: self.cpu, priority: self.priority }
     }
@@ -220,7 +220,7 @@ impl Measured {
 ///
 /// # Errors
 /// When the test card or a thread cannot be made, or the card fails.
-pub fn run(options: Options, progress: impl FnMut(&str, u64)) -> Result<Measured, SelftestError> {
+pub fn run(options: SelftestOptions, progress: impl FnMut(&str, u64)) -> Result<Measured, SelftestError> {
     match options.backend {
         Backend::Mock => measure(options, progress, || {
             let wires = SharedWires::default();
@@ -243,7 +243,7 @@ pub fn run(options: Options, progress: impl FnMut(&str, u64)) -> Result<Measured
 /// Wake-ups, then the polling loop without and with requests, each on a new card from `wires`: the engine's end and the
 /// machine's.
 fn measure<C: Card + Send + 'static, F: Far>(
-    options: Options,
+    options: SelftestOptions,
     mut progress: impl FnMut(&str, u64),
     mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
 ) -> Result<Measured, SelftestError> {
@@ -265,7 +265,7 @@ fn measure<C: Card + Send + 'static, F: Far>(
 /// The engine's own thread polls for a third of the time; this thread is the far side and the control side at once, so
 /// that requests stream in at the very moment of an edge, however few CPUs there are.
 fn measure_polling<C: Card + Send + 'static, F: Far>(
-    options: Options,
+    options: SelftestOptions,
     axis: AxisConfig,
     (mut card, mut far): (C, F),
     requests: bool,
@@ -307,7 +307,7 @@ fn measure_polling<C: Card + Send + 'static, F: Far>(
 
 /// Wakes up for a third of the time, on a thread set up as the real one.
 fn measure_wake_ups(
-    options: Options,
+    options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
 ) -> Result<(Latency, Report), SelftestError> {
     let third = options.run / 3;

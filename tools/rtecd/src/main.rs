@@ -29,9 +29,9 @@ use rtec_driver::card::Card;
 use rtec_files::InputError;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Fault, MAX_AXES};
-use rtec_rt::journal::{Journal, Record, resume};
+use rtec_rt::journal::{Journal, StateRecord, resume};
 use rtec_rt::setup::{Report, System, Wanted};
-use rtec_rt::thread::{Options, spawn};
+use rtec_rt::thread::{ThreadOptions, spawn};
 use session::Session;
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
@@ -268,7 +268,7 @@ fn work<C: Card + Send + 'static>(
         cpu: config.rt.cpu.unwrap_or_else(|| system.default_cpu()),
         priority: config.rt.priority,
     });
-    let options = Options { wanted, real, stale_after_ns: config.control.stale_ms * 1_000_000 };
+    let options = ThreadOptions { wanted, real, stale_after_ns: config.control.stale_ms * 1_000_000 };
     let mut running = spawn(engine, card, options)?;
     log.say(
         Level::Notice,
@@ -322,7 +322,7 @@ fn work<C: Card + Send + 'static>(
 fn take_over<C: Card>(
     card: &mut C,
     config: &Config,
-    found: &[[Option<Record>; 2]; MAX_AXES],
+    found: &[[Option<StateRecord>; 2]; MAX_AXES],
 ) -> anyhow::Result<(Vec<i64>, Vec<usize>)> {
     let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
     let (mut completed, mut moved) = (Vec::new(), Vec::new());

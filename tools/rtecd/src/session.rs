@@ -718,7 +718,7 @@ mod tests {
     use rtec_driver::mock::{MockCard, SharedWires};
     use rtec_rt::engine::{Engine, MachineConfig};
     use rtec_rt::link::{REQUESTS, link};
-    use rtec_rt::thread::{Options, spawn};
+    use rtec_rt::thread::{ThreadOptions, spawn};
 
     fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
         let mut card = MockCard::new(SharedWires::default(), Monotonic);
@@ -766,7 +766,7 @@ mod tests {
         let (engine, card) = engine(&config);
         let mut session = session(&engine);
         session.config = config;
-        let options = Options { wanted: None, real: false, stale_after_ns: 10_000_000_000 };
+        let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 10_000_000_000 };
         let mut running = spawn(engine, card, options).unwrap();
         let control = &mut running.control;
         let mut log = Log::new();
@@ -817,7 +817,7 @@ mod tests {
         let config = Config::embedded();
         let (engine, card) = engine(&config);
         let mut session = session(&engine);
-        let options = Options { wanted: None, real: false, stale_after_ns: 20_000_000 };
+        let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 20_000_000 };
         let mut running = spawn(engine, card, options).unwrap();
         let control = &mut running.control;
         let mut log = Log::new();

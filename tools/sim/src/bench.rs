@@ -3,11 +3,11 @@
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
 use crate::noise::Noise;
-use crate::replay::{Corrector, Outcome, ReplayError, homed_engine, replay, replay_with};
-use crate::through::Through;
+use crate::replay::{Corrector, ReplayError, ReplayOutcome, homed_engine, replay, replay_with};
+use crate::through::DesignB;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_driver::replay::{Gates, Listener, Through as Direct, Xor};
+use rtec_driver::replay::{Gates, Listener, Through, Xor};
 use rtec_driver::replay::{Request, TracePoint};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::StartError;
@@ -89,7 +89,7 @@ pub fn replay_any<T, R, L, E>(
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError<E>>
+) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     T: Iterator<Item = Result<TracePoint, E>>,
     R: Iterator<Item = Result<Request, E>>,
@@ -99,8 +99,8 @@ where
     match design {
         AnyDesign::Original | AnyDesign::A | AnyDesign::C => replay(config, trace, totals, large, to),
         AnyDesign::B => replay_with(
-            Direct,
-            |card| Through::new(config, card)?.ok_or(StartError::NoGate(0)),
+            Through,
+            |card| DesignB::new(config, card)?.ok_or(StartError::NoGate(0)),
             trace,
             totals,
             large,
@@ -108,7 +108,7 @@ where
         ),
         AnyDesign::Ecc => {
             let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?);
-            replay_with(Direct, start, trace, totals, large, to)
+            replay_with(Through, start, trace, totals, large, to)
         }
     }
 }
@@ -406,10 +406,10 @@ impl Run<'_> {
                 self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
             }
             AnyDesign::B => {
-                self.go(Direct, |card| Through::new(config, card).ok().flatten(), |_| (0.0, None))
+                self.go(Through, |card| DesignB::new(config, card).ok().flatten(), |_| (0.0, None))
             }
             AnyDesign::Ecc => self.go(
-                Direct,
+                Through,
                 |card| Ecc::new(Pll::default(), self.seed, card).ok(),
                 |ecc| (ecc.worst_phase_deg(), ecc.pulse_ns()),
             ),

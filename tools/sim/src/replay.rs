@@ -10,7 +10,7 @@ use serde::Serialize;
 
 /// What came of a replay.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Default)]
-pub struct Outcome {
+pub struct ReplayOutcome {
     /// Counts of the scale, first row to last.
     pub counts_in: i64,
     /// Counts of the MTC, decoded from what it was sent.
@@ -39,7 +39,7 @@ pub struct Outcome {
     pub edges: u64,
 }
 
-impl Outcome {
+impl ReplayOutcome {
     /// Counts to the MTC minus counts of the scale are what was completed.
     #[must_use]
     pub fn balanced(&self) -> bool {
@@ -106,7 +106,7 @@ impl<L: Listener> Listener for Mtc<L> {
 }
 
 /// One corrected axis, homed: what a replay, or a comparison of designs, drives. [`Engine`] is one for the designs on XOR
-/// gates, [`crate::through::Through`] one for Design B.
+/// gates, [`crate::through::DesignB`] one for Design B.
 pub trait Corrector {
     /// One look at the card and everything that follows from it; a card that can wait does so at most until `by_ns`.
     ///
@@ -116,7 +116,7 @@ pub trait Corrector {
         &mut self,
         card: &mut C,
         by_ns: u64,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError>;
 
     /// Takes a new total, counts.
@@ -128,7 +128,7 @@ pub trait Corrector {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError>;
 
     /// The axis at this moment.
@@ -143,9 +143,9 @@ impl Corrector for Engine {
         &mut self,
         card: &mut C,
         by_ns: u64,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
-        Engine::poll(self, card, by_ns, tell)
+        Engine::poll(self, card, by_ns, report)
     }
 
     fn correct<C: Card>(
@@ -153,9 +153,9 @@ impl Corrector for Engine {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
-        self.take(Request::Correct { axis: 0, total_counts, large }, card, tell)
+        self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
     }
 
     fn axis(&self) -> AxisStatus {
@@ -174,12 +174,12 @@ impl Corrector for Engine {
 pub fn homed_engine<C: Card>(
     config: AxisConfig,
     card: &mut C,
-    tell: &mut impl FnMut(Event) -> bool,
+    report: &mut impl FnMut(Event) -> bool,
 ) -> Result<Engine, StartError> {
     let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(card, &[config], machine, &[])?;
-    engine.start_homed(card, tell)?;
+    engine.start_homed(card, report)?;
     Ok(engine)
 }
 
@@ -194,7 +194,7 @@ pub fn replay<T, R, L, E>(
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError<E>>
+) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     T: Iterator<Item = Result<TracePoint, E>>,
     R: Iterator<Item = Result<Total, E>>,
@@ -215,7 +215,7 @@ pub fn replay_with<G, M, T, R, L, E>(
     totals: R,
     large: bool,
     to: L,
-) -> Result<(Outcome, L), ReplayError<E>>
+) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     G: Gates,
     M: Corrector,
@@ -226,8 +226,8 @@ where
     let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
     let mut card = ReplayCard::new(gates, trace, mtc).map_err(ReplayError::Input)?;
     let mut corrector = start(&mut card)?;
-    let mut outcome = Outcome::default();
-    let mut tell = |event: Event| {
+    let mut outcome = ReplayOutcome::default();
+    let mut report = |event: Event| {
         match event.kind {
             EventKind::Refused { total_counts, why } => {
                 outcome.refused.push(Refused { t_ns: event.t_ns, requested: total_counts, why });
@@ -241,10 +241,10 @@ where
     let mut next = totals.next().transpose().map_err(ReplayError::Input)?;
     loop {
         while let Some(total) = next.filter(|t| t.t_ns <= corrector.now_ns()) {
-            corrector.correct(total.requested, large, &mut card, &mut tell).map_err(StartError::Card)?;
+            corrector.correct(total.requested, large, &mut card, &mut report).map_err(StartError::Card)?;
             next = totals.next().transpose().map_err(ReplayError::Input)?;
         }
-        match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut tell) {
+        match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut report) {
             Ok(()) => {}
             Err(CardError::Ended) => break,
             Err(error) => return Err(StartError::Card(error).into()),

@@ -13,7 +13,7 @@ use rtec_rt::gate::{Gate, GateInput};
 
 /// One axis whose signals pass through the computer: homed at zero where it stands.
 #[derive(Debug)]
-pub struct Through {
+pub struct DesignB {
     config: AxisConfig,
     gate: Gate,
     scale: Decoder,
@@ -35,7 +35,7 @@ pub struct Through {
     faults: Faults,
 }
 
-impl Through {
+impl DesignB {
     /// Takes over the card as it stands. `None` where the configuration leaves no time for a step at any speed.
     ///
     /// # Errors
@@ -86,9 +86,9 @@ impl Through {
         Ok(())
     }
 
-    fn fault(&mut self, fault: Fault, tell: &mut impl FnMut(Event) -> bool) {
+    fn fault(&mut self, fault: Fault, report: &mut impl FnMut(Event) -> bool) {
         if self.faults.latch(fault) {
-            tell(Event { t_ns: self.look_ns, axis: Some(0), kind: EventKind::Fault(fault) });
+            report(Event { t_ns: self.look_ns, axis: Some(0), kind: EventKind::Fault(fault) });
         }
     }
 
@@ -124,12 +124,12 @@ impl Through {
     }
 }
 
-impl Corrector for Through {
+impl Corrector for DesignB {
     fn poll<C: Card>(
         &mut self,
         card: &mut C,
         by_ns: u64,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let waits = self.out.count() == self.due() && !(self.pending() && self.open_until_ns.is_some());
         let mut wake_ns = if waits { u64::MAX } else { self.free_ns };
@@ -146,7 +146,7 @@ impl Corrector for Through {
             self.period_ns = self.last_edge_ns.map_or(0, |last| edge_ns - last);
             self.last_edge_ns = Some(edge_ns);
             if self.scale.update(state).is_none() {
-                self.fault(Fault::IllegalTransition, tell);
+                self.fault(Fault::IllegalTransition, report);
             }
             self.open_until_ns = self.open(edge_ns);
         }
@@ -170,11 +170,11 @@ impl Corrector for Through {
         total_counts: i64,
         _large: bool,
         _card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         if total_counts.unsigned_abs() > self.config.max_correction_counts.unsigned_abs() {
             let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
-            tell(Event { t_ns: self.look_ns, axis: Some(0), kind });
+            report(Event { t_ns: self.look_ns, axis: Some(0), kind });
         } else {
             self.requested = total_counts;
         }

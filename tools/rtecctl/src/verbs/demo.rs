@@ -8,7 +8,7 @@ use rtec_driver::moving::{Motion, MovingAxes, Truth};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{EventKind, Mode, Request, Status};
-use rtec_rt::thread::{Options, Running, spawn};
+use rtec_rt::thread::{Running, ThreadOptions, spawn};
 use std::f64::consts::TAU;
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -81,7 +81,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let engine = Engine::new(&mut card, &[axis], machine, &[])?;
-    let options = Options { wanted: None, real: false, stale_after_ns: 500_000_000 };
+    let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 500_000_000 };
     let mut running = spawn(engine, card, options)?;
     start(&mut running)?;
     let truth = &operator.truth;

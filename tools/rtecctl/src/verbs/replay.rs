@@ -190,7 +190,7 @@ fn word(name: impl serde::Serialize) -> String {
     value.as_str().map_or_else(|| value.to_string(), |s| s.replace('_', " "))
 }
 
-fn print(outcome: &rtec_sim::replay::Outcome) {
+fn print(outcome: &rtec_sim::replay::ReplayOutcome) {
     let rows = [
         ("edges", outcome.edges.to_string()),
         ("counts of the scale", format!("{:+}", outcome.counts_in)),

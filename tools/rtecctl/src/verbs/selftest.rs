@@ -5,7 +5,7 @@ use anyhow::Context;
 use rtec_control::config::Config;
 use rtec_files::InputError;
 use rtec_platform::selftest::{
-    Backend, FarSide, Latency, Measured, Options, WAKEUP_INTERVAL_NS, run as measure,
+    Backend, FarSide, Latency, Measured, SelftestOptions, WAKEUP_INTERVAL_NS, run as measure,
 };
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::Snapshot;
@@ -123,7 +123,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let Test::Latency(args) = &args.test;
     let config = args.config.as_deref().map(Config::load).transpose()?;
     let rt = config.as_ref().map(|c| c.rt);
-    let options = Options {
+    let options = SelftestOptions {
         cpu: args.cpu.or(rt.and_then(|rt| rt.cpu)).unwrap_or_else(|| System::live().default_cpu()),
         priority: args.priority.or(rt.map(|rt| rt.priority)).unwrap_or(80),
         run: args.duration,
@@ -233,7 +233,7 @@ fn threads(measured: &Measured) -> [&Latency; 3] {
     [&measured.wakeup, &measured.quiet.poll_gap, &measured.quiet.edge_to_done]
 }
 
-fn text(measured: &Measured, options: &Options, rates: &[AxisRate], reasons: &[String]) -> String {
+fn text(measured: &Measured, options: &SelftestOptions, rates: &[AxisRate], reasons: &[String]) -> String {
     let mut out = String::new();
     let mut line = |text: std::fmt::Arguments| {
         let _ = writeln!(out, "{text}"); // a String takes everything
