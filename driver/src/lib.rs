@@ -12,7 +12,6 @@
 //! | [`pci`] | a card on the PCI bus: found, enabled, checked |
 //! | [`port`] | registers that are I/O ports: parallel port, 8255 cards |
 //! | [`mock`] | a card in the same process |
-//! | [`moving`] | a small moving machine at the other end of the mock card's wires |
 //! | [`replay`] | a recorded trace on a virtual clock |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`input`] | the one shape of error for a file that a person wrote |
@@ -23,7 +22,6 @@ pub mod gpio;
 pub mod input;
 pub mod mapped;
 pub mod mock;
-pub mod moving;
 pub mod pci;
 pub mod port;
 pub mod profile;

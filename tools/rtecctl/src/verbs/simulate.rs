@@ -5,7 +5,9 @@ use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::write_whole;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
+use rtec_sim::job::RunError;
 use rtec_sim::sim::SimError;
+use rtec_sim::turning::TurningError;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -97,7 +99,8 @@ pub(super) fn say(text: &str) -> anyhow::Result<()> {
 /// An effect that reads what the machine does not have is bad input, not a failed run.
 fn explain(error: ExperimentError, file: &Path) -> anyhow::Error {
     match error {
-        ExperimentError::Sim(SimError::Missing(missing)) => {
+        ExperimentError::Sim(SimError::Missing(missing))
+        | ExperimentError::Turning(TurningError::Run(RunError::Missing(missing))) => {
             let expected = format!("sensors and channels of the simulated machine: {}", missing.has);
             InputError::whole(file, missing.to_string(), expected).into()
         }

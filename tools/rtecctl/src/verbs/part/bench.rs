@@ -4,9 +4,9 @@ use super::points::{MotionArgs, positive};
 use super::usage;
 use rtec_driver::input::InputError;
 use rtec_model::machine::Machine;
-use rtec_part::experiment::Setup;
-use rtec_part::lathe::{self, Bench};
 use rtec_part::sheet::read_text;
+use rtec_sim::lathe::{self, Bench};
+use rtec_sim::turning::Setup;
 use std::path::{Path, PathBuf};
 
 /// The simulated machine
