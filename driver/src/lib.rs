@@ -12,7 +12,6 @@
 //! | [`pci`] | a card on the PCI bus: found, enabled, checked |
 //! | [`port`] | registers that are I/O ports: parallel port, 8255 cards |
 //! | [`mock`] | a card in the same process |
-//! | [`moving`] | a small moving machine at the other end of the mock card's wires |
 //! | [`replay`] | a recorded trace on a virtual clock |
 //!
 //! No file format is read here: profiles and traces come as data. Never known here: what an axis should be corrected
@@ -23,7 +22,6 @@ pub mod clock;
 pub mod gpio;
 pub mod mapped;
 pub mod mock;
-pub mod moving;
 pub mod pci;
 pub mod port;
 pub mod profile;

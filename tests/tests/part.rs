@@ -3,9 +3,9 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_part::drawing::Unit;
-use rtec_part::experiment::{Setup, nose};
-use rtec_part::web::files;
+use rtec_part::contour::nose;
+use rtec_part::unit::Unit;
+use rtec_sim::turning::Setup;
 use rtec_tests::daemon::{Daemon, program, until};
 use serde_json::Value;
 use std::path::Path;
@@ -73,7 +73,7 @@ fn daemon(folder: &Path, duty: &str) -> Daemon {
 fn plan(folder: &Path, name: &str, radius_mm: f64) {
     let setup = Setup { points: 7, ..Setup::default() };
     std::fs::create_dir_all(folder.join(name)).unwrap();
-    for (file, text) in files(&nose(setup.centre, radius_mm), &setup.plan(radius_mm), Unit::MM) {
+    for (file, text) in setup.plan(radius_mm).files(&nose(setup.centre, radius_mm), Unit::MM) {
         std::fs::write(folder.join(name).join(file), text).unwrap();
     }
 }

@@ -7,11 +7,12 @@
 
 use anyhow::{Context, ensure};
 use rtec_part::contour::{Contour, Segment};
-use rtec_part::drawing::Unit;
 use rtec_part::fit::Zx;
 use rtec_part::path::{Motion, Plan, Probe};
-use rtec_part::probe::{assign, captured};
+use rtec_part::probe::assign;
 use rtec_part::program::{Controller, Job as Program, Parameters};
+use rtec_part::unit::Unit;
+use rtec_sim::job::captured;
 use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, PROBE_LOG, Round, Run, run};
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;

@@ -3,7 +3,7 @@
 use crate::fit::Zx;
 use crate::svg::Svg;
 use serde::Serialize;
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Chords stay this close to the curves they stand for, in mm.
 const CHORD_MM: f64 = 0.002;
@@ -290,6 +290,26 @@ impl Kind {
             Segment::Ellipse { .. } | Segment::Spline(_) => Self::Conic,
         }
     }
+}
+
+/// A nose as a contour: a quarter of a circle about the part's axis.
+#[must_use]
+pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
+    let arc = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
+    Contour::new(vec![(arc, "nose".to_owned())], false)
+}
+
+/// Centre and radius of a contour's nose: a quarter of a circle about the axis at its free end, and `None` where it
+/// begins with something else.
+#[must_use]
+pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
+    // A drawing is true to a micrometre, its angles to as much on a nose of 100 mm.
+    const NEAR: (f64, f64) = (1e-3, 1e-5);
+    let Segment::Arc { centre, radius_mm, start_rad, sweep_rad } = contour.features.first()?.segment else {
+        return None;
+    };
+    let quarter = start_rad.abs() < NEAR.1 && (sweep_rad - FRAC_PI_2).abs() < NEAR.1;
+    (quarter && centre.x.abs() < NEAR.0).then_some((centre, radius_mm))
 }
 
 impl Contour {

@@ -4,7 +4,9 @@
 //! the axis (X of the machine), as in NISTIR 4854, figures 4 and 7.
 
 use crate::contour::{Contour, Segment, Spline};
+use crate::errors::Report;
 use crate::fit::Zx;
+use crate::unit::Unit;
 use dxf::entities::{Entity, EntityType};
 use dxf::enums::Units;
 use dxf::{Drawing, Vector};
@@ -12,29 +14,18 @@ use rtec_files::InputError;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-/// What one unit of the drawing is, in mm.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Unit(pub f64);
-
-impl Unit {
-    /// Millimetres.
-    pub const MM: Self = Self(1.0);
-    /// Inches.
-    pub const INCH: Self = Self(25.4);
-
-    fn of_header(units: Units) -> Option<Self> {
-        Some(Self(match units {
-            Units::Millimeters => 1.0,
-            Units::Inches => 25.4,
-            Units::Centimeters => 10.0,
-            Units::Decimeters => 100.0,
-            Units::Meters => 1000.0,
-            Units::Microns => 1e-3,
-            Units::Mils => 0.0254,
-            Units::Feet => 304.8,
-            _ => return None,
-        }))
-    }
+fn unit_of_header(units: Units) -> Option<Unit> {
+    Some(Unit(match units {
+        Units::Millimeters => 1.0,
+        Units::Inches => 25.4,
+        Units::Centimeters => 10.0,
+        Units::Decimeters => 100.0,
+        Units::Meters => 1000.0,
+        Units::Microns => 1e-3,
+        Units::Mils => 0.0254,
+        Units::Feet => 304.8,
+        _ => return None,
+    }))
 }
 
 /// How to read a drawing.
@@ -67,6 +58,33 @@ pub fn new_dxf() -> Drawing {
     drawing
 }
 
+impl Report {
+    /// Outline and error bars as DXF (R2000, mm): layers `OUTLINE` and `WHISKER`.
+    ///
+    /// # Errors
+    /// The DXF library could not write (memory only: it does not happen).
+    pub fn whisker_dxf(&self) -> Result<Vec<u8>, dxf::DxfError> {
+        let w = self.whiskers();
+        let mut drawing = new_dxf();
+        let mut line = |a: Zx, b: Zx, layer: &str| {
+            let ends =
+                dxf::entities::Line::new(dxf::Point::new(a.z, a.x, 0.0), dxf::Point::new(b.z, b.x, 0.0));
+            let mut entity = Entity::new(EntityType::Line(ends));
+            layer.clone_into(&mut entity.common.layer);
+            drawing.add_entity(entity);
+        };
+        for pair in w.outline.windows(2) {
+            line(pair[0], pair[1], "OUTLINE");
+        }
+        for (foot, head) in w.bars {
+            line(foot, head, "WHISKER");
+        }
+        let mut bytes = Vec::new();
+        drawing.save(&mut bytes)?;
+        Ok(bytes)
+    }
+}
+
 /// Read a drawing's contour and the unit its coordinates are in.
 ///
 /// # Errors
@@ -81,7 +99,7 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
         InputError::at(file, line, 0, found, "a DXF drawing")
     })?;
     let unit =
-        options.unit.or_else(|| Unit::of_header(drawing.header.default_drawing_units)).ok_or_else(|| {
+        options.unit.or_else(|| unit_of_header(drawing.header.default_drawing_units)).ok_or_else(|| {
             let found = format!("unknown units ($INSUNITS: {:?})", drawing.header.default_drawing_units);
             InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
         })?;

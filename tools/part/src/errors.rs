@@ -3,7 +3,6 @@
 
 use crate::fit::{self, FitError, Fitted, Shape, Zx, sequence};
 use crate::svg::Svg;
-use dxf::entities::{Entity, EntityType};
 use rtec_files::InputError;
 use rtec_files::Sheet;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
@@ -398,15 +397,15 @@ pub fn read_error_cor(file: &Path) -> Result<Vec<PointError>, InputError> {
 }
 
 /// The error bars: foot on the nominal outline, head beyond it by the magnified error.
-struct Whiskers {
-    outline: Vec<Zx>,
-    bars: Vec<(Zx, Zx)>,
+pub(crate) struct Whiskers {
+    pub outline: Vec<Zx>,
+    pub bars: Vec<(Zx, Zx)>,
     rejected: Vec<bool>,
     size_mm: f64,
 }
 
 impl Report {
-    fn whiskers(&self) -> Whiskers {
+    pub(crate) fn whiskers(&self) -> Whiskers {
         let feet: Vec<(Zx, Zx)> = self
             .errors
             .iter()
@@ -460,30 +459,5 @@ impl Report {
         let sds = format!("SD {:.1} µm, after the second fit {:.1} µm", self.sd_before_um, self.sd_after_um);
         svg.text(at(2.2), size, &sds);
         svg.finish("Part errors")
-    }
-
-    /// The same as DXF (R2000, mm): layers `OUTLINE` and `WHISKER`.
-    ///
-    /// # Errors
-    /// The DXF library could not write (memory only: it does not happen).
-    pub fn whisker_dxf(&self) -> Result<Vec<u8>, dxf::DxfError> {
-        let w = self.whiskers();
-        let mut drawing = crate::drawing::new_dxf();
-        let mut line = |a: Zx, b: Zx, layer: &str| {
-            let ends =
-                dxf::entities::Line::new(dxf::Point::new(a.z, a.x, 0.0), dxf::Point::new(b.z, b.x, 0.0));
-            let mut entity = Entity::new(EntityType::Line(ends));
-            layer.clone_into(&mut entity.common.layer);
-            drawing.add_entity(entity);
-        };
-        for pair in w.outline.windows(2) {
-            line(pair[0], pair[1], "OUTLINE");
-        }
-        for (foot, head) in w.bars {
-            line(foot, head, "WHISKER");
-        }
-        let mut bytes = Vec::new();
-        drawing.save(&mut bytes)?;
-        Ok(bytes)
     }
 }

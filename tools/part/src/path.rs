@@ -2,9 +2,9 @@
 //! sections 3 and 4).
 
 use crate::contour::{Contour, Place};
-use crate::drawing::Unit;
 use crate::fit::Zx;
 use crate::svg::Svg;
+use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::Sheet;
 use serde::Serialize;
@@ -310,6 +310,19 @@ impl Plan {
                 self.points[i].bypass = detour;
             }
         }
+    }
+
+    /// The names and contents of the files that a plan is saved as: path, expected trips, drawing.
+    #[must_use]
+    pub fn files(&self, contour: &Contour, unit: Unit) -> [(&'static str, String); 3] {
+        let expected = self.expected();
+        let trips: Vec<Record> =
+            expected.iter().enumerate().map(|(i, &at)| Record { role: Role::Touch(i + 1), at }).collect();
+        [
+            ("pathfin.cdl", pathfin(&self.records(), unit)),
+            ("probpath.cdl", pathfin(&trips, unit)),
+            ("points.svg", self.svg(contour)),
+        ]
     }
 
     /// The contour with points, touches, ways and hits.

@@ -3,7 +3,6 @@
 use crate::errors::sensor_column;
 use crate::fit::Zx;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
-use rtec_rt::event::{Event, EventKind};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -57,7 +56,7 @@ pub enum TripFault {
     },
 }
 
-/// What the engine captured, in order: both axes' positions of each trip, their half widths and the time; and the
+/// What was captured, in order: both axes' positions of each trip, their half widths and the time; and the
 /// numbers of trips (from 1) during which the contact bounced.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Captured {
@@ -65,42 +64,6 @@ pub struct Captured {
     pub trips: Vec<([f64; 2], f64, f64)>,
     /// Trips with a bounce.
     pub bounces: Vec<usize>,
-}
-
-/// Pair the events of axis 0 (Z) and 1 (X) by their trip's time.
-#[must_use]
-pub fn captured(events: &[Event]) -> Captured {
-    struct Open {
-        trip_ns: (u64, u64),
-        /// Position and half width of Z and X, counts.
-        both: [Option<(f64, f64)>; 2],
-    }
-    let mut open: Vec<Open> = Vec::new();
-    let mut bounces = Vec::new();
-    for event in events {
-        let Some(axis @ 0..=1) = event.axis else { continue };
-        match event.kind {
-            EventKind::Trip(c) => {
-                let seen = Some(c.position_counts());
-                let at = open.iter().position(|o| o.trip_ns == c.trip_ns).unwrap_or_else(|| {
-                    open.push(Open { trip_ns: c.trip_ns, both: [None; 2] });
-                    open.len() - 1
-                });
-                open[at].both[usize::from(axis)] = seen;
-            }
-            EventKind::Bounce => bounces.push(open.len().max(1)),
-            _ => {}
-        }
-    }
-    bounces.dedup();
-    let trips = open
-        .into_iter()
-        .filter_map(|Open { trip_ns: (low, high), both }| {
-            let [Some((z, dz)), Some((x, dx))] = both else { return None };
-            Some(([z, x], dz.hypot(dx), (low + high) as f64 / 2e9))
-        })
-        .collect();
-    Captured { trips, bounces }
 }
 
 /// Give each trip its gauging point. `expected` are the tip's centres at the nominal part; positions are turned into

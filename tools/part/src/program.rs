@@ -1,8 +1,8 @@
 //! The NC probing program: a template, named parameters and the probe's moves (NISTIR 4854, section 4 and figure 8).
 
-use crate::drawing::Unit;
 use crate::fit::Zx;
 use crate::path::{Record, Role};
+use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use serde::Deserialize;

@@ -6,8 +6,9 @@ use dxf::enums::Units;
 use dxf::{LwPolylineVertex, Point, Vector};
 use rtec_files::InputError;
 use rtec_part::contour::{Contour, Kind};
-use rtec_part::drawing::{Options, Unit, new_dxf, read};
+use rtec_part::drawing::{Options, new_dxf, read};
 use rtec_part::fit::Zx;
+use rtec_part::unit::Unit;
 
 fn line(a: (f64, f64), b: (f64, f64)) -> EntityType {
     EntityType::Line(Line::new(Point::new(a.0, a.1, 0.0), Point::new(b.0, b.1, 0.0)))

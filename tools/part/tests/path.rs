@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::contour::{Contour, Segment};
-use rtec_part::drawing::Unit;
 use rtec_part::fit::Zx;
 use rtec_part::path::{Motion, Plan, Probe, Role, Stem, pathfin, read_pathfin};
+use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
 
 /// The part of NISTIR 4854, figures 4 and 7: nose 1.5 in about Z 5, cylinder, step to 1.8 in, cylinder; in mm.

@@ -2,10 +2,10 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::contour::{Contour, Segment};
-use rtec_part::drawing::Unit;
 use rtec_part::fit::Zx;
 use rtec_part::path::{Plan, Probe, Record, Role};
 use rtec_part::program::{BUILT_IN, Controller, Job, Parameters};
+use rtec_part::unit::Unit;
 use std::path::Path;
 use std::process::Command;
 

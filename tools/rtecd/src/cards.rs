@@ -6,12 +6,14 @@ use rtec_control::config::{Config, Simulated};
 use rtec_driver::card::AxisLines;
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::{MockCard, Wires};
-use rtec_driver::moving::{Motion, MovingAxes, Truth};
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
 use rtec_files::trace::TraceReader;
 use rtec_part::fit::Zx;
-use rtec_part::lathe::{Cuts, Duty, LatheWires};
+use rtec_sim::duty::{Cuts, Duty};
+use rtec_sim::lathe::Lathe;
+use rtec_sim::strokes::{Motion, MovingAxes, Truth, moving_axes};
+use rtec_sim::wires::MachineWires;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -20,27 +22,6 @@ const FEED_MM_S: f64 = 20.0;
 const FEED_COUNTS_S: f64 = 50_000.0;
 /// Points of all recorded traces together: they are held in memory, 16 bytes each.
 const MAX_POINTS: usize = 50_000_000;
-
-/// Moving axes with a probe in the middle of the first one's stroke.
-pub(crate) struct MockMachine {
-    axes: MovingAxes,
-    first: Option<Arc<Truth>>,
-    probe: u64,
-    probe_at_counts: f64,
-}
-
-impl Wires for MockMachine {
-    fn levels(&mut self, t_ns: u64, outputs: u64) -> u64 {
-        let levels = self.axes.levels(t_ns, outputs);
-        let tripped =
-            self.first.as_ref().is_some_and(|truth| truth.position_counts() >= self.probe_at_counts);
-        levels | if tripped { self.probe } else { 0 }
-    }
-
-    fn step_limit_ns(&self) -> u64 {
-        self.axes.step_limit_ns()
-    }
-}
 
 /// Who stands at the simulated machine: jogs its axes, and reads display and indicator.
 pub(crate) struct Stand {
@@ -64,8 +45,8 @@ impl Stand {
     }
 }
 
-/// Axes that go to and fro over a quarter of their travel.
-pub(crate) fn mock(config: &Config) -> (MockCard<MockMachine, Monotonic>, Stand) {
+/// Axes that go to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
+pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) {
     let motions: Vec<_> = config
         .axes
         .iter()
@@ -79,24 +60,18 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MockMachine, Monotonic>, Stand)
             (axis.engine.lines, motion)
         })
         .collect();
-    let (axes, operator) = MovingAxes::new(&motions);
+    let (axes, operator) = moving_axes(&motions, config.lines);
     operator.cycle_start();
-    let both = operator.truth.iter().cloned().zip(config.axes.iter().map(|a| a.simulated));
+    let both = operator.truth.into_iter().zip(config.axes.iter().map(|a| a.simulated));
     let stand = Stand { axes: both.collect() };
-    let machine = MockMachine {
-        axes,
-        first: operator.truth.into_iter().next(),
-        probe: config.lines.probe.map_or(0, |bit| 1 << bit),
-        probe_at_counts: motions.first().map_or(0.0, |(_, m)| m.stroke_counts / 2.0),
-    };
-    (MockCard::new(machine, Monotonic), stand)
+    (MockCard::new(axes, Monotonic), stand)
 }
 
 /// The simulated turning centre of this file on the axes z and x, and the part it cuts on.
 pub(crate) fn lathe(
     config: &Config,
     file: &Path,
-) -> Result<(MockCard<LatheWires, Monotonic>, Cuts), InputError> {
+) -> Result<(MockCard<MachineWires<Lathe>, Monotonic>, Cuts), InputError> {
     let axis = |name: &str| {
         let found = config.axes.iter().find(|a| a.name == name);
         found

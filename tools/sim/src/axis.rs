@@ -21,6 +21,8 @@ pub struct AxisSpec {
     pub speed_mm_s: f64,
     /// Acceleration, mm/s².
     pub accel_mm_s2: f64,
+    /// Deceleration, mm/s².
+    pub decel_mm_s2: f64,
     /// Jerk, mm/s³.
     pub jerk_mm_s3: f64,
     /// Lead of the screw, mm.
@@ -41,6 +43,8 @@ pub struct AxisSpec {
     pub speed_gain_per_s: f64,
     /// Share of the commanded speed that is fed forward; the rest is following error: (1 − share)·v/gain.
     pub feed_forward: f64,
+    /// The position loop is closed on what the gates send; if not, on an encoder of the motor's own.
+    pub on_feedback: bool,
 }
 
 impl AxisSpec {
@@ -56,6 +60,7 @@ impl AxisSpec {
             hysteresis_counts: 0.1,
             speed_mm_s: 10_000.0 / 60.0,
             accel_mm_s2: 1000.0,
+            decel_mm_s2: 1000.0,
             jerk_mm_s3: 20_000.0,
             lead_mm: 10.0,
             backlash_um: 2.0,
@@ -66,6 +71,7 @@ impl AxisSpec {
             position_gain_per_s: 60.0,
             speed_gain_per_s: 600.0,
             feed_forward: 1.0,
+            on_feedback: true,
         }
     }
 }
@@ -184,9 +190,10 @@ impl AxisSim {
         self.step.2 * 1e9 * self.count_mm()
     }
 
-    /// What the MTC makes of its count, mm.
+    /// Where the controller believes it is, by what it counts, mm.
     pub(crate) fn counted_mm(&self) -> f64 {
-        (self.origin + self.mtc.count()) as f64 * self.count_mm()
+        let counted = if self.spec.on_feedback { &self.mtc } else { &self.scale };
+        (self.origin + counted.count()) as f64 * self.count_mm()
     }
 
     /// The position loop: closed on what the MTC counts. Once per servo tick.

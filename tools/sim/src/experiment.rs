@@ -2,15 +2,17 @@
 //! run record and a plot.
 
 use crate::axis::AxisSpec;
+use crate::errors::NAMES;
 use crate::gcode::Block;
 use crate::heat::{FIGURE_9, SENSORS};
 use crate::noise::Noise;
 use crate::path::AXES;
-use crate::sim::{Moment, NAMES, Part, Sim, SimError, Spec, look_up};
+use crate::sim::{Moment, Sim, SimError, Spec};
+use crate::turning::{Setup, TurningError};
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
+use rtec_model::effect::Effect;
 use rtec_model::effect::laws::scale;
-use rtec_model::effect::{Effect, Owner};
 use rtec_model::machine::Machine as Model;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::axis::{Design, RestPolicy};
@@ -47,6 +49,9 @@ pub enum ExperimentError {
     /// The simulation.
     #[error(transparent)]
     Sim(#[from] SimError),
+    /// The turning of a nose.
+    #[error(transparent)]
+    Turning(#[from] TurningError),
     /// The record.
     #[error(transparent)]
     Record(#[from] InputError),
@@ -157,7 +162,6 @@ struct Row {
     load_n: [f64; AXES],
     cycle: f64,
     angle: Option<f64>,
-    radial_um: Option<f64>,
     /// Direction of approach as commanded; the machine's own where not given.
     direction: Option<[f64; AXES]>,
     requested_um: [f64; AXES],
@@ -174,7 +178,7 @@ impl Log {
         let now = sim.moment();
         let mut requested_um = [0.0; AXES];
         for (n, a) in sim.status().axes().iter().enumerate() {
-            requested_um[sim.place(n)] = a.requested as f64 * sim.count_um(n);
+            requested_um[sim.machine.place(n)] = a.requested as f64 * sim.machine.count_um(n);
         }
         self.rows.push(Row {
             now,
@@ -183,7 +187,6 @@ impl Log {
             load_n: sim.load_n,
             cycle,
             angle: None,
-            radial_um: None,
             direction: None,
             requested_um,
         });
@@ -248,16 +251,6 @@ impl Log {
             add(name, Role::Channel, "1", column(&|r| r.channels[k], 1e6), true);
         }
         let (noise, sigma) = (&mut what.noise, what.noise_um);
-        if rows.iter().all(|r| r.radial_um.is_some()) {
-            let axis = Axis::new("r").map(Role::Error);
-            let data = rows
-                .iter()
-                .map(|r| digits(r.radial_um.unwrap_or(0.0) + sigma * noise.normal(), 1e4))
-                .collect();
-            if let Some(role) = axis {
-                add("e_r", role, "um", data, true);
-            }
-        }
         for &p in what.axes {
             let role = if kind == Kind::Dynamics {
                 Role::Force(names[p].clone())
@@ -307,34 +300,53 @@ impl Both {
         x: (&str, &dyn Fn(&Row) -> f64),
         findings: &mut Findings,
     ) -> Result<(), ExperimentError> {
-        let unit = if kind == Kind::Dynamics { "drive force, N" } else { "error, µm" };
-        let mut chart = Chart::new(name, x.0, unit);
-        let mut figures = Map::new();
-        for (log, (suffix, label)) in
-            self.logs.iter().zip([("", "without"), ("-compensated", "with compensation")])
-        {
+        let mut records = Vec::new();
+        for (log, suffix) in self.logs.iter().zip(SUFFIXES) {
             let path = setting.out.join(format!("{name}{suffix}.run.toml"));
             let stream = 0x10 + suffix.len() as u64;
             let noise = Noise::new(setting.seed, stream);
             let mut what = Measured { axes, noise_um, noise, channels: &self.channels };
-            let mut record = log.record(&path, kind, &mut what)?;
+            let record = log.record(&path, kind, &mut what)?;
+            records.push((record, log.rows.iter().map(x.1).collect()));
+        }
+        findings.publish(setting, name, records, x.0)
+    }
+}
+
+/// What the files of both runs are called beside the experiment's name.
+const SUFFIXES: [&str; 2] = ["", "-compensated"];
+
+impl Findings {
+    /// The records without and with compensation, each with its rows' places on the axis `x_title`; their plot and figures.
+    fn publish(
+        &mut self,
+        setting: &Setting<'_>,
+        name: &str,
+        records: Vec<(Record, Vec<f64>)>,
+        x_title: &str,
+    ) -> Result<(), ExperimentError> {
+        let dynamics = records.iter().any(|(r, _)| r.kind == Kind::Dynamics);
+        let unit = if dynamics { "drive force, N" } else { "error, µm" };
+        let mut chart = Chart::new(name, x_title, unit);
+        let mut figures = Map::new();
+        for ((mut record, x), (key, label)) in
+            records.into_iter().zip([("without", "without"), ("with", "with compensation")])
+        {
             record.count_um = Some(1.0);
             record.note = Some(format!("simulated, {label}, seed {}", setting.seed));
             for column in record.responses() {
                 let axis = column.role.axis().map_or("", Axis::as_str);
-                let points = log.rows.iter().map(x.1).zip(column.data.iter().copied()).collect();
+                let points = x.iter().copied().zip(column.data.iter().copied()).collect();
                 let rms = (column.data.iter().map(|e| e * e).sum::<f64>() / column.data.len() as f64).sqrt();
                 let worst = column.data.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
-                figures.insert(
-                    format!("{axis}_{}", if suffix.is_empty() { "without" } else { "with" }),
-                    json!({"max": digits(worst, 1e3), "rms": digits(rms, 1e3)}),
-                );
+                let both = json!({"max": digits(worst, 1e3), "rms": digits(rms, 1e3)});
+                figures.insert(format!("{axis}_{key}"), both);
                 chart = chart.with(Series::new(&format!("{axis} {label}"), Style::Dots, points));
             }
-            findings.records.push(record);
+            self.records.push(record);
         }
-        findings.plots.push((format!("{name}.svg"), chart.svg(900, 520)?));
-        findings.summary.insert(name.to_owned(), Value::Object(figures));
+        self.plots.push((format!("{name}.svg"), chart.svg(900, 520)?));
+        self.summary.insert(name.to_owned(), Value::Object(figures));
         Ok(())
     }
 }
@@ -584,127 +596,54 @@ fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, ExperimentErr
     Ok(findings)
 }
 
-/// What a tool nose of radius `nose_mm` leaves too much on the part when a flat of `depth_um` has been ground onto it,
-/// µm, for a contact `away_rad` from the middle of the flat: the nose's support function is that of its chord's ends.
-#[must_use]
-pub fn worn_tool_um(nose_mm: f64, depth_um: f64, away_rad: f64) -> f64 {
-    let half = libm::acos(1.0 - depth_um / 1000.0 / nose_mm);
-    if away_rad.abs() >= half { 0.0 } else { 1000.0 * nose_mm * (1.0 - libm::cos(half - away_rad.abs())) }
-}
-
-/// The hemispherical nose of NISTIR 4854: radius of the finished part, mm.
-pub const NOSE_RADIUS_MM: f64 = 38.1;
-/// Depth of the flat ground on the tool's nose, µm.
-pub const FLAT_UM: f64 = 25.0;
-/// Where the flat cuts: a little above the 45° of the quadrant, rad from Z towards X.
-pub const FLAT_AT_RAD: f64 = 0.7;
-/// Radius of the tool's nose, mm.
-pub const TOOL_NOSE_MM: f64 = 0.8;
-/// Probed points on the quadrant.
-pub const POINTS: usize = 20;
-
-/// Turns the quadrant with the worn tool and notes the radius that it leaves, mm, at every angle (rad from Z towards X).
-///
-/// # Errors
-/// As [`Sim::advance`].
-pub fn turn_hemisphere(sim: &mut Sim, radius_mm: f64) -> Result<Vec<(f64, f64)>, SimError> {
-    let feed_mm_s = 200.0 / 60.0;
-    sim.run([Block::Rapid { to: [0.0, 0.0, radius_mm] }])?;
-    let to = [radius_mm, 0.0, 0.0];
-    sim.machine.load([Block::Arc { to, plane: (2, 0), centre: (0.0, 0.0), clockwise: false, feed_mm_s }]);
-    let mut left = Vec::new();
-    let every_s = std::f64::consts::FRAC_PI_2 * radius_mm / feed_mm_s / 900.0;
-    while !sim.machine.finished() {
-        sim.advance(every_s)?;
-        let tool = sim.machine.tool_mm();
-        let angle = libm::atan2(tool[0], tool[2]);
-        let worn = worn_tool_um(TOOL_NOSE_MM, FLAT_UM, angle - FLAT_AT_RAD);
-        let own = sim.radial_um(angle);
-        left.push((angle, libm::hypot(tool[0], tool[2]) + (worn + own) / 1000.0));
-    }
-    sim.finish()?;
-    sim.run([Block::Rapid { to: [radius_mm + 20.0, 0.0, 0.0] }])?;
-    Ok(left)
-}
-
-/// Probes a turned quadrant at [`POINTS`] points, along the normal at 2.5 m/min with 5 mm stand-off (NISTIR 4854,
-/// Process-Intermittent Loop). Returns angle and captured position (Z, X), mm, of each trip.
-///
-/// # Errors
-/// As [`Sim::advance`].
-pub fn probe_hemisphere(
-    sim: &mut Sim,
-    part: &[(f64, f64)],
-    radius_mm: f64,
-) -> Result<Vec<(f64, [f64; AXES])>, SimError> {
-    let shape: Vec<(f64, f64)> = part.to_vec();
-    let surface = move |p: [f64; AXES]| libm::hypot(p[0], p[2]) - look_up(&shape, libm::atan2(p[0], p[2]));
-    sim.probe(Some(Box::new(surface)))?;
-    let mut points = Vec::new();
-    for k in 0..POINTS {
-        let angle = std::f64::consts::FRAC_PI_2 * (k as f64 + 0.5) / POINTS as f64;
-        let (sin, cos) = libm::sincos(angle);
-        let at = |r: f64| [r * sin, 0.0, r * cos];
-        sim.run([Block::Rapid { to: at(radius_mm + 5.0) }])?;
-        let touch = [feed(at(radius_mm - 2.5), 2500.0), Block::Rapid { to: at(radius_mm + 5.0) }];
-        if let Some(trip) = sim.touch(touch)? {
-            points.push((angle, trip.position_mm));
+/// A probing session as the experiment's record: temperatures first, angle and radial error last.
+fn probing_record(mut record: Record, path: &Path) -> Record {
+    record.path = path.to_owned();
+    record.columns.sort_by_key(|c| match c.role {
+        Role::Time | Role::Position(_) | Role::Direction(_) => 0,
+        Role::Temperature => 1,
+        _ => 2,
+    });
+    for column in &mut record.columns {
+        let per = if matches!(column.role, Role::Error(_)) { 1e4 } else { 1e6 };
+        column.data.iter_mut().for_each(|v| *v = digits(*v, per));
+        if matches!(column.role, Role::Error(_)) {
+            "e_r".clone_into(&mut column.name);
         }
     }
-    sim.probe(None)?;
-    Ok(points)
+    record
 }
 
-/// What the finish cut is to correct: probed radial errors less their median, which is the size of the part and not
-/// its form.
-fn form_errors(errors: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut sorted: Vec<f64> = errors.iter().map(|e| e.1).collect();
-    sorted.sort_by(f64::total_cmp);
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    errors.iter().map(|&(angle, e)| (angle, e - median)).collect()
-}
-
+/// The loop of NISTIR 4854 without and with correction: by what is known of the part's form, or else by what the
+/// semi-finish cut's own probing finds.
 fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    // What the corrector is told of the tool's wear: the semifinish cut's own probed errors.
-    let spec = Spec::turning_centre();
-    let semifinish = NOSE_RADIUS_MM + 0.254;
-    let start = [60.0, 0.0, 60.0];
-    let mut sim = Sim::new(&spec, setting.truth.effects(), None, start, setting.seed)?;
-    let part = turn_hemisphere(&mut sim, semifinish)?;
-    let probed = probe_hemisphere(&mut sim, &part, semifinish)?;
-    let radial = |points: &[(f64, [f64; AXES])], radius: f64| -> Vec<(f64, f64)> {
-        points.iter().map(|(a, p)| (*a, 1000.0 * (libm::hypot(p[0], p[2]) - radius))).collect()
+    let setup = Setup {
+        machine: setting.truth.clone(),
+        design: "c".to_owned(),
+        seed: setting.seed,
+        ..Setup::default()
     };
-    let errors = radial(&probed, semifinish);
-    let knows_form = setting.known.effects().any(|e| e.description().owner == Owner::Part);
-    let table = if knows_form { Vec::new() } else { form_errors(&errors) };
-    let (mut logs, mut figures) = ([Log::default(), Log::default()], Map::new());
-    for (n, log) in logs.iter_mut().enumerate() {
-        let known = (n == 1).then(|| setting.known.effects().collect());
-        let mut sim = Sim::new(&spec, setting.truth.effects(), known, start, setting.seed)?;
-        let part = Part { plane: (2, 0), centre_mm: (0.0, 0.0), radial_um: table.clone() };
-        sim.set_part(Some(part));
-        let part = turn_hemisphere(&mut sim, NOSE_RADIUS_MM)?;
-        // The errors stay in the part; probing is not corrected.
-        sim.set_part(None);
-        let probed = probe_hemisphere(&mut sim, &part, NOSE_RADIUS_MM)?;
-        let errors = radial(&probed, NOSE_RADIUS_MM);
-        for (angle, error_um) in &errors {
-            let row = log.take(&mut sim, 1.0);
-            row.angle = Some(*angle);
-            row.radial_um = Some(*error_um);
-        }
-        let label = if n == 0 { "without" } else { "with" };
-        let span = |v: &[(f64, f64)]| {
-            v.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), e| (lo.min(e.1), hi.max(e.1)))
+    let (mut records, mut figures) = (Vec::new(), Map::new());
+    for (suffix, label) in SUFFIXES.into_iter().zip(["without", "with"]) {
+        let setup = if suffix.is_empty() {
+            setup.clone()
+        } else {
+            Setup { model: Some(setting.known.clone()), ..setup.clone() }
         };
-        let (lo, hi) = span(&errors);
+        let turned = setup.turn_nose(!suffix.is_empty())?;
+        let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
+        let Some(record) = turned.record else { continue };
+        let record = probing_record(record, &path);
+        let errors = record.responses().flat_map(|c| c.data.iter());
+        let (lo, hi) =
+            errors.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), e| (lo.min(*e), hi.max(*e)));
         figures.insert(format!("form_{label}_um"), json!(digits(hi - lo, 1e3)));
+        let angles =
+            record.columns.iter().find(|c| c.role == Role::Angle).map_or_else(Vec::new, |c| c.data.clone());
+        records.push((record, angles));
     }
-    let runs = Both { logs, channels: sim.channel_names().to_vec() };
-    let x = |r: &Row| r.angle.unwrap_or(0.0);
-    runs.publish(setting, "hemisphere", Kind::Probing, (&[], 0.0), ("angle from Z, rad", &x), &mut findings)?;
+    findings.publish(setting, "hemisphere", records, "angle from Z, rad")?;
     findings.summary.insert("form".to_owned(), Value::Object(figures));
     Ok(findings)
 }

@@ -9,23 +9,37 @@
 //! | [`replay`] | the engine over a recording, and what the MTC would have counted |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
 //! | [`path`], [`gcode`] | the controller's trajectories and programs |
-//! | [`axis`], [`machine`] | the machine as a card: drives, scales, decoders, probe |
+//! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
 //! | [`sim`] | machine, engine and corrector together: runs programs, probes, tells where the tool is |
+//! | [`attended`], `polled` | what goes on at the machine once in a period; the card that polls it |
+//! | [`wires`], [`strokes`], [`duty`] | machines at a mock card's wires in real time: axes to and fro, the lathe's duty |
+//! | [`workpiece`], [`lathe`], [`job`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
+//! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
 //! | [`experiment`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
 
+pub mod attended;
 pub mod axis;
 pub mod bench;
 pub mod computer;
 pub mod designs;
+pub mod duty;
 pub mod ecc;
+mod errors;
 pub mod experiment;
 pub mod gcode;
 pub mod heat;
+pub mod job;
+pub mod lathe;
 pub mod machine;
 pub mod noise;
 pub mod path;
+mod polled;
 pub mod replay;
 pub mod sim;
+pub mod strokes;
 pub mod through;
+pub mod turning;
+pub mod wires;
+pub mod workpiece;

@@ -75,6 +75,10 @@ pub struct Machine {
     /// Share of the programmed speed at which the path is run: feed hold takes it to zero and back.
     pace: f64,
     hold: bool,
+    /// What the operator wants instead of the program, as soon as the path has come to rest.
+    jog: Option<Block>,
+    /// Blocks begun so far.
+    begun: usize,
     fault: Option<ServoFault>,
     rpm: f64,
     coolant: bool,
@@ -89,8 +93,10 @@ pub struct Machine {
     tool_offset_mm: [f64; AXES],
     /// Time from contact to the probe's line, ns.
     probe_delay_ns: u64,
-    distance_mm: f64,
+    probe_reach_mm: f64,
     trip_ns: u64,
+    /// How often the probe's line has come on, and where the axes were (X, Y, Z by the scales, mm) at the last time.
+    trips: (usize, [f64; AXES]),
     edges: u64,
 }
 
@@ -115,11 +121,13 @@ impl Machine {
             lines,
             controller,
             min_separation_ns,
-            program: std::collections::VecDeque::new(),
+            program: std::collections::VecDeque::with_capacity(8),
             job: Job::Idle,
             command: Command { p_mm: at_mm, ..Command::default() },
             pace: 1.0,
             hold: false,
+            jog: None,
+            begun: 0,
             fault: None,
             rpm: 0.0,
             coolant: false,
@@ -131,8 +139,9 @@ impl Machine {
             surface: None,
             tool_offset_mm: [0.0; AXES],
             probe_delay_ns: 0,
-            distance_mm: f64::INFINITY,
+            probe_reach_mm: 0.0,
             trip_ns: u64::MAX,
+            trips: (0, at_mm),
             edges: 0,
         };
         for axis in &mut machine.axes {
@@ -165,10 +174,33 @@ impl Machine {
         self.program.extend(blocks);
     }
 
+    /// Leaves the program: the path comes to rest, then this block is run.
+    pub fn jog(&mut self, block: Block) {
+        self.jog = Some(block);
+    }
+
+    /// How many blocks have been begun so far.
+    #[must_use]
+    pub const fn blocks_begun(&self) -> usize {
+        self.begun
+    }
+
     /// No block is under way or waiting.
     #[must_use]
     pub fn finished(&self) -> bool {
-        self.program.is_empty() && self.job == Job::Idle
+        self.program.is_empty() && self.jog.is_none() && self.job == Job::Idle
+    }
+
+    /// The controller's axis (0 X, 1 Y, 2 Z) that the machine's n-th axis is.
+    #[must_use]
+    pub fn place(&self, axis: usize) -> usize {
+        self.place[axis]
+    }
+
+    /// What one count of an axis is worth, µm.
+    #[must_use]
+    pub fn count_um(&self, axis: usize) -> f64 {
+        self.axes[axis].spec.count_um
     }
 
     /// Time, ns.
@@ -249,6 +281,18 @@ impl Machine {
         self.axes[axis].mtc.count() - self.axes[axis].scale_count()
     }
 
+    /// What the MTC has counted since the start.
+    #[must_use]
+    pub fn mtc_counts(&self, axis: usize) -> i64 {
+        self.axes[axis].mtc.count()
+    }
+
+    /// Illegal transitions that the MTC has seen.
+    #[must_use]
+    pub fn illegal(&self, axis: usize) -> u64 {
+        self.axes[axis].mtc.illegal()
+    }
+
     /// Shortest time between two edges at the MTC so far, ns.
     #[must_use]
     pub fn min_separation_ns(&self, axis: usize) -> u64 {
@@ -280,9 +324,19 @@ impl Machine {
     pub fn set_surface(&mut self, surface: Option<Surface>, delay_ns: u64) {
         self.surface = surface;
         self.probe_delay_ns = delay_ns;
-        self.distance_mm = f64::INFINITY;
         self.trip_ns = u64::MAX;
         self.inputs &= !(1 << 28);
+    }
+
+    /// How far from the tip's centre the probe feels the part, mm: the tip's radius and what it is off now.
+    pub fn set_probe_reach_mm(&mut self, reach_mm: f64) {
+        self.probe_reach_mm = reach_mm;
+    }
+
+    /// How often the probe's line has come on, and where the axes were at the last time (X, Y, Z by the scales, mm).
+    #[must_use]
+    pub const fn trips(&self) -> (usize, [f64; AXES]) {
+        self.trips
     }
 
     /// The tool (or the probe's tip), X, Y, Z, mm, at a time of the present step.
@@ -311,8 +365,16 @@ impl Machine {
         // Where the axes should be now; speed and acceleration are fed forward for the period that begins.
         let due_mm = self.command.p_mm;
         // Feed hold: the path slows down within a tenth of a second, and is taken up again alike.
-        let target = if self.hold || self.fault.is_some() { 0.0 } else { 1.0 };
+        let rests = self.hold || self.fault.is_some() || self.jog.is_some();
+        let target = if rests { 0.0 } else { 1.0 };
         self.pace += (target - self.pace).clamp(-dt / 0.1, dt / 0.1);
+        if (self.pace == 0.0 || self.job == Job::Idle)
+            && let Some(block) = self.jog.take()
+        {
+            self.program.clear();
+            self.program.push_back(block);
+            self.job = Job::Idle;
+        }
         let mut left = dt * self.pace;
         let at_full_pace = self.pace;
         while left > 0.0 || self.job == Job::Idle {
@@ -364,6 +426,7 @@ impl Machine {
     }
 
     fn begin(&mut self, block: Block) -> Job {
+        self.begun += 1;
         let from = self.command.p_mm;
         let (shape, feed) = match block {
             Block::Spindle { rpm } => {
@@ -418,6 +481,7 @@ impl Machine {
         let limits = Limits {
             speed_mm_s: least(|a| a.speed_mm_s).min(feed).min(shape.speed_limit_mm_s(0.5 * accel_mm_s2)),
             accel_mm_s2,
+            decel_mm_s2: least(|a| a.decel_mm_s2),
             jerk_mm_s3: least(|a| a.jerk_mm_s3),
         };
         Job::Move { shape, profile: Profile::new(length, limits), t_s: 0.0 }
@@ -453,13 +517,13 @@ impl Machine {
     /// When within this step does the tip touch the part?
     fn find_contact(&mut self, from_ns: u64) {
         let Some(surface) = &self.surface else { return };
-        let (before, after) = (surface(self.tool_at(from_ns)), surface(self.tool_at(from_ns + STEP_NS)));
-        self.distance_mm = after;
+        let distance_mm = |t_ns: u64| surface(self.tool_at(t_ns)) - self.probe_reach_mm;
+        let (before, after) = (distance_mm(from_ns), distance_mm(from_ns + STEP_NS));
         if before > 0.0 && after <= 0.0 {
             let (mut early, mut late) = (from_ns, from_ns + STEP_NS);
             while late - early > 1 {
                 let middle = u64::midpoint(early, late);
-                *if surface(self.tool_at(middle)) > 0.0 { &mut early } else { &mut late } = middle;
+                *if distance_mm(middle) > 0.0 { &mut early } else { &mut late } = middle;
             }
             self.trip_ns = late + self.probe_delay_ns;
         } else if after > 0.0 && self.trip_ns == u64::MAX {
@@ -489,6 +553,75 @@ impl Machine {
         }
     }
 
+    /// The next event of this step takes place.
+    #[inline]
+    fn happen(&mut self) {
+        let (next_ns, which) = self.next;
+        self.t_ns = self.t_ns.max(next_ns);
+        if which == self.axes.len() {
+            self.trip_ns = u64::MAX;
+            self.inputs |= 1 << 28;
+            let mut at_mm = self.command.p_mm;
+            for (axis, &place) in self.axes.iter().zip(&self.place) {
+                at_mm[place] = axis.position_mm(next_ns);
+            }
+            self.trips = (self.trips.0 + 1, at_mm);
+        } else {
+            let inverters = (self.outputs >> (2 * which) & 3) as u8;
+            let last_ns = self.axes[which].last_out_ns;
+            let (_, illegal) = self.axes[which].edge(inverters, STEP_NS);
+            self.edges += 1;
+            self.check(which, illegal, next_ns - last_ns);
+            self.show(which);
+        }
+        self.find_next();
+    }
+
+    /// Lets time pass.
+    pub fn run_to(&mut self, t_ns: u64) {
+        loop {
+            if self.next.0 <= t_ns.min(self.step_end_ns) {
+                self.happen();
+            } else if t_ns <= self.step_end_ns {
+                self.t_ns = self.t_ns.max(t_ns);
+                return;
+            } else {
+                self.t_ns = self.step_end_ns;
+                self.step(t_ns);
+            }
+        }
+    }
+
+    /// Up to when the lines stay as they are for certain, ns, and whether one of them changes then: further ahead than the
+    /// present step of the axes nothing is known.
+    pub fn quiet_until_ns(&mut self) -> (u64, bool) {
+        if self.t_ns >= self.step_end_ns {
+            self.step(self.t_ns);
+        }
+        (self.next.0.min(self.step_end_ns), self.next.0 <= self.step_end_ns)
+    }
+
+    /// The input lines as they are.
+    #[must_use]
+    pub const fn inputs(&self) -> u64 {
+        self.inputs
+    }
+
+    /// Sets all output lines.
+    pub fn set_outputs(&mut self, outputs: u64) {
+        let before = std::mem::replace(&mut self.outputs, outputs);
+        for n in 0..self.axes.len() {
+            if (before ^ outputs) >> (2 * n) & 3 != 0 {
+                let inverters = (outputs >> (2 * n) & 3) as u8;
+                let (scale, last_ns) = (self.axes[n].scale(), self.axes[n].last_out_ns);
+                let illegal = self.axes[n].decode(scale, inverters, self.t_ns);
+                self.check(n, illegal, self.t_ns - last_ns);
+                self.show(n);
+            }
+        }
+        self.hold = outputs >> 28 & 1 != 0;
+    }
+
     #[inline]
     fn show(&mut self, axis: usize) {
         let a = &self.axes[axis];
@@ -501,21 +634,8 @@ impl Card for Machine {
     #[inline]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         loop {
-            let (next_ns, which) = self.next;
-            if next_ns <= wake_ns && next_ns <= self.step_end_ns {
-                self.t_ns = self.t_ns.max(next_ns);
-                if which == self.axes.len() {
-                    self.trip_ns = u64::MAX;
-                    self.inputs |= 1 << 28;
-                } else {
-                    let inverters = (self.outputs >> (2 * which) & 3) as u8;
-                    let last_ns = self.axes[which].last_out_ns;
-                    let (_, illegal) = self.axes[which].edge(inverters, STEP_NS);
-                    self.edges += 1;
-                    self.check(which, illegal, next_ns - last_ns);
-                    self.show(which);
-                }
-                self.find_next();
+            if self.next.0 <= wake_ns && self.next.0 <= self.step_end_ns {
+                self.happen();
                 return Ok(Sample::stamped(self.t_ns, self.inputs, Some(self.t_ns)));
             }
             if wake_ns <= self.step_end_ns {
@@ -528,18 +648,7 @@ impl Card for Machine {
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
-        let before = self.outputs;
-        self.outputs = before & !mask | value & mask;
-        for n in 0..self.axes.len() {
-            if (before ^ self.outputs) >> (2 * n) & 3 != 0 {
-                let inverters = (self.outputs >> (2 * n) & 3) as u8;
-                let (scale, last_ns) = (self.axes[n].scale(), self.axes[n].last_out_ns);
-                let illegal = self.axes[n].decode(scale, inverters, self.t_ns);
-                self.check(n, illegal, self.t_ns - last_ns);
-                self.show(n);
-            }
-        }
-        self.hold = self.outputs >> 28 & 1 != 0;
+        self.set_outputs(self.outputs & !mask | value & mask);
         Ok(Some(self.t_ns))
     }
 

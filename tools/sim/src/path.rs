@@ -7,6 +7,8 @@ pub struct Limits {
     pub speed_mm_s: f64,
     /// Acceleration, mm/s².
     pub accel_mm_s2: f64,
+    /// Deceleration, mm/s².
+    pub decel_mm_s2: f64,
     /// Jerk, mm/s³.
     pub jerk_mm_s3: f64,
 }
@@ -22,80 +24,104 @@ pub struct Along {
     pub a_mm_s2: f64,
 }
 
-/// Jerk-limited motion from rest to rest over a length (seven phases, symmetric).
+/// From rest to a speed with rising, constant and falling acceleration. Played backwards, from the speed to rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Ramp {
+    /// Duration of rising acceleration, and of the whole, s.
+    rise_s: f64,
+    whole_s: f64,
+}
+
+impl Ramp {
+    fn new(v_mm_s: f64, a_mm_s2: f64, j_mm_s3: f64) -> Self {
+        if v_mm_s * j_mm_s3 < a_mm_s2 * a_mm_s2 {
+            let rise_s = (v_mm_s / j_mm_s3).sqrt();
+            Self { rise_s, whole_s: 2.0 * rise_s }
+        } else {
+            Self { rise_s: a_mm_s2 / j_mm_s3, whole_s: a_mm_s2 / j_mm_s3 + v_mm_s / a_mm_s2 }
+        }
+    }
+
+    /// `t_s` after rest.
+    fn at(&self, t_s: f64, j_mm_s3: f64) -> Along {
+        let (j, tj, ta) = (j_mm_s3, self.rise_s, self.whole_s);
+        let peak_a = j * tj;
+        let peak_v = peak_a * (ta - tj);
+        if t_s < tj {
+            let (s_mm, v_mm_s) = (j * t_s * t_s * t_s / 6.0, j * t_s * t_s / 2.0);
+            Along { s_mm, v_mm_s, a_mm_s2: j * t_s }
+        } else if t_s < ta - tj {
+            let u = t_s - tj;
+            let v0 = peak_a * tj / 2.0;
+            Along {
+                s_mm: peak_a * tj * tj / 6.0 + v0 * u + peak_a * u * u / 2.0,
+                v_mm_s: v0 + peak_a * u,
+                a_mm_s2: peak_a,
+            }
+        } else {
+            let w = ta - t_s;
+            Along {
+                s_mm: peak_v * ta / 2.0 - peak_v * w + j * w * w * w / 6.0,
+                v_mm_s: peak_v - j * w * w / 2.0,
+                a_mm_s2: j * w,
+            }
+        }
+    }
+}
+
+/// Jerk-limited motion from rest to rest over a length (seven phases).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Profile {
     length_mm: f64,
     jerk_mm_s3: f64,
-    /// Duration of rising acceleration, of the whole speeding up, and at constant speed, s.
-    rise_s: f64,
-    up_s: f64,
+    speed_mm_s: f64,
+    up: Ramp,
     cruise_s: f64,
+    down: Ramp,
 }
 
 impl Profile {
     /// The fastest motion within the limits.
     #[must_use]
     pub fn new(length_mm: f64, limits: Limits) -> Self {
-        let Limits { speed_mm_s: v, accel_mm_s2: a, jerk_mm_s3: j } = limits;
-        let (mut rise_s, mut up_s) =
-            if v * j < a * a { ((v / j).sqrt(), 2.0 * (v / j).sqrt()) } else { (a / j, a / j + v / a) };
-        let mut cruise_s = length_mm / v - up_s;
-        if cruise_s < 0.0 {
-            // Too short for the full speed.
-            cruise_s = 0.0;
-            rise_s = a / j;
-            up_s = rise_s / 2.0 + (rise_s * rise_s / 4.0 + length_mm / a).sqrt();
-            if up_s < 2.0 * rise_s {
-                rise_s = libm::cbrt(length_mm / (2.0 * j));
-                up_s = 2.0 * rise_s;
+        let jerk_mm_s3 = limits.jerk_mm_s3;
+        let ramps = |v: f64| [limits.accel_mm_s2, limits.decel_mm_s2].map(|a| Ramp::new(v, a, jerk_mm_s3));
+        let both_s = |v: f64| ramps(v).iter().map(|r| r.whole_s).sum::<f64>();
+        let mut speed_mm_s = limits.speed_mm_s;
+        if speed_mm_s * both_s(speed_mm_s) / 2.0 > length_mm {
+            // Too short for the full speed: the one at which the ramps meet.
+            let (mut low, mut high) = (0.0, speed_mm_s);
+            for _ in 0..64 {
+                let v = f64::midpoint(low, high);
+                *if v * both_s(v) / 2.0 > length_mm { &mut high } else { &mut low } = v;
             }
+            speed_mm_s = low;
         }
-        Self { length_mm, jerk_mm_s3: j, rise_s, up_s, cruise_s }
+        let [up, down] = ramps(speed_mm_s);
+        let cruise_s = (length_mm / speed_mm_s - f64::midpoint(up.whole_s, down.whole_s)).max(0.0);
+        Self { length_mm, jerk_mm_s3, speed_mm_s, up, cruise_s, down }
     }
 
     /// Duration, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
-        2.0 * self.up_s + self.cruise_s
+        self.up.whole_s + self.cruise_s + self.down.whole_s
     }
 
     /// Where the motion is `t_s` after its start.
     #[must_use]
     pub fn at(&self, t_s: f64) -> Along {
         let total_s = self.duration_s();
+        let up_s = self.up.whole_s;
         if t_s >= total_s {
-            return Along { s_mm: self.length_mm, ..Along::default() };
-        }
-        let (j, tj, ta) = (self.jerk_mm_s3, self.rise_s, self.up_s);
-        let peak_a = j * tj;
-        let peak_v = peak_a * (ta - tj);
-        let speeding_up = |t: f64| {
-            if t < tj {
-                Along { s_mm: j * t * t * t / 6.0, v_mm_s: j * t * t / 2.0, a_mm_s2: j * t }
-            } else if t < ta - tj {
-                let u = t - tj;
-                let v0 = peak_a * tj / 2.0;
-                Along {
-                    s_mm: peak_a * tj * tj / 6.0 + v0 * u + peak_a * u * u / 2.0,
-                    v_mm_s: v0 + peak_a * u,
-                    a_mm_s2: peak_a,
-                }
-            } else {
-                let w = ta - t;
-                Along {
-                    s_mm: peak_v * ta / 2.0 - peak_v * w + j * w * w * w / 6.0,
-                    v_mm_s: peak_v - j * w * w / 2.0,
-                    a_mm_s2: j * w,
-                }
-            }
-        };
-        if t_s < ta {
-            speeding_up(t_s.max(0.0))
-        } else if t_s <= ta + self.cruise_s {
-            Along { s_mm: peak_v * ta / 2.0 + peak_v * (t_s - ta), v_mm_s: peak_v, a_mm_s2: 0.0 }
+            Along { s_mm: self.length_mm, ..Along::default() }
+        } else if t_s < up_s {
+            self.up.at(t_s.max(0.0), self.jerk_mm_s3)
+        } else if t_s <= up_s + self.cruise_s {
+            let v_mm_s = self.speed_mm_s;
+            Along { s_mm: v_mm_s * (up_s / 2.0 + (t_s - up_s)), v_mm_s, a_mm_s2: 0.0 }
         } else {
-            let back = speeding_up(total_s - t_s);
+            let back = self.down.at(total_s - t_s, self.jerk_mm_s3);
             Along { s_mm: self.length_mm - back.s_mm, v_mm_s: back.v_mm_s, a_mm_s2: -back.a_mm_s2 }
         }
     }
@@ -214,8 +240,12 @@ mod tests {
 
     #[test]
     fn profiles_are_consistent_within_their_limits_and_end_where_they_should() {
-        let limits = Limits { speed_mm_s: 100.0, accel_mm_s2: 1000.0, jerk_mm_s3: 20_000.0 };
-        for length in [0.001, 0.5, 3.0, 14.9, 15.1, 50.0, 1000.0] {
+        let even =
+            Limits { speed_mm_s: 100.0, accel_mm_s2: 1000.0, decel_mm_s2: 1000.0, jerk_mm_s3: 20_000.0 };
+        let lathe = Limits { accel_mm_s2: 217.0, decel_mm_s2: 578.7, ..even };
+        for (length, limits) in
+            [0.001, 0.5, 3.0, 14.9, 15.1, 50.0, 1000.0].iter().flat_map(|l| [(*l, even), (*l, lathe)])
+        {
             let p = Profile::new(length, limits);
             let n = 20_000;
             let dt = p.duration_s() / f64::from(n);
@@ -231,7 +261,8 @@ mod tests {
                     (now.a_mm_s2 - last.a_mm_s2).abs() <= 20_000.0 * dt * 1.001 + 1e-6,
                     "{length} at {k}"
                 );
-                assert!(now.v_mm_s <= 100.0 + 1e-9 && now.a_mm_s2.abs() <= 1000.0 + 1e-6);
+                assert!(now.v_mm_s <= 100.0 + 1e-9 && now.a_mm_s2 <= limits.accel_mm_s2 + 1e-6);
+                assert!(-now.a_mm_s2 <= limits.decel_mm_s2 + 1e-6);
                 last = now;
             }
             assert!((last.s_mm - length).abs() < 1e-9);

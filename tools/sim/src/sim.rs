@@ -1,24 +1,20 @@
 //! The machine with the unchanged engine in its feedback and a corrector that tells it what it knows.
 
-use crate::axis::{AxisSpec, Friction};
+use crate::axis::AxisSpec;
+use crate::errors::{Errors, frame, layout, of_the_probe, probe_delay_ns, set_friction};
 use crate::gcode::Block;
-use crate::heat::{Heat, SENSORS};
+use crate::heat::Heat;
 use crate::machine::{ControllerSpec, Machine, ServoFault, Surface};
-use crate::noise::Noise;
 use crate::path::{AXES, Command};
 use rtec_driver::card::CardError;
-use rtec_model::effect::{Effect, Mechanism, Missing, Owner};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
-use rtec_model::record::Axis;
+use rtec_model::effect::{Effect, Missing};
+use rtec_model::live::{AxisNow, Live};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
 
 /// How often the corrector computes new totals, ns (NISTIR 4832, Alternate Configurations: every 10 to 20 ms).
 pub const CONTROL_NS: u64 = 10_000_000;
-
-/// Names of the controller's axes.
-pub const NAMES: [&str; AXES] = ["x", "y", "z"];
 
 /// A machine, as it is built.
 #[derive(Debug, Clone)]
@@ -163,54 +159,31 @@ impl Moment {
     }
 }
 
-/// A round part: where its radial errors have their centre, and those that probing has found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Part {
-    /// The plane's first and second axis (0 X, 1 Y, 2 Z); angles run from the first towards the second.
-    pub plane: (usize, usize),
-    /// Centre, mm.
-    pub centre_mm: (f64, f64),
-    /// Look-up table of probed radial errors: angle, rad, rising, and µm; linear in between (NISTIR 4854).
-    pub radial_um: Vec<(f64, f64)>,
-}
-
-/// A look-up table between its entries, constant beyond its ends; 0 where it is empty.
-#[must_use]
-pub fn look_up(table: &[(f64, f64)], at: f64) -> f64 {
-    let next = table.partition_point(|p| p.0 < at);
-    match (next.checked_sub(1).and_then(|k| table.get(k)), table.get(next)) {
-        (Some(a), Some(b)) if b.0 > a.0 => a.1 + (b.1 - a.1) * (at - a.0) / (b.0 - a.0),
-        (Some(p), _) | (_, Some(p)) => p.1,
-        (None, None) => 0.0,
-    }
-}
-
 /// A running simulation.
 #[derive(Debug)]
 pub struct Sim {
     /// The machine.
     pub machine: Machine,
     engine: Engine,
-    heat: Heat,
-    truth: Live,
-    known: Option<Live>,
-    place: Vec<usize>,
-    count_um: Vec<f64>,
-    increment: i64,
+    errors: Errors,
+    corrector: Option<Corrector>,
     control_ns: u64,
     next_control_ns: u64,
     events: Vec<Event>,
     trips: [Option<Capture>; AXES],
-    channels: Vec<f64>,
-    noise: Noise,
     /// Load on X, Y, Z, N: set by whoever cuts.
     pub load_n: [f64; AXES],
-    part: Option<Part>,
     probing: bool,
-    probe_angle_rad: f64,
+}
+
+/// What the corrector knows of the machine, and how its axes have moved by what the engine counts.
+#[derive(Debug)]
+struct Corrector {
+    known: Live,
+    increment: i64,
     travel: [(f64, f64); AXES],
-    known_speed: [f64; AXES],
-    known_position: [f64; AXES],
+    speed: [f64; AXES],
+    position: [f64; AXES],
 }
 
 impl Sim {
@@ -234,112 +207,69 @@ impl Sim {
             .collect();
         channels.sort();
         channels.dedup();
-        let layout = Layout {
-            axes: NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
-            sensors: SENSORS.iter().map(|s| s.0.to_owned()).collect(),
-            channels,
-        };
+        let layout = layout(channels);
         let mut machine = Machine::new(&spec.axes, spec.controller.clone(), at_mm);
-        let place: Vec<usize> =
-            spec.axes.iter().map(|a| NAMES.iter().position(|n| *n == a.name).unwrap_or(0)).collect();
-        let mut probe_delay_ns = 0;
-        for effect in &truth {
-            if effect.description().mechanism == Some(Mechanism::ProbeDelay) {
-                probe_delay_ns = probe_delay_ns.max((effect.scalar(0) * 1000.0).max(0.0) as u64);
-            }
-        }
-        for (n, &p) in place.iter().enumerate() {
-            machine.set_friction(n, friction(&truth, NAMES[p]));
-        }
+        set_friction(&mut machine, truth.iter().copied());
+        machine.set_surface(None, probe_delay_ns(truth.iter().copied()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
         let rt = MachineConfig { lines: machine.machine_lines(), may_arm: true };
         let mut engine = Engine::new(&mut machine, &configs, rt, &[])?;
-        let mut events = Vec::new();
-        let mut tell = |e: Event| {
-            events.push(e);
-            true
-        };
-        engine.start_homed(&mut machine, &mut tell)?;
-        let on_part = |e: &&Effect| e.description().owner != Owner::Probe;
-        let known = match known {
-            Some(effects) => Some(Live::new(effects.into_iter().filter(on_part), layout.clone())?),
+        engine.start_homed(&mut machine, &mut |_| true)?;
+        let corrector = match known {
+            Some(effects) => Some(Corrector {
+                known: Live::new(effects.into_iter().filter(|e| !of_the_probe(e)), layout.clone())?,
+                increment: spec.design.increment_counts(),
+                travel: at_mm.map(|p| (p, 0.0)),
+                speed: [0.0; AXES],
+                position: at_mm,
+            }),
             None => None,
         };
-        machine.set_surface(None, probe_delay_ns);
-        let channel_count = layout.channels.len();
+        let heat = Heat::cold(spec.ambient_degc, 0.02, seed);
         let mut sim = Self {
+            machine,
             engine,
-            heat: Heat::cold(spec.ambient_degc, 0.02, seed),
-            truth: Live::new(truth, layout)?,
-            known,
-            place,
-            count_um: spec.axes.iter().map(|a| a.count_um).collect(),
-            increment: spec.design.increment_counts(),
+            errors: Errors::new(Live::new(truth, layout)?, heat, seed),
+            corrector,
             control_ns: CONTROL_NS,
             next_control_ns: CONTROL_NS,
-            events,
+            events: Vec::new(),
             trips: [None; AXES],
-            channels: vec![0.0; channel_count],
-            noise: Noise::new(seed, 0xC0),
             load_n: [0.0; AXES],
-            part: None,
             probing: false,
-            probe_angle_rad: 0.0,
-            travel: at_mm.map(|p| (p, 0.0)),
-            known_speed: [0.0; AXES],
-            known_position: at_mm,
-            machine,
         };
-        sim.evaluate_truth();
-        sim.events.clear();
+        sim.act();
         Ok(sim)
-    }
-
-    /// The controller's axis (0 X, 1 Y, 2 Z) that the machine's n-th axis is.
-    #[must_use]
-    pub fn place(&self, axis: usize) -> usize {
-        self.place[axis]
-    }
-
-    /// What one count of the machine's n-th axis is worth, µm.
-    #[must_use]
-    pub fn count_um(&self, axis: usize) -> f64 {
-        self.count_um[axis]
     }
 
     /// Names of the logged channels.
     #[must_use]
     pub fn channel_names(&self) -> &[String] {
-        &self.truth.layout().channels
+        self.errors.channel_names()
     }
 
     /// Values of the logged channels.
     #[must_use]
     pub fn channels(&self) -> &[f64] {
-        &self.channels
+        self.errors.channels()
     }
 
-    /// Readings of the temperature sensors, °C, in the order of [`SENSORS`].
+    /// Readings of the temperature sensors, °C, in the order of [`crate::heat::SENSORS`].
     #[must_use]
     pub fn temperatures_degc(&self) -> &[f64] {
-        self.heat.readings_degc()
+        self.errors.heat.readings_degc()
     }
 
     /// The heat in the machine.
     #[must_use]
     pub fn heat(&self) -> &Heat {
-        &self.heat
+        &self.errors.heat
     }
 
     /// The engine's status.
     #[must_use]
     pub fn status(&self) -> Status {
         self.engine.status()
-    }
-
-    /// The part whose radial errors the corrector takes out; `None`: they are not corrected.
-    pub fn set_part(&mut self, part: Option<Part>) {
-        self.part = part;
     }
 
     /// How often the corrector computes new totals from now on, ns: errors of a machine at rest change slowly.
@@ -405,7 +335,7 @@ impl Sim {
                     return Err(SimError::Engine { t_s: event.t_ns as f64 * 1e-9, fault });
                 }
                 (EventKind::Trip(capture), Some(axis)) => {
-                    self.trips[self.place[usize::from(axis)]] = Some(capture);
+                    self.trips[self.machine.place(usize::from(axis))] = Some(capture);
                 }
                 _ => {}
             }
@@ -420,109 +350,25 @@ impl Sim {
     fn control(&mut self) -> Result<(), SimError> {
         let t_s = self.next_control_ns as f64 * 1e-9;
         self.next_control_ns += self.control_ns;
-        self.heat.advance(t_s, self.machine.rpm(), self.machine.coolant());
+        self.errors.heat.advance(t_s, self.machine.rpm(), self.machine.coolant());
         if self.next_control_ns.is_multiple_of(1_000_000_000) {
-            for channel in &mut self.channels {
-                *channel += 0.1 * self.noise.normal() - 0.002 * *channel;
-            }
+            self.errors.move_channels();
         }
-        self.evaluate_truth();
-        if self.known.is_some() && !self.probing {
-            self.correct(t_s)?;
+        self.act();
+        if self.probing {
+            return Ok(());
         }
-        Ok(())
-    }
-
-    fn evaluate_truth(&mut self) {
-        let mut axes = [AxisNow::default(); AXES];
-        for (n, &p) in self.place.iter().enumerate() {
-            axes[p] = AxisNow {
-                position_mm: self.machine.position_mm(n),
-                velocity_mm_s: self.machine.velocity_mm_s(n),
-                acceleration_mm_s2: self.machine.acceleration_mm_s2(n),
-                direction: self.machine.direction(n),
-                load_n: self.load_n[p],
-            };
-        }
-        let frame = Frame {
-            t_s: self.machine.now_ns() as f64 * 1e-9,
-            axes: &axes,
-            temperatures_degc: self.heat.readings_degc(),
-            channels: &self.channels,
-            rpm: self.machine.rpm(),
-            coolant: f64::from(u8::from(self.machine.coolant())),
-            angle_rad: self.probe_angle_rad,
-            probing: false,
-            held: &[],
-        };
-        self.truth.evaluate(&frame);
-        let mut offset = [0.0; AXES];
-        for (o, e) in offset.iter_mut().zip(self.truth.errors_um()) {
-            *o = e / 1000.0;
-        }
-        self.machine.set_tool_offset_mm(offset);
-    }
-
-    /// The corrector: what it knows of the machine, at the positions that the engine counts.
-    fn correct(&mut self, t_s: f64) -> Result<(), SimError> {
-        let status = self.engine.status();
-        let mut axes = [AxisNow::default(); AXES];
-        let dt = self.control_ns as f64 * 1e-9;
-        for (n, &p) in self.place.iter().enumerate() {
-            let counts = self.machine.origin_counts(n) + status.axes[n].position_counts;
-            let position_mm = counts as f64 * self.count_um[n] / 1000.0;
-            let velocity = (position_mm - self.known_position[p]) / dt;
-            let (turned_at, direction) = &mut self.travel[p];
-            if (position_mm - *turned_at) * *direction > 0.0 {
-                *turned_at = position_mm;
-            }
-            if (position_mm - *turned_at).abs() > 3.0 * self.count_um[n] / 1000.0 {
-                *direction = if position_mm > *turned_at { 1.0 } else { -1.0 };
-                *turned_at = position_mm;
-            }
-            axes[p] = AxisNow {
-                position_mm,
-                velocity_mm_s: velocity,
-                acceleration_mm_s2: (velocity - self.known_speed[p]) / dt,
-                direction: *direction,
-                load_n: self.load_n[p],
-            };
-            self.known_speed[p] = velocity;
-            self.known_position[p] = position_mm;
-        }
-        let angle_rad = self.part.as_ref().map_or(0.0, |part| {
-            let (i, j) = part.plane;
-            let at = |n: usize| axes[n].position_mm;
-            libm::atan2(at(j) - part.centre_mm.1, at(i) - part.centre_mm.0)
-        });
-        let Some(known) = &mut self.known else { return Ok(()) };
-        known.evaluate(&Frame {
-            t_s,
-            axes: &axes,
-            temperatures_degc: self.heat.readings_degc(),
-            channels: &self.channels,
-            rpm: self.machine.rpm(),
-            coolant: f64::from(u8::from(self.machine.coolant())),
-            angle_rad,
-            probing: false,
-            held: &[],
-        });
-        let mut errors = [0.0; AXES];
-        errors.copy_from_slice(&known.errors_um()[..AXES]);
-        if let Some(part) = &self.part {
-            let (sin, cos) = libm::sincos(angle_rad);
-            let radial_um = known.radial_um() + look_up(&part.radial_um, angle_rad);
-            errors[part.plane.0] += radial_um * cos;
-            errors[part.plane.1] += radial_um * sin;
-        }
+        let Some(corrector) = &mut self.corrector else { return Ok(()) };
         let events = &mut self.events;
         let mut tell = |e: Event| {
             events.push(e);
             true
         };
-        for (n, &p) in self.place.iter().enumerate() {
-            let step = self.count_um[n] * self.increment as f64;
-            let total_counts = (errors[p] / step).round() as i64 * self.increment;
+        let dt_s = self.control_ns as f64 * 1e-9;
+        let status = self.engine.status();
+        let totals = corrector.totals((t_s, dt_s), &status, &self.machine, &self.errors, &self.load_n);
+        for n in 0..self.machine.axis_count() {
+            let total_counts = totals[self.machine.place(n)];
             if total_counts != status.axes[n].requested {
                 let request = Request::Correct { axis: n as u8, total_counts, large: true };
                 self.engine.take(request, &mut self.machine, &mut tell)?;
@@ -531,9 +377,15 @@ impl Sim {
         Ok(())
     }
 
+    /// The true machine's errors, where it is.
+    fn act(&mut self) {
+        let t_s = self.machine.now_ns() as f64 * 1e-9;
+        self.errors.act(t_s, &mut self.machine, &self.load_n, 0.0);
+    }
+
     /// The machine at this moment.
     pub fn moment(&mut self) -> Moment {
-        self.evaluate_truth();
+        self.act();
         let m = &self.machine;
         let mut now = Moment {
             t_s: m.now_ns() as f64 * 1e-9,
@@ -544,21 +396,21 @@ impl Sim {
             acceleration_mm_s2: [0.0; AXES],
             direction: [0.0; AXES],
             force_n: [0.0; AXES],
-            error_um: [0.0; AXES],
+            error_um: self.errors.errors_um(),
             inserted_um: [0.0; AXES],
             tool_mm: m.tool_mm(),
             rpm: m.rpm(),
             coolant: m.coolant(),
         };
-        now.error_um.copy_from_slice(&self.truth.errors_um()[..AXES]);
-        for (n, &p) in self.place.iter().enumerate() {
+        for n in 0..m.axis_count() {
+            let p = m.place(n);
             now.position_mm[p] = m.position_mm(n);
             now.counted_mm[p] = m.counted_mm(n);
             now.velocity_mm_s[p] = m.velocity_mm_s(n);
             now.acceleration_mm_s2[p] = m.acceleration_mm_s2(n);
             now.direction[p] = m.direction(n);
             now.force_n[p] = m.force_n(n);
-            now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * self.count_um[n];
+            now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * m.count_um(n);
         }
         now
     }
@@ -608,42 +460,62 @@ impl Sim {
         }
         // A capture is complete with the next edge, or when the axis has stood still for a tenth of a second.
         self.advance_by_ns(12 * CONTROL_NS)?;
-        if self.place.iter().any(|&p| self.trips[p].is_none()) {
-            return Ok(None);
-        }
         let mut trip = Trip { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
-        for (n, &p) in self.place.iter().enumerate() {
-            let Some(capture) = self.trips[p] else { continue };
+        for n in 0..self.machine.axis_count() {
+            let (p, count_um) = (self.machine.place(n), self.machine.count_um(n));
+            let Some(capture) = self.trips[p] else { return Ok(None) };
             let (counts, within) = capture.position_counts();
             // Edges lie half a count from where the counts are.
             let position = counts + self.machine.origin_counts(n) as f64 - 0.5;
-            trip.position_mm[p] = position * self.count_um[n] / 1000.0;
-            trip.within_mm[p] = within * self.count_um[n] / 1000.0;
+            trip.position_mm[p] = position * count_um / 1000.0;
+            trip.within_mm[p] = within * count_um / 1000.0;
         }
         Ok(Some(trip))
     }
-
-    /// Radial effects of the true probe and part (lobing, form) at an angle, µm.
-    pub fn radial_um(&mut self, angle_rad: f64) -> f64 {
-        self.probe_angle_rad = angle_rad;
-        self.evaluate_truth();
-        self.truth.radial_um()
-    }
 }
 
-/// The forces that a true machine's effects stand for.
-fn friction(effects: &[&Effect], axis: &str) -> Friction {
-    let mut friction = Friction::default();
-    for effect in effects.iter().filter(|e| e.axes().first().is_some_and(|a| a.as_str() == axis)) {
-        let value = effect.values().first().copied().unwrap_or(0.0);
-        match effect.description().mechanism {
-            Some(Mechanism::Mass) => friction.mass_kg = Some(value),
-            Some(Mechanism::ViscousFriction) => friction.viscous_n_s_per_m = Some(value),
-            Some(Mechanism::CoulombFriction) => friction.coulomb_n = Some(value),
-            Some(Mechanism::AsymmetricFriction) => friction.asymmetric_n_s_per_m = value,
-            Some(Mechanism::ConstantForce) => friction.offset_n = value,
-            Some(Mechanism::ProbeDelay) | None => {}
+impl Corrector {
+    /// The totals that X, Y and Z should have at `t_s`, `dt_s` after the last ones: what is known of the machine, at the
+    /// positions that the engine counts.
+    fn totals(
+        &mut self,
+        (t_s, dt_s): (f64, f64),
+        status: &Status,
+        machine: &Machine,
+        errors: &Errors,
+        load_n: &[f64; AXES],
+    ) -> [i64; AXES] {
+        let mut axes = [AxisNow::default(); AXES];
+        for n in 0..machine.axis_count() {
+            let (p, count_um) = (machine.place(n), machine.count_um(n));
+            let counts = machine.origin_counts(n) + status.axes[n].position_counts;
+            let position_mm = counts as f64 * count_um / 1000.0;
+            let velocity = (position_mm - self.position[p]) / dt_s;
+            let (turned_at, direction) = &mut self.travel[p];
+            if (position_mm - *turned_at) * *direction > 0.0 {
+                *turned_at = position_mm;
+            }
+            if (position_mm - *turned_at).abs() > 3.0 * count_um / 1000.0 {
+                *direction = if position_mm > *turned_at { 1.0 } else { -1.0 };
+                *turned_at = position_mm;
+            }
+            axes[p] = AxisNow {
+                position_mm,
+                velocity_mm_s: velocity,
+                acceleration_mm_s2: (velocity - self.speed[p]) / dt_s,
+                direction: *direction,
+                load_n: load_n[p],
+            };
+            self.speed[p] = velocity;
+            self.position[p] = position_mm;
         }
+        self.known.evaluate(&frame(t_s, machine, &errors.heat, errors.channels(), &axes));
+        let mut totals = [0; AXES];
+        for n in 0..machine.axis_count() {
+            let p = machine.place(n);
+            let step_um = machine.count_um(n) * self.increment as f64;
+            totals[p] = (self.known.errors_um()[p] / step_um).round() as i64 * self.increment;
+        }
+        totals
     }
-    friction
 }

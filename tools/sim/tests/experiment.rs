@@ -4,7 +4,7 @@
 
 use rtec_model::machine::Machine as Model;
 use rtec_model::record::{Record, Role};
-use rtec_sim::experiment::{EXPERIMENTS, Experiment, Findings, Setting, worn_tool_um};
+use rtec_sim::experiment::{EXPERIMENTS, Experiment, Findings, Setting};
 use rtec_sim::heat::FIGURE_9;
 use std::path::Path;
 
@@ -85,7 +85,6 @@ fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
     assert!((5..=7).contains(&on_bump), "{on_bump} points: {bump:?}");
     let after = worst(record(&findings, "hemisphere-compensated"));
     assert!(after <= 4.0, "{after} µm");
-    assert!((worn_tool_um(0.8, 25.0, 0.0) - 25.0).abs() < 1e-9);
 }
 
 /// WO 97/43703, figure 9 and tables 4 and 5: three hours, then the shorter runs; 20 sensors.

@@ -4,11 +4,11 @@ use crate::Outcome;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::MockCard;
-use rtec_driver::moving::{Motion, MovingAxes, Truth};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{EventKind, Mode, Request, Status};
 use rtec_rt::thread::{Running, ThreadOptions, spawn};
+use rtec_sim::strokes::{Motion, MovingAxes, Truth, moving_axes};
 use std::f64::consts::TAU;
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -69,7 +69,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         dwell_s: 0.2,
         on_feedback: true,
     };
-    let (axes, operator) = MovingAxes::new(&[(lines, motion)]);
+    let (axes, operator) = moving_axes(&[(lines, motion)], MachineLines::default());
     let mut card = MockCard::new(axes, Monotonic);
     let axis = AxisConfig {
         lines,
@@ -188,9 +188,9 @@ fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
 /// The tool's error without and with correction, µm: its own at that place, and where it is against where the program
 /// wanted it.
 fn tool_error_um(truth: &Truth) -> (f64, f64) {
-    let position_mm = truth.position_counts() * COUNT_UM / 1000.0;
-    let commanded_mm = truth.commanded_counts() * COUNT_UM / 1000.0;
-    (error_um(commanded_mm), (position_mm - commanded_mm) * 1000.0 + error_um(position_mm))
+    let (commanded_mm, off_um) =
+        (truth.commanded_counts() * COUNT_UM / 1000.0, truth.off_counts() * COUNT_UM);
+    (error_um(commanded_mm), off_um + error_um(commanded_mm + off_um / 1000.0))
 }
 
 struct View {

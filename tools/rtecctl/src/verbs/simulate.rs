@@ -4,7 +4,9 @@ use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
+use rtec_sim::job::RunError;
 use rtec_sim::sim::SimError;
+use rtec_sim::turning::TurningError;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -96,7 +98,8 @@ pub(super) fn say(text: &str) -> anyhow::Result<()> {
 /// An effect that reads what the machine does not have is bad input, not a failed run.
 fn explain(error: ExperimentError, file: &Path) -> anyhow::Error {
     match error {
-        ExperimentError::Sim(SimError::Missing(missing)) => {
+        ExperimentError::Sim(SimError::Missing(missing))
+        | ExperimentError::Turning(TurningError::Run(RunError::Missing(missing))) => {
             let expected = format!("sensors and channels of the simulated machine: {}", missing.has);
             InputError::whole(file, missing.to_string(), expected).into()
         }

@@ -4,8 +4,8 @@ use super::points::{MotionArgs, positive};
 use super::usage;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_part::experiment::Setup;
-use rtec_part::lathe::{self, Bench};
+use rtec_sim::lathe::{self, Bench};
+use rtec_sim::turning::Setup;
 use std::path::{Path, PathBuf};
 
 /// The simulated machine

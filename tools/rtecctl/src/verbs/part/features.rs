@@ -2,8 +2,9 @@
 
 use super::{print, write_all};
 use rtec_part::contour::{Contour, Kind};
-use rtec_part::drawing::{self, Options, Unit};
+use rtec_part::drawing::{self, Options};
 use rtec_part::svg::Svg;
+use rtec_part::unit::Unit;
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

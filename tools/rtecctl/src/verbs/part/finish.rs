@@ -6,8 +6,9 @@ use super::{failed, print, usage, write_all};
 use rtec_model::machine::Machine;
 use rtec_part::errors::read_error_cor;
 use rtec_part::fit::Zx;
-use rtec_part::lathe::{Workpiece, axes, design};
 use rtec_part::table::Table;
+use rtec_sim::lathe::{axes, design};
+use rtec_sim::workpiece::Workpiece;
 use std::path::PathBuf;
 
 /// Cut the nose on the simulated machine, with the errors' table loaded

@@ -4,7 +4,7 @@ use super::points::positive;
 use super::{print, usage, write_all};
 use crate::Outcome;
 use rtec_part::errors::{Nominal, Probed, Report};
-use rtec_part::experiment::inspection_page;
+use rtec_part::page::inspection_page;
 use std::path::{Path, PathBuf};
 
 /// Compare the part before and after the finish cut

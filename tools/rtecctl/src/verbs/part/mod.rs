@@ -12,9 +12,10 @@ mod probe;
 mod program;
 mod run;
 mod table;
+mod web;
 
 use crate::Outcome;
-use rtec_part::experiment::ExperimentError;
+use rtec_sim::turning::TurningError;
 use std::path::Path;
 
 /// Probe a part and compensate its errors: the steps of the process-intermittent and post-process loops
@@ -89,11 +90,11 @@ fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) 
 
 /// An experiment's failure with its exit code: bad points are bad input, a latched fault is a fault, a trip that is
 /// not as planned is a no.
-fn failed(error: ExperimentError) -> anyhow::Error {
+fn failed(error: TurningError) -> anyhow::Error {
     match error {
-        ExperimentError::Points(input) => input.into(),
-        ExperimentError::Fault(_) => Outcome::Fault(error.to_string()).into(),
-        ExperimentError::Trip(_) => Outcome::No(error.to_string()).into(),
+        TurningError::Points(input) => input.into(),
+        TurningError::Fault(_) => Outcome::Fault(error.to_string()).into(),
+        TurningError::Trip(_) => Outcome::No(error.to_string()).into(),
         other => other.into(),
     }
 }

@@ -1,10 +1,10 @@
 //! `rtecctl part points`: probing points and the probe's path.
 
 use super::features::DrawingArgs;
+use super::web::{Page, Session};
 use super::{print, usage, write_all};
 use crate::Outcome;
 use rtec_part::path::{Hit, Motion, Plan, Probe, Stem};
-use rtec_part::web::{Page, Session, files};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -181,7 +181,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if plan.points.is_empty() {
         return Err(usage("--feature", "no point", "--feature, --points or --web"));
     }
-    let made = files(&contour, &plan, unit);
+    let made = plan.files(&contour, unit);
     write_all(&args.out, &made.each_ref().map(|(name, text)| (*name, text.as_bytes())))?;
     let hits = plan.hits(&contour);
     if args.json {

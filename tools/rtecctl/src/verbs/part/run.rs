@@ -7,7 +7,8 @@ use super::{failed, print, usage, write_all};
 use crate::Outcome;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_part::experiment::nose_of;
+use rtec_part::contour::nose_of;
+use rtec_sim::turning::Outcome as Turned;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -72,6 +73,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let (step, file) = name.rsplit_once('/').unwrap_or(("", name));
             write_all(&folder.join(step), &[(file, content)])?;
         }
+        for (step, report) in &outcome.reports {
+            write_all(&folder.join(step), &[("whisker.dxf", report.whisker_dxf()?.as_slice())])?;
+        }
         if let Some(contour) = &drawn {
             write_drawn(folder, contour)?;
         }
@@ -94,7 +98,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn text(o: &rtec_part::experiment::Outcome) -> String {
+fn text(o: &Turned) -> String {
     let mut t = format!("design {}, {:.0} µm a correction, seed {}\n\n", o.design, o.increment_um, o.seed);
     let _ = writeln!(t, "                          largest   bump     SD  SD after  true form  (µm)");
     let program = format!("finish, {} G01 lines", o.program_lines);

@@ -3,9 +3,9 @@
 
 use rtec_model::machine::Machine;
 use rtec_part::batch::Finding;
-use rtec_part::experiment::{Outcome, Setup};
 use rtec_part::fit::Zx;
 use rtec_part::probe::{Captured, TripFault, assign};
+use rtec_sim::turning::{Outcome, Setup};
 use std::path::Path;
 
 fn run(setup: &Setup) -> Outcome {

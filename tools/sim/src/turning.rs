@@ -1,20 +1,29 @@
 //! The report's experiment step by step on the simulated machine: semi-finish cut, probing, errors, table, finish cut,
 //! inspection (NISTIR 4854, section 2).
 
-use crate::batch::{self, Batch, Judgement};
-use crate::contour::{Contour, Segment};
-use crate::drawing::Unit;
-use crate::errors::{Nominal, Probed, Report, error_cor};
-use crate::fit::{Zx, sd};
-use crate::lathe::{self, Bench, Job, Move, Ran, RunError, Stand, Workpiece};
-use crate::path::{Motion, Plan, Probe, Record, Role};
-use crate::probe::{Trip, TripFault, assign, captured, probed_csv, run_record};
-use crate::program::{self, Controller, Parameters};
-use crate::svg::escaped;
-use crate::table::{Cut, Table, csv};
+use crate::errors::{layout, of_the_probe};
+use crate::heat::SENSORS;
+use crate::job::{Job, Ran, RunError, captured, run};
+use crate::lathe::{self, Bench, Move, Stand, arc_moves, probing_moves};
+use crate::machine::ControllerSpec;
+use crate::path::AXES;
+use crate::workpiece::Workpiece;
 use rtec_files::InputError;
+use rtec_model::effect::{Effect, Need, STANDARD_DEGC};
+use rtec_model::live::{AxisNow, Frame, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Record as RunRecord;
+use rtec_part::batch::{self, Batch, Judgement};
+use rtec_part::contour::{Segment, nose};
+use rtec_part::errors::{Nominal, PointError, Probed, Report, error_cor};
+use rtec_part::fit::{Zx, sd};
+use rtec_part::page::{logged, side_by_side};
+use rtec_part::path::{Motion, Plan, Probe, Record};
+use rtec_part::probe::{Trip, TripFault, assign, probed_csv, run_record};
+use rtec_part::program::{self, Controller, Parameters};
+use rtec_part::svg::escaped;
+use rtec_part::table::{Cut, Table, csv};
+use rtec_part::unit::Unit;
 use rtec_rt::axis::Design;
 use serde::Serialize;
 use std::f64::consts::FRAC_PI_2;
@@ -82,7 +91,7 @@ impl Default for Setup {
 
 /// What stops an experiment.
 #[derive(Debug, thiserror::Error)]
-pub enum ExperimentError {
+pub enum TurningError {
     /// A trip that is not as planned.
     #[error(transparent)]
     Trip(#[from] TripFault),
@@ -92,9 +101,6 @@ pub enum ExperimentError {
     /// The probed points give no errors.
     #[error(transparent)]
     Points(#[from] InputError),
-    /// The error bars could not be drawn.
-    #[error(transparent)]
-    Drawing(#[from] dxf::DxfError),
     /// The corrector latched a fault.
     #[error("the corrector latched a fault: {0}")]
     Fault(String),
@@ -115,7 +121,7 @@ pub struct Session {
     pub csv: String,
     /// The same as a run record of the machine.
     pub record: Option<RunRecord>,
-    /// Largest distance of a capture from the truth, in µm.
+    /// Largest distance of a capture from the truth along the touch, in µm.
     pub worst_um: f64,
     /// Root mean square of it.
     pub rms_um: f64,
@@ -193,6 +199,9 @@ pub struct Outcome {
     /// Files of every step.
     #[serde(skip)]
     pub files: Vec<(String, Vec<u8>)>,
+    /// What was probed, by the step whose files it is among.
+    #[serde(skip)]
+    pub reports: [(&'static str, Report); 2],
 }
 
 impl Outcome {
@@ -205,62 +214,12 @@ impl Outcome {
 
 /// Machine position at the part's origin.
 pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
-/// Rapid traverse of the report's machine: 7 m/min.
-pub const RAPID_MM_S: f64 = 116.7;
 /// Between two programs: tool change, setting, reading.
 const PAUSE_S: f64 = 120.0;
 
-/// The nose as a contour.
-#[must_use]
-pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
-    let arc = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
-    Contour::new(vec![(arc, "nose".to_owned())], false)
-}
-
-/// Centre and radius of a contour's nose: a quarter of a circle about the axis at its free end, and `None` where it
-/// begins with something else.
-#[must_use]
-pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
-    // A drawing is true to a micrometre, its angles to as much on a nose of 100 mm.
-    const NEAR: (f64, f64) = (1e-3, 1e-5);
-    let Segment::Arc { centre, radius_mm, start_rad, sweep_rad } = contour.features.first()?.segment else {
-        return None;
-    };
-    let quarter = start_rad.abs() < NEAR.1 && (sweep_rad - FRAC_PI_2).abs() < NEAR.1;
-    (quarter && centre.x.abs() < NEAR.0).then_some((centre, radius_mm))
-}
-
-/// The probe's path as moves of the machine.
-#[must_use]
-pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {
-    records
-        .windows(2)
-        .filter(|w| (w[1].at - w[0].at).norm() > 1e-9)
-        .map(|w| Move {
-            segment: Segment::Line { a: w[0].at, b: w[1].at },
-            feed_mm_s: if matches!(w[1].role, Role::Touch(_) | Role::Finish) {
-                feed_mm_s
-            } else {
-                RAPID_MM_S
-            },
-            cutting: false,
-            touching: matches!(w[1].role, Role::Touch(_)),
-        })
-        .collect()
-}
-
-/// One pass round the nose with a single arc, as `G02` makes it.
-#[must_use]
-pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
-    let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
-    let segment =
-        Segment::Arc { centre, radius_mm, start_rad: -beyond_rad, sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad };
-    vec![Move { segment, feed_mm_s, cutting: true, touching: false }]
-}
-
 impl Setup {
-    fn engine_design(&self) -> Result<Design, ExperimentError> {
-        lathe::design(&self.design).ok_or_else(|| ExperimentError::Design(self.design.clone()))
+    fn engine_design(&self) -> Result<Design, TurningError> {
+        lathe::design(&self.design).ok_or_else(|| TurningError::Design(self.design.clone()))
     }
 
     /// The cut to a radius.
@@ -285,7 +244,7 @@ impl Setup {
         radius_mm: f64,
         table: Option<&Table>,
         seed: u64,
-    ) -> Result<Ran, ExperimentError> {
+    ) -> Result<Ran, TurningError> {
         let path_mm = radius_mm + self.bench.nose_mm;
         self.go(
             part,
@@ -311,13 +270,14 @@ impl Setup {
         moves: &[Move],
         job: Job,
         seed: u64,
-    ) -> Result<Ran, ExperimentError> {
+    ) -> Result<Ran, TurningError> {
         let (bench, machine, design) = (&self.bench, &self.machine, self.engine_design()?);
-        let stand = Stand { bench, machine, begin_s: self.begin_s, design, seed };
-        let ran = lathe::run(&stand, &self.cut(radius_mm), moves, job, part)?;
+        let decoder_hz = ControllerSpec::default().decoder_hz;
+        let stand = Stand { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
+        let ran = run(&stand, &self.cut(radius_mm), moves, job, part)?;
         let faults = ran.status.axes[..2].iter().any(|a| a.faults.any()) || ran.status.faults.any();
         if faults {
-            return Err(ExperimentError::Fault(format!("{:?}", ran.status.axes[0].faults)));
+            return Err(TurningError::Fault(format!("{:?}", ran.status.axes[0].faults)));
         }
         Ok(ran)
     }
@@ -346,7 +306,7 @@ impl Setup {
         plan: &Plan,
         feed_mm_min: f64,
         seed: u64,
-    ) -> Result<Session, ExperimentError> {
+    ) -> Result<Session, TurningError> {
         let approach: Vec<Zx> = plan.points.iter().map(|p| p.place.normal * -1.0).collect();
         self.probe_path(part, &plan.records(), &plan.expected(), &approach, feed_mm_min, seed)
     }
@@ -363,13 +323,21 @@ impl Setup {
         approach: &[Zx],
         feed_mm_min: f64,
         seed: u64,
-    ) -> Result<Session, ExperimentError> {
+    ) -> Result<Session, TurningError> {
         let moves = probing_moves(records, feed_mm_min / 60.0);
         let mut part = part.clone();
         let ran = self.go(&mut part, self.radius_mm, &moves, Job::Probe(self.tip_mm), seed)?;
-        let trips = assign(&captured(&ran.events), expected, self.bench.count_um, ORIGIN, self.window_mm)?;
-        let off: Vec<f64> =
-            trips.iter().zip(&ran.trips).map(|(t, truth)| (t.tip_centre - *truth).norm() * 1e3).collect();
+        // An axis is in the middle of a count; the scale's edges lie half a count from there.
+        let half_mm = self.bench.count_um * 5e-4;
+        let edges = ORIGIN + Zx::new(half_mm, half_mm);
+        let trips = assign(&captured(&ran.events), expected, self.bench.count_um, edges, self.window_mm)?;
+        // Along the touch, where it makes the error: an axis that stands still is known to a count and has no part in it.
+        let off: Vec<f64> = trips
+            .iter()
+            .zip(&ran.trips)
+            .zip(approach)
+            .map(|((t, truth), along)| (t.tip_centre - *truth).dot(*along).abs() * 1e3)
+            .collect();
         let sensors: Vec<&str> = lathe::sensors().collect();
         Ok(Session {
             csv: probed_csv(&trips, approach, &sensors, &ran.degc),
@@ -385,7 +353,7 @@ impl Setup {
     ///
     /// # Errors
     /// The points give no circle.
-    pub fn errors(&self, session: &Session, radius_mm: f64) -> Result<Report, ExperimentError> {
+    pub fn errors(&self, session: &Session, radius_mm: f64) -> Result<Report, TurningError> {
         let mut probed = Probed::parse(Path::new("probed.csv"), &session.csv)?;
         if let Some(model) = &self.model {
             probed.correct_geometric_thermal(model, ORIGIN)?;
@@ -403,7 +371,7 @@ impl Setup {
     ///
     /// # Errors
     /// The points give no circle.
-    pub fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<Report, ExperimentError> {
+    pub fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<Report, TurningError> {
         let text = part.truth(radius_mm, self.points).iter().fold("z_mm,x_mm\n".to_owned(), |mut t, e| {
             let p = self.centre + Zx::at_angle(e.angle_rad) * (radius_mm + e.error_um * 1e-3);
             let _ = writeln!(t, "{:.9},{:.9}", p.z, p.x);
@@ -412,12 +380,7 @@ impl Setup {
         Ok(Probed::parse(Path::new("truth"), &text)?.errors(Nominal::Circle { radius_mm }, 0.0)?)
     }
 
-    fn result(
-        &self,
-        report: &Report,
-        part: &Workpiece,
-        radius_mm: f64,
-    ) -> Result<CutResult, ExperimentError> {
+    fn result(&self, report: &Report, part: &Workpiece, radius_mm: f64) -> Result<CutResult, TurningError> {
         let errors: Vec<f64> = report.errors.iter().map(|e| e.error_um).collect();
         let truth: Vec<f64> = self.measured(part, radius_mm)?.errors.iter().map(|e| e.error_um).collect();
         let range = |v: &[f64]| {
@@ -433,11 +396,35 @@ impl Setup {
         })
     }
 
+    /// The table of a finish cut: of what is known of the part's form, where the model knows any, or of probed errors.
+    fn table(&self, probed: &[PointError]) -> Result<Table, TurningError> {
+        let known = self.model.as_ref().map(|m| known_form(m, self.points)).transpose()?.flatten();
+        let axes = lathe::axes(&self.bench, self.engine_design()?);
+        Ok(Table::new(self.cut(self.radius_mm), axes, known.unwrap_or_else(|| probed.to_vec())))
+    }
+
+    /// The loop alone: semi-finish cut, probing, finish cut (corrected or not), and the session that inspects it.
+    ///
+    /// # Errors
+    /// The first step that cannot be done.
+    pub fn turn_nose(&self, corrected: bool) -> Result<Session, TurningError> {
+        let semi_mm = self.radius_mm + self.allowance_mm;
+        let (mut part, mut now) = (self.raw(), self.clone());
+        let ran = now.turn(&mut part, semi_mm, None, self.seed)?;
+        now = now.later(ran.seconds + PAUSE_S);
+        let session = now.probe(&part, &self.plan(semi_mm), self.motion.feed_mm_min, self.seed + 1)?;
+        now = now.later(session.seconds + PAUSE_S);
+        let table = if corrected { Some(self.table(&self.errors(&session, semi_mm)?.errors)?) } else { None };
+        let ran = now.turn(&mut part, self.radius_mm, table.as_ref(), self.seed + 2)?;
+        now = now.later(ran.seconds + PAUSE_S);
+        now.probe(&part, &self.plan(self.radius_mm), self.motion.feed_mm_min, self.seed + 3)
+    }
+
     /// All steps, one after the other.
     ///
     /// # Errors
     /// The first step that cannot be done.
-    pub fn run(&self, progress: &mut dyn FnMut(&str)) -> Result<Outcome, ExperimentError> {
+    pub fn run(&self, progress: &mut dyn FnMut(&str)) -> Result<Outcome, TurningError> {
         let design = self.engine_design()?;
         let mut files: Vec<(String, Vec<u8>)> = Vec::new();
         let mut decisions = Vec::new();
@@ -466,7 +453,7 @@ impl Setup {
             report.sd_before_um,
             report.sd_after_um
         ));
-        let table = Table::new(self.cut(self.radius_mm), axes, report.errors.clone());
+        let table = self.table(&report.errors)?;
         let rows = table.rows(9);
         let corrections = rows.iter().flat_map(|r| r.requested).map(i64::abs).max().unwrap_or(0)
             / design.increment_counts();
@@ -498,7 +485,6 @@ impl Setup {
                 segment: Segment::Line { a: w[0], b: w[1] },
                 feed_mm_s: self.cut_feed_mm_min / 60.0,
                 cutting: true,
-                touching: false,
             })
             .collect();
         now.go(&mut other, self.radius_mm, &moves, self.job(None), self.seed + 4)?;
@@ -537,8 +523,9 @@ impl Setup {
             off_machine,
             decisions,
             files,
+            reports: [("semi_finish", report), ("inspection", inspected)],
         };
-        let html = page(&outcome, &report, &inspected);
+        let html = page(&outcome);
         outcome.files.push(("report.html".into(), html.into_bytes()));
         Ok(outcome)
     }
@@ -549,7 +536,7 @@ impl Setup {
         table: &Table,
         inspected: &Report,
         progress: &mut dyn FnMut(&str),
-    ) -> Result<(Batch, String), ExperimentError> {
+    ) -> Result<(Batch, String), TurningError> {
         let mut text = "part,feature,angle_rad,error_um\n".to_owned();
         for k in 0..4 {
             progress("a further part for the measuring machine");
@@ -573,10 +560,10 @@ impl Setup {
         radius_mm: f64,
         session: &Session,
         report: &Report,
-    ) -> Result<(), ExperimentError> {
+    ) -> Result<(), TurningError> {
         let (plan, unit) = (self.plan(radius_mm), Unit::MM);
         let mut push = |name: &str, content: Vec<u8>| files.push((format!("{step}/{name}"), content));
-        for (name, text) in crate::web::files(&nose(self.centre, radius_mm), &plan, unit) {
+        for (name, text) in plan.files(&nose(self.centre, radius_mm), unit) {
             push(name, text.into_bytes());
         }
         let (name, program) = self.program(&plan, if step == "inspection" { "4" } else { "2" })?;
@@ -588,12 +575,11 @@ impl Setup {
         }
         push("error.cor", error_cor(&report.errors).into_bytes());
         push("whisker.svg", report.whisker_svg().into_bytes());
-        push("whisker.dxf", report.whisker_dxf()?);
         Ok(())
     }
 
     /// The probing program of the report's controller, and its name.
-    fn program(&self, plan: &Plan, segment: &str) -> Result<(String, String), ExperimentError> {
+    fn program(&self, plan: &Plan, segment: &str) -> Result<(String, String), TurningError> {
         let template = Path::new("template.prb");
         let bad = |(found, expected)| InputError::whole(template, found, expected);
         let mut parameters = Parameters::default();
@@ -626,6 +612,28 @@ impl Setup {
     }
 }
 
+/// Radial errors by angle that a model knows the part to have, µm; `None` where it knows of no form.
+fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>, RunError> {
+    let form: Vec<&Effect> = model
+        .effects()
+        .filter(|e| e.description().needs.contains(&Need::Angle) && !of_the_probe(e))
+        .collect();
+    if form.is_empty() {
+        return Ok(None);
+    }
+    let mut live = Live::new(form, layout(Vec::new()))?;
+    // Finer than it is probed: a bump may lie between two points.
+    let steps = 20 * points;
+    let errors = (0..=steps).map(|k| {
+        let angle_rad = FRAC_PI_2 * k as f64 / steps as f64;
+        let degc = [STANDARD_DEGC; SENSORS.len()];
+        let axes = [AxisNow::default(); AXES];
+        live.evaluate(&Frame { axes: &axes, temperatures_degc: &degc, angle_rad, ..Frame::default() });
+        PointError { angle_rad, error_um: live.radial_um(), along_mm: None }
+    });
+    Ok(Some(errors.collect()))
+}
+
 fn compare(feed_mm_min: f64, session: &Session) -> Probing {
     let um_per_us = feed_mm_min / 60.0 * 1e-3;
     Probing {
@@ -640,47 +648,9 @@ fn compare(feed_mm_min: f64, session: &Session) -> Probing {
     }
 }
 
-/// Two sessions side by side: the head of a page and its first part.
-fn side_by_side(before: &Report, after: &Report) -> String {
-    let row = |name: &str, r: &Report| {
-        let largest = r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
-        let (form, first, second) = (r.form_um, r.sd_before_um, r.sd_after_um);
-        format!(
-            "<tr><td>{name}<td>{largest:.2}<td>{form:.2}<td>{first:.2}<td>{second:.2}<td>{}",
-            r.rejected.len()
-        )
-    };
-    format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Part errors, before and after</title>\
-         <style>body{{font:15px sans-serif;max-width:70rem;margin:2rem auto}}table{{border-collapse:collapse}}\
-         td,th{{border:1px solid #ccc;padding:.2rem .6rem;text-align:right}}td:first-child{{text-align:left}}\
-         figure{{display:inline-block;width:48%;margin:0}}svg{{width:100%;height:auto}}</style>\
-         <h1>Part errors, before and after</h1>\
-         <table><tr><th>µm<th>largest<th>form<th>SD<th>SD of the second fit<th>points left out{}{}</table>\
-         <figure><figcaption>Before</figcaption>{}</figure><figure><figcaption>After</figcaption>{}</figure>\n",
-        row("before", before),
-        row("after", after),
-        before.whisker_svg(),
-        after.whisker_svg()
-    )
-}
-
-fn logged(decisions: &[String]) -> String {
-    let items = decisions.iter().fold(String::new(), |mut t, d| {
-        let _ = write!(t, "<li>{}", escaped(d));
-        t
-    });
-    format!("<h2>Decisions</h2><ol>{items}</ol></html>\n")
-}
-
-/// Before and after in one self-contained page.
-#[must_use]
-pub fn inspection_page(before: &Report, after: &Report, decisions: &[String]) -> String {
-    side_by_side(before, after) + &logged(decisions)
-}
-
 /// The page of a whole experiment.
-fn page(o: &Outcome, before: &Report, after: &Report) -> String {
+fn page(o: &Outcome) -> String {
+    let [(_, before), (_, after)] = &o.reports;
     let mut text = side_by_side(before, after);
     let _ = write!(
         text,

@@ -5,12 +5,13 @@
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Virtual;
 use rtec_driver::mock::MockCard;
-use rtec_driver::moving::{Motion, MovingAxes};
+
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Request;
 use rtec_rt::journal::Journal;
 use rtec_rt::link::link;
+use rtec_sim::strokes::{Motion, moving_axes};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -59,7 +60,7 @@ impl rtec_driver::clock::Clock for Ticking {
 fn the_loop_neither_allocates_nor_releases() {
     let motion = Motion { stroke_counts: 500.0, feed_counts_s: 20_000.0, dwell_s: 0.001, on_feedback: true };
     let lines = [0, 1, 2].map(|n| AxisLines::standard(n, true));
-    let (axes, operator) = MovingAxes::new(&lines.map(|l| (l, motion)));
+    let (axes, operator) = moving_axes(&lines.map(|l| (l, motion)), MachineLines::standard());
     let mut card = MockCard::new(axes, Ticking(Virtual::default()));
     let configs =
         lines.map(|lines| AxisConfig { lines, window_counts: 10, detect_ns: 5000, ..AxisConfig::default() });

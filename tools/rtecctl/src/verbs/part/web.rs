@@ -1,9 +1,9 @@
 //! A small page on this machine only: the drawing, click to add or remove points, the probe's path, save.
 
-use crate::contour::Contour;
-use crate::drawing::Unit;
-use crate::fit::Zx;
-use crate::path::{Plan, pathfin};
+use rtec_part::contour::Contour;
+use rtec_part::fit::Zx;
+use rtec_part::path::Plan;
+use rtec_part::unit::Unit;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -15,37 +15,21 @@ const MAX_BODY: usize = 4096;
 
 /// What the page edits.
 #[derive(Debug)]
-pub struct Session {
+pub(crate) struct Session {
     /// The part.
-    pub contour: Contour,
+    pub(crate) contour: Contour,
     /// Points and path.
-    pub plan: Plan,
+    pub(crate) plan: Plan,
     /// Unit of the path file.
-    pub unit: Unit,
+    pub(crate) unit: Unit,
     /// Where `Save` writes.
-    pub folder: PathBuf,
+    pub(crate) folder: PathBuf,
     /// Clearance of the by-passes the page adds on request.
-    pub clear_mm: f64,
-}
-
-/// The names and contents of the files that a plan is saved as: path, expected trips, drawing.
-#[must_use]
-pub fn files(contour: &Contour, plan: &Plan, unit: Unit) -> [(&'static str, String); 3] {
-    let expected = plan.expected();
-    let trips: Vec<crate::path::Record> = expected
-        .iter()
-        .enumerate()
-        .map(|(i, &at)| crate::path::Record { role: crate::path::Role::Touch(i + 1), at })
-        .collect();
-    [
-        ("pathfin.cdl", pathfin(&plan.records(), unit)),
-        ("probpath.cdl", pathfin(&trips, unit)),
-        ("points.svg", plan.svg(contour)),
-    ]
+    pub(crate) clear_mm: f64,
 }
 
 /// A page that waits to be served.
-pub struct Page {
+pub(crate) struct Page {
     server: Server,
     address: SocketAddr,
 }
@@ -55,7 +39,7 @@ impl Page {
     ///
     /// # Errors
     /// As the system reports them: the port is taken, no loopback.
-    pub fn listen(port: u16) -> std::io::Result<Self> {
+    pub(crate) fn listen(port: u16) -> std::io::Result<Self> {
         let server = Server::http(SocketAddr::from(([127, 0, 0, 1], port))).map_err(std::io::Error::other)?;
         let address = server.server_addr().to_ip().ok_or_else(|| std::io::Error::other("no IP address"))?;
         Ok(Self { server, address })
@@ -63,7 +47,7 @@ impl Page {
 
     /// Where the page is.
     #[must_use]
-    pub fn url(&self) -> String {
+    pub(crate) fn url(&self) -> String {
         format!("http://{}/", self.address)
     }
 
@@ -71,7 +55,7 @@ impl Page {
     ///
     /// # Errors
     /// The listening socket failed.
-    pub fn serve(&self, session: &mut Session) -> std::io::Result<()> {
+    pub(crate) fn serve(&self, session: &mut Session) -> std::io::Result<()> {
         loop {
             let mut request = self.server.recv()?;
             let (status, kind, body) = if self.is_ours(&request) {
@@ -172,7 +156,7 @@ fn change(session: &mut Session, what: &str, asked: &Value) -> Result<(), String
 
 fn save(session: &Session) -> std::io::Result<()> {
     std::fs::create_dir_all(&session.folder)?;
-    for (name, text) in files(&session.contour, &session.plan, session.unit) {
+    for (name, text) in session.plan.files(&session.contour, session.unit) {
         rtec_files::write::whole(&Path::new(&session.folder).join(name), text.as_bytes())?;
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! Prints how fast the simulation is: `cargo run --release -p rtec-sim --example sim_speed`.
+//! Prints how fast the simulation is: `cargo bench -p rtec-sim --bench sim_speed`.
 
 use rtec_model::machine::Machine as Model;
 use rtec_sim::gcode::parse;

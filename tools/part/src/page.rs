@@ -1,0 +1,47 @@
+//! Two probing sessions side by side, as a self-contained page.
+
+use crate::errors::Report;
+use crate::svg::escaped;
+use std::fmt::Write as _;
+
+/// Two sessions side by side: the head of a page and its first part.
+#[must_use]
+pub fn side_by_side(before: &Report, after: &Report) -> String {
+    let row = |name: &str, r: &Report| {
+        let largest = r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
+        let (form, first, second) = (r.form_um, r.sd_before_um, r.sd_after_um);
+        format!(
+            "<tr><td>{name}<td>{largest:.2}<td>{form:.2}<td>{first:.2}<td>{second:.2}<td>{}",
+            r.rejected.len()
+        )
+    };
+    format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Part errors, before and after</title>\
+         <style>body{{font:15px sans-serif;max-width:70rem;margin:2rem auto}}table{{border-collapse:collapse}}\
+         td,th{{border:1px solid #ccc;padding:.2rem .6rem;text-align:right}}td:first-child{{text-align:left}}\
+         figure{{display:inline-block;width:48%;margin:0}}svg{{width:100%;height:auto}}</style>\
+         <h1>Part errors, before and after</h1>\
+         <table><tr><th>µm<th>largest<th>form<th>SD<th>SD of the second fit<th>points left out{}{}</table>\
+         <figure><figcaption>Before</figcaption>{}</figure><figure><figcaption>After</figcaption>{}</figure>\n",
+        row("before", before),
+        row("after", after),
+        before.whisker_svg(),
+        after.whisker_svg()
+    )
+}
+
+/// The decisions and the page's end.
+#[must_use]
+pub fn logged(decisions: &[String]) -> String {
+    let items = decisions.iter().fold(String::new(), |mut t, d| {
+        let _ = write!(t, "<li>{}", escaped(d));
+        t
+    });
+    format!("<h2>Decisions</h2><ol>{items}</ol></html>\n")
+}
+
+/// Before and after in one self-contained page.
+#[must_use]
+pub fn inspection_page(before: &Report, after: &Report, decisions: &[String]) -> String {
+    side_by_side(before, after) + &logged(decisions)
+}

@@ -1,0 +1,30 @@
+//! A machine that somebody, or something, attends to once in every period of its controller: errors move its tool, the
+//! tool cuts, an operator presses a button.
+
+use crate::machine::{Machine, SERVO_NS};
+
+/// The machine and what goes on at it.
+pub trait Attended {
+    /// The machine.
+    fn machine(&self) -> &Machine;
+
+    /// The machine, to be attended to.
+    fn machine_mut(&mut self) -> &mut Machine;
+
+    /// A period of the controller is over; it has not commanded the next one yet.
+    fn tick(&mut self);
+
+    /// Lines may have changed.
+    fn changed(&mut self) {}
+
+    /// Lets time pass.
+    fn run_to(&mut self, t_ns: u64) {
+        let mut now_ns = self.machine().now_ns();
+        while now_ns / SERVO_NS < t_ns / SERVO_NS {
+            now_ns = (now_ns / SERVO_NS + 1) * SERVO_NS;
+            self.machine_mut().run_to(now_ns);
+            self.tick();
+        }
+        self.machine_mut().run_to(t_ns);
+    }
+}

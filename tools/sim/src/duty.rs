@@ -1,0 +1,172 @@
+//! The simulated turning centre in real time, at a mock card's wires: its controller runs one program, once, from the
+//! axes' home places, and honours feed hold. Cycle start is the release of feed hold.
+
+use crate::lathe::{Bench, Cut, Lathe, Move, RAPID_MM_S, Stand, arc_moves, cut_away, probing_moves};
+use crate::wires::MachineWires;
+use crate::workpiece::Workpiece;
+use rtec_driver::card::{AxisLines, MachineLines};
+use rtec_files::InputError;
+use rtec_model::machine::Machine as Model;
+use rtec_part::contour::Segment;
+use rtec_part::fit::Zx;
+use rtec_part::unit::Unit;
+use rtec_rt::axis::Design;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What a simulated turning centre does, as a TOML file: a probing path, or a cut.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Duty {
+    /// The part, as `part finish` writes it; a cut changes it. A path is relative to this file.
+    pub workpiece: PathBuf,
+    /// The probe's path, mm.
+    pub path: Option<PathBuf>,
+    /// Or the radius to cut to.
+    pub cut_radius_mm: Option<f64>,
+    /// Probing or cutting feed.
+    pub feed_mm_min: f64,
+    /// Radius of the probe's tip.
+    #[serde(default)]
+    pub tip_mm: f64,
+    /// Machine position `[z, x]` at the part's origin.
+    pub origin_mm: [f64; 2],
+    /// What the machine does wrong.
+    pub machine: Option<PathBuf>,
+    /// The spindle has run for so long.
+    #[serde(default)]
+    pub begin_s: f64,
+    /// Seed of everything that is random.
+    #[serde(default)]
+    pub seed: u64,
+    /// Machine, tool and probe.
+    #[serde(default)]
+    pub bench: Bench,
+}
+
+/// The part that a real-time machine cuts on, to be written when it has ended.
+#[derive(Debug)]
+pub struct Cuts {
+    places: Arc<Mutex<Vec<Cut>>>,
+    part: Workpiece,
+    bench: Bench,
+    seed: u64,
+    file: PathBuf,
+}
+
+impl Cuts {
+    /// Writes the part as the tool has left it; nothing where it has not cut.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(mut self) -> std::io::Result<()> {
+        let places = std::mem::take(&mut *self.places.lock().unwrap_or_else(PoisonError::into_inner));
+        if places.is_empty() {
+            return Ok(());
+        }
+        cut_away(&mut self.part, &self.bench, &places, self.seed);
+        rtec_files::write::whole(&self.file, self.part.to_csv().as_bytes())
+    }
+}
+
+impl Duty {
+    /// Reads what the machine is to do.
+    ///
+    /// # Errors
+    /// Not such a file, or a value that is out of range.
+    pub fn read(file: &Path) -> Result<Self, InputError> {
+        let text = rtec_files::text::read(file)?;
+        let expected = "what the simulated turning centre does";
+        let mut duty: Self = rtec_files::toml::from_str(file, &text, expected)?;
+        let at = |key: &str, found: String, expected: &str| {
+            InputError::at_offset(file, &text, text.find(key).unwrap_or(0), found, expected)
+        };
+        duty.bench.check().map_err(|(key, expected)| at(key, format!("{key} out of range"), expected))?;
+        let finite = [duty.tip_mm, duty.begin_s, duty.origin_mm[0], duty.origin_mm[1]];
+        if !finite.iter().all(|v| v.is_finite()) || !(0.0..=1e6).contains(&duty.begin_s) || duty.tip_mm < 0.0
+        {
+            return Err(at(
+                "",
+                "a value out of range".into(),
+                "finite numbers; tip_mm and begin_s 0 or more",
+            ));
+        }
+        if !(duty.feed_mm_min.is_finite() && duty.feed_mm_min > 0.0) {
+            return Err(at("feed_mm_min", duty.feed_mm_min.to_string(), "a positive feed"));
+        }
+        match (&duty.path, duty.cut_radius_mm) {
+            (Some(_), None) => {}
+            (None, Some(r)) if r.is_finite() && r > 0.0 => {}
+            _ => return Err(at("", "neither or both".into(), "path, or a positive cut_radius_mm")),
+        }
+        let folder = file.parent().unwrap_or(Path::new(""));
+        duty.workpiece = folder.join(&duty.workpiece);
+        duty.path = duty.path.map(|p| folder.join(p));
+        duty.machine = duty.machine.map(|p| folder.join(p));
+        Ok(duty)
+    }
+
+    /// The machine at rest at `home` (machine mm), on these lines of Z and X, and the part it cuts on.
+    ///
+    /// # Errors
+    /// A file that the duty names is not right; an effect reads what this machine does not have.
+    pub fn machine(
+        &self,
+        lines: [AxisLines; 2],
+        machine_lines: MachineLines,
+        home: Zx,
+    ) -> Result<(MachineWires<Lathe>, Cuts), InputError> {
+        let part = Workpiece::read(&self.workpiece)?;
+        let origin = Zx::new(self.origin_mm[0], self.origin_mm[1]);
+        let feed_mm_s = self.feed_mm_min / 60.0;
+        let program = match (&self.path, self.cut_radius_mm) {
+            (Some(file), _) => {
+                let records = rtec_part::path::read_pathfin(file, Unit::MM)?;
+                probing_moves(&records, feed_mm_s)
+            }
+            (None, radius_mm) => {
+                let radius_mm = radius_mm.unwrap_or_default();
+                arc_moves(part.centre, radius_mm + self.bench.nose_mm, feed_mm_s)
+            }
+        };
+        let first = program
+            .first()
+            .ok_or_else(|| {
+                InputError::whole(&self.workpiece, "a program without a move", "a path to follow")
+            })?
+            .segment
+            .at(0.0);
+        // As the NC program begins: along Z alone, then along X alone.
+        let corner = Zx::new(first.z, home.x - origin.x);
+        let ways =
+            [(home - origin, corner), (corner, first)].into_iter().filter(|(a, b)| (*b - *a).norm() > 1e-6);
+        let mut moves: Vec<Move> = ways
+            .map(|(a, b)| Move { segment: Segment::Line { a, b }, feed_mm_s: RAPID_MM_S, cutting: false })
+            .collect();
+        moves.extend(program);
+        let machine = match &self.machine {
+            Some(file) => Model::read(file)?,
+            None => Model::ideal("ideal lathe"),
+        };
+        let stand = Stand {
+            bench: &self.bench,
+            machine: &machine,
+            begin_s: self.begin_s,
+            design: Design::C,
+            // A mock card's time stands between a look and the write after it: nothing a decoder could check.
+            decoder_hz: f64::INFINITY,
+            seed: self.seed,
+        };
+        let probing = self.path.is_some().then_some(self.tip_mm);
+        let lathe = Lathe::new(&stand, home, origin, &moves, probing, &part, None).map_err(|m| {
+            let file = self.machine.as_deref().unwrap_or(Path::new("machine"));
+            let found = format!("effect {} reads {}", m.effect, m.what);
+            InputError::whole(file, found, "axes z and x, sensors T1 to T20")
+        })?;
+        let places = Arc::clone(lathe.cuts());
+        let wires = MachineWires::new([(lathe, lines.to_vec())], machine_lines);
+        let file = self.workpiece.clone();
+        Ok((wires, Cuts { places, part, bench: self.bench.clone(), seed: self.seed, file }))
+    }
+}

@@ -1,0 +1,141 @@
+//! What the machine does wrong as time goes on: the effects of its model under its own heat. They move whatever the
+//! machine carries, tool and probe alike.
+
+use crate::axis::Friction;
+use crate::heat::{Heat, SENSORS};
+use crate::machine::Machine;
+use crate::noise::Noise;
+use crate::path::AXES;
+use rtec_model::effect::{Effect, Mechanism, Owner};
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::record::Axis;
+
+/// Names of the controller's axes.
+pub(crate) const NAMES: [&str; AXES] = ["x", "y", "z"];
+
+/// What a model of the simulated machine may read: the controller's axes, all sensors, these channels.
+pub(crate) fn layout(channels: Vec<String>) -> Layout {
+    Layout {
+        axes: NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
+        sensors: SENSORS.iter().map(|s| s.0.to_owned()).collect(),
+        channels,
+    }
+}
+
+/// The probe does it, not the machine nor the part.
+pub(crate) fn of_the_probe(effect: &Effect) -> bool {
+    effect.description().owner == Owner::Probe
+}
+
+/// Time from contact to the probe's line that a true machine's effects stand for, ns.
+pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) -> u64 {
+    let late = effects.into_iter().filter(|e| e.description().mechanism == Some(Mechanism::ProbeDelay));
+    let us = late.map(|e| e.scalar(0)).fold(0.0, f64::max);
+    (us * 1000.0) as u64
+}
+
+/// The forces that a true machine's effects stand for, on all its axes.
+pub(crate) fn set_friction<'e>(machine: &mut Machine, effects: impl IntoIterator<Item = &'e Effect> + Clone) {
+    for n in 0..machine.axis_count() {
+        let axis = NAMES[machine.place(n)];
+        let mut friction = Friction::default();
+        let of_axis = |e: &&Effect| e.axes().first().is_some_and(|a| a.as_str() == axis);
+        for effect in effects.clone().into_iter().filter(of_axis) {
+            let value = effect.values().first().copied().unwrap_or(0.0);
+            match effect.description().mechanism {
+                Some(Mechanism::Mass) => friction.mass_kg = Some(value),
+                Some(Mechanism::ViscousFriction) => friction.viscous_n_s_per_m = Some(value),
+                Some(Mechanism::CoulombFriction) => friction.coulomb_n = Some(value),
+                Some(Mechanism::AsymmetricFriction) => friction.asymmetric_n_s_per_m = value,
+                Some(Mechanism::ConstantForce) => friction.offset_n = value,
+                Some(Mechanism::ProbeDelay) | None => {}
+            }
+        }
+        machine.set_friction(n, friction);
+    }
+}
+
+/// What a model reads of the machine at a time; `axes` are X, Y, Z.
+pub(crate) fn frame<'a>(
+    t_s: f64,
+    machine: &Machine,
+    heat: &'a Heat,
+    channels: &'a [f64],
+    axes: &'a [AxisNow; AXES],
+) -> Frame<'a> {
+    Frame {
+        t_s,
+        axes,
+        temperatures_degc: heat.readings_degc(),
+        channels,
+        rpm: machine.rpm(),
+        coolant: f64::from(u8::from(machine.coolant())),
+        ..Frame::default()
+    }
+}
+
+/// The true machine's errors and the heat they come from.
+#[derive(Debug)]
+pub(crate) struct Errors {
+    pub heat: Heat,
+    truth: Live,
+    channels: Vec<f64>,
+    noise: Noise,
+}
+
+impl Errors {
+    pub(crate) fn new(truth: Live, heat: Heat, seed: u64) -> Self {
+        let channels = vec![0.0; truth.layout().channels.len()];
+        Self { heat, truth, channels, noise: Noise::new(seed, 0xC0) }
+    }
+
+    pub(crate) fn channel_names(&self) -> &[String] {
+        &self.truth.layout().channels
+    }
+
+    pub(crate) fn channels(&self) -> &[f64] {
+        &self.channels
+    }
+
+    /// Another second of what the channels show.
+    pub(crate) fn move_channels(&mut self) {
+        for channel in &mut self.channels {
+            *channel += 0.1 * self.noise.normal() - 0.002 * *channel;
+        }
+    }
+
+    /// Evaluates the errors where the machine is and moves its tool by them.
+    pub(crate) fn act(&mut self, t_s: f64, machine: &mut Machine, load_n: &[f64; AXES], angle_rad: f64) {
+        let mut axes = [AxisNow::default(); AXES];
+        for n in 0..machine.axis_count() {
+            let p = machine.place(n);
+            axes[p] = AxisNow {
+                position_mm: machine.position_mm(n),
+                velocity_mm_s: machine.velocity_mm_s(n),
+                acceleration_mm_s2: machine.acceleration_mm_s2(n),
+                direction: machine.direction(n),
+                load_n: load_n[p],
+            };
+        }
+        let frame = frame(t_s, machine, &self.heat, &self.channels, &axes);
+        self.truth.evaluate(&Frame { angle_rad, ..frame });
+        let mut offset_mm = [0.0; AXES];
+        for (o, e) in offset_mm.iter_mut().zip(self.truth.errors_um()) {
+            *o = e / 1000.0;
+        }
+        machine.set_tool_offset_mm(offset_mm);
+    }
+
+    /// The errors as they were evaluated last, X, Y, Z, µm.
+    pub(crate) fn errors_um(&self) -> [f64; AXES] {
+        let mut errors_um = [0.0; AXES];
+        errors_um.copy_from_slice(&self.truth.errors_um()[..AXES]);
+        errors_um
+    }
+
+    /// Radial effects at the angle evaluated last, µm: the form of the part, and how much further the probe feels it.
+    pub(crate) fn radial_um(&self) -> (f64, f64) {
+        let probe_um = self.truth.parts().filter(|p| of_the_probe(p.effect)).map(|p| p.value[0]).sum::<f64>();
+        (self.truth.radial_um() - probe_um, probe_um)
+    }
+}

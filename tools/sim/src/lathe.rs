@@ -1,0 +1,442 @@
+//! A job on a turning centre: the simulated machine with two axes, a worn tool or a touch probe in its turret, and a
+//! workpiece. NISTIR 4854's experiment runs on it. What the machine does wrong moves tool and probe alike.
+
+use crate::attended::Attended;
+use crate::axis::AxisSpec;
+use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
+use crate::gcode::Block;
+use crate::heat::{Heat, SENSORS};
+use crate::machine::{ControllerSpec, Machine, SERVO_NS};
+use crate::noise::Noise;
+use crate::path::AXES;
+use crate::workpiece::{Nose, Workpiece};
+use rtec_model::effect::Missing;
+use rtec_model::live::{AxisNow, Live};
+use rtec_model::machine::Machine as Model;
+use rtec_part::contour::Segment;
+use rtec_part::fit::Zx;
+use rtec_part::path::{Record, Role};
+use rtec_part::table::AxisCounts;
+use rtec_rt::axis::Design;
+use serde::Deserialize;
+use std::f64::consts::FRAC_PI_2;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The machine, its tool and its probe.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Bench {
+    /// What one count of either axis is worth.
+    pub count_um: f64,
+    /// Radius of the tool's nose.
+    pub nose_mm: f64,
+    /// Ground off the nose: the depth of the flat.
+    pub flat_um: f64,
+    /// The surface angle that the middle of the flat cuts.
+    pub flat_rad: f64,
+    /// Repeatability of the probe, one standard deviation.
+    pub probe_sd_um: f64,
+    /// Roughness of the cut, one standard deviation.
+    pub cut_sd_um: f64,
+    /// Spindle speed while cutting, and while the machine warms up.
+    pub rpm: f64,
+    /// Temperature of the hall, and of the machine when it is started.
+    pub ambient_degc: f64,
+    /// Acceleration along the path.
+    pub accel_mm_s2: f64,
+    /// Deceleration along the path.
+    pub decel_mm_s2: f64,
+    /// Gain of the position loop, 1/s.
+    pub gain: f64,
+    /// Between two looks of the corrector, ns.
+    pub poll_ns: f64,
+    /// Between two totals from the control side, ms.
+    pub control_ms: f64,
+}
+
+impl Default for Bench {
+    /// Like the machine of NISTIR 4854: 1 µm counts, 25 µm ground off a 1/32 in nose just above the centre line.
+    fn default() -> Self {
+        Self {
+            count_um: 1.0,
+            nose_mm: 0.794,
+            flat_um: 25.0,
+            flat_rad: 0.258,
+            probe_sd_um: 0.25,
+            cut_sd_um: 0.15,
+            rpm: 2000.0,
+            ambient_degc: 20.0,
+            accel_mm_s2: 217.0,
+            decel_mm_s2: 578.7,
+            gain: 30.0,
+            poll_ns: 1000.0,
+            control_ms: 10.0,
+        }
+    }
+}
+
+impl Bench {
+    /// Is every value one that a machine can have?
+    ///
+    /// # Errors
+    /// The first key that is out of range and what is expected of it.
+    pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        let positive = [
+            ("count_um", self.count_um),
+            ("nose_mm", self.nose_mm),
+            ("accel_mm_s2", self.accel_mm_s2),
+            ("decel_mm_s2", self.decel_mm_s2),
+            ("gain", self.gain),
+            ("poll_ns", self.poll_ns),
+            ("control_ms", self.control_ms),
+        ];
+        if let Some((key, _)) = positive.iter().find(|(_, v)| !(v.is_finite() && *v > 0.0)) {
+            return Err((key, "a positive number"));
+        }
+        let sizes = [
+            ("flat_um", self.flat_um),
+            ("probe_sd_um", self.probe_sd_um),
+            ("cut_sd_um", self.cut_sd_um),
+            ("rpm", self.rpm),
+        ];
+        if let Some((key, _)) = sizes.iter().find(|(_, v)| !(v.is_finite() && *v >= 0.0)) {
+            return Err((key, "0 or more"));
+        }
+        let finite = [("flat_rad", self.flat_rad), ("ambient_degc", self.ambient_degc)];
+        if let Some((key, _)) = finite.iter().find(|(_, v)| !v.is_finite()) {
+            return Err((key, "a finite number"));
+        }
+        if self.flat_um * 1e-3 >= self.nose_mm {
+            return Err(("flat_um", "less than the nose's radius"));
+        }
+        if self.gain * SERVO_NS as f64 * 1e-9 > 0.5 {
+            return Err(("gain", "at most 500 1/s: the position loop turns every millisecond"));
+        }
+        Ok(())
+    }
+
+    /// One of its two axes.
+    fn axis(&self, name: &'static str) -> AxisSpec {
+        AxisSpec {
+            count_um: self.count_um,
+            speed_mm_s: RAPID_MM_S,
+            accel_mm_s2: self.accel_mm_s2,
+            decel_mm_s2: self.decel_mm_s2,
+            jerk_mm_s3: JERK_MM_S3,
+            position_gain_per_s: self.gain,
+            // Preloaded screws.
+            backlash_um: 0.0,
+            ..AxisSpec::new(name, 1000.0)
+        }
+    }
+
+    fn nose(&self) -> Nose {
+        Nose { radius_mm: self.nose_mm, flat_um: self.flat_um, flat_rad: self.flat_rad }
+    }
+}
+
+/// Rapid traverse of the report's machine: 7 m/min.
+pub const RAPID_MM_S: f64 = 116.7;
+/// So that the ramps of `accel_mm_s2` and `decel_mm_s2` are what a probing path is planned with.
+const JERK_MM_S3: f64 = 100_000.0;
+
+/// A machine with its errors, switched on so long ago.
+#[derive(Debug, Clone, Copy)]
+pub struct Stand<'a> {
+    /// Machine, tool and probe.
+    pub bench: &'a Bench,
+    /// What it does wrong: effects of Z and X by position and temperature, and of the probe.
+    pub machine: &'a Model,
+    /// The spindle has run for so long when the program starts.
+    pub begin_s: f64,
+    /// The corrector's design.
+    pub design: Design,
+    /// Highest count rate of the controller's decoder, Hz.
+    pub decoder_hz: f64,
+    /// Seed of everything that is random.
+    pub seed: u64,
+}
+
+/// One move of the part program.
+#[derive(Debug, Clone)]
+pub struct Move {
+    /// Where along, in part coordinates of the tool's nose centre or the probe's tip centre.
+    pub segment: Segment,
+    /// At which feed.
+    pub feed_mm_s: f64,
+    /// Material is cut.
+    pub cutting: bool,
+}
+
+/// The probe's path as moves of the machine.
+#[must_use]
+pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {
+    records
+        .windows(2)
+        .filter(|w| (w[1].at - w[0].at).norm() > 1e-9)
+        .map(|w| Move {
+            segment: Segment::Line { a: w[0].at, b: w[1].at },
+            feed_mm_s: if matches!(w[1].role, Role::Touch(_) | Role::Finish) {
+                feed_mm_s
+            } else {
+                RAPID_MM_S
+            },
+            cutting: false,
+        })
+        .collect()
+}
+
+/// One pass round the nose with a single arc, as `G02` makes it.
+#[must_use]
+pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
+    let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
+    let segment =
+        Segment::Arc { centre, radius_mm, start_rad: -beyond_rad, sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad };
+    vec![Move { segment, feed_mm_s, cutting: true }]
+}
+
+/// Names of the sensors on the machine, in the order of their readings.
+pub fn sensors() -> impl Iterator<Item = &'static str> {
+    SENSORS.iter().map(|s| s.0)
+}
+
+/// A place of the machine, Z and X, as its X, Y, Z.
+fn xyz(p: Zx) -> [f64; AXES] {
+    [p.x, 0.0, p.z]
+}
+
+fn zx(p: [f64; AXES]) -> Zx {
+    Zx::new(p[2], p[0])
+}
+
+/// The moves as an NC program, each with an exact stop; and the number of the block that cuts, counted from 1.
+fn program(
+    bench: &Bench,
+    moves: &[Move],
+    origin: Zx,
+    rpm: f64,
+) -> (Vec<Block>, std::ops::RangeInclusive<usize>) {
+    let mut blocks = vec![Block::Spindle { rpm }];
+    let (mut first, mut last) = (usize::MAX, 0);
+    for m in moves {
+        let (to, feed_mm_s) = (xyz(m.segment.at(1.0) + origin), m.feed_mm_s);
+        blocks.push(match m.segment {
+            Segment::Arc { centre, sweep_rad, .. } => {
+                let centre = centre + origin;
+                Block::Arc {
+                    to,
+                    plane: (2, 0),
+                    centre: (centre.z, centre.x),
+                    clockwise: sweep_rad < 0.0,
+                    feed_mm_s,
+                }
+            }
+            _ => Block::Feed { to, feed_mm_s },
+        });
+        if m.cutting {
+            (first, last) = (first.min(blocks.len()), blocks.len());
+        }
+        blocks.push(Block::Dwell { seconds: 4.0 / bench.gain });
+    }
+    (blocks, first..=last)
+}
+
+/// What a tool does from one place of its nose's centre: where, in part coordinates, and what the part's own form leaves
+/// there, µm.
+pub(crate) type Cut = (Zx, f64);
+
+/// The machine at work on one program.
+#[derive(Debug)]
+pub struct Lathe {
+    machine: Machine,
+    errors: Errors,
+    bench: Bench,
+    origin: Zx,
+    centre: Zx,
+    /// Radius of the probe's tip; `None`: a tool is in the turret.
+    tip_mm: Option<f64>,
+    begin_s: f64,
+    /// The program, while it waits for cycle start: the release of feed hold.
+    waiting: Option<Vec<Block>>,
+    held: bool,
+    cutting: std::ops::RangeInclusive<usize>,
+    block: usize,
+    cuts: Arc<Mutex<Vec<Cut>>>,
+    last_cut: Option<Zx>,
+    /// At each trip: where the tip's centre was on the scales, part coordinates, and what the sensors read.
+    trips: Vec<(Zx, Vec<f64>)>,
+    noise: Noise,
+    touch_mm: f64,
+}
+
+impl Lathe {
+    /// At rest at `start` (machine mm), the spindle having run for the stand's time, with a program for `tip_mm`, a probe,
+    /// or for the tool. `known`, what the corrector knows of the machine, sees the same warming up.
+    pub(crate) fn new(
+        stand: &Stand,
+        start: Zx,
+        origin: Zx,
+        moves: &[Move],
+        tip_mm: Option<f64>,
+        part: &Workpiece,
+        known: Option<&mut Live>,
+    ) -> Result<Self, Missing> {
+        let bench = stand.bench;
+        let controller = ControllerSpec { decoder_hz: stand.decoder_hz, ..ControllerSpec::default() };
+        let mut machine = Machine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
+        set_friction(&mut machine, stand.machine.effects().collect::<Vec<_>>());
+        if tip_mm.is_some() {
+            let shape = part.clone();
+            let surface = move |tip| shape.distance_mm(zx(tip) - origin);
+            machine.set_surface(Some(Box::new(surface)), probe_delay_ns(stand.machine.effects()));
+        }
+        // The spindle stands while the machine probes.
+        let rpm = if tip_mm.is_some() { 0.0 } else { bench.rpm };
+        let (blocks, cutting) = program(bench, moves, origin, rpm);
+        let truth = Live::of(stand.machine, layout(Vec::new()))?;
+        let errors = Errors::new(truth, Heat::cold(bench.ambient_degc, 0.0, stand.seed), stand.seed);
+        let mut lathe = Self {
+            machine,
+            errors,
+            bench: bench.clone(),
+            origin,
+            centre: part.centre,
+            tip_mm,
+            begin_s: stand.begin_s,
+            waiting: Some(blocks),
+            held: false,
+            cutting,
+            block: 0,
+            cuts: Arc::default(),
+            last_cut: None,
+            trips: Vec::new(),
+            noise: Noise::new(stand.seed, 0x1A7E),
+            touch_mm: 0.0,
+        };
+        lathe.warm_up(known);
+        Ok(lathe)
+    }
+
+    /// Switched on cold, the spindle running.
+    fn warm_up(&mut self, mut known: Option<&mut Live>) {
+        for second in 0..self.begin_s as u64 {
+            let t_s = second as f64;
+            self.errors.heat.advance(t_s, self.bench.rpm, false);
+            self.errors.act(t_s, &mut self.machine, &[0.0; AXES], 0.0);
+            if let Some(known) = known.as_deref_mut() {
+                let mut axes = [AxisNow::default(); AXES];
+                axes[2].position_mm = self.machine.position_mm(0);
+                axes[0].position_mm = self.machine.position_mm(1);
+                known.evaluate(&self.frame(t_s, &axes));
+            }
+        }
+        self.act();
+    }
+
+    /// What a model reads of the machine.
+    pub(crate) fn frame<'a>(&'a self, t_s: f64, axes: &'a [AxisNow; AXES]) -> rtec_model::live::Frame<'a> {
+        crate::errors::frame(t_s, &self.machine, &self.errors.heat, self.errors.channels(), axes)
+    }
+
+    /// Time since the machine was switched on, s.
+    pub(crate) fn t_s(&self) -> f64 {
+        self.begin_s + self.machine.now_ns() as f64 * 1e-9
+    }
+
+    /// The turret by the scales, part coordinates.
+    fn on_scale(&self) -> Zx {
+        Zx::new(self.machine.position_mm(0), self.machine.position_mm(1)) - self.origin
+    }
+
+    /// The errors where the machine is now.
+    fn act(&mut self) {
+        let angle_rad = (self.on_scale() - self.centre).angle_rad();
+        self.errors.act(self.t_s(), &mut self.machine, &[0.0; AXES], angle_rad);
+        let (_, probe_um) = self.errors.radial_um();
+        self.machine.set_probe_reach_mm(self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3);
+    }
+
+    /// Cycle start.
+    pub(crate) fn start(&mut self) {
+        self.machine.load(self.waiting.take().into_iter().flatten());
+    }
+
+    /// The program has been run to its end.
+    pub(crate) fn finished(&self) -> bool {
+        self.waiting.is_none() && self.machine.finished()
+    }
+
+    /// What the tool has cut so far; whoever shares it takes from it.
+    pub(crate) fn cuts(&self) -> &Arc<Mutex<Vec<Cut>>> {
+        &self.cuts
+    }
+
+    /// Where the tip's centre was at each trip, and what the sensors read.
+    pub(crate) fn trips(&self) -> &[(Zx, Vec<f64>)] {
+        &self.trips
+    }
+
+    fn cut(&mut self) {
+        let place = zx(self.machine.tool_mm()) - self.origin;
+        if self.last_cut.is_none_or(|p| (p - place).norm() > 0.02) {
+            self.last_cut = Some(place);
+            let (form_um, _) = self.errors.radial_um();
+            self.cuts.lock().unwrap_or_else(PoisonError::into_inner).push((place, form_um));
+        }
+    }
+}
+
+impl Attended for Lathe {
+    fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    fn machine_mut(&mut self) -> &mut Machine {
+        &mut self.machine
+    }
+
+    fn tick(&mut self) {
+        self.errors.heat.advance(self.t_s(), self.machine.rpm(), false);
+        if self.block != self.machine.blocks_begun() {
+            self.block = self.machine.blocks_begun();
+            self.touch_mm = self.bench.probe_sd_um * 1e-3 * self.noise.normal();
+        }
+        self.act();
+        if self.cutting.contains(&self.block) {
+            self.cut();
+        }
+        let (trips, at_mm) = self.machine.trips();
+        if trips > self.trips.len() {
+            self.trips.push((zx(at_mm) - self.origin, self.errors.heat.readings_degc().to_vec()));
+        }
+        let held = std::mem::replace(&mut self.held, self.machine.held());
+        if held && !self.held && self.waiting.is_some() {
+            self.start();
+        }
+    }
+}
+
+/// What the tool leaves of a part, roughness included.
+pub(crate) fn cut_away(part: &mut Workpiece, bench: &Bench, cuts: &[Cut], seed: u64) {
+    let mut noise = Noise::new(seed, 0xC07);
+    for &(place, form_um) in cuts {
+        part.cut(bench.nose(), place, bench.cut_sd_um * noise.normal() - form_um);
+    }
+}
+
+/// The engine's design and the axis's counts for a name of the contract.
+#[must_use]
+pub fn design(name: &str) -> Option<Design> {
+    match name {
+        "original" => Some(Design::Original),
+        "a" => Some(Design::A),
+        "c" => Some(Design::C),
+        _ => None,
+    }
+}
+
+/// Both axes' counts on this bench.
+#[must_use]
+pub fn axes(bench: &Bench, design: Design) -> [AxisCounts; 2] {
+    [AxisCounts { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]
+}

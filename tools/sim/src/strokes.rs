@@ -1,0 +1,302 @@
+//! Axes that go to and fro in real time until somebody jogs them: each a machine of one axis at the mock card's wires.
+
+use crate::attended::Attended;
+use crate::axis::AxisSpec;
+use crate::gcode::Block;
+use crate::machine::{ControllerSpec, Machine};
+use crate::path::AXES;
+use crate::wires::MachineWires;
+use rtec_driver::card::{AxisLines, MachineLines};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
+
+/// How an axis moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motion {
+    /// Length of a stroke, counts.
+    pub stroke_counts: f64,
+    /// Feed, counts/s.
+    pub feed_counts_s: f64,
+    /// Pause at either end, s.
+    pub dwell_s: f64,
+    /// The controller closes its loop on what it is sent; if not, on an encoder of its own.
+    pub on_feedback: bool,
+}
+
+/// What the outside may know of an axis at any time. Written by the card's thread, read by anyone.
+#[derive(Debug)]
+pub struct Truth {
+    commanded: AtomicU64,
+    /// How far the axis is from there: it changes slowly, so that a command read a moment too early does no harm.
+    off: AtomicU64,
+    mtc_count: AtomicI64,
+    illegal: AtomicU64,
+    /// Where it shall go, counts; no number while it runs its cycle. Written by the operator, read by the card's thread.
+    jog: AtomicU64,
+}
+
+impl Default for Truth {
+    fn default() -> Self {
+        Self {
+            commanded: AtomicU64::default(),
+            off: AtomicU64::default(),
+            mtc_count: AtomicI64::default(),
+            illegal: AtomicU64::default(),
+            jog: AtomicU64::new(f64::NAN.to_bits()),
+        }
+    }
+}
+
+impl Truth {
+    /// Where the controller wants the axis, counts.
+    pub fn commanded_counts(&self) -> f64 {
+        f64::from_bits(self.commanded.load(Ordering::Relaxed))
+    }
+
+    /// How far the axis is on its scale from where the controller wants it, counts.
+    pub fn off_counts(&self) -> f64 {
+        f64::from_bits(self.off.load(Ordering::Relaxed))
+    }
+
+    /// Where the axis is on its scale, counts.
+    pub fn position_counts(&self) -> f64 {
+        self.commanded_counts() + self.off_counts()
+    }
+
+    /// What the controller has counted, decoded from A' and B' on its own.
+    pub fn mtc_counts(&self) -> i64 {
+        self.mtc_count.load(Ordering::Relaxed)
+    }
+
+    /// Leaves the cycle and goes to a commanded place, counts, at the motion's feed; stays there.
+    pub fn jog_to(&self, commanded_counts: f64) {
+        self.jog.store(commanded_counts.to_bits(), Ordering::Relaxed);
+    }
+
+    /// Illegal transitions that the controller has seen.
+    pub fn illegal(&self) -> u64 {
+        self.illegal.load(Ordering::Relaxed)
+    }
+}
+
+/// Who stands at the machine: sees the axes as they are, and presses cycle start.
+#[derive(Debug)]
+pub struct Operator {
+    /// One per axis.
+    pub truth: Vec<Arc<Truth>>,
+    go: Arc<AtomicBool>,
+}
+
+impl Operator {
+    /// Sets the axes going.
+    pub fn cycle_start(&self) {
+        self.go.store(true, Ordering::Relaxed);
+    }
+}
+
+/// An axis and its operator.
+#[derive(Debug)]
+pub struct Stroking {
+    machine: Machine,
+    motion: Motion,
+    truth: Arc<Truth>,
+    /// Cycle start. Written by whoever has the machine's other end, read by the card's thread.
+    go: Arc<AtomicBool>,
+    /// The last jog taken, as the operator wrote it.
+    jogged: u64,
+}
+
+/// Axes that go to and fro, on one card.
+pub type MovingAxes = MachineWires<Stroking>;
+
+/// Of the controller's axes these machines have the first alone. A count stands for a micrometre.
+const MM_PER_COUNT: f64 = 1e-3;
+/// An axis that follows its command, and an insertion, within some milliseconds.
+const GAIN_PER_S: f64 = 150.0;
+/// Time to the feed, and of that at rising acceleration, s.
+const RAMP_S: f64 = 0.01;
+const RISE_S: f64 = 0.004;
+
+impl Motion {
+    fn axis(&self) -> AxisSpec {
+        let feed_mm_s = self.feed_counts_s * MM_PER_COUNT;
+        let accel_mm_s2 = feed_mm_s / (RAMP_S - RISE_S);
+        AxisSpec {
+            speed_mm_s: feed_mm_s,
+            accel_mm_s2,
+            decel_mm_s2: accel_mm_s2,
+            jerk_mm_s3: accel_mm_s2 / RISE_S,
+            position_gain_per_s: GAIN_PER_S,
+            backlash_um: 0.0,
+            on_feedback: self.on_feedback,
+            ..AxisSpec::new("x", 2.0 * self.stroke_counts * MM_PER_COUNT)
+        }
+    }
+
+    fn to(&self, counts: f64) -> Block {
+        let mut to = [0.0; AXES];
+        to[0] = counts * MM_PER_COUNT;
+        Block::Feed { to, feed_mm_s: self.feed_counts_s * MM_PER_COUNT }
+    }
+}
+
+/// Axes on these lines, at rest at zero until cycle start, a probe in the middle of the first one's stroke.
+#[must_use]
+pub fn moving_axes(axes: &[(AxisLines, Motion)], lines: MachineLines) -> (MovingAxes, Operator) {
+    // Such a controller believes what it is sent, however fast it comes and wherever it leads.
+    let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: f64::INFINITY };
+    let (go, mut truth) = (Arc::<AtomicBool>::default(), Vec::new());
+    let stroking = axes.iter().enumerate().map(|(n, &(lines, motion))| {
+        let mut machine = Machine::new(&[motion.axis()], controller.clone(), [0.0; AXES]);
+        if n == 0 {
+            let middle_mm = motion.stroke_counts / 2.0 * MM_PER_COUNT;
+            machine.set_surface(Some(Box::new(move |p| middle_mm - p[0])), 0);
+        }
+        truth.push(Arc::<Truth>::default());
+        let (truth, go) = (Arc::clone(&truth[n]), Arc::clone(&go));
+        let jogged = f64::NAN.to_bits();
+        (Stroking { machine, motion, truth, go, jogged }, vec![lines])
+    });
+    let wires = MachineWires::new(stroking.collect::<Vec<_>>(), MachineLines { hold: None, ..lines });
+    (wires, Operator { truth, go })
+}
+
+impl Attended for Stroking {
+    fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    fn machine_mut(&mut self) -> &mut Machine {
+        &mut self.machine
+    }
+
+    fn tick(&mut self) {
+        let jog = self.truth.jog.load(Ordering::Relaxed);
+        if jog != self.jogged {
+            self.jogged = jog;
+            self.machine.jog(self.motion.to(f64::from_bits(jog)));
+        } else if f64::from_bits(jog).is_nan() && self.machine.finished() && self.go.load(Ordering::Relaxed) {
+            let seconds = self.motion.dwell_s;
+            let stroke = self.motion.to(self.motion.stroke_counts);
+            self.machine.load([
+                stroke,
+                Block::Dwell { seconds },
+                self.motion.to(0.0),
+                Block::Dwell { seconds },
+            ]);
+        }
+        let commanded_mm = self.machine.command().p_mm[0];
+        let off_mm = self.machine.position_mm(0) - commanded_mm;
+        self.truth.commanded.store((commanded_mm / MM_PER_COUNT).to_bits(), Ordering::Relaxed);
+        self.truth.off.store((off_mm / MM_PER_COUNT).to_bits(), Ordering::Relaxed);
+    }
+
+    fn changed(&mut self) {
+        self.truth.mtc_count.store(self.machine.mtc_counts(0), Ordering::Relaxed);
+        self.truth.illegal.store(self.machine.illegal(0), Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_driver::mock::Wires;
+
+    const LINES: AxisLines = AxisLines::standard(0, true);
+
+    fn axes(motion: Motion) -> (MovingAxes, Operator) {
+        moving_axes(&[(LINES, motion)], MachineLines::default())
+    }
+
+    fn run(axes: &mut MovingAxes, from_ns: u64, to_ns: u64, outputs: u64) {
+        let mut t = from_ns;
+        while t < to_ns {
+            t += axes.step_limit_ns();
+            axes.levels(t, outputs);
+        }
+    }
+
+    #[test]
+    fn an_inserted_pair_moves_the_axis_back_by_two_counts() {
+        let motion =
+            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 10.0, on_feedback: true };
+        let (mut axes, operator) = axes(motion);
+        operator.cycle_start();
+        let truth = &operator.truth;
+        axes.levels(1, 0);
+        run(&mut axes, 1, 1_000_000_000, 0);
+        let before = truth[0].position_counts();
+        assert!((before - 1000.0).abs() < 1.0, "{before}");
+        // Add two counts as Design C does: A first where A and B are equal.
+        let now = axes.now_ns() + 1;
+        let equal = LINES.scale(axes.levels(now, 0)).equal();
+        axes.levels(now, if equal { 1 } else { 2 });
+        run(&mut axes, now, now + 1_000_000_000, 3);
+        assert!(
+            (truth[0].position_counts() - (before - 2.0)).abs() < 0.6,
+            "{before}, {}",
+            truth[0].position_counts()
+        );
+        assert_eq!((axes.attended(0).machine.mtc_minus_scale(0), truth[0].illegal()), (2, 0));
+    }
+
+    #[test]
+    fn a_controller_with_an_encoder_of_its_own_does_not_care() {
+        let motion =
+            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 10.0, on_feedback: false };
+        let (mut axes, operator) = axes(motion);
+        operator.cycle_start();
+        axes.levels(1, 0);
+        run(&mut axes, 1, 1_000_000_000, 0);
+        let before = operator.truth[0].position_counts();
+        let now = axes.now_ns() + 1;
+        let equal = LINES.scale(axes.levels(now, 0)).equal();
+        axes.levels(now, if equal { 1 } else { 2 });
+        run(&mut axes, now, now + 1_000_000_000, 3);
+        assert!((operator.truth[0].position_counts() - before).abs() < 0.1);
+        assert_eq!(axes.attended(0).machine.mtc_minus_scale(0), 2);
+    }
+
+    #[test]
+    fn a_jog_leaves_the_cycle_and_stays() {
+        let motion =
+            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
+        let (mut axes, operator) = axes(motion);
+        operator.cycle_start();
+        axes.levels(1, 0);
+        run(&mut axes, 1, 50_000_000, 0);
+        operator.truth[0].jog_to(-700.0);
+        run(&mut axes, 50_000_000, 1_000_000_000, 0);
+        let at = operator.truth[0].position_counts();
+        assert!(
+            (at + 700.0).abs() < 1.0 && (operator.truth[0].commanded_counts() + 700.0).abs() < 1e-9,
+            "{at}"
+        );
+    }
+
+    #[test]
+    fn the_probe_is_in_the_middle_of_the_first_stroke() {
+        let motion =
+            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
+        let lines = [0, 1].map(|n| (AxisLines::standard(n, true), motion));
+        let (mut axes, operator) =
+            moving_axes(&lines, MachineLines { probe: Some(40), ..MachineLines::default() });
+        operator.cycle_start();
+        let (mut t, mut tripped_at) = (1, None);
+        while t < 100_000_000 && tripped_at.is_none() {
+            if axes.levels(t, 0) >> 40 & 1 != 0 {
+                tripped_at = Some(axes.attended(0).machine.position_mm(0));
+            }
+            t += axes.step_limit_ns();
+        }
+        assert!((tripped_at.unwrap() - 0.5).abs() < 1e-4, "{tripped_at:?}");
+    }
+
+    #[test]
+    fn read_back_shows_what_the_controller_gets() {
+        let motion = Motion { stroke_counts: 1.0, feed_counts_s: 1.0, dwell_s: 1.0, on_feedback: true };
+        let (mut axes, _) = axes(motion);
+        assert_eq!(axes.levels(1, 0) & 0b1100, 0);
+        assert_eq!(axes.levels(1, 0b01) & 0b1100, 0b0100);
+    }
+}

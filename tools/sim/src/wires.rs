@@ -1,0 +1,113 @@
+//! Machines at the other end of a mock card's wires, in real time. The card lets time go no further than the next change
+//! of a line: late looks find the machine waiting.
+
+use crate::attended::Attended;
+use rtec_driver::card::{AxisLines, MachineLines};
+use rtec_driver::mock::Wires;
+
+/// A machine and the card's lines of its axes.
+#[derive(Debug)]
+struct Station<A> {
+    attended: A,
+    lines: Vec<AxisLines>,
+}
+
+/// Machines on one card.
+#[derive(Debug)]
+pub struct MachineWires<A> {
+    stations: Vec<Station<A>>,
+    probe: u64,
+    hold: u64,
+    /// Time of the card at which the machines' begins.
+    start_ns: Option<u64>,
+    now_ns: u64,
+    /// Until then, and as long as the outputs stay, the inputs do.
+    quiet_until_ns: u64,
+    outputs: u64,
+    inputs: u64,
+}
+
+/// A machine's own lines: A, B, A', B' of axis n from bit 4n, its inverters from 2n, probe and hold as on a mock card.
+const OWN: MachineLines = MachineLines::standard();
+
+fn bit(line: Option<u8>) -> u64 {
+    line.map_or(0, |b| 1 << b)
+}
+
+impl<A: Attended> Station<A> {
+    fn set_outputs(&mut self, outputs: u64, hold: u64) {
+        let mut own = if outputs & hold == 0 { 0 } else { bit(OWN.hold) };
+        for (n, lines) in self.lines.iter().enumerate() {
+            own |= u64::from(lines.inverters(outputs)) << (2 * n);
+        }
+        self.attended.machine_mut().set_outputs(own);
+    }
+
+    fn inputs(&self, probe: u64) -> u64 {
+        let own = self.attended.machine().inputs();
+        let mut inputs = if own & bit(OWN.probe) == 0 { 0 } else { probe };
+        for (n, lines) in self.lines.iter().enumerate() {
+            let of = |bit: usize| own >> (4 * n + bit) & 1;
+            inputs |= of(0) << lines.a | of(1) << lines.b;
+            if let Some((a, b)) = lines.read_back {
+                inputs |= of(2) << a | of(3) << b;
+            }
+        }
+        inputs
+    }
+}
+
+impl<A: Attended> MachineWires<A> {
+    /// Machines with the card's lines of their axes; feed hold and probe are common to all.
+    #[must_use]
+    pub fn new(machines: impl IntoIterator<Item = (A, Vec<AxisLines>)>, lines: MachineLines) -> Self {
+        let stations = machines.into_iter().map(|(attended, lines)| Station { attended, lines }).collect();
+        Self {
+            stations,
+            probe: bit(lines.probe),
+            hold: bit(lines.hold),
+            start_ns: None,
+            now_ns: 0,
+            quiet_until_ns: 0,
+            outputs: 0,
+            inputs: 0,
+        }
+    }
+}
+
+impl<A: Attended> Wires for MachineWires<A> {
+    #[inline]
+    fn levels(&mut self, t_ns: u64, outputs: u64) -> u64 {
+        self.now_ns = t_ns - *self.start_ns.get_or_insert(t_ns);
+        if self.now_ns < self.quiet_until_ns && outputs == self.outputs {
+            return self.inputs;
+        }
+        self.outputs = outputs;
+        (self.inputs, self.quiet_until_ns) = (0, u64::MAX);
+        for station in &mut self.stations {
+            station.attended.run_to(self.now_ns);
+            station.set_outputs(outputs, self.hold);
+            let (quiet_until_ns, _) = station.attended.machine_mut().quiet_until_ns();
+            station.attended.changed();
+            self.quiet_until_ns = self.quiet_until_ns.min(quiet_until_ns);
+            self.inputs |= station.inputs(self.probe);
+        }
+        self.inputs
+    }
+
+    #[inline]
+    fn step_limit_ns(&self) -> u64 {
+        self.quiet_until_ns.saturating_sub(self.now_ns).max(1)
+    }
+}
+
+#[cfg(test)]
+impl<A> MachineWires<A> {
+    pub(crate) fn attended(&self, n: usize) -> &A {
+        &self.stations[n].attended
+    }
+
+    pub(crate) const fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+}

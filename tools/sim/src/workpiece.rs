@@ -1,0 +1,142 @@
+//! The workpiece: what a tool with a worn nose leaves of it, and the surface that a probe finds.
+
+use rtec_files::InputError;
+use rtec_files::Sheet;
+use rtec_part::errors::PointError;
+use rtec_part::fit::Zx;
+use std::f64::consts::FRAC_PI_2;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// The tool's nose, ground or worn flat in one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Nose {
+    /// Radius.
+    pub radius_mm: f64,
+    /// Depth of the flat.
+    pub flat_um: f64,
+    /// The surface angle that the middle of the flat cuts.
+    pub flat_rad: f64,
+}
+
+/// The workpiece: its radius about the arc's centre by angle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Workpiece {
+    /// Centre of the arc in part coordinates.
+    pub centre: Zx,
+    radius_mm: Vec<f64>,
+}
+
+/// Angles of the workpiece: a little beyond the quadrant on both sides.
+const LOW_RAD: f64 = -0.03;
+const STEP_RAD: f64 = 5e-4;
+const STEPS: usize = 3263;
+
+impl Workpiece {
+    /// A raw part.
+    #[must_use]
+    pub fn raw(centre: Zx, radius_mm: f64) -> Self {
+        Self { centre, radius_mm: vec![radius_mm; STEPS] }
+    }
+
+    /// Radius at an angle.
+    #[must_use]
+    pub fn radius_mm(&self, angle_rad: f64) -> f64 {
+        let at = ((angle_rad - LOW_RAD) / STEP_RAD - 0.5).clamp(0.0, (STEPS - 2) as f64);
+        let (k, part) = (at as usize, at.fract());
+        self.radius_mm[k] * (1.0 - part) + self.radius_mm[k + 1] * part
+    }
+
+    /// Distance of a place in part coordinates from the surface, mm; negative inside.
+    #[must_use]
+    pub fn distance_mm(&self, at: Zx) -> f64 {
+        let p = at - self.centre;
+        p.norm() - self.radius_mm(p.angle_rad())
+    }
+
+    /// Errors of the surface against the nominal circle, as a measuring machine off the machine would find them.
+    #[must_use]
+    pub fn truth(&self, radius_mm: f64, number: usize) -> Vec<PointError> {
+        (0..number)
+            .map(|k| {
+                let angle_rad = FRAC_PI_2 * k as f64 / (number - 1) as f64;
+                PointError {
+                    angle_rad,
+                    error_um: (self.radius_mm(angle_rad) - radius_mm) * 1e3,
+                    along_mm: None,
+                }
+            })
+            .collect()
+    }
+
+    /// A workpiece on file: radii at even steps of angle about one centre.
+    #[must_use]
+    pub fn to_csv(&self) -> String {
+        let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
+        for r in &self.radius_mm {
+            let _ = writeln!(text, "{},{},{r:.7}", self.centre.z, self.centre.x);
+        }
+        text
+    }
+
+    /// Reads such a file.
+    ///
+    /// # Errors
+    /// As [`Sheet::read`]; not a workpiece's number of radii.
+    pub fn read(file: &Path) -> Result<Self, InputError> {
+        let sheet = Sheet::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
+        let (z, x) = (sheet.numbers("centre_z_mm")?, sheet.numbers("centre_x_mm")?);
+        let centre = z.first().zip(x.first()).map_or(Zx::new(0.0, 0.0), |(&z, &x)| Zx::new(z, x));
+        let radii = sheet.numbers("radius_mm")?;
+        let found = format!("{} radii", radii.len());
+        Self::from_radii(centre, radii)
+            .ok_or_else(|| InputError::whole(file, found, "a workpiece as `part finish` writes it"))
+    }
+
+    /// A workpiece from kept radii; `None` where their number is not a workpiece's.
+    #[must_use]
+    pub fn from_radii(centre: Zx, radius_mm: Vec<f64>) -> Option<Self> {
+        (radius_mm.len() == STEPS && radius_mm.iter().all(|r| r.is_finite()))
+            .then_some(Self { centre, radius_mm })
+    }
+
+    /// Takes away what the nose reaches from one place of its centre, `deeper_um` beyond its radius.
+    pub fn cut(&mut self, tool: Nose, nose_centre: Zx, deeper_um: f64) {
+        let facing = (nose_centre - self.centre).angle_rad();
+        let nose_mm = tool.radius_mm + deeper_um * 1e-3;
+        for k in -175..=175 {
+            let angle = facing + f64::from(k) * 2e-3;
+            let flat_mm = (tool.radius_mm - tool.flat_um * 1e-3) / (angle - tool.flat_rad).cos();
+            let reach_mm = if flat_mm > 0.0 { nose_mm.min(flat_mm) } else { nose_mm };
+            let p = nose_centre - Zx::at_angle(angle) * reach_mm - self.centre;
+            let at = (p.angle_rad() - LOW_RAD) / STEP_RAD;
+            if at >= 0.0
+                && let Some(radius) = self.radius_mm.get_mut(at as usize)
+            {
+                *radius = radius.min(p.norm());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// NISTIR 4854, Part-Form Error: what a flat leaves is the nose's support function, that of the flat's two ends.
+    #[test]
+    fn a_flat_of_25_um_leaves_25_um_where_its_middle_cuts() {
+        let tool = Nose { radius_mm: 0.8, flat_um: 25.0, flat_rad: 0.7 };
+        let half = (1.0 - tool.flat_um / 1000.0 / tool.radius_mm).acos();
+        let mut part = Workpiece::raw(Zx::new(127.0, 0.0), 39.0);
+        for k in -20..=1620 {
+            part.cut(tool, part.centre + Zx::at_angle(f64::from(k) * 1e-3) * (38.1 + tool.radius_mm), 0.0);
+        }
+        for away in [0.0, 0.05, 0.1, 0.2, 0.3, -0.15] {
+            let left_um = (part.radius_mm(0.7 + away) - 38.1) * 1e3;
+            let worn = if away.abs() >= half { 0.0 } else { 1.0 - (half - away.abs()).cos() };
+            let said_um = 1e3 * tool.radius_mm * worn;
+            assert!((left_um - said_um).abs() < 0.6, "{away}: {left_um} µm, {said_um} µm");
+        }
+    }
+}
