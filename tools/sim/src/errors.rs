@@ -35,12 +35,12 @@ pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) 
 }
 
 /// The forces that a true machine's effects stand for, on all its axes.
-pub(crate) fn set_friction<'e>(machine: &mut Machine, effects: impl IntoIterator<Item = &'e Effect> + Clone) {
+pub(crate) fn set_friction(machine: &mut Machine, effects: &[&Effect]) {
     for n in 0..machine.axis_count() {
         let axis = NAMES[machine.place(n)];
         let mut friction = Friction::default();
         let of_axis = |e: &&Effect| e.axes().first().is_some_and(|a| a.as_str() == axis);
-        for effect in effects.clone().into_iter().filter(of_axis) {
+        for effect in effects.iter().copied().filter(of_axis) {
             let value = effect.values().first().copied().unwrap_or(0.0);
             match effect.description().mechanism {
                 Some(Mechanism::Mass) => friction.mass_kg = Some(value),

@@ -598,7 +598,7 @@ fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, ExperimentErr
 
 /// A probing session as the experiment's record: temperatures first, angle and radial error last.
 fn probing_record(mut record: Record, path: &Path) -> Record {
-    record.path = path.to_owned();
+    path.clone_into(&mut record.path);
     record.columns.sort_by_key(|c| match c.role {
         Role::Time | Role::Position(_) | Role::Direction(_) => 0,
         Role::Temperature => 1,

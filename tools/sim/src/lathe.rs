@@ -124,6 +124,8 @@ impl Bench {
             decel_mm_s2: self.decel_mm_s2,
             jerk_mm_s3: JERK_MM_S3,
             position_gain_per_s: self.gain,
+            // A speed loop well above the position loop, as far as the drive's time step carries it.
+            speed_gain_per_s: (8.0 * self.gain).clamp(600.0, 2000.0),
             // Preloaded screws.
             backlash_um: 0.0,
             ..AxisSpec::new(name, 1000.0)
@@ -209,7 +211,7 @@ fn zx(p: [f64; AXES]) -> Zx {
     Zx::new(p[2], p[0])
 }
 
-/// The moves as an NC program, each with an exact stop; and the number of the block that cuts, counted from 1.
+/// The moves as an NC program, each with an exact stop; and which of its blocks cut, counted from 1.
 fn program(
     bench: &Bench,
     moves: &[Move],
@@ -284,7 +286,7 @@ impl Lathe {
         let bench = stand.bench;
         let controller = ControllerSpec { decoder_hz: stand.decoder_hz, ..ControllerSpec::default() };
         let mut machine = Machine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
-        set_friction(&mut machine, stand.machine.effects().collect::<Vec<_>>());
+        set_friction(&mut machine, &stand.machine.effects().collect::<Vec<_>>());
         if tip_mm.is_some() {
             let shape = part.clone();
             let surface = move |tip| shape.distance_mm(zx(tip) - origin);

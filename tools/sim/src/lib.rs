@@ -1,4 +1,8 @@
-//! The simulated machine, for the unchanged engine to run against, and every insertion design side by side.
+//! The one simulated machine, for the unchanged engine to run against, in virtual time and in real time; every
+//! experiment on it, and every insertion design side by side.
+//!
+//! What moves, counts, grows warm, cuts or touches is here, once. What a part looks like is `rtec-part`'s, what a machine
+//! does wrong `rtec-model`'s to say.
 //!
 //! | module | what |
 //! |---|---|

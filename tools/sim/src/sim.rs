@@ -209,7 +209,7 @@ impl Sim {
         channels.dedup();
         let layout = layout(channels);
         let mut machine = Machine::new(&spec.axes, spec.controller.clone(), at_mm);
-        set_friction(&mut machine, truth.iter().copied());
+        set_friction(&mut machine, &truth);
         machine.set_surface(None, probe_delay_ns(truth.iter().copied()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
         let rt = MachineConfig { lines: machine.machine_lines(), may_arm: true };
