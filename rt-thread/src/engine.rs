@@ -149,9 +149,23 @@ impl Engine {
         card: &mut C,
         report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
-        for axis in 0..self.axes.len() as u8 {
-            self.take(Request::Home { axis, position_counts: 0 }, card, report)?;
-            self.take(Request::ConfirmHome { axis, position_counts: 0 }, card, report)?;
+        self.start_homed_at(card, |_| 0, report)
+    }
+
+    /// Homed at these positions, counts, and enabled: as [`Engine::start_homed`].
+    ///
+    /// # Errors
+    /// The card cannot be written.
+    pub fn start_homed_at<C: Card>(
+        &mut self,
+        card: &mut C,
+        position_counts: impl Fn(usize) -> i64,
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        for n in 0..self.axes.len() {
+            let (axis, position_counts) = (n as u8, position_counts(n));
+            self.take(Request::Home { axis, position_counts }, card, report)?;
+            self.take(Request::ConfirmHome { axis, position_counts }, card, report)?;
         }
         self.take(Request::Enable, card, report)
     }

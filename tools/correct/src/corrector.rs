@@ -284,6 +284,13 @@ impl Corrector {
         }
     }
 
+    /// The axis has the total that its sources want, completed.
+    #[must_use]
+    pub fn settled(&self, n: usize, status: &AxisStatus) -> bool {
+        let asked = !self.asks(n) || self.axes[n].total.settled(status.requested);
+        asked && self.axes[n].holds.is_none() && status.completed == status.requested
+    }
+
     /// A source other than the operator asks, or what it asked for is still on its way back.
     fn asks(&self, n: usize) -> bool {
         self.model.is_some()

@@ -4,7 +4,7 @@
 //! The machine is the shift's: its positions, temperatures, loads. The engine is one that inserts at once. Between two
 //! rows everything is linear in time, so that ramp, window and lags see the time that passes.
 
-use crate::sensors::{Config, Source, Watch};
+use crate::sensors::{Config, Watch};
 use crate::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
@@ -12,7 +12,6 @@ use rtec_model::record::{Axis, Record, Role};
 use rtec_rt::event::{MAX_AXES, Mode, Status};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// The law is asked this often between two rows, s, but at most [`MOST_TICKS`] times: rows may be minutes apart.
 const PERIOD_S: f64 = 0.01;
@@ -115,22 +114,6 @@ impl Stage<'_> {
     }
 }
 
-/// A sensor of the shift: never too old, never implausible; what it logged is what it read.
-fn watch(name: &str, role: Role) -> Watch {
-    Watch::new(Config {
-        name: name.to_owned(),
-        place: String::new(),
-        role,
-        source: Source::Csv { record: PathBuf::new(), column: name.to_owned() },
-        period_s: PERIOD_S,
-        range: [f64::NEG_INFINITY, f64::INFINITY],
-        max_rate_k_per_min: f64::INFINITY,
-        timeout_s: f64::INFINITY,
-        stuck_s: 0.0,
-        freeze_s: f64::INFINITY,
-    })
-}
-
 /// The axes of a shift and of the effects that act on it.
 fn axes_of(shift: &Record, models: [&Machine; 2]) -> Vec<Axis> {
     let mut axes: Vec<Axis> = Vec::new();
@@ -166,7 +149,8 @@ pub fn rehearse(
     let feeds: Vec<Feed<'_>> =
         columns.iter().enumerate().map(|(watch, c)| Feed { data: &c.data, watch }).collect();
     let stage = |machine: &Machine| {
-        let watches: Vec<Watch> = columns.iter().map(|c| watch(&c.name, c.role.clone())).collect();
+        let watches: Vec<Watch> =
+            columns.iter().map(|c| Watch::new(Config::believed(&c.name, c.role.clone()))).collect();
         let mut corrector = Corrector::new(setups.clone(), options.ramp_um_s, options.lead_s, 0.0);
         corrector.load(machine.clone(), &watches, &|_| Vec::new()).map_err(|e| {
             InputError::whole(&shift.path, e.found, "every sensor and channel that the model reads")

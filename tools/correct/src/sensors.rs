@@ -149,6 +149,25 @@ impl Config {
     }
 }
 
+impl Config {
+    /// A sensor whose every reading is believed and never grows old: of a simulation, or of a recorded shift.
+    #[must_use]
+    pub fn believed(name: &str, role: Role) -> Self {
+        Self {
+            name: name.to_owned(),
+            place: String::new(),
+            role,
+            source: Source::Csv { record: PathBuf::new(), column: name.to_owned() },
+            period_s: 1.0,
+            range: [f64::NEG_INFINITY, f64::INFINITY],
+            max_rate_k_per_min: f64::INFINITY,
+            timeout_s: f64::INFINITY,
+            stuck_s: 0.0,
+            freeze_s: f64::INFINITY,
+        }
+    }
+}
+
 fn is_sensed(role: &Role) -> bool {
     matches!(role, Role::Temperature | Role::SpindleSpeed | Role::Coolant | Role::Load(_) | Role::Channel)
 }

@@ -115,6 +115,12 @@ impl Total {
         self.offset_um != 0.0 || self.counts != 0
     }
 
+    /// Nothing is on its way any more: this total stands, unless the axis moves or a source changes.
+    pub(crate) fn settled(&self, requested: i64) -> bool {
+        let goal = (self.counts + self.operator_counts).clamp(-self.max_counts, self.max_counts);
+        self.following && self.offset_um == 0.0 && requested == goal
+    }
+
     /// What the ramp has still to go, µm, while the axis follows.
     pub(crate) fn ramp_left_um(&self) -> f64 {
         if self.following { self.offset_um } else { 0.0 }

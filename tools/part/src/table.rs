@@ -106,6 +106,12 @@ impl Table {
         Self { cut, axes, errors }
     }
 
+    /// The errors it was made from, angles ascending.
+    #[must_use]
+    pub fn errors(&self) -> &[PointError] {
+        &self.errors
+    }
+
     /// How many points it came from.
     #[must_use]
     pub fn points(&self) -> usize {
@@ -251,25 +257,4 @@ pub fn csv(table: &Table, rows: &[Row], lead_mm: f64, backwards: bool) -> String
         );
     }
     text
-}
-
-/// Hold a request until the wanted value is clearly nearer to another: a position that trembles on a boundary
-/// must not send counts back and forth.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Holding {
-    held: i64,
-}
-
-/// Share of an increment that the wanted value must pass the boundary by.
-const HYSTERESIS: f64 = 0.02;
-
-impl Holding {
-    /// The total to request for an error.
-    pub fn request(&mut self, axis: &AxisCounts, error_um: f64) -> i64 {
-        let off = (error_um - axis.taken_um(self.held)).abs() / axis.increment_um();
-        if off > 0.5 + HYSTERESIS {
-            self.held = axis.requested(error_um);
-        }
-        self.held
-    }
 }

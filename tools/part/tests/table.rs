@@ -3,7 +3,7 @@
 
 use rtec_part::errors::PointError;
 use rtec_part::fit::Zx;
-use rtec_part::table::{AxisCounts, Cut, Holding, Table, csv};
+use rtec_part::table::{AxisCounts, Cut, Table, csv};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 const CUT: Cut =
@@ -79,17 +79,6 @@ fn totals_are_asked_where_the_tool_will_be() {
         assert!(((at - send).norm() - 2.0).abs() < 0.01);
         assert!(sign * (at.x - send.x) > 0.0);
     }
-}
-
-#[test]
-fn a_trembling_position_sends_no_counts() {
-    let mut held = Holding::default();
-    assert_eq!(held.request(&ORIGINAL, 2.05), 0, "just past the boundary");
-    assert_eq!(held.request(&ORIGINAL, 2.1), 4);
-    for error in [1.95, 2.05, 1.93] {
-        assert_eq!(held.request(&ORIGINAL, error), 4, "{error}");
-    }
-    assert_eq!(held.request(&ORIGINAL, 1.9), 0);
 }
 
 #[test]

@@ -12,8 +12,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let model = Model::parse(Path::new("speed.toml"), text)?;
     let mut spec = Spec::machining_centre();
     spec.axes.truncate(2);
-    let mut sim =
-        Sim::new(&spec, model.effects(), Some(model.effects().collect()), [-250.0, -250.0, 0.0], 1)?;
+    let mut sim = Sim::new(&spec, &model, Some(&model), [-250.0, -250.0, 0.0], 1)?;
     // Both axes at 10 m/min at once.
     let program = "G0 X250 Y250\nG0 X-250 Y-250\n".repeat(10);
     sim.machine.load(parse(Path::new("speed.ngc"), &program, [-250.0, -250.0, 0.0])?);

@@ -159,7 +159,7 @@ impl Duty {
             seed: self.seed,
         };
         let probing = self.path.is_some().then_some(self.tip_mm);
-        let lathe = Lathe::new(&stand, home, origin, &moves, probing, &part, None).map_err(|m| {
+        let lathe = Lathe::new(&stand, home, origin, &moves, probing, &part).map_err(|m| {
             let file = self.machine.as_deref().unwrap_or(Path::new("machine"));
             let found = format!("effect {} reads {}", m.effect, m.what);
             InputError::whole(file, found, "axes z and x, sensors T1 to T20")

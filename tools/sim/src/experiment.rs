@@ -13,7 +13,7 @@ use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Effect;
 use rtec_model::effect::laws::scale;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::{Machine as Model, Provenance};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::axis::{Design, RestPolicy};
 use serde_json::{Map, Value, json};
@@ -272,6 +272,16 @@ struct Both {
     channels: Vec<String>,
 }
 
+/// A model with further effects, those left out that it has already.
+fn with(model: &Model, extra: &[Effect]) -> Model {
+    let mut model = model.clone();
+    for effect in extra {
+        // Refused only where the model has such an effect.
+        let _ = model.push(effect.clone(), Provenance::default());
+    }
+    model
+}
+
 fn both(
     setting: &Setting<'_>,
     spec: &Spec,
@@ -281,8 +291,8 @@ fn both(
 ) -> Result<Both, ExperimentError> {
     let mut done = Both { logs: [Log::default(), Log::default()], channels: Vec::new() };
     for (n, log) in done.logs.iter_mut().enumerate() {
-        let known = (n == 1).then(|| setting.known.effects().chain(extra).collect());
-        let mut sim = Sim::new(spec, setting.truth.effects().chain(extra), known, at_mm, setting.seed)?;
+        let (truth, known) = (with(setting.truth, extra), with(setting.known, extra));
+        let mut sim = Sim::new(spec, &truth, (n == 1).then_some(&known), at_mm, setting.seed)?;
         run(&mut sim, log)?;
         done.channels = sim.channel_names().to_vec();
     }

@@ -2,19 +2,20 @@
 //! probing has found and what is known of the machine.
 
 use crate::attended::Attended;
-use crate::errors::layout;
+use crate::control::{Control, WINDOW_COUNTS};
 use crate::lathe::{Lathe, Move, Stand, axes, cut_away};
 use crate::machine::ServoFault;
-use crate::path::AXES;
 use crate::polled::Polled;
 use crate::workpiece::Workpiece;
+use rtec_correct::AxisSetup;
+use rtec_correct::part_table::PartTable;
 use rtec_driver::card::{AxisLines, CardError, MachineLines};
+use rtec_files::InputError;
 use rtec_model::effect::Missing;
-use rtec_model::live::{AxisNow, Live};
 use rtec_model::machine::Machine as Model;
 use rtec_part::fit::Zx;
 use rtec_part::probe::Captured;
-use rtec_part::table::{AxisCounts, Cut, Holding, Table};
+use rtec_part::table::{AxisCounts, Cut, Table};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Event, EventKind, Request, Status};
@@ -59,57 +60,61 @@ pub enum RunError {
     /// An effect reads what this machine does not have.
     #[error("effect {} reads {}; the simulated lathe has the axes z and x and the sensors T1 to T20", .0.effect, .0.what)]
     Missing(#[from] Missing),
+    /// What the corrector is told reads what this machine does not have.
+    #[error(transparent)]
+    Model(#[from] InputError),
+    /// A part table that cannot be right.
+    #[error("{0}")]
+    Table(String),
+    /// The corrections did not come into force.
+    #[error("the corrections are not in force after {SETTLES_S} s at rest")]
+    Unsettled,
     /// The controller gave up.
     #[error("the controller stopped: {0:?}")]
     Servo(ServoFault),
 }
 
-/// What the corrector is told, and what it asks for.
-struct Law<'a> {
-    table: Option<&'a Table>,
-    known: Option<Live>,
+/// The law with what it is told: switched on with the machine, its lags brought up from the heat since.
+fn control(
+    stand: &Stand,
+    table: Option<(&Table, f64)>,
+    model: Option<&Model>,
     lead_s: f64,
-    axes: [AxisCounts; 2],
-    held: [Holding; 2],
-    /// Time and place of the last look, and which way the axes went.
-    last: Option<(f64, Zx)>,
-    direction: [f64; 2],
+    past: &[(f64, Vec<f64>)],
+) -> Result<Control, RunError> {
+    let setup = |name: &str, counts: &AxisCounts| AxisSetup {
+        name: name.to_owned(),
+        count_um: counts.count_um,
+        increment_counts: counts.increment,
+        window_counts: WINDOW_COUNTS,
+        max_counts: MAX_COUNTS,
+    };
+    let counts = axes(stand.bench, stand.design);
+    let setups = ["z", "x"].iter().zip(&counts).map(|(name, c)| setup(name, c)).collect();
+    let mut control = Control::new(setups, &[], lead_s);
+    if let Some(model) = model {
+        control.load(model, past)?;
+    }
+    if let Some((table, lead_s)) = table {
+        let cut = &table.cut;
+        let shown = PartTable {
+            errors: String::new(),
+            axes: ["z", "x"].map(str::to_owned),
+            centre_mm: [cut.centre.z, cut.centre.x],
+            radius_mm: cut.radius_mm,
+            nose_mm: cut.nose_mm,
+            origin_mm: [cut.origin.z, cut.origin.x],
+            lead_ms: lead_s * 1e3,
+        };
+        control.load_table(shown, table.errors().to_vec()).map_err(RunError::Table)?;
+    }
+    Ok(control)
 }
 
-impl Law<'_> {
-    /// The totals that Z and X should have now, by what the engine counts.
-    fn totals(&mut self, t_s: f64, status: &Status, lathe: &Lathe) -> [Request; 2] {
-        let mm = |n: usize| status.axes[n].position_counts as f64 * self.axes[n].count_um * 1e-3;
-        let place = Zx::new(mm(0), mm(1));
-        let velocity = self.last.map_or(Zx::new(0.0, 0.0), |(t, p)| (place - p) * (1.0 / (t_s - t)));
-        let first = self.last.replace((t_s, place)).is_none();
-        let mut wanted =
-            self.table.map_or(Zx::new(0.0, 0.0), |t| t.components_um(place, velocity, self.lead_s));
-        if let Some(known) = &mut self.known {
-            let due = place + velocity * self.lead_s;
-            let mut axes = [AxisNow::default(); AXES];
-            for (n, (p, position_mm, mm_s)) in
-                [(2, due.z, velocity.z), (0, due.x, velocity.x)].into_iter().enumerate()
-            {
-                axes[p] = AxisNow::moving(position_mm, mm_s);
-                if axes[p].direction == 0.0 {
-                    // At rest an axis keeps the direction of its last motion.
-                    axes[p].direction = self.direction[n];
-                }
-                self.direction[n] = axes[p].direction;
-            }
-            known.evaluate(&lathe.frame(lathe.t_s(), &axes));
-            let errors_um = known.errors_um();
-            wanted = wanted + Zx::new(errors_um[2], errors_um[0]);
-        }
-        let wanted_um = [wanted.z, wanted.x];
-        [0, 1].map(|n| {
-            let total_counts = self.held[n].request(&self.axes[n], wanted_um[n]);
-            // The first total of a machine that is off already is meant, however large.
-            Request::Correct { axis: n as u8, total_counts, large: first }
-        })
-    }
-}
+/// Largest total of either axis, counts.
+const MAX_COUNTS: i64 = 1000;
+/// Corrections that are not in force after so long will never be, s.
+const SETTLES_S: f64 = 600.0;
 
 const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard(1, true)];
 
@@ -118,13 +123,14 @@ fn engine(
     card: &mut Polled<Lathe>,
     stand: &Stand,
     probing: bool,
-    tell: &mut impl FnMut(Event) -> bool,
+    report: &mut impl FnMut(Event) -> bool,
 ) -> Result<Engine, StartError> {
     let poll_ns = stand.bench.poll_ns as u64;
     let configs = LINES.map(|lines| AxisConfig {
         lines,
         design: stand.design,
-        window_counts: 64,
+        window_counts: WINDOW_COUNTS,
+        max_correction_counts: MAX_COUNTS,
         min_separation_ns: 500,
         // An axis stands nearly still at either end of the arc, and must be right there too.
         rest: RestPolicy::Insert { after_ns: 5_000_000 },
@@ -134,18 +140,10 @@ fn engine(
     });
     let lines = MachineLines { probe: MachineLines::standard().probe, ..MachineLines::default() };
     let mut engine = Engine::new(card, &configs, MachineConfig { lines, may_arm: true }, &[])?;
-    let mut orders = Vec::new();
-    for n in 0..2 {
-        let (axis, position_counts) = (n as u8, card.attended.machine().origin_counts(n));
-        orders.push(Request::Home { axis, position_counts });
-        orders.push(Request::ConfirmHome { axis, position_counts });
-    }
-    orders.push(Request::Enable);
+    let origins = [0, 1].map(|n| card.attended.machine().origin_counts(n));
+    engine.start_homed_at(card, |n| origins[n], report)?;
     if probing {
-        orders.push(Request::Probe(true));
-    }
-    for order in orders {
-        engine.take(order, card, tell)?;
+        engine.take(Request::Probe(true), card, report)?;
     }
     Ok(engine)
 }
@@ -163,26 +161,25 @@ pub fn run(
 ) -> Result<Ran, RunError> {
     let start = moves.first().ok_or(RunError::NoMove)?.segment.at(0.0) + cut.origin;
     let tip_mm = if let Job::Probe(tip_mm) = job { Some(tip_mm) } else { None };
-    let mut law = None;
-    if let Job::Corrected(table, model, lead_s) = job {
-        let known = model.map(|m| Live::of(m, layout(Vec::new()))).transpose()?;
-        let (axes, held) = (axes(stand.bench, stand.design), [Holding::default(); 2]);
-        law = Some(Law { table, known, lead_s, axes, held, last: None, direction: [0.0; 2] });
-    }
-    let known = law.as_mut().and_then(|l| l.known.as_mut());
-    let lathe = Lathe::new(stand, start, cut.origin, moves, tip_mm, part, known)?;
+    let lathe = Lathe::new(stand, start, cut.origin, moves, tip_mm, part)?;
+    let mut law = match job {
+        Job::Corrected(table, model, lead_s) => {
+            Some(control(stand, table.map(|t| (t, lead_s)), model, lead_s, lathe.past())?)
+        }
+        Job::Cut | Job::Probe(_) => None,
+    };
     let over = |lathe: &Lathe| lathe.finished() || lathe.machine().fault().is_some();
     let mut card = Polled::new(lathe, over, stand.bench.poll_ns, stand.seed);
     let mut events = Vec::new();
-    let mut tell = |event: Event| {
+    let mut report = |event: Event| {
         events.push(event);
         true
     };
-    let mut engine = engine(&mut card, stand, tip_mm.is_some(), &mut tell)?;
-    card.attended.start();
+    let mut engine = engine(&mut card, stand, tip_mm.is_some(), &mut report)?;
     let (mut control_ns, period_ns) = (0_u64, (stand.bench.control_ms * 1e6) as u64);
+    let mut waiting = true;
     loop {
-        match engine.poll(&mut card, control_ns.max(1), &mut tell) {
+        match engine.poll(&mut card, control_ns.max(1), &mut report) {
             Ok(()) => {}
             Err(CardError::Ended) => break,
             Err(error) => return Err(StartError::Card(error).into()),
@@ -192,10 +189,18 @@ pub fn run(
             continue;
         }
         control_ns = now_ns + period_ns;
+        let (t_s, status) = (card.attended.t_s(), engine.status());
         if let Some(law) = &mut law {
-            for request in law.totals(now_ns as f64 * 1e-9, &engine.status(), &card.attended) {
-                engine.take(request, &mut card, &mut tell).map_err(StartError::Card)?;
+            for request in law.requests(t_s, &status, card.attended.readings()) {
+                engine.take(request, &mut card, &mut report).map_err(StartError::Card)?;
             }
+        }
+        // Cycle start: the operator waits until what is known is in force.
+        if waiting && law.as_ref().is_none_or(|law| law.settled(&engine.status())) {
+            waiting = false;
+            card.attended.start();
+        } else if waiting && now_ns as f64 * 1e-9 > SETTLES_S {
+            return Err(RunError::Unsettled);
         }
     }
     let (status, lathe) = (engine.status(), card.attended);

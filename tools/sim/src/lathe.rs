@@ -3,6 +3,7 @@
 
 use crate::attended::Attended;
 use crate::axis::AxisSpec;
+use crate::control::Readings;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::{Heat, SENSORS};
@@ -11,7 +12,7 @@ use crate::noise::Noise;
 use crate::path::AXES;
 use crate::workpiece::{Nose, Workpiece};
 use rtec_model::effect::Missing;
-use rtec_model::live::{AxisNow, Live};
+use rtec_model::live::Live;
 use rtec_model::machine::Machine as Model;
 use rtec_part::contour::Segment;
 use rtec_part::fit::Zx;
@@ -269,11 +270,13 @@ pub struct Lathe {
     trips: Vec<(Zx, Vec<f64>)>,
     noise: Noise,
     touch_mm: f64,
+    /// What the sensors read while the machine warmed up: time since it was switched on, s, and °C.
+    past: Vec<(f64, Vec<f64>)>,
 }
 
 impl Lathe {
     /// At rest at `start` (machine mm), the spindle having run for the stand's time, with a program for `tip_mm`, a probe,
-    /// or for the tool. `known`, what the corrector knows of the machine, sees the same warming up.
+    /// or for the tool.
     pub(crate) fn new(
         stand: &Stand,
         start: Zx,
@@ -281,7 +284,6 @@ impl Lathe {
         moves: &[Move],
         tip_mm: Option<f64>,
         part: &Workpiece,
-        known: Option<&mut Live>,
     ) -> Result<Self, Missing> {
         let bench = stand.bench;
         let controller = ControllerSpec { decoder_hz: stand.decoder_hz, ..ControllerSpec::default() };
@@ -314,30 +316,37 @@ impl Lathe {
             trips: Vec::new(),
             noise: Noise::new(stand.seed, 0x1A7E),
             touch_mm: 0.0,
+            past: Vec::new(),
         };
-        lathe.warm_up(known);
+        lathe.warm_up();
         Ok(lathe)
     }
 
     /// Switched on cold, the spindle running.
-    fn warm_up(&mut self, mut known: Option<&mut Live>) {
+    fn warm_up(&mut self) {
         for second in 0..self.begin_s as u64 {
             let t_s = second as f64;
             self.errors.heat.advance(t_s, self.bench.rpm, false);
             self.errors.act(t_s, &mut self.machine, &[0.0; AXES], 0.0);
-            if let Some(known) = known.as_deref_mut() {
-                let mut axes = [AxisNow::default(); AXES];
-                axes[2].position_mm = self.machine.position_mm(0);
-                axes[0].position_mm = self.machine.position_mm(1);
-                known.evaluate(&self.frame(t_s, &axes));
-            }
+            self.past.push((t_s, self.errors.heat.readings_degc().to_vec()));
         }
         self.act();
     }
 
-    /// What a model reads of the machine.
-    pub(crate) fn frame<'a>(&'a self, t_s: f64, axes: &'a [AxisNow; AXES]) -> rtec_model::live::Frame<'a> {
-        crate::errors::frame(t_s, &self.machine, &self.errors.heat, self.errors.channels(), axes)
+    /// What the sensors read since the machine was switched on.
+    pub(crate) fn past(&self) -> &[(f64, Vec<f64>)] {
+        &self.past
+    }
+
+    /// What they read now.
+    pub(crate) fn readings(&self) -> Readings<'_> {
+        Readings {
+            degc: self.errors.heat.readings_degc(),
+            channels: self.errors.channels(),
+            rpm: self.machine.rpm(),
+            coolant: self.machine.coolant(),
+            load_n: [0.0; AXES],
+        }
     }
 
     /// Time since the machine was switched on, s.

@@ -27,6 +27,7 @@ pub mod attended;
 pub mod axis;
 pub mod bench;
 pub mod computer;
+mod control;
 pub mod designs;
 pub mod duty;
 pub mod ecc;

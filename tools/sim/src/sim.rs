@@ -1,20 +1,23 @@
 //! The machine with the unchanged engine in its feedback and a corrector that tells it what it knows.
 
 use crate::axis::AxisSpec;
-use crate::errors::{Errors, frame, layout, of_the_probe, probe_delay_ns, set_friction};
+use crate::control::{Control, Readings, WINDOW_COUNTS};
+use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::Heat;
 use crate::machine::{ControllerSpec, Machine, ServoFault, Surface};
 use crate::path::{AXES, Command};
+use rtec_correct::AxisSetup;
 use rtec_driver::card::CardError;
-use rtec_model::effect::{Effect, Missing};
-use rtec_model::live::{AxisNow, Live};
+use rtec_files::InputError;
+use rtec_model::effect::Missing;
+use rtec_model::live::Live;
+use rtec_model::machine::Machine as Model;
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
 
-/// How often the corrector computes new totals, ns (NISTIR 4832, Alternate Configurations: every 10 to 20 ms).
-pub const CONTROL_NS: u64 = 10_000_000;
+pub use crate::control::CONTROL_NS;
 
 /// A machine, as it is built.
 #[derive(Debug, Clone)]
@@ -62,6 +65,13 @@ impl Spec {
         }
     }
 
+    /// How long before the axes are there their errors are asked for, s: one control period and the lag of the position
+    /// loop.
+    fn lead_s(&self) -> f64 {
+        let gain = self.axes.iter().map(|a| a.position_gain_per_s).fold(f64::INFINITY, f64::min);
+        CONTROL_NS as f64 * 1e-9 + 1.0 / gain
+    }
+
     /// The engine's configuration of one axis.
     fn config(&self, n: usize, machine: &Machine) -> AxisConfig {
         let axis = &self.axes[n];
@@ -69,6 +79,7 @@ impl Spec {
             lines: machine.lines()[n],
             design: self.design,
             max_correction_counts: 5000,
+            window_counts: WINDOW_COUNTS,
             min_separation_ns: 500,
             // The servo may overshoot what the trajectory keeps to.
             max_accel_counts_s2: 4.0 * axis.accel_mm_s2 * 1000.0 / axis.count_um,
@@ -87,6 +98,9 @@ pub enum SimError {
     /// An effect reads a sensor or channel that the simulated machine does not have.
     #[error(transparent)]
     Missing(#[from] Missing),
+    /// What the corrector is told reads what the simulated machine does not have.
+    #[error(transparent)]
+    Model(#[from] InputError),
     /// The engine cannot correct the machine as specified.
     #[error(transparent)]
     Start(#[from] StartError),
@@ -166,7 +180,7 @@ pub struct Sim {
     pub machine: Machine,
     engine: Engine,
     errors: Errors,
-    corrector: Option<Corrector>,
+    control: Option<Control>,
     control_ns: u64,
     next_control_ns: u64,
     events: Vec<Event>,
@@ -176,61 +190,49 @@ pub struct Sim {
     probing: bool,
 }
 
-/// What the corrector knows of the machine, and how its axes have moved by what the engine counts.
-#[derive(Debug)]
-struct Corrector {
-    known: Live,
-    increment: i64,
-    travel: [(f64, f64); AXES],
-    speed: [f64; AXES],
-    position: [f64; AXES],
-}
-
 impl Sim {
     /// A cold machine at rest at `at_mm` (X, Y, Z), homed there, with the errors of `truth`. `known`: what the corrector
     /// is told; `None`: corrections are off.
     ///
     /// # Errors
     /// An effect reads what the machine does not have; a configuration that leaves no time for an insertion.
-    pub fn new<'e>(
+    pub fn new(
         spec: &Spec,
-        truth: impl IntoIterator<Item = &'e Effect>,
-        known: Option<Vec<&'e Effect>>,
+        truth: &Model,
+        known: Option<&Model>,
         at_mm: [f64; AXES],
         seed: u64,
     ) -> Result<Self, SimError> {
-        let truth: Vec<&Effect> = truth.into_iter().collect();
-        let mut channels: Vec<String> = truth
-            .iter()
-            .chain(known.iter().flatten())
-            .filter_map(|e| e.channel().map(str::to_owned))
-            .collect();
+        let effects = truth.effects().chain(known.into_iter().flat_map(Model::effects));
+        let mut channels: Vec<String> = effects.filter_map(|e| e.channel().map(str::to_owned)).collect();
         channels.sort();
         channels.dedup();
-        let layout = layout(channels);
         let mut machine = Machine::new(&spec.axes, spec.controller.clone(), at_mm);
-        set_friction(&mut machine, &truth);
-        machine.set_surface(None, probe_delay_ns(truth.iter().copied()));
+        set_friction(&mut machine, &truth.effects().collect::<Vec<_>>());
+        machine.set_surface(None, probe_delay_ns(truth.effects()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
         let rt = MachineConfig { lines: machine.machine_lines(), may_arm: true };
         let mut engine = Engine::new(&mut machine, &configs, rt, &[])?;
-        engine.start_homed(&mut machine, &mut |_| true)?;
-        let corrector = match known {
-            Some(effects) => Some(Corrector {
-                known: Live::new(effects.into_iter().filter(|e| !of_the_probe(e)), layout.clone())?,
-                increment: spec.design.increment_counts(),
-                travel: at_mm.map(|p| (p, 0.0)),
-                speed: [0.0; AXES],
-                position: at_mm,
-            }),
-            None => None,
-        };
+        let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.origin_counts(n)).collect();
+        engine.start_homed_at(&mut machine, |n| origins[n], &mut |_| true)?;
+        let axes = spec.axes.iter().zip(&configs).map(|(axis, config)| AxisSetup {
+            name: axis.name.to_owned(),
+            count_um: axis.count_um,
+            increment_counts: config.design.increment_counts(),
+            window_counts: config.window_counts,
+            max_counts: config.max_correction_counts,
+        });
+        let mut control = None;
+        if let Some(known) = known {
+            let control = control.insert(Control::new(axes.collect(), &channels, spec.lead_s()));
+            control.load(known, &[])?;
+        }
         let heat = Heat::cold(spec.ambient_degc, 0.02, seed);
         let mut sim = Self {
             machine,
             engine,
-            errors: Errors::new(Live::new(truth, layout)?, heat, seed),
-            corrector,
+            errors: Errors::new(Live::of(truth, layout(channels))?, heat, seed),
+            control,
             control_ns: CONTROL_NS,
             next_control_ns: CONTROL_NS,
             events: Vec::new(),
@@ -355,24 +357,21 @@ impl Sim {
             self.errors.move_channels();
         }
         self.act();
-        if self.probing {
-            return Ok(());
-        }
-        let Some(corrector) = &mut self.corrector else { return Ok(()) };
+        let Some(control) = &mut self.control else { return Ok(()) };
+        let now = Readings {
+            degc: self.errors.heat.readings_degc(),
+            channels: self.errors.channels(),
+            rpm: self.machine.rpm(),
+            coolant: self.machine.coolant(),
+            load_n: self.load_n,
+        };
         let events = &mut self.events;
-        let mut tell = |e: Event| {
+        let mut report = |e: Event| {
             events.push(e);
             true
         };
-        let dt_s = self.control_ns as f64 * 1e-9;
-        let status = self.engine.status();
-        let totals = corrector.totals((t_s, dt_s), &status, &self.machine, &self.errors, &self.load_n);
-        for n in 0..self.machine.axis_count() {
-            let total_counts = totals[self.machine.place(n)];
-            if total_counts != status.axes[n].requested {
-                let request = Request::Correct { axis: n as u8, total_counts, large: true };
-                self.engine.take(request, &mut self.machine, &mut tell)?;
-            }
+        for request in control.requests(t_s, &self.engine.status(), now) {
+            self.engine.take(request, &mut self.machine, &mut report)?;
         }
         Ok(())
     }
@@ -466,56 +465,10 @@ impl Sim {
             let Some(capture) = self.trips[p] else { return Ok(None) };
             let (counts, within) = capture.position_counts();
             // Edges lie half a count from where the counts are.
-            let position = counts + self.machine.origin_counts(n) as f64 - 0.5;
+            let position = counts - 0.5;
             trip.position_mm[p] = position * count_um / 1000.0;
             trip.within_mm[p] = within * count_um / 1000.0;
         }
         Ok(Some(trip))
-    }
-}
-
-impl Corrector {
-    /// The totals that X, Y and Z should have at `t_s`, `dt_s` after the last ones: what is known of the machine, at the
-    /// positions that the engine counts.
-    fn totals(
-        &mut self,
-        (t_s, dt_s): (f64, f64),
-        status: &Status,
-        machine: &Machine,
-        errors: &Errors,
-        load_n: &[f64; AXES],
-    ) -> [i64; AXES] {
-        let mut axes = [AxisNow::default(); AXES];
-        for n in 0..machine.axis_count() {
-            let (p, count_um) = (machine.place(n), machine.count_um(n));
-            let counts = machine.origin_counts(n) + status.axes[n].position_counts;
-            let position_mm = counts as f64 * count_um / 1000.0;
-            let velocity = (position_mm - self.position[p]) / dt_s;
-            let (turned_at, direction) = &mut self.travel[p];
-            if (position_mm - *turned_at) * *direction > 0.0 {
-                *turned_at = position_mm;
-            }
-            if (position_mm - *turned_at).abs() > 3.0 * count_um / 1000.0 {
-                *direction = if position_mm > *turned_at { 1.0 } else { -1.0 };
-                *turned_at = position_mm;
-            }
-            axes[p] = AxisNow {
-                position_mm,
-                velocity_mm_s: velocity,
-                acceleration_mm_s2: (velocity - self.speed[p]) / dt_s,
-                direction: *direction,
-                load_n: load_n[p],
-            };
-            self.speed[p] = velocity;
-            self.position[p] = position_mm;
-        }
-        self.known.evaluate(&frame(t_s, machine, &errors.heat, errors.channels(), &axes));
-        let mut totals = [0; AXES];
-        for n in 0..machine.axis_count() {
-            let p = machine.place(n);
-            let step_um = machine.count_um(n) * self.increment as f64;
-            totals[p] = (self.known.errors_um()[p] / step_um).round() as i64 * self.increment;
-        }
-        totals
     }
 }

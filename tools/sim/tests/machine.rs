@@ -13,8 +13,7 @@ fn model(text: &str) -> Model {
 }
 
 fn sim(truth: &Model, known: Option<&Model>) -> Sim {
-    let known = known.map(|k| k.effects().collect());
-    Sim::new(&Spec::machining_centre(), truth.effects(), known, [0.0; 3], 1).unwrap()
+    Sim::new(&Spec::machining_centre(), truth, known, [0.0; 3], 1).unwrap()
 }
 
 fn program(text: &str) -> Vec<Block> {

@@ -1,9 +1,11 @@
 //! `rtecctl demo`: the main job on the embedded default, with nothing but this program.
 
 use crate::Outcome;
+use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::MockCard;
+use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{EventKind, Mode, Request, Status};
@@ -11,6 +13,7 @@ use rtec_rt::thread::{Running, ThreadOptions, spawn};
 use rtec_sim::strokes::{Motion, MovingAxes, Truth, moving_axes};
 use std::f64::consts::TAU;
 use std::io::{IsTerminal, Write};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// Correct a simulated axis in real time: no hardware, no root, no configuration
@@ -31,8 +34,24 @@ const COUNT_UM: f64 = 1.0;
 const STROKE_MM: f64 = 60.0;
 const FEED_MM_S: f64 = 30.0;
 
-/// The axis's error at a place, µm: the linear error that NISTIR 4832 calls the largest to be expected on a one-metre
-/// axis, and a ball screw's once-per-turn error.
+/// What the corrector is told of the axis: the linear error that NISTIR 4832 calls the largest to be expected on a
+/// one-metre axis, and a ball screw's once-per-turn error.
+const KNOWN: &str = r#"
+name = "demo axis"
+[[effect]]
+name = "scale.x"
+ppm = 240.0
+[[effect]]
+name = "screw_periodic.x"
+period_mm = 5.0
+um = 3.0
+phase_rad = 0.0
+"#;
+/// The law looks this often, and the axis follows an insertion this much later, s.
+const TICK_S: f64 = 0.01;
+const FOLLOWS_S: f64 = 0.006;
+
+/// The same error, as the judge of what is left has it, at a place, µm.
 fn error_um(position_mm: f64) -> f64 {
     let (ppm, period_mm, periodic_um) = (240.0, 5.0, 3.0);
     ppm * position_mm / 1000.0 + periodic_um * (TAU * position_mm / period_mm).sin()
@@ -87,6 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let truth = &operator.truth;
     operator.cycle_start();
 
+    let mut law = law(&axis)?;
     let live = !args.json && std::io::stdout().is_terminal();
     let (begun, mut drawn) = (Instant::now(), Duration::ZERO);
     let mut seen = Seen::default();
@@ -97,14 +117,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     while begun.elapsed() < args.duration && !running.control.ended() {
-        std::thread::sleep(Duration::from_millis(10));
+        std::thread::sleep(Duration::from_secs_f64(TICK_S));
         running.control.beat();
         let status = running.control.status();
-        let axis = status.axes[0];
-        // What the live model does: position in, total out (NISTIR 4832: a value every 10–20 ms is sufficient).
-        let wanted_um = error_um(axis.position_counts as f64 * COUNT_UM / 1000.0);
-        let total_counts = (wanted_um / COUNT_UM).round() as i64;
-        running.control.send(Request::Correct { axis: 0, total_counts, large: false })?;
+        if let Some(total_counts) = law.tick(begun.elapsed().as_secs_f64(), &status, &[])[0] {
+            running.control.send(Request::Correct { axis: 0, total_counts, large: false })?;
+        }
         let (without, with) = tool_error_um(&truth[0]);
         seen.add(without, with);
         let every = Duration::from_millis(if live { 100 } else { 1000 });
@@ -156,6 +174,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(Outcome::No("the ledger does not balance".into()).into());
     }
     Ok(())
+}
+
+/// The control law with what is known of the axis.
+fn law(axis: &AxisConfig) -> anyhow::Result<Corrector> {
+    let setup = AxisSetup {
+        name: "x".to_owned(),
+        count_um: COUNT_UM,
+        increment_counts: axis.design.increment_counts(),
+        window_counts: axis.window_counts,
+        max_counts: axis.max_correction_counts,
+    };
+    let mut law = Corrector::new(vec![setup], RAMP_UM_S, TICK_S + FOLLOWS_S, 0.0);
+    law.load(Machine::parse(Path::new("demo"), KNOWN)?, &[], &|_| Vec::new())?;
+    Ok(law)
 }
 
 /// Homes the axis as the start-up must: nothing further before the home position has been read back. Then enables.
