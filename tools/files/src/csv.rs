@@ -274,16 +274,9 @@ impl<'a> Cells<'a> {
     fn plain_cell(&mut self, start: usize) -> &'a str {
         let rest = &self.row.text[start..];
         // Byte by byte: cells are too short for the search that `str::split` does.
-        match rest.bytes().position(|byte| byte == self.row.by) {
-            Some(at) => {
-                self.next = Some(start + at + 1);
-                rest[..at].trim_ascii()
-            }
-            None => {
-                self.next = None;
-                rest.trim_ascii()
-            }
-        }
+        let length = rest.bytes().position(|byte| byte == self.row.by);
+        self.next = length.map(|length| start + length + 1);
+        rest[..length.unwrap_or(rest.len())].trim_ascii()
     }
 }
 
