@@ -1,5 +1,5 @@
 //! Prints what reading and writing a trace costs per row:
-//! `cargo run --release -p rtec-driver --example trace_speed [ROWS]`.
+//! `cargo run --release -p rtec-files --example trace_speed [ROWS]`.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;

@@ -2,8 +2,8 @@
 //! commas, `#` and doubled quotes. Every finding has its line and column.
 //!
 //! Lines and comments are ours, because the `csv` crate knows comments only as whole lines and gives no columns. Cells
-//! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote at their commas: a third of
-//! the time.
+//! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote simply at their
+//! commas.
 //!
 //! ```
 //! use rtec_files::csv::Reader;
