@@ -1,5 +1,5 @@
 //! Prints what reading and writing a trace costs per row:
-//! `cargo bench -p rtec-driver --bench trace_speed [-- ROWS]`.
+//! `cargo bench -p rtec-files --bench trace_speed [-- ROWS]`.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;

@@ -430,6 +430,7 @@ impl<'a> Section<'a> {
     }
 
     /// The table under a key, or an absent one.
+    #[must_use]
     pub fn table(&mut self, source: &mut Source<'_>, key: &'static str, title: &'static str) -> Self {
         let Some(entry) = self.take(key) else { return Self::of(title, self.offset, None) };
         let table = source.keep(entry.table(&format!("a table, written {title}")));

@@ -117,15 +117,15 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
     let plain = "t\tx\te\n0\t1\t2\n1\t1\t3\n";
     assert_eq!(read(plain, &["t=time", "x=position.x:in", "e=error.x"]).unwrap().rows(), 2);
     for (text, line, column, found) in [
-        ("", 0, 0, "an empty file"),
+        ("", 0, 0, "no header"),
         ("t,e\n", 2, 0, "no rows"),
-        ("t,f\n0,1\n", 1, 1, "no column `e`"),
-        ("t,e,e\n0,1,1\n", 1, 1, "column `e` twice"),
-        ("t,e\n0,1\n1\n", 3, 2, "1 values"),
-        ("t,e\n0,1\n1, ,\n", 3, 5, "3 values"),
-        ("t,e\n0,1\n1, x\n", 3, 4, "`x` in column `e`"),
-        ("t,e\n0,1\n1,\n", 3, 3, "no value"),
-        ("t,e\n0,inf\n", 2, 3, "`inf`"),
+        ("t,f\n0,1\n", 1, 1, "no column e"),
+        ("t,e,e\n0,1,1\n", 1, 5, "column 'e' a second time"),
+        ("t,e\n0,1\n1\n", 3, 2, "after 1 of 2 fields"),
+        ("t,e\n0,1\n1, ,\n", 3, 5, "nothing"),
+        ("t,e\n0,1\n1, x\n", 3, 4, "'x' in column e"),
+        ("t,e\n0,1\n1,\n", 3, 3, "nothing in column e"),
+        ("t,e\n0,inf\n", 2, 3, "'inf'"),
     ] {
         let e = read(text, &["t=time", "e=error.x"]).unwrap_err();
         assert_eq!((e.line, e.column), (line, column), "{text:?}: {e}");

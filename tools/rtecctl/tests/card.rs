@@ -116,7 +116,7 @@ fn a_profile_that_is_not_there_or_is_none_is_named() {
     assert_eq!(code, Some(2));
     assert!(error.contains("found No such file") && error.contains("did you mean \"8255-pci\"?"), "{error}");
     let (code, error) = says(&["show", concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml")]);
-    assert!(code == Some(2) && error.contains("Cargo.toml:1:2: found unknown field `package`"), "{error}");
+    assert!(code == Some(2) && error.contains("Cargo.toml:1:2: found unknown key package"), "{error}");
     assert_eq!(says(&["show", "8255-pci", "--toml", "--json"]).0, Some(2));
     assert_eq!(says(&["probe", "--mtc-is-off"]).0, Some(2));
     let (code, error) = says(&["probe", "--config", "none.toml"]);
