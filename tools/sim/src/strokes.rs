@@ -112,10 +112,10 @@ pub type MovingAxes = MachineWires<Stroking>;
 /// Of the controller's axes these machines have the first alone. A count stands for a micrometre.
 const MM_PER_COUNT: f64 = 1e-3;
 /// An axis that follows its command, and an insertion, within some milliseconds.
-const GAIN_PER_S: f64 = 150.0;
-/// Time to the feed, and of that at rising acceleration, s.
-const RAMP_S: f64 = 0.01;
-const RISE_S: f64 = 0.004;
+const GAIN_PER_S: f64 = 300.0;
+/// Time to the feed, and of that at rising acceleration, s: 20 mm/s at less than the 1 m/s² that such axes are given.
+const RAMP_S: f64 = 0.03;
+const RISE_S: f64 = 0.006;
 
 impl Motion {
     fn axis(&self) -> AxisSpec {
@@ -127,6 +127,7 @@ impl Motion {
             decel_mm_s2: accel_mm_s2,
             jerk_mm_s3: accel_mm_s2 / RISE_S,
             position_gain_per_s: GAIN_PER_S,
+            speed_gain_per_s: 6.0 * GAIN_PER_S,
             backlash_um: 0.0,
             on_feedback: self.on_feedback,
             ..AxisSpec::new("x", 2.0 * self.stroke_counts * MM_PER_COUNT)
