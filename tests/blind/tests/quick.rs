@@ -164,7 +164,8 @@ fn two_steps_of_reading_to_a_signal_period_are_enough() {
     let mut dice = rtec_blind::world::Dice::new(6);
     let p: Vec<f64> = (0..400).map(|_| (250_000.0 * dice.normal()).round() / 1000.0).collect();
     let wave = |p: f64| (std::f64::consts::TAU * p / 0.002 + 1.2).sin();
-    let e = p.iter().zip(noise(4, p.len())).map(|(p, n)| 3.0 * wave(*p) + n).collect();
+    // A sound scale's error is below a quarter of its period: three times the noise, as large as it may be.
+    let e = p.iter().zip(noise(4, p.len())).map(|(p, n)| 0.45 * wave(*p) + 0.15 * n).collect();
     let machine = rtec_model::machine::Machine::ideal("m");
     let r =
         rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();

@@ -250,7 +250,7 @@ fn retune(
             if (0.4..2.5).contains(&ratio) {
                 let [period, phase] = [found.scalar(0), found.scalar(2)];
                 let mended = anchor[e].values().to_vec();
-                // Both keep the law's limits: they come from the law itself.
+                // Both keep the law's bounds: they come from the law itself.
                 let _set = anchor[e].set_values(&[period, mended[1], phase]);
                 now[e] = found;
                 any = true;
@@ -268,7 +268,7 @@ fn moved(now: &[Effect], parameters: &[Known], beta: &[f64]) -> Vec<Effect> {
         for (k, b) in parameters.iter().zip(beta).filter(|(k, _)| k.effect == e) {
             k.along.iter().for_each(|(v, w)| values[*v] += w * b);
         }
-        // A change that leaves the law's limits is not made.
+        // A change that leaves the law's bounds is not made.
         let _kept = effect.set_values(&values);
     }
     out
@@ -347,7 +347,11 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
                 continue;
             }
             let next = search.take(&rest, &offer);
-            named = search.polish(next);
+            let next = search.polish(next);
+            if !search.physical(&next) {
+                continue;
+            }
+            named = next;
             changed = true;
             break;
         }
@@ -384,7 +388,10 @@ fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
             let Some(offer) = search.offers(&level, 1, 0, false).into_iter().next() else { continue };
             if offer.score > best.score + 1e-6 {
                 let next = search.take(&level, &offer);
-                best = search.polish(next);
+                let next = search.polish(next);
+                if search.physical(&next) {
+                    best = next;
+                }
             }
         }
     }
@@ -453,6 +460,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
     if equals.is_none() {
         named = search.with_references(named);
     }
+    named = search.bounded(named);
     let left = rms(&search.residual(&named).0);
     let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
     // Names that leave next to nothing, or that the shape only stands beside, keep their place.
@@ -498,7 +506,7 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
         let k = m.columns();
         let gamma = &beta[at..at + k];
         at += k;
-        let Some(mut effect) = effect_of(&m.cause, gamma) else { continue };
+        let Some(mut effect) = effect_of(&m.cause, gamma).filter(Effect::is_physical) else { continue };
         let own = search.gain(&search.without(&set, i), &set);
         let p_value = chance.of_name(own, set.members.len() == 1);
         // Beside a shape without a name only what reads something else, and stands out by itself, is named.
@@ -518,7 +526,8 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
             }
         } else if unexplained.is_empty() {
             let own_name = &search.all.list[m.hypothesis].name;
-            let ranking = search.ranking(&search.without(&set, i));
+            let rest = search.without(&set, i);
+            let ranking = search.ranking(&rest);
             let top =
                 ranking.iter().find(|r| r.name == *own_name).map_or(set.score, |r| r.evidence.max(set.score));
             for r in &*ranking {
@@ -532,6 +541,10 @@ fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f
                 let best = if alike { set.score } else { r.offers[0].score };
                 for o in r.offers.iter().filter(|o| o.hypothesis != m.hypothesis && best - o.score < DECISIVE)
                 {
+                    let instead = search.take(&rest, o);
+                    if !search.physical(&instead) {
+                        continue;
+                    }
                     let h = &search.all.list[o.hypothesis];
                     let margin = margin.max(best - o.score);
                     list.push(Rival { name: h.name.clone(), sensor: h.sensor().cloned(), margin });

@@ -1,6 +1,7 @@
 //! The search for the set of effects that explains what the model does not: a beam over sets, every hypothesis fitted
 //! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
 
+use crate::analysis::effect_of;
 use crate::gram::{self, Cholesky, Products, Vector, dot, products};
 use crate::hypotheses::{
     Atom, Cause, Hypotheses, Hypothesis, Shape, Teeth, Wave, aliases, likeliest, moments, pitch,
@@ -754,7 +755,7 @@ impl<'p, 'r> Search<'p, 'r> {
         })
     }
 
-    /// Amplitude of a wave of two columns in what a set leaves, at the places it was read at.
+    /// The least amplitude of a wave of two columns that explains as much of what a set leaves as they do.
     fn amplitude(&self, set: &Set, [s, c]: [&[f64]; 2]) -> f64 {
         let (left, _) = self.residual(set);
         let (ss, cc) = (dot(s, s), dot(c, c));
@@ -762,7 +763,9 @@ impl<'p, 'r> Search<'p, 'r> {
         let mut with = [dot(s, &left), dot(c, &left)];
         gram::reduce(&mut squares, &mut with);
         let explained: f64 = with.iter().filter(|w| w.is_finite()).map(|w| w * w).sum();
-        (2.0 * explained / (ss + cc)).sqrt()
+        // However sine and cosine lie on the places, no smaller amplitude explains so much.
+        let largest = f64::midpoint(ss, cc) + f64::hypot((ss - cc) / 2.0, dot(s, c));
+        (explained / largest).sqrt()
     }
 
     fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
@@ -1230,6 +1233,9 @@ impl Search<'_, '_> {
         for set in second.visited.into_iter().chain([second.any]) {
             let set = self.set(set.members);
             let set = self.thinned(set);
+            if !self.physical(&set) {
+                continue;
+            }
             if self.named(&set) {
                 if set.score > found.named.score + SHORT_MARGIN {
                     found.named = set.clone();
@@ -1246,6 +1252,31 @@ impl Search<'_, '_> {
         }
         found.visited.sort_by(|a, b| b.score.total_cmp(&a.score));
         found
+    }
+
+    /// The first member of a set whose effect is outside its law's bounds.
+    fn unphysical(&self, set: &Set) -> Option<usize> {
+        let beta = self.coefficients(set);
+        let mut at = self.slopes.len();
+        set.members.iter().position(|m| {
+            let gamma = &beta[at..at + m.columns()];
+            at += m.columns();
+            effect_of(&m.cause, gamma).is_some_and(|e| !e.is_physical())
+        })
+    }
+
+    /// Whether all its effects are inside their laws' bounds: outside them nothing is named.
+    pub(crate) fn physical(&self, set: &Set) -> bool {
+        self.unphysical(set).is_none()
+    }
+
+    /// The set without the members outside their laws' bounds.
+    pub(crate) fn bounded(&self, set: Set) -> Set {
+        let mut set = set;
+        while let Some(i) = self.unphysical(&set) {
+            set = self.without(&set, i);
+        }
+        set
     }
 
     /// The set without the members that do not pay.
@@ -1295,7 +1326,10 @@ impl Search<'_, '_> {
                 room[usize::from(pure)] -= 1;
                 let set = set.clone();
                 let set = self.take(&set, &offer);
-                grown.push(self.polish(set));
+                let set = self.polish(set);
+                if self.physical(&set) {
+                    grown.push(set);
+                }
             }
             let before = any.score.max(named.score);
             for set in &grown {
