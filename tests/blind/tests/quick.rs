@@ -202,7 +202,7 @@ fn what_has_no_name_gets_a_marked_curve_when_asked_for() {
     let train = [run(p, e)];
     let options = rtec_reconcile::Options { unexplained: true, ..Default::default() };
     let r = rtec_reconcile::reconcile(&train, &[], &machine, &options).unwrap();
-    assert_eq!(r.verdict, "unknown_effect");
+    assert_eq!(r.verdict, rtec_reconcile::Verdict::UnknownEffect);
     let (curve, laws) = r.curve.as_ref().unwrap();
     assert!(curve.name().starts_with("unexplained_"), "{}", curve.name());
     // The written files are a model like any other.
@@ -240,7 +240,7 @@ fn two_bumps_of_a_part_are_both_added() {
     let record = Record::new(std::path::Path::new("part.run.toml"), Kind::Part, columns).unwrap();
     let machine = rtec_model::machine::Machine::ideal("m");
     let r = rtec_reconcile::reconcile(&[record], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
-    assert_eq!(r.verdict, "named");
+    assert_eq!(r.verdict, rtec_reconcile::Verdict::Named);
     let mut centres: Vec<f64> = r
         .effects
         .iter()
