@@ -30,6 +30,7 @@ macro_rules! effects {
 
 effects! {
     sag,
+    twist,
 }
 
 fn axis(name: &str) -> Axis {
