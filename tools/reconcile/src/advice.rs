@@ -1,6 +1,6 @@
 //! The experiment that would separate what these data cannot.
 
-use crate::analysis::Finding;
+use crate::answer::Finding;
 use crate::cause::Shape;
 use crate::extent::{self, GRID_SHARE};
 use crate::verdict::Verdict;
@@ -98,7 +98,7 @@ fn isolating(s: &Shape) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::Rival;
+    use crate::answer::Rival;
     use crate::testing::{axis, column};
     use rtec_model::effect::Difference;
     use rtec_model::record::Kind;

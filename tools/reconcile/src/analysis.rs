@@ -1,86 +1,22 @@
 //! From runs and a model to the answer: the search is done again with better values of the model's own parameters and of
 //! the noise's size until neither changes, then what it found is named.
 
-use crate::cause::Shape;
+use crate::answer::{Answer, ROUNDS};
 use crate::hypotheses::Hypotheses;
 use crate::naming;
 use crate::problem::{Known, Stack, known, rms};
 use crate::search::{Found, Search};
 use crate::tuning::{bend, is_wave, moved, retune};
-use rtec_model::effect::{Difference, Effect};
+use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
 
-/// Rounds of block permutation.
-pub(crate) const ROUNDS: usize = 40;
 /// How often the search is done again with better values of the model's own parameters and of the noise's size.
 const PASSES: usize = 3;
 /// The noise's size is right when what is left is so much of it.
 const SIZED: std::ops::Range<f64> = 0.75..1.35;
 /// Changes of the model's parameters are small when they are so far from linear, in units of the noise.
 const STRAIGHT: f64 = 0.1;
-
-/// Another explanation of the same thing.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Rival {
-    /// Name of the effect.
-    pub name: String,
-    /// Its temperature difference, where it has one.
-    pub sensor: Option<Difference>,
-    /// Log odds by which the explanation given is better.
-    pub margin: f64,
-}
-
-/// An effect that was found.
-#[derive(Debug, Clone)]
-pub struct Finding {
-    /// The effect with its parameters.
-    pub effect: Effect,
-    /// Values that the law has and the data did not call for: held where they are.
-    pub held: Vec<usize>,
-    /// Probability that chance alone explains as much.
-    pub p_value: f64,
-    /// Log likelihood gained, less the price of its freedom.
-    pub evidence: f64,
-    /// What the data cannot tell from it.
-    pub rivals: Vec<Rival>,
-}
-
-/// The answer, before anything is written.
-#[derive(Debug)]
-pub struct Answer {
-    /// Effects to add, strongest first.
-    pub findings: Vec<Finding>,
-    /// Structure that no effect explains.
-    pub unexplained: Vec<Shape>,
-    /// The model's own effects with their parameters as the data have them, before the last fit.
-    pub present: Vec<Effect>,
-    /// The model's own effects as the file has them.
-    pub file: Vec<Effect>,
-    /// The same with the periods that were found by a search: what a fit starts from and is held to.
-    pub anchor: Vec<Effect>,
-    /// Every name that was tried as the next one, best first: log odds against what was accepted.
-    pub ranking: Vec<Tried>,
-    /// What is left unexplained, and the noise's coefficient.
-    pub residual: Vec<f64>,
-    /// First-order autocorrelation of the noise.
-    pub phi: f64,
-    /// Size of the noise per response.
-    pub sigma: Vec<f64>,
-    /// Noise made by moving the residual's blocks about, weighed: what `where` is judged by.
-    pub draws: Vec<Vec<f64>>,
-}
-
-/// A name that was tried.
-#[derive(Debug, Clone)]
-pub struct Tried {
-    /// Name, with its sensors.
-    pub label: String,
-    /// Log odds of the best set with it in place of the nearest accepted effect (or beside them).
-    pub odds: f64,
-    /// Whether it is in the answer.
-    pub accepted: bool,
-}
 
 fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
     (0..stack.responses.len())

@@ -1,7 +1,7 @@
 //! What an explanation is: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
 
 use crate::problem::free_directions;
-use crate::shapes::Teeth;
+use crate::teeth::Teeth;
 use rtec_model::effect::{Against, Effect, STANDARD_DEGC};
 
 /// A shape that is in no dictionary.

@@ -1,7 +1,7 @@
 //! The answer as `verdict.json` (formats.md, "Reconciliation").
 
 use crate::SEED;
-use crate::analysis::{Finding, Rival};
+use crate::answer::{Finding, Rival};
 use crate::gap::Gap;
 use crate::verdict::{Reconciliation, Refined};
 use crate::where_found::Place;

@@ -1,6 +1,6 @@
 //! How far measured and simulated are apart, before and after, and what the data itself repeats to.
 
-use crate::analysis::Answer;
+use crate::answer::Answer;
 use crate::fit::{self, Term};
 use crate::problem::{Segment, Stack, rms};
 use rtec_model::machine::Machine;

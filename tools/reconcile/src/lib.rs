@@ -7,7 +7,7 @@
 //! |---|---|
 //! | `workflow` | the whole of it: analysis, last fit, what is written into the model |
 //! | `problem`, `gram` | runs and model as one least-squares problem; products of columns under correlated noise |
-//! | `cause`, `hypotheses`, `shapes`, `waves`, `extent` | what may be missing: effects over their grids, shapes of no name |
+//! | `cause`, `hypotheses`, `shapes`, `teeth`, `waves`, `extent` | what may be missing: effects over their grids, shapes of no name |
 //! | `search` | the set of explanations that the data pay for |
 //! | `analysis`, `tuning` | the search again and again, the model's own parameters and the noise's size mended in between |
 //! | `chance` | what the same search finds in noise |
@@ -15,6 +15,7 @@
 //! | `fit` | all effects jointly, with an interval for each value |
 //! | `where_found` | where measured and simulated disagree |
 //! | `unexplained` | a curve that stands for what has no name |
+//! | `answer` | what the analysis found, before anything is written |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
 //! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
@@ -22,6 +23,7 @@
 
 mod advice;
 mod analysis;
+mod answer;
 mod cause;
 mod chance;
 mod document;
@@ -36,6 +38,7 @@ mod report;
 mod search;
 mod shapes;
 mod steady;
+mod teeth;
 #[cfg(test)]
 mod testing;
 mod tuning;
@@ -45,7 +48,7 @@ mod waves;
 mod where_found;
 mod workflow;
 
-pub use analysis::{Answer, Finding, Rival, Tried};
+pub use answer::{Answer, Finding, Rival, Tried};
 pub use cause::Shape;
 pub use chance::SEED;
 pub use gap::{Gap, Trace};

@@ -1,7 +1,7 @@
 //! What the search found gets its names: whatever does not stand out from chance goes, what the data cannot tell from it
 //! is listed beside it, and what no name explains becomes a shape.
 
-use crate::analysis::{Answer, Finding, ROUNDS, Rival, Tried};
+use crate::answer::{Answer, Finding, ROUNDS, Rival, Tried};
 use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
 use crate::problem::rms;
@@ -223,7 +223,7 @@ impl Conclusion<'_> {
         if let Some(equals) = &self.equals {
             // What predicts as well, not what fits as well.
             let equals = equals.iter().filter(|_| effect.delta.is_some());
-            return equals.map(|h| Rival::of(search, *h, 0.0)).collect();
+            return equals.map(|h| rival(search, *h, 0.0)).collect();
         }
         if !self.unexplained.is_empty() {
             return Vec::new();
@@ -254,7 +254,7 @@ impl Conclusion<'_> {
             for o in r.offers.iter().filter(|o| close(o.hypothesis, o.score)) {
                 let instead = search.take(&rest, o);
                 if search.physical(&instead) {
-                    rivals.push(Rival::of(search, o.hypothesis, margin.max(best - o.score)));
+                    rivals.push(rival(search, o.hypothesis, margin.max(best - o.score)));
                 }
             }
         }
@@ -272,7 +272,7 @@ impl Conclusion<'_> {
                 continue;
             }
             for x in v.members.iter().filter(|x| lacks(x.hypothesis)) {
-                let rival = Rival::of(search, x.hypothesis, set.score - v.score);
+                let rival = rival(search, x.hypothesis, set.score - v.score);
                 if !rivals.iter().any(|r| r.name == rival.name && r.sensor == rival.sensor) {
                     rivals.push(rival);
                 }
@@ -281,11 +281,10 @@ impl Conclusion<'_> {
     }
 }
 
-impl Rival {
-    fn of(search: &Search<'_, '_>, hypothesis: usize, margin: f64) -> Self {
-        let h = &search.all.list[hypothesis];
-        Self { name: h.name.clone(), sensor: h.sensor().cloned(), margin }
-    }
+/// A hypothesis as another explanation.
+fn rival(search: &Search<'_, '_>, hypothesis: usize, margin: f64) -> Rival {
+    let h = &search.all.list[hypothesis];
+    Rival { name: h.name.clone(), sensor: h.sensor().cloned(), margin }
 }
 
 /// Linear parameters that a cause does not let free.

@@ -4,6 +4,7 @@
 use crate::cause::{Cause, Shape};
 use crate::hypotheses::{Atom, Hypotheses, Hypothesis};
 use crate::problem::Stack;
+use crate::teeth::Teeth;
 use crate::waves::Wave;
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Record, Role};
@@ -17,35 +18,6 @@ const KNEES: i32 = 5;
 const ROWS_FOR_TEETH: usize = 40;
 /// Fewest rows, but one, that a knee is looked for in.
 const ROWS_FOR_KNEES: usize = 20;
-
-/// Saw teeth or square steps that repeat over the time of all records.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Teeth {
-    pub(crate) response: usize,
-    pub(crate) saw: bool,
-    /// How often they repeat.
-    pub(crate) turns: f64,
-    /// Where in a turn the first row lies.
-    pub(crate) phase: f64,
-}
-
-impl Teeth {
-    /// Its column, not weighed.
-    pub(crate) fn column(&self, stack: &Stack<'_>) -> Vec<f64> {
-        let [lo, hi] = stack.time_s;
-        let span = (hi - lo).max(1e-300);
-        stack.column(Some(self.response), |record, row| {
-            let place = (self.turns * (record.time_s()[row] - lo) / span + self.phase).rem_euclid(1.0);
-            if self.saw {
-                place - 0.5
-            } else if place < 0.5 {
-                0.5
-            } else {
-                -0.5
-            }
-        })
-    }
-}
 
 /// A shape with its columns in the bank and the price of its own grid.
 type Made = (Cause, Vec<usize>, f64);

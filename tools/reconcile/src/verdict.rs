@@ -1,6 +1,6 @@
 //! The answer as a whole.
 
-use crate::analysis::{Finding, Tried};
+use crate::answer::{Finding, Tried};
 use crate::cause::Shape;
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
@@ -103,7 +103,7 @@ pub struct Reconciliation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::Rival;
+    use crate::answer::Rival;
     use rtec_model::effect::Dictionary;
 
     #[test]

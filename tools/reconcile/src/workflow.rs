@@ -2,7 +2,8 @@
 
 use crate::Options;
 use crate::advice::advice;
-use crate::analysis::{Answer, Finding, Rival, analyse, noise_of};
+use crate::analysis::{analyse, noise_of};
+use crate::answer::{Answer, Finding, Rival};
 use crate::cause::Shape;
 use crate::fit::{self, Term};
 use crate::gap::{gaps, traces};

@@ -5,7 +5,7 @@ use super::offers::{Offer, Source};
 use super::sets::Set;
 use crate::cause::{Cause, Shape};
 use crate::extent::{moments, taus};
-use crate::shapes::Teeth;
+use crate::teeth::Teeth;
 use rtec_model::effect::{Effect, Refine};
 
 impl Search<'_, '_> {

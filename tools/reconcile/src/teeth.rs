@@ -1,0 +1,32 @@
+//! Saw teeth and square steps: shapes of no name whose turns and phase are refined.
+
+use crate::problem::Stack;
+
+/// Saw teeth or square steps that repeat over the time of all records.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Teeth {
+    pub(crate) response: usize,
+    pub(crate) saw: bool,
+    /// How often they repeat.
+    pub(crate) turns: f64,
+    /// Where in a turn the first row lies.
+    pub(crate) phase: f64,
+}
+
+impl Teeth {
+    /// Its column, not weighed.
+    pub(crate) fn column(&self, stack: &Stack<'_>) -> Vec<f64> {
+        let [lo, hi] = stack.time_s;
+        let span = (hi - lo).max(1e-300);
+        stack.column(Some(self.response), |record, row| {
+            let place = (self.turns * (record.time_s()[row] - lo) / span + self.phase).rem_euclid(1.0);
+            if self.saw {
+                place - 0.5
+            } else if place < 0.5 {
+                0.5
+            } else {
+                -0.5
+            }
+        })
+    }
+}
