@@ -36,7 +36,7 @@
 //! | | `ramp_um_s` | µm/s | 5 | how fast a correction goes to a new place that no motion of the axis asks for |
 //! | | `lead_ms` | ms | 0 | how long before the axes are there it is evaluated: one `period_ms` and the lag of the position loop |
 //! | | `log_s` | s | 5 | how often temperatures are logged (beside the state file), for lags after a restart |
-//! | `[[sensor]]` | | | | a temperature, see [`rtec_correct::sensors`] |
+//! | `[[sensor]]` | | | | a temperature, see [`rtec_correct::sensors`] and [`crate::sources`] |
 //!
 //! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
 //! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.

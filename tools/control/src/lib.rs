@@ -1,10 +1,11 @@
-//! What the daemon and its command line share: the configuration and the control protocol.
+//! What the daemon and its command line share: the configuration, what it names on this computer, and the control protocol.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`config`] | `rtec.toml`, read strictly: every finding with its line |
 //! | [`protocol`] | requests and answers of the control socket |
 //! | [`client`] | the client's end of it |
+//! | [`sources`] | sensors as Linux offers them, read for their watches |
 //! | [`card`] | the real card that a configuration names, opened |
 //! | [`profile`] | card profiles, from their files |
 //! | [`lock`] | one program at a time on a socket, on a card |
@@ -16,3 +17,4 @@ mod lines;
 pub mod lock;
 pub mod profile;
 pub mod protocol;
+pub mod sources;

@@ -353,7 +353,9 @@ impl Corrector {
         let probing = status.mode == Mode::Probe;
         if self.lead_s > 0.0 {
             let mut ahead = self.now.clone();
-            ahead.iter_mut().for_each(|a| a.position_mm += a.velocity_mm_s * self.lead_s);
+            for a in &mut ahead {
+                a.position_mm += a.velocity_mm_s * self.lead_s;
+            }
             model.evaluate(now_s - self.started_s, &ahead, probing);
         } else {
             model.evaluate(now_s - self.started_s, &self.now, probing);

@@ -11,10 +11,10 @@
 //! | `motion` | position, velocity and direction of the axes from the engine's status |
 //! | `total` | ramp, hysteresis, limits, belief window |
 //! | [`explain`] | what a correction is made of, for people |
-//! | [`sensors`] | temperatures through what Linux offers, each watched |
+//! | [`sensors`] | trust in a sensor: good, its last good value, or hold |
 //! | [`rehearse`] | a recorded shift run through the law with another model |
 //!
-//! What must not live here: sockets of the control side, files that are not a sensor's, anything of a simulated machine.
+//! What must not live here: sockets, devices, the reading of sensors, anything of a simulated machine.
 
 pub mod corrector;
 pub mod explain;

@@ -7,6 +7,7 @@
 use crate::sensors::{Config, Watch};
 use crate::{AxisSetup, Corrector};
 use rtec_files::InputError;
+use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use rtec_rt::event::{MAX_AXES, Mode, Status};
@@ -117,7 +118,7 @@ impl Stage<'_> {
 /// The axes of a shift and of the effects that act on it.
 fn axes_of(shift: &Record, models: [&Machine; 2]) -> Vec<Axis> {
     let mut axes: Vec<Axis> = Vec::new();
-    let of_effects = models.into_iter().flat_map(Machine::effects).flat_map(|e| e.axes());
+    let of_effects = models.into_iter().flat_map(Machine::effects).flat_map(Effect::axes);
     for axis in shift.columns.iter().filter_map(|c| c.role.axis()).chain(of_effects) {
         if !axes.contains(axis) {
             axes.push(axis.clone());
@@ -185,7 +186,9 @@ fn run(shift: &Record, axes: &[Axis], stages: &mut [Stage<'_>; 2], changes: &mut
                 .collect();
             // The card's clock runs from the shift's first row.
             let t_ns = ((t_s - t[0]) * 1e9) as u64;
-            stages.iter_mut().for_each(|s| s.tick(t_s, t_ns, &counts, reading));
+            for stage in &mut *stages {
+                stage.tick(t_s, t_ns, &counts, reading);
+            }
         }
         changes.take(t[row], stages);
     }
@@ -194,7 +197,7 @@ fn run(shift: &Record, axes: &[Axis], stages: &mut [Stage<'_>; 2], changes: &mut
 /// Totals row by row, as they come.
 struct Rows {
     setups: Vec<AxisSetup>,
-    rows: Vec<Vec<(f64, [i64; 2])>>,
+    totals: Vec<Vec<(f64, [i64; 2])>>,
     held: Vec<usize>,
     outside: BTreeMap<String, usize>,
 }
@@ -202,11 +205,11 @@ struct Rows {
 impl Rows {
     fn new(setups: Vec<AxisSetup>) -> Self {
         let axes = setups.len();
-        Self { setups, rows: vec![Vec::new(); axes], held: vec![0; axes], outside: BTreeMap::new() }
+        Self { setups, totals: vec![Vec::new(); axes], held: vec![0; axes], outside: BTreeMap::new() }
     }
 
     fn take(&mut self, t_s: f64, [present, new]: &mut [Stage<'_>; 2]) {
-        for (n, rows) in self.rows.iter_mut().enumerate() {
+        for (n, rows) in self.totals.iter_mut().enumerate() {
             rows.push((t_s, [present.status.axes[n].requested, new.status.axes[n].requested]));
             self.held[n] += usize::from(new.corrector.holds(n).is_some());
         }
@@ -217,7 +220,7 @@ impl Rows {
 
     fn judge(self, all: usize) -> Rehearsal {
         let share = |n: usize| n as f64 / all.max(1) as f64;
-        let axes = self.setups.into_iter().zip(self.rows).zip(self.held);
+        let axes = self.setups.into_iter().zip(self.totals).zip(self.held);
         let axes = axes.map(|((setup, rows), held)| {
             let um = |counts: i64| counts as f64 * setup.count_um;
             let change = |r: &(f64, [i64; 2])| um(r.1[1] - r.1[0]);

@@ -1,8 +1,10 @@
 //! Temperatures: one thread per bus, so that a slow sensor holds up its own kind only; and a log that a restart reads
 //! back.
 
-use rtec_correct::sensors::{Bank, Config, Source, Use, Watch};
+use rtec_control::sources::Bank;
+use rtec_correct::sensors::{Config, Source, Use, Watch};
 use rtec_files::{InputError, csv};
+use rtec_measure::record;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};
@@ -78,7 +80,8 @@ impl Temperatures {
             for (k, (n, _)) in members.iter().enumerate() {
                 places[*n] = (buses.len(), k);
             }
-            let bank = Bank::new(members.into_iter().map(|m| m.1).collect(), Path::new("/"))?;
+            let own = members.into_iter().map(|m| m.1).collect();
+            let bank = Bank::new(own, Path::new("/"), record::read_log)?;
             let shared: Shared = Arc::new(Mutex::new(bank.sensors().to_vec()));
             buses.push(Arc::clone(&shared));
             // It may hang in a driver: nobody waits for it, its sensors grow old and are said to be silent.

@@ -4,7 +4,8 @@ use crate::daemon::{check, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
 use rtec_control::protocol::{Request, Response, Status};
-use rtec_correct::sensors::{self, Bank, Config, Feed, Use};
+use rtec_control::sources::{Bank, Feed};
+use rtec_correct::sensors::{self, Config, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, Record, Role};
@@ -84,7 +85,8 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
         return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
     }
     let mut columns = vec![column("t", Role::Time)];
-    let mut bank = Bank::new(read_sensors(args.sensors.as_deref())?, &args.root)?;
+    let sensors = read_sensors(args.sensors.as_deref())?;
+    let mut bank = Bank::new(sensors, &args.root, rtec_measure::record::read_log)?;
     columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
     let own = columns.len();
     let mut corrector = args.socket.as_deref().map(Corrector::connect).transpose()?;

@@ -1,0 +1,29 @@
+//! The control law, ten milliseconds at a time: a scale that is 100 ppm long, and an axis that goes to 400 mm.
+use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
+use rtec_model::machine::Machine;
+use rtec_rt::event::{Mode, Status};
+use std::path::Path;
+
+#[cfg_attr(test, test)]
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let (name, count_um) = ("x".to_owned(), 1.0);
+    let x = AxisSetup { name, count_um, increment_counts: 2, window_counts: 50, max_counts: 1000 };
+    let mut law = Corrector::new(vec![x], RAMP_UM_S, 0.0, 0.0);
+    let model = "name = \"mill\"\n[[effect]]\nname = \"scale.x\"\nppm = 100.0\n";
+    law.load(Machine::parse(Path::new("machine.toml"), model)?, &[], &|_| Vec::new())?;
+
+    let mut status = Status { mode: Mode::Run, axes_used: 1, ..Status::default() };
+    status.axes[0].homed = true;
+    for tick in 1..=1000 {
+        status.t_ns = tick * 10_000_000;
+        status.axes[0].position_counts = i64::min(tick as i64 * 800, 400_000); // 80 mm/s
+        let [total, ..] = law.tick(tick as f64 * 0.01, &status, &[]);
+        if let Some(total) = total {
+            status.axes[0].requested = total;
+            (status.axes[0].completed, status.axes[0].in_effect) = (total, total); // the engine would insert
+        }
+    }
+    println!("{:#?}", law.explain(0, &status.axes[0], &[], 10.0));
+    assert_eq!(status.axes[0].requested, 40); // 400 mm · 100 ppm
+    Ok(())
+}

@@ -1,0 +1,180 @@
+//! The 95 % prediction interval: what the fit cannot know at a row, and what blocks that it has not seen say of the rest.
+
+use super::problem::Problem;
+use super::rows::{Rows, rms};
+use super::term::{Pair, Term, unlagged};
+use rtec_files::InputError;
+use rtec_model::effect::Difference;
+use rtec_model::machine::{Validity, unknown_um};
+use rtec_model::record::{Record, Role};
+
+/// A difference may be believed so far beyond what was seen, as a share of its range; further out it is held.
+const BEYOND: f64 = 0.1;
+
+/// What a fit knows of one difference, and so where it knows less.
+pub(super) struct Guard {
+    /// Places of the difference among the columns, and of its square.
+    pub(super) term: usize,
+    pub(super) square: Option<usize>,
+    /// Beyond this the difference is held, K.
+    pub(super) range_k: [f64; 2],
+    /// How far the lagged difference used to be from the difference itself, RMS, K: what is not known at a start.
+    pub(super) start_k: f64,
+    pub(super) tau_s: f64,
+}
+
+impl Rows {
+    /// What a fit on the rows that `take` chooses knows of its differences; `plain` has the same terms without lag.
+    pub(super) fn guards(
+        &self,
+        problem: &Problem,
+        terms: &[Term],
+        plain: &Self,
+        take: &dyn Fn(usize) -> bool,
+    ) -> Vec<Guard> {
+        let mut found = Vec::new();
+        for (k, term) in terms.iter().enumerate() {
+            let Term::Thermal { sensor, minus, lag, square: false } = *term else { continue };
+            let square = terms.iter().position(|t| *t == Term::Thermal { sensor, minus, lag, square: true });
+            let (mut lo, mut hi, mut late, mut n) = (f64::INFINITY, f64::NEG_INFINITY, 0.0, 0.0);
+            for i in (0..self.y.len()).filter(|i| take(*i)) {
+                let v = self.columns[k][i];
+                (lo, hi) = (lo.min(v), hi.max(v));
+                late += (v - plain.columns[k][i]).powi(2);
+                n += 1.0;
+            }
+            let margin = BEYOND * (hi - lo);
+            found.push(Guard {
+                term: k,
+                square,
+                range_k: [lo - margin, hi + margin],
+                start_k: (late / f64::max(n, 1.0)).sqrt(),
+                tau_s: problem.taus[lag],
+            });
+        }
+        found
+    }
+
+    /// What the model says of a row with its differences held in their ranges, and x of its interval.
+    fn held(&self, c: &[f64], guards: &[Guard], i: usize) -> (f64, f64) {
+        let mut says = c[0] + self.columns.iter().zip(&c[1..]).map(|(u, c)| c * u[i]).sum::<f64>();
+        let mut x2 = 0.0;
+        for g in guards {
+            let asked = self.columns[g.term][i];
+            let held = asked.clamp(g.range_k[0], g.range_k[1]);
+            let gain = c[g.term + 1];
+            let bend = g.square.map_or(0.0, |k| c[k + 1]);
+            says += gain * (held - asked) + bend * (held * held - asked * asked);
+            x2 += unknown_um(gain, bend, asked, held, g.start_k, g.tau_s, self.elapsed_s[i]).powi(2);
+        }
+        (says, x2.sqrt())
+    }
+}
+
+/// Every offered difference as measured, chosen or not: where one leaves the range that the fit has seen, the machine is
+/// in a state that the fit does not know, whatever the chosen ones say.
+pub(super) struct Watched {
+    rows: Rows,
+    offered: Vec<Term>,
+}
+
+impl Watched {
+    pub(super) fn new(problem: &Problem, train: &[&Record], response: &Role) -> Result<Self, InputError> {
+        let plain =
+            |(sensor, minus): &Pair| Term::Thermal { sensor: *sensor, minus: *minus, lag: 0, square: false };
+        let offered: Vec<Term> = problem.offered.iter().map(plain).collect();
+        Ok(Self { rows: Rows::new(problem, &offered, train, response)?, offered })
+    }
+
+    /// The range of each on the rows that `take` chooses, and how much the response moved with its movement: the ratio
+    /// of their standard deviations, which noise does not make smaller as it does a slope.
+    pub(super) fn ranges(&self, problem: &Problem, take: &dyn Fn(usize) -> bool) -> Vec<Validity> {
+        let rows: Vec<usize> = (0..self.rows.y.len()).filter(|i| take(*i)).collect();
+        let sd = |v: &[f64]| {
+            let m = rows.iter().map(|i| v[*i]).sum::<f64>() / rows.len() as f64;
+            (rows.iter().map(|i| (v[*i] - m).powi(2)).sum::<f64>() / rows.len() as f64).sqrt()
+        };
+        let y = sd(&self.rows.y);
+        let of = |(term, u): (&Term, &Vec<f64>)| {
+            let Term::Thermal { sensor, minus, .. } = *term else {
+                unreachable!("only differences are watched")
+            };
+            let (lo, hi) = rows
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), i| (l.min(u[*i]), h.max(u[*i])));
+            let margin = BEYOND * (hi - lo);
+            let name = &problem.sensors[sensor];
+            let difference = match minus {
+                Some(m) => Difference::pair(name, &problem.sensors[m]),
+                None => Difference::single(name),
+            };
+            let um_per_k = (y / sd(u).max(1e-9)).min(problem.plausible[0]);
+            Validity { difference, range_k: [lo - margin, hi + margin], um_per_k }
+        };
+        self.offered.iter().zip(&self.rows.columns).map(of).collect()
+    }
+
+    /// What being outside may cost at a row, µm.
+    pub(super) fn outside_um(&self, ranges: &[Validity], i: usize) -> f64 {
+        ranges.iter().zip(&self.rows.columns).map(|(r, u)| r.outside_um(u[i])).fold(0.0, f64::max)
+    }
+}
+
+/// What nested blocks say: structure and parameters chosen without the block they are judged on.
+pub(super) struct Nested {
+    pub(super) folds: Vec<f64>,
+    pub(super) half_width_um: f64,
+    pub(super) coverage: f64,
+}
+
+pub(super) fn nested(
+    problem: &Problem,
+    train: &[&Record],
+    response: &Role,
+) -> Result<Option<Nested>, InputError> {
+    let mut folds = Vec::new();
+    // Per fold: what is left of every row, and x of its interval.
+    let mut left: Vec<Vec<(f64, f64)>> = Vec::new();
+    let watched = Watched::new(problem, train, response)?;
+    for f in 0..problem.folds {
+        let others: Vec<usize> = (0..problem.folds).filter(|o| *o != f).collect();
+        let Some(inner) = problem.select(&others) else { return Ok(None) };
+        let terms = &inner.structure.terms;
+        let rows = Rows::new(problem, terms, train, response)?;
+        let plain = Rows::new(problem, &unlagged(terms), train, response)?;
+        let Some(c) = rows.solve(&|i| rows.fold[i] != f) else { return Ok(None) };
+        let guards = rows.guards(problem, terms, &plain, &|i| rows.fold[i] != f);
+        let ranges = watched.ranges(problem, &|i| rows.fold[i] != f);
+        let own = (0..rows.y.len()).filter(|i| rows.fold[*i] == f).map(|i| {
+            let (says, x) = rows.held(&c, &guards, i);
+            (rows.y[i] - says, x.hypot(watched.outside_um(&ranges, i)))
+        });
+        let own: Vec<(f64, f64)> = own.collect();
+        folds.push(rms(own.iter().map(|l| l.0)));
+        left.push(own);
+    }
+    // h so that 95 % of a block's rows lie within √(h² + x²), in the worst of the blocks: neighbours in time are off
+    // together, so a new stretch of time is one more block, not a thousand more rows, and of n + 1 blocks n are no worse than
+    // the worst of n.
+    let of_block = |rows: &Vec<(f64, f64)>| {
+        quantile(rows.iter().map(|(r, x)| (r * r - x * x).max(0.0).sqrt()).collect(), 0.95)
+    };
+    let widths: Vec<f64> = left.iter().map(of_block).collect();
+    let width_without = |f: Option<usize>| {
+        widths.iter().enumerate().filter(|(g, _)| Some(*g) != f).map(|(_, w)| *w).fold(0.0, f64::max)
+    };
+    let inside = |(f, own): (usize, &Vec<(f64, f64)>)| {
+        let h = width_without(Some(f));
+        own.iter().filter(|(r, x)| r.abs() <= h.hypot(*x)).count()
+    };
+    let all: usize = left.iter().map(Vec::len).sum();
+    let coverage = left.iter().enumerate().map(inside).sum::<usize>() as f64 / all as f64;
+    Ok(Some(Nested { folds, half_width_um: width_without(None), coverage }))
+}
+
+/// The value below which this share of the values lies (nearest rank, rounded up).
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let rank = (share * values.len() as f64).ceil() as usize;
+    values[rank.clamp(1, values.len()) - 1]
+}

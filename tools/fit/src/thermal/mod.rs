@@ -1,0 +1,256 @@
+//! Sensor selection (CASC) and the fit of equation 1 of WO 97/43703, with a lag where it earns its place.
+//!
+//! Growth is fitted as a constant plus terms of temperature differences: to the environment, between sensors, their
+//! squares, each either as measured or passed through a first-order lag. Which terms: the best single difference
+//! first, then the next best while R improves by more than 1 %, at most five rounds (the patent's rule). *Best* is
+//! judged by blocked cross-validation in time, never by the fit itself: sixteen sensors that warm together fit any
+//! stretch of the past in hundreds of ways. Where cross-validation cannot choose either, physics does: heat flows
+//! from its source outwards and growth follows, so the difference that leads the growth most (that needs the longest
+//! lag) is nearest to the cause, and one that runs beside it is not; the first difference has the sign of the hottest
+//! body's, any difference to the environment keeps the sign of its own correlation, and no gain is beyond what the
+//! dictionary holds plausible.
+//!
+//! The 95 % interval of a row is √(h² + x²): h from what the worst of the blocks left, and x for what the fit cannot know there: a
+//! difference beyond the range it was fitted on (held at the bound, so that gain · excess is left out), any difference,
+//! chosen or not, beyond the range it was seen in, and, just after a start, how far the lagged difference was from
+//! equilibrium (fading with its lag).
+//!
+//! | module | what |
+//! |---|---|
+//! | `problem`, `term` | what there is to choose from: differences, lags, the rows binned for the search |
+//! | `judge` | a structure judged by blocked cross-validation |
+//! | `select` | CASC, the refit, and the exchange of terms |
+//! | `rows` | least squares over every row |
+//! | `interval`, `jackknife` | 95 % intervals of the prediction, and of the parameters |
+//! | `effects` | the structure as effects of the dictionary |
+//! | `compare` | beside simpler predictions, on hold-outs, dry against wet |
+//! | `report`, `charts` | what was found, as figures and drawn |
+
+mod charts;
+mod compare;
+mod effects;
+mod interval;
+mod jackknife;
+mod judge;
+mod problem;
+mod report;
+mod rows;
+mod select;
+mod term;
+
+pub use charts::{prediction_chart, residual_chart};
+pub(crate) use jackknife::{Intervals, jackknife_interval};
+pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
+pub use select::{R_GAIN, REDUNDANT, ROUNDS};
+
+use compare::{baselines, dry_wet, judge_holdouts};
+use effects::effects;
+use interval::{Watched, nested};
+use jackknife::jackknife;
+use judge::Judged;
+use problem::Problem;
+use rows::{Rows, mean};
+use rtec_files::InputError;
+use rtec_model::date;
+use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
+use rtec_model::machine::{FitNote, Machine, Provenance, Source};
+use rtec_model::record::{Record, Role};
+use term::unlagged;
+
+/// What to fit and how.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Differences to choose from; empty for all sensors. A sensor without `minus` is taken against the environment.
+    pub sensors: Vec<Difference>,
+    /// The sensor of the environment; the coldest on average where it is not given.
+    pub environment: Option<String>,
+    /// Blocks of the cross-validation.
+    pub folds: usize,
+    /// Offer lags.
+    pub lag: bool,
+    /// Offer squares.
+    pub square: bool,
+    /// What is known already: its effects are kept, and the rest is fitted.
+    pub base: Option<Machine>,
+    /// The date that the model will carry, days since 1970-01-01.
+    pub date: i64,
+    /// Days that it may be used for without being looked at again.
+    pub valid_days: i64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            sensors: Vec::new(),
+            environment: None,
+            folds: 10,
+            lag: true,
+            square: true,
+            base: None,
+            date: 0,
+            valid_days: 365,
+        }
+    }
+}
+
+impl Options {
+    /// Differences that the base has an effect of on this response already: sensor and the one taken off.
+    fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
+        let own = |e: &&Effect| e.description().heat == Heat::Growth;
+        let of = |e: &Effect| {
+            let d = e.delta.as_ref().filter(|_| e.axes().first() == response.axis())?;
+            let minus = match &d.against {
+                Against::Sensor(m) => Some(m.clone()),
+                _ => None,
+            };
+            Some((d.sensor.clone(), minus))
+        };
+        self.base.iter().flat_map(Machine::effects).filter(own).filter_map(of).collect()
+    }
+
+    /// The base has an effect of this name.
+    fn base_has(&self, name: &str) -> bool {
+        self.base.as_ref().is_some_and(|m| m.effects().any(|e| e.name() == name))
+    }
+}
+
+/// Fits every error response of the training records; gives the model and, per response, how it was found.
+///
+/// # Errors
+/// No temperatures, a sensor that is not there, too few rows, no structure that can be fitted.
+pub fn fit(
+    train: &[&Record],
+    holdout: &[&Record],
+    options: &Options,
+) -> Result<(Machine, Vec<Report>), InputError> {
+    let name = train[0].path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let ideal = || Machine::ideal(name.strip_suffix(".run.toml").unwrap_or(&name));
+    let mut machine = options.base.clone().unwrap_or_else(ideal);
+    // What the base explains is taken off first.
+    let beyond = |records: &[&Record]| {
+        let of = |r: &&Record| match &options.base {
+            Some(base) => base.beyond(r),
+            None => Ok((*r).clone()),
+        };
+        records.iter().map(of).collect::<Result<Vec<Record>, InputError>>()
+    };
+    let (own_train, own_holdout) = (beyond(train)?, beyond(holdout)?);
+    let train: &[&Record] = &own_train.iter().collect::<Vec<_>>();
+    let holdout: &[&Record] = &own_holdout.iter().collect::<Vec<_>>();
+    let mut reports = Vec::new();
+    let responses: Vec<Role> =
+        train[0].responses().map(|c| c.role.clone()).filter(|r| matches!(r, Role::Error(_))).collect();
+    if responses.is_empty() {
+        return Err(InputError::whole(&train[0].path, "no error response", "a column of role error.AXIS"));
+    }
+    for response in responses {
+        reports.push(fit_response(train, holdout, &response, options, &mut machine)?);
+    }
+    Ok((machine, reports))
+}
+
+/// The whole fit of one response: the structure, its parameters with their intervals, what it is worth.
+fn fit_response(
+    train: &[&Record],
+    holdout: &[&Record],
+    response: &Role,
+    options: &Options,
+    machine: &mut Machine,
+) -> Result<Report, InputError> {
+    let problem = Problem::new(train, response, options)?;
+    let all: Vec<usize> = (0..problem.folds).collect();
+    let whole = |found: &str, expected: &str| InputError::whole(&train[0].path, found, expected);
+    let nothing = || whole("temperatures that explain nothing", "a run in which temperatures and error vary");
+    let chosen = problem.select(&all).ok_or_else(nothing)?;
+    let terms = chosen.structure.terms.clone();
+    let rows = Rows::new(&problem, &terms, train, response)?;
+    let coefficients = rows.solve(&|_| true).ok_or_else(nothing)?;
+
+    let blocks = nested(&problem, train, response)?.ok_or_else(nothing)?;
+    let intervals = jackknife(&problem, &chosen.structure, &rows, &coefficients);
+    let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
+    let guards = rows.guards(&problem, &terms, &plain, &|_| true);
+    let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
+        .map_err(|e| whole(&e.to_string(), "parameters within the law's bounds"))?;
+    let mut own = Machine::ideal("fit");
+    let fitted = enter(effects, train, options, &mut own, machine)
+        .map_err(|e| whole(&e.to_string(), "each effect once"))?;
+    let note = FitNote {
+        response: response.to_string(),
+        date: date::format(options.date),
+        valid_until: date::format(options.date + options.valid_days),
+        rms_um: mean(&blocks.folds),
+        half_width_um: blocks.half_width_um.max(1e-9),
+        valid: Watched::new(&problem, train, response)?.ranges(&problem, &|_| true),
+        from: train.iter().map(|r| Source::of(r)).collect(),
+    };
+    own.note_fit(note.clone());
+    machine.note_fit(note);
+    let later = judge_holdouts(&own, holdout, response)?;
+    let mut warnings = later.warnings;
+    if problem.coolant.is_some() {
+        let silent = train.iter().filter(|r| r.column(&Role::Coolant).is_none());
+        warnings.extend(silent.map(|r| format!("{}: no coolant logged, taken as dry", r.path.display())));
+    }
+    let ranked = |j: &Judged| problem.ranked(j, &all);
+    let kept: Vec<Ranked> = chosen.kept.iter().map(ranked).collect();
+    warnings.extend(chosen.rivals(&problem));
+    Ok(Report {
+        response: response.to_string(),
+        environment_by: problem.environment_by(options),
+        environment: problem.environment.map(|e| problem.sensors[e].clone()),
+        dropped: chosen.redundant(&ranked, &kept),
+        rounds: chosen.history(&problem),
+        alternatives: chosen.tied.iter().map(ranked).collect(),
+        kept,
+        pairs: problem.ranked_pairs(&all),
+        effects: fitted,
+        rms_um: Rms {
+            train: rows.rms(&coefficients, &|_| true),
+            folds_mean: mean(&blocks.folds),
+            folds: blocks.folds,
+            holdout: later.rms,
+        },
+        baselines: baselines(&problem, train, holdout, response)?,
+        interval95: Interval {
+            half_width_um: blocks.half_width_um,
+            coverage_folds: blocks.coverage,
+            coverage_holdout: later.coverage,
+            mean_half_width_holdout_um: later.width_um,
+        },
+        dry_wet: dry_wet(&problem, &terms, train, &rows),
+        warnings,
+    })
+}
+
+/// Adds the fitted effects to the fit's own machine and to the one that is asked for.
+fn enter(
+    effects: Vec<(Effect, Intervals)>,
+    train: &[&Record],
+    options: &Options,
+    own: &mut Machine,
+    machine: &mut Machine,
+) -> Result<Vec<Fitted>, ValueError> {
+    let mut fitted = Vec::new();
+    for (effect, interval) in effects {
+        fitted.push(Fitted::of(&effect, &interval));
+        let provenance = Provenance {
+            added_by: Some("model fit".to_owned()),
+            date: Some(date::format(options.date)),
+            from: train.iter().map(|r| Source::of(r)).collect(),
+            interval,
+        };
+        own.push(effect.clone(), provenance.clone())?;
+        take_in(machine, effect, provenance)?;
+    }
+    Ok(fitted)
+}
+
+/// Adds a fitted effect to a machine; an offset of the base and the fit's constant are one offset.
+fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
+    let place = machine.effects().position(|e| e.description().constant && e.name() == effect.name());
+    let Some(n) = place else { return machine.push(effect, provenance) };
+    let base = machine.listed()[n].effect.scalar(0);
+    let [lo, hi] = provenance.interval.get("um").map_or([effect.scalar(0); 2], |i| i[0]);
+    machine.set(n, "um", &[base + effect.scalar(0)], Some(&[[base + lo, base + hi]]))
+}

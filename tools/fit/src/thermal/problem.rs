@@ -1,0 +1,265 @@
+//! What there is to choose from: sensors, differences, lags, and the rows binned for the search.
+
+use super::Options;
+use super::term::{Pair, Term};
+use rtec_files::InputError;
+use rtec_model::effect::laws::thermal_growth;
+use rtec_model::effect::{Against, Dictionary, Lag, STANDARD_DEGC};
+use rtec_model::record::{Axis, Record, Role};
+
+/// Rows that the search sees at most: neighbours in time are averaged, temperatures change slowly.
+const BINS: usize = 512;
+/// Lags tried, from one minute on, each this much longer than the one before.
+pub(super) const LAG_STEP: f64 = 1.15;
+
+/// All rows of the training records, ready for the search.
+pub(super) struct Problem {
+    pub(super) sensors: Vec<String>,
+    pub(super) environment: Option<usize>,
+    /// Offered: (sensor, minus).
+    pub(super) offered: Vec<Pair>,
+    /// Pairs offered beside them from the second term on.
+    pub(super) pairs: Vec<Pair>,
+    /// Largest gains that are plausible, µm/K and µm/K².
+    pub(super) plausible: [f64; 2],
+    pub(super) explicit: bool,
+    pub(super) taus: Vec<f64>,
+    /// Per sensor and lag: one value per bin.
+    pub(super) binned: Vec<Vec<Vec<f64>>>,
+    pub(super) y: Vec<f64>,
+    pub(super) weight: Vec<f64>,
+    pub(super) fold: Vec<usize>,
+    pub(super) folds: usize,
+    pub(super) coolant: Option<Vec<f64>>,
+    pub(super) speed: Option<Vec<f64>>,
+    pub(super) square: bool,
+}
+
+impl Problem {
+    pub(super) fn new(records: &[&Record], response: &Role, options: &Options) -> Result<Self, InputError> {
+        let first = records[0];
+        let sensors: Vec<String> = first.names(&Role::Temperature).map(str::to_owned).collect();
+        check_columns(records, &sensors, response)?;
+        let environment = match &options.environment {
+            Some(name) => Some(place(first, &sensors, name)?),
+            None if sensors.len() < 2 => None,
+            None => Some(environment_of(&sensors, records)),
+        };
+        let explicit = !options.sensors.is_empty();
+        let (offered, pairs) = differences(first, response, options, &sensors, environment)?;
+        let rows: usize = records.iter().map(|r| r.rows()).sum();
+        if rows < 4 * options.folds || options.folds < 3 {
+            let expected = format!("at least {} (four per fold, three folds)", 4 * options.folds.max(3));
+            return Err(InputError::whole(&first.path, format!("{rows} rows"), expected));
+        }
+        let taus = lag_grid(records, options.lag);
+        let bins = Bins::new(records, rows.div_ceil(BINS));
+        let binned = sensors.iter().map(|s| taus.iter().map(|tau| bins.sensor(s, *tau)).collect()).collect();
+        // A dry run that logs no coolant is dry; one that logs no speed may have had any.
+        let everywhere =
+            |role: &Role| *role == Role::Coolant || records.iter().all(|r| r.column(role).is_some());
+        let varies = |v: &Vec<f64>| v.iter().any(|x| (x - v[0]).abs() > 1e-9);
+        let optional = |role: Role, effect: &str, of: fn(f64) -> f64| {
+            let all = everywhere(&role).then(|| bins.column(&role, of));
+            let axis = response.axis().map_or("", Axis::as_str);
+            let known = options.base_has(&format!("{effect}.{axis}"));
+            all.filter(|v| varies(v) && !explicit && !known)
+        };
+        let n = bins.spans.len();
+        Ok(Self {
+            y: bins.column(response, |v| v),
+            weight: bins.spans.iter().map(|(_, b)| b.len() as f64).collect(),
+            coolant: optional(Role::Coolant, "coolant", |v| f64::from(v > 0.5)),
+            speed: optional(Role::SpindleSpeed, "spindle_speed", |v| v / 1000.0),
+            fold: (0..n).map(|i| i * options.folds / n).collect(),
+            folds: options.folds,
+            square: options.square,
+            sensors,
+            environment,
+            offered,
+            pairs,
+            plausible: plausible_gains(),
+            explicit,
+            taus,
+            binned,
+        })
+    }
+
+    /// How the environment's sensor was found.
+    pub(super) fn environment_by(&self, options: &Options) -> String {
+        match (&options.environment, self.environment) {
+            (Some(_), _) => "given".to_owned(),
+            (None, Some(_)) => {
+                "coldest, and of those within 1 K the one that moves fastest; --environment names another"
+                    .to_owned()
+            }
+            (None, None) => "none: differences are to 20 degC".to_owned(),
+        }
+    }
+
+    /// A term's values, one per bin.
+    pub(super) fn column(&self, term: Term) -> Vec<f64> {
+        match term {
+            Term::Coolant => self.coolant.clone().unwrap_or_default(),
+            Term::Speed => self.speed.clone().unwrap_or_default(),
+            Term::Thermal { sensor, minus, lag, square } => {
+                let u = &self.binned[sensor][lag];
+                let d = |i: usize| u[i] - minus.map_or(STANDARD_DEGC, |m| self.binned[m][lag][i]);
+                (0..u.len()).map(|i| if square { d(i) * d(i) } else { d(i) }).collect()
+            }
+        }
+    }
+
+    pub(super) fn name(&self, term: Term) -> String {
+        match term {
+            Term::Coolant => "coolant".to_owned(),
+            Term::Speed => "spindle_speed".to_owned(),
+            Term::Thermal { sensor, minus, lag, square } => {
+                let minus = minus.map_or("20".to_owned(), |m| self.sensors[m].clone());
+                let lag = if lag > 0 { format!(" lag {:.0} s", self.taus[lag]) } else { String::new() };
+                format!("{}-{minus}{lag}{}", self.sensors[sensor], if square { " squared" } else { "" })
+            }
+        }
+    }
+}
+
+/// Largest gains that the dictionary holds plausible, µm/K and µm/K².
+fn plausible_gains() -> [f64; 2] {
+    Dictionary::default().effect(&format!("{}.x", thermal_growth::NAME)).map_or([f64::INFINITY; 2], |e| {
+        let bound = |i: usize| e.description().parameters[i].plausible[1];
+        [bound(0), bound(1)]
+    })
+}
+
+/// All records have the response and the first one's sensors.
+fn check_columns(records: &[&Record], sensors: &[String], response: &Role) -> Result<(), InputError> {
+    if sensors.is_empty() {
+        return Err(InputError::whole(&records[0].path, "no temperature", "columns of role temperature"));
+    }
+    for r in records {
+        if let Some(s) = sensors.iter().find(|s| r.temperature(s).is_none()) {
+            return Err(InputError::whole(&r.path, format!("no sensor {s}"), "the first record's sensors"));
+        }
+        if r.data(response).is_none() {
+            return Err(InputError::whole(&r.path, format!("no {response}"), "the first record's responses"));
+        }
+    }
+    Ok(())
+}
+
+/// No lag, then lags from one minute to a third of the longest record, in equal ratios.
+fn lag_grid(records: &[&Record], offered: bool) -> Vec<f64> {
+    let span = records.iter().map(|r| r.time_s()[r.rows() - 1] - r.time_s()[0]).fold(0.0, f64::max);
+    let timed = records.iter().all(|r| r.column(&Role::Time).is_some());
+    let lags =
+        std::iter::successors(Some(60.0), |tau| Some(tau * LAG_STEP)).take_while(|tau| *tau <= span / 3.0);
+    let none = std::iter::once(0.0);
+    if offered && timed { none.chain(lags).collect() } else { none.collect() }
+}
+
+/// The environment is the coldest body of a machine that makes heat; of those within 1 K of the coldest it is the one
+/// that moves fastest: air, not a casting that follows it.
+fn environment_of(sensors: &[String], records: &[&Record]) -> usize {
+    let of = |s: &String| {
+        let (mut sum, mut n, mut moves) = (0.0, 0.0, 0.0);
+        for t in records.iter().filter_map(|r| r.temperature(s)) {
+            sum += t.iter().sum::<f64>();
+            n += t.len() as f64;
+            moves += t.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum::<f64>();
+        }
+        (sum / n, moves)
+    };
+    let all: Vec<(f64, f64)> = sensors.iter().map(of).collect();
+    let coldest = all.iter().map(|a| a.0).fold(f64::INFINITY, f64::min);
+    let near = (0..all.len()).filter(|i| all[*i].0 <= coldest + 1.0);
+    near.max_by(|a, b| all[*a].1.total_cmp(&all[*b].1)).unwrap_or(0)
+}
+
+/// The place of a sensor that somebody named.
+fn place(record: &Record, sensors: &[String], name: &str) -> Result<usize, InputError> {
+    sensors.iter().position(|s| s == name).ok_or_else(|| {
+        let has = sensors.join(", ");
+        InputError::whole(&record.path, format!("no sensor {name}"), format!("one of {has}"))
+    })
+}
+
+/// The differences to choose from, and the pairs offered beside them where nobody named any; without those that the base
+/// has an effect of already.
+fn differences(
+    first: &Record,
+    response: &Role,
+    options: &Options,
+    sensors: &[String],
+    environment: Option<usize>,
+) -> Result<(Vec<Pair>, Vec<Pair>), InputError> {
+    let (mut offered, mut pairs): (Vec<Pair>, Vec<Pair>) = (Vec::new(), Vec::new());
+    for d in &options.sensors {
+        let s = place(first, sensors, &d.sensor)?;
+        offered.push(match &d.against {
+            Against::Sensor(m) => (s, Some(place(first, sensors, m)?)),
+            _ => (s, environment.filter(|e| *e != s)),
+        });
+    }
+    if offered.is_empty() {
+        let others: Vec<usize> = (0..sensors.len()).filter(|s| Some(*s) != environment).collect();
+        offered = others.iter().map(|s| (*s, environment)).collect();
+        for (i, a) in others.iter().enumerate() {
+            pairs.extend(others[i + 1..].iter().map(|b| (*a, Some(*b))));
+        }
+    }
+    let known = options.base_differences(response);
+    let is_new = |(s, m): &Pair| {
+        let m = m.map(|m| sensors[m].as_str());
+        !known.iter().any(|k| (k.0.as_str(), k.1.as_deref()) == (sensors[*s].as_str(), m))
+    };
+    offered.retain(is_new);
+    pairs.retain(is_new);
+    Ok((offered, pairs))
+}
+
+/// Rows averaged so many at a time, never across records; the folds of the search are stretches of these.
+struct Bins<'a> {
+    records: &'a [&'a Record],
+    /// Number of the record, and its rows.
+    spans: Vec<(usize, std::ops::Range<usize>)>,
+}
+
+impl<'a> Bins<'a> {
+    fn new(records: &'a [&'a Record], per_bin: usize) -> Self {
+        let mut spans = Vec::new();
+        for (n, r) in records.iter().enumerate() {
+            let starts = (0..r.rows()).step_by(per_bin);
+            spans.extend(starts.map(|at| (n, at..(at + per_bin).min(r.rows()))));
+        }
+        Self { records, spans }
+    }
+
+    fn average(&self, of: &dyn Fn(&Record) -> Vec<f64>) -> Vec<f64> {
+        let data: Vec<Vec<f64>> = self.records.iter().map(|r| of(r)).collect();
+        let mean = |(n, b): &(usize, std::ops::Range<usize>)| {
+            data[*n][b.clone()].iter().sum::<f64>() / b.len() as f64
+        };
+        self.spans.iter().map(mean).collect()
+    }
+
+    /// A temperature, behind a lag where there is one.
+    fn sensor(&self, name: &str, tau_s: f64) -> Vec<f64> {
+        self.average(&|r| {
+            let u = r.temperature(name).unwrap_or_default();
+            if tau_s > 0.0 { lagged(r.time_s(), u, tau_s) } else { u.to_vec() }
+        })
+    }
+
+    /// A column by its role, each value as `of` has it; zeros in a record that has none.
+    fn column(&self, role: &Role, of: fn(f64) -> f64) -> Vec<f64> {
+        self.average(&|r| {
+            r.data(role).map_or_else(|| vec![0.0; r.rows()], |d| d.iter().map(|v| of(*v)).collect())
+        })
+    }
+}
+
+/// A temperature behind a first-order lag, in equilibrium at the first row.
+pub(super) fn lagged(t: &[f64], u: &[f64], tau_s: f64) -> Vec<f64> {
+    let mut lag = Lag::new(tau_s);
+    t.iter().zip(u).map(|(t, u)| lag.next(*t, *u)).collect()
+}

@@ -1,0 +1,177 @@
+//! What a fit found, as it is printed and written.
+
+use super::jackknife::Intervals;
+use rtec_model::effect::{Against, Effect};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// A sensor or pair with its correlation to the response.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Ranked {
+    /// The sensor, or pair as `T8-T18`.
+    pub sensor: String,
+    /// γ: correlation of the difference with the response, as the patent has it.
+    pub gamma: f64,
+    /// γ of the lagged difference, where a lag earned its place.
+    pub gamma_lagged: f64,
+    /// That lag, s; 0 for none.
+    pub tau_s: f64,
+    /// Range of the sensor, K.
+    #[serde(rename = "range_K")]
+    pub range_k: f64,
+    /// RMS of blocked cross-validation with this difference alone, µm.
+    pub cv_rms_um: f64,
+}
+
+/// A sensor left out because another one watches the same source.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Dropped {
+    /// The sensor.
+    pub sensor: String,
+    /// α: its autocorrelation with the one kept.
+    pub alpha: f64,
+    /// The one kept.
+    pub with: String,
+    /// Its own γ.
+    pub gamma: f64,
+    /// γ of its lagged difference.
+    pub gamma_lagged: f64,
+    /// Range of the sensor, K.
+    #[serde(rename = "range_K")]
+    pub range_k: f64,
+}
+
+/// One round of the refit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Round {
+    /// What it added; after the rounds of the refit, what it put in the place of what.
+    pub added: String,
+    /// R after it.
+    #[serde(rename = "R")]
+    pub r: f64,
+    /// RMS of blocked cross-validation after it, µm.
+    pub cv_rms_um: f64,
+}
+
+/// A parameter with its 95 % interval (delete-one-block jackknife).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Value.
+    pub value: f64,
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+/// An effect of the fitted model.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Fitted {
+    /// `thermal_lag.z`
+    pub name: String,
+    /// The sensor.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
+    /// The one taken off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub minus: Option<String>,
+    /// Its parameters.
+    pub parameters: BTreeMap<String, Estimate>,
+}
+
+impl Fitted {
+    pub(crate) fn of(effect: &Effect, interval: &Intervals) -> Self {
+        let minus = effect.delta.as_ref().and_then(|d| match &d.against {
+            Against::Sensor(m) => Some(m.clone()),
+            _ => None,
+        });
+        let parameter = |(i, p): (usize, &rtec_model::effect::Parameter)| {
+            let value = effect.scalar(i);
+            let [low, high] = interval.get(&p.name).map_or([value, value], |v| v[0]);
+            (p.name.clone(), Estimate { value, low, high })
+        };
+        Self {
+            name: effect.name(),
+            sensor: effect.delta.as_ref().map(|d| d.sensor.clone()),
+            minus,
+            parameters: effect.description().parameters.iter().enumerate().map(parameter).collect(),
+        }
+    }
+}
+
+/// RMS of what is left, µm.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rms {
+    /// On the data of the fit.
+    pub train: f64,
+    /// On every block, structure and parameters chosen without it.
+    pub folds: Vec<f64>,
+    /// Their mean.
+    pub folds_mean: f64,
+    /// On every hold-out.
+    pub holdout: Vec<f64>,
+}
+
+/// The 95 % prediction interval.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Interval {
+    /// Half width where the model knows most, µm; wider after a start and beyond the range of the fit.
+    pub half_width_um: f64,
+    /// Share of the rows inside, each block judged by the others' width.
+    pub coverage_folds: f64,
+    /// Share of the rows inside on every hold-out.
+    pub coverage_holdout: Vec<f64>,
+    /// Mean half width over the rows of every hold-out, µm.
+    pub mean_half_width_holdout_um: Vec<f64>,
+}
+
+/// The same structure fitted on dry and on wet rows alone, as the patent compares them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DryWet {
+    /// Growth per kelvin, dry, by term.
+    pub dry: BTreeMap<String, f64>,
+    /// The same wet.
+    pub wet: BTreeMap<String, f64>,
+    /// Range of the growth on the dry rows, µm.
+    pub growth_dry_um: f64,
+    /// The same on the wet rows.
+    pub growth_wet_um: f64,
+    /// RMS of the dry model on the wet rows, µm: what it costs to model dry and cut wet.
+    pub dry_model_on_wet_rms_um: f64,
+    /// RMS of the wet model on the wet rows, µm.
+    pub wet_model_on_wet_rms_um: f64,
+}
+
+/// What the fit of one response found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// `error.z`
+    pub response: String,
+    /// The sensor of the environment.
+    pub environment: Option<String>,
+    /// How it was found.
+    pub environment_by: String,
+    /// Sensors kept, best first.
+    pub kept: Vec<Ranked>,
+    /// Sensors left out as redundant.
+    pub dropped: Vec<Dropped>,
+    /// The best pairs, best first.
+    pub pairs: Vec<Ranked>,
+    /// The refit, round by round.
+    pub rounds: Vec<Round>,
+    /// First sensors that the data cannot tell from the one chosen.
+    pub alternatives: Vec<Ranked>,
+    /// The fitted effects.
+    pub effects: Vec<Fitted>,
+    /// RMS of what is left.
+    pub rms_um: Rms,
+    /// RMS of what simpler predictions leave on the same blocks (mean) and hold-outs.
+    pub baselines: BTreeMap<String, Rms>,
+    /// The prediction interval.
+    pub interval95: Interval,
+    /// Dry against wet, where the data have both.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dry_wet: Option<DryWet>,
+    /// What to know before trusting it.
+    pub warnings: Vec<String>,
+}

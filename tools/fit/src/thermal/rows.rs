@@ -1,0 +1,114 @@
+//! The least-squares problem itself: every row of the records under one another, a column per term.
+
+use super::problem::{Problem, lagged};
+use super::term::Term;
+use nalgebra::{DMatrix, DVector};
+use rtec_files::InputError;
+use rtec_model::effect::STANDARD_DEGC;
+use rtec_model::record::{Record, Role};
+
+/// All rows of all records under one another.
+pub(super) struct Rows {
+    pub(super) columns: Vec<Vec<f64>>,
+    pub(super) y: Vec<f64>,
+    pub(super) fold: Vec<usize>,
+    /// Time since the start of the row's record, s.
+    pub(super) elapsed_s: Vec<f64>,
+}
+
+impl Rows {
+    pub(super) fn new(
+        problem: &Problem,
+        terms: &[Term],
+        records: &[&Record],
+        response: &Role,
+    ) -> Result<Self, InputError> {
+        let mut columns = vec![Vec::new(); terms.len()];
+        let (mut y, mut elapsed_s) = (Vec::new(), Vec::new());
+        for r in records {
+            for (all, own) in columns.iter_mut().zip(full_columns(problem, terms, r)?) {
+                all.extend(own);
+            }
+            y.extend_from_slice(r.data(response).unwrap_or_default());
+            elapsed_s.extend(r.time_s().iter().map(|t| t - r.time_s()[0]));
+        }
+        let n = y.len();
+        let fold = (0..n).map(|i| i * problem.folds / n).collect();
+        Ok(Self { columns, y, fold, elapsed_s })
+    }
+
+    /// Least squares on the rows that `take` chooses: constant, then one coefficient per column.
+    pub(super) fn solve(&self, take: &dyn Fn(usize) -> bool) -> Option<Vec<f64>> {
+        let rows: Vec<usize> = (0..self.y.len()).filter(|i| take(*i)).collect();
+        let p = self.columns.len() + 1;
+        let n = rows.len() as f64;
+        let mean = |v: &[f64]| rows.iter().map(|i| v[*i]).sum::<f64>() / n;
+        let means: Vec<f64> = self.columns.iter().map(|c| mean(c)).collect();
+        let my = mean(&self.y);
+        let a = DMatrix::from_fn(rows.len(), p - 1, |i, j| self.columns[j][rows[i]] - means[j]);
+        let b = DVector::from_fn(rows.len(), |i, _| self.y[rows[i]] - my);
+        let g = a.tr_mul(&a);
+        let c = g.cholesky()?.solve(&a.tr_mul(&b));
+        let constant = my - c.iter().zip(&means).map(|(c, m)| c * m).sum::<f64>();
+        Some(std::iter::once(constant).chain(c.iter().copied()).collect())
+    }
+
+    pub(super) fn residual(&self, c: &[f64], i: usize) -> f64 {
+        let model: f64 = c[0] + self.columns.iter().zip(&c[1..]).map(|(u, c)| c * u[i]).sum::<f64>();
+        self.y[i] - model
+    }
+
+    pub(super) fn rms(&self, c: &[f64], take: &dyn Fn(usize) -> bool) -> f64 {
+        let rows: Vec<f64> =
+            (0..self.y.len()).filter(|i| take(*i)).map(|i| self.residual(c, i).powi(2)).collect();
+        (rows.iter().sum::<f64>() / rows.len().max(1) as f64).sqrt()
+    }
+}
+
+/// The columns of a structure at every row of a record.
+fn full_columns(problem: &Problem, terms: &[Term], record: &Record) -> Result<Vec<Vec<f64>>, InputError> {
+    let lacks =
+        |what: String| InputError::whole(&record.path, format!("no {what}"), "what the model was fitted on");
+    let sensor = |s: usize, lag: usize| {
+        let u = record.temperature(&problem.sensors[s]).ok_or_else(|| lacks(problem.sensors[s].clone()))?;
+        let tau = problem.taus[lag];
+        Ok::<_, InputError>(if lag > 0 { lagged(record.time_s(), u, tau) } else { u.to_vec() })
+    };
+    let role = |role: Role, of: fn(f64) -> f64| {
+        let data = record.data(&role).ok_or_else(|| lacks(role.to_string()))?;
+        Ok::<_, InputError>(data.iter().map(|v| of(*v)).collect::<Vec<f64>>())
+    };
+    terms
+        .iter()
+        .map(|t| match *t {
+            Term::Coolant => Ok(wet(record)),
+            Term::Speed => role(Role::SpindleSpeed, |v| v / 1000.0),
+            Term::Thermal { sensor: s, minus, lag, square } => {
+                let mut u = sensor(s, lag)?;
+                let m = minus.map(|m| sensor(m, lag)).transpose()?;
+                for (i, v) in u.iter_mut().enumerate() {
+                    *v -= m.as_ref().map_or(STANDARD_DEGC, |m| m[i]);
+                    if square {
+                        *v *= *v;
+                    }
+                }
+                Ok(u)
+            }
+        })
+        .collect()
+}
+
+/// 1 at the rows of a record at which coolant is on; a record that logs none is dry.
+pub(super) fn wet(record: &Record) -> Vec<f64> {
+    let logged = record.data(&Role::Coolant).map(|c| c.iter().map(|v| f64::from(*v > 0.5)).collect());
+    logged.unwrap_or_else(|| vec![0.0; record.rows()])
+}
+
+pub(super) fn rms(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let n = values.clone().count().max(1) as f64;
+    (values.map(|v| v * v).sum::<f64>() / n).sqrt()
+}
+
+pub(super) fn mean(v: &[f64]) -> f64 {
+    v.iter().sum::<f64>() / v.len().max(1) as f64
+}

@@ -1,0 +1,333 @@
+//! Which terms: CASC over the sensors, the refit round by round, then every term once more beside the others.
+
+use super::judge::Judged;
+use super::problem::Problem;
+use super::report::{Dropped, Ranked, Round};
+use super::term::{Pair, Term, pair_of, relagged, squared};
+use rtec_measure::iso230::correlation;
+
+/// Two sensors of a higher autocorrelation watch the same source of heat (WO 97/43703, "0.97 was selected").
+pub const REDUNDANT: f64 = 0.97;
+
+/// The refit goes on while R improves by more than this.
+pub const R_GAIN: f64 = 0.01;
+
+/// Rounds of the refit; more were seldom needed (WO 97/43703).
+pub const ROUNDS: usize = 5;
+
+/// Of the lags, those that the screening of candidates looks at: every so many.
+const SCREEN_LAGS: usize = 4;
+
+/// Candidates that pass the screening of a round.
+const SCREENED: usize = 12;
+
+/// Sensors that a model may read, the environment's among them ("the final number may generally be only 4 or 5").
+const SENSORS: usize = 5;
+
+pub(super) struct Selection {
+    pub(super) structure: Judged,
+    pub(super) rounds: Vec<Judged>,
+    /// After the rounds: what a term that went out for a better one left, its last term being the new one.
+    pub(super) swaps: Vec<(Judged, Term)>,
+    pub(super) kept: Vec<Judged>,
+    /// Sensor, α, and the kept one (by number) it is redundant with.
+    pub(super) dropped: Vec<(Judged, f64, usize)>,
+    pub(super) tied: Vec<Judged>,
+}
+
+impl Selection {
+    /// The sensors left out, each with the kept one that watches the same.
+    pub(super) fn redundant(&self, ranked: &dyn Fn(&Judged) -> Ranked, kept: &[Ranked]) -> Vec<Dropped> {
+        let of = |(j, alpha, with): &(Judged, f64, usize)| {
+            let own = ranked(j);
+            Dropped {
+                sensor: own.sensor,
+                alpha: *alpha,
+                with: kept[*with].sensor.clone(),
+                gamma: own.gamma,
+                gamma_lagged: own.gamma_lagged,
+                range_k: own.range_k,
+            }
+        };
+        self.dropped.iter().map(of).collect()
+    }
+
+    /// The rounds of the refit, and after them what was put in the place of what.
+    pub(super) fn history(&self, problem: &Problem) -> Vec<Round> {
+        let of = |j: &Judged, added: String| Round { added, r: j.r, cv_rms_um: j.rms() };
+        let newest = |j: &Judged| problem.name(j.terms[j.terms.len() - 1]);
+        let rounds = self.rounds.iter().map(|j| of(j, newest(j)));
+        let swaps =
+            self.swaps.iter().map(|(j, out)| of(j, format!("{} for {}", newest(j), problem.name(*out))));
+        rounds.chain(swaps).collect()
+    }
+
+    /// Says which sensors the data could not tell from the one chosen.
+    pub(super) fn rivals(&self, problem: &Problem) -> Option<String> {
+        let names: Vec<String> = self.tied.iter().map(|j| problem.name(j.terms[0])).collect();
+        let chosen = problem.name(self.rounds[0].terms[0]);
+        (!names.is_empty()).then(|| {
+            let names = names.join(", ");
+            format!(
+                "the data cannot tell {names} from {chosen}; the one that leads the growth most was taken"
+            )
+        })
+    }
+}
+
+impl Problem {
+    /// The whole selection on the given folds: the structure, its rounds, the rivals of its first term.
+    pub(super) fn select(&self, folds: &[usize]) -> Option<Selection> {
+        let mut singles: Vec<Judged> =
+            self.offered.iter().filter_map(|(s, m)| self.best_lag(&[], *s, *m, folds)).collect();
+        singles.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
+        let sources = self.driven_by_the_source(singles.clone(), folds);
+        let best = sources.first()?.clone();
+        // What the data cannot tell from the best; of these the one nearest to the source of heat.
+        let mut tied: Vec<Judged> = sources.into_iter().filter(|j| !best.beats(j)).collect();
+        let lag = |j: &Judged| match j.terms[0] {
+            Term::Thermal { lag, .. } => lag,
+            _ => 0,
+        };
+        tied.sort_by_key(|j| std::cmp::Reverse(lag(j)));
+        let first = tied.remove(0);
+        let mut order = vec![first.clone()];
+        order.extend(singles.iter().filter(|j| j.terms != first.terms).cloned());
+        let (kept, dropped) = self.casc(order);
+        let mut candidates: Vec<Pair> = kept.iter().filter_map(|j| pair_of(j.terms[0])).collect();
+        candidates.extend(&self.pairs);
+        let rounds = self.refit(first, &candidates, folds);
+        let (structure, swaps) = self.exchange(rounds[rounds.len() - 1].clone(), &candidates, folds);
+        Some(Selection { structure, rounds, swaps, kept, dropped, tied })
+    }
+
+    /// In order of merit, a sensor that watches what a better one watches is left out: those kept, and those dropped
+    /// with their α and the kept one (by number).
+    fn casc(&self, order: Vec<Judged>) -> (Vec<Judged>, Vec<(Judged, f64, usize)>) {
+        let mut kept: Vec<Judged> = Vec::new();
+        let mut dropped: Vec<(Judged, f64, usize)> = Vec::new();
+        for j in order {
+            let column = |j: &Judged| self.column(j.terms[0]);
+            let own = column(&j);
+            let alphas = kept.iter().enumerate().map(|(k, o)| (k, correlation(&own, &column(o)).abs()));
+            match alphas.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, alpha)| *alpha >= REDUNDANT) {
+                Some((with, alpha)) => dropped.push((j, alpha, with)),
+                None => kept.push(j),
+            }
+        }
+        (kept, dropped)
+    }
+
+    /// The rounds of the refit, the first term's among them: the next best term while it earns its place.
+    fn refit(&self, first: Judged, candidates: &[Pair], folds: &[usize]) -> Vec<Judged> {
+        let mut now = first;
+        let mut rounds = vec![now.clone()];
+        while rounds.len() < ROUNDS {
+            let few = |(s, m): &Pair| {
+                let term = Term::Thermal { sensor: *s, minus: *m, lag: 0, square: false };
+                Self::sensor_count(&[now.terms.as_slice(), &[term]].concat()) <= SENSORS
+            };
+            let offered: Vec<_> = candidates.iter().copied().filter(few).collect();
+            let screened = self.screen(&now.terms, &offered, folds);
+            let mut next: Vec<Judged> =
+                screened.iter().filter_map(|(s, m)| self.best_lag(&now.terms, *s, *m, folds)).collect();
+            let mut extra = self.unlike_differences(&now.terms);
+            extra.retain(|t| !now.terms.contains(t));
+            next.extend(extra.into_iter().filter_map(|t| {
+                let judged = self.judge(&[now.terms.as_slice(), &[t]].concat(), folds)?;
+                self.physical(&judged, folds).then_some(judged)
+            }));
+            let Some(best) = next.into_iter().min_by(|a, b| a.rms().total_cmp(&b.rms())) else { break };
+            let best = self.retune(best, folds);
+            // The patent's rule asks R; the blocks must agree.
+            if best.r - now.r <= R_GAIN * now.r || !best.beats(&now) {
+                break;
+            }
+            now = best;
+            rounds.push(now.clone());
+        }
+        rounds
+    }
+
+    /// What else may be added: coolant, spindle speed, squares of the differences that are there.
+    fn unlike_differences(&self, terms: &[Term]) -> Vec<Term> {
+        let coolant = self.coolant.as_ref().map(|_| Term::Coolant);
+        let speed = self.speed.as_ref().map(|_| Term::Speed);
+        let squares = terms.iter().filter_map(|t| squared(*t)).filter(|_| self.square);
+        coolant.into_iter().chain(speed).chain(squares).collect()
+    }
+
+    /// Each term was the best beside those before it: is another one better beside all? (Not of a single term: that one
+    /// was physics' choice.) What is left then, and each exchange with the term that went out.
+    fn exchange(
+        &self,
+        mut now: Judged,
+        candidates: &[Pair],
+        folds: &[usize],
+    ) -> (Judged, Vec<(Judged, Term)>) {
+        let mut swaps = Vec::new();
+        let mut swapped = now.terms.len() > 1;
+        for _ in 0..ROUNDS {
+            if !std::mem::take(&mut swapped) {
+                break;
+            }
+            for k in 0..now.terms.len() {
+                if pair_of(now.terms[k]).is_none()
+                    || squared(now.terms[k]).is_none_or(|q| now.terms.contains(&q))
+                {
+                    continue;
+                }
+                let mut rest = now.terms.clone();
+                rest.remove(k);
+                let screened = self.screen(&rest, candidates, folds);
+                let fits = screened.iter().filter_map(|(s, m)| self.best_lag(&rest, *s, *m, folds));
+                let few = fits.filter(|j| Self::sensor_count(&j.terms) <= SENSORS);
+                let best = few.min_by(|a, b| a.rms().total_cmp(&b.rms()));
+                if let Some(best) = best.filter(|b| b.beats(&now)) {
+                    let out = now.terms[k];
+                    now = self.retune(best, folds);
+                    swapped = true;
+                    // The same difference with its lag found anew is no other one.
+                    if now.terms.last().and_then(|t| pair_of(*t)) != pair_of(out) {
+                        swaps.push((now.clone(), out));
+                    }
+                }
+            }
+        }
+        (now, swaps)
+    }
+
+    /// Of the offered, those whose growth goes the way that the hottest body's does: heat comes from there. Where
+    /// that body says nothing, all.
+    fn driven_by_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
+        let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
+        let warmth = |j: &Judged| {
+            let Some((sensor, minus)) = pair_of(j.terms[0]) else { return 0.0 };
+            let u = self.column(Term::Thermal { sensor, minus, lag: 0, square: false });
+            rows.iter().map(|i| u[*i]).sum::<f64>() / rows.len() as f64
+        };
+        let hottest = singles.iter().max_by(|a, b| warmth(a).total_cmp(&warmth(b)));
+        let way = hottest.map_or(0.0, |j| self.gamma(j.terms[0], folds));
+        if self.explicit || way.abs() < 0.5 {
+            return singles;
+        }
+        singles.into_iter().filter(|j| j.coefficients[1] * way > 0.0).collect()
+    }
+
+    /// The candidates that explain most of what these terms leave, whatever their lag.
+    fn screen(&self, terms: &[Term], candidates: &[Pair], folds: &[usize]) -> Vec<Pair> {
+        let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
+        let pick = |v: &[f64]| rows.iter().map(|i| v[*i]).collect::<Vec<f64>>();
+        let weight = pick(&self.weight);
+        let dot =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).zip(&weight).map(|((a, b), w)| w * a * b).sum::<f64>();
+        // An orthonormal basis of the constant and the terms; what is left of a column beside it.
+        let mut basis: Vec<Vec<f64>> = Vec::new();
+        let beside = |basis: &[Vec<f64>], mut v: Vec<f64>| {
+            for q in basis {
+                let c = dot(q, &v);
+                v.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
+            }
+            v
+        };
+        let mut columns = vec![vec![1.0; rows.len()]];
+        columns.extend(terms.iter().map(|t| pick(&self.column(*t))));
+        for c in columns {
+            let c = beside(&basis, c);
+            let norm = dot(&c, &c).sqrt();
+            if norm > 0.0 {
+                basis.push(c.into_iter().map(|v| v / norm).collect());
+            }
+        }
+        let left = beside(&basis, pick(&self.y));
+        let score = |(sensor, minus): Pair| {
+            let lags = (0..self.taus.len()).step_by(SCREEN_LAGS);
+            let of = lags.map(|lag| {
+                let column = pick(&self.column(Term::Thermal { sensor, minus, lag, square: false }));
+                let d = beside(&basis, column);
+                let (own, with) = (dot(&d, &d), dot(&d, &left));
+                if own > 1e-12 { with * with / own } else { 0.0 }
+            });
+            of.fold(0.0, f64::max)
+        };
+        let mut scored: Vec<_> = candidates.iter().map(|c| (*c, score(*c))).collect();
+        scored.sort_by(|a, b| b.1.total_cmp(&a.1));
+        scored.into_iter().take(SCREENED).map(|(c, _)| c).collect()
+    }
+
+    /// Sensors that these terms read.
+    fn sensor_count(terms: &[Term]) -> usize {
+        let mut read: Vec<usize> =
+            terms.iter().filter_map(|t| pair_of(*t)).flat_map(|(s, m)| [Some(s), m]).flatten().collect();
+        read.sort_unstable();
+        read.dedup();
+        read.len()
+    }
+
+    /// The lags once more, each with the others held, now that all terms are there.
+    fn retune(&self, mut now: Judged, folds: &[usize]) -> Judged {
+        for k in 0..now.terms.len() {
+            let Term::Thermal { lag: 1.., square: false, .. } = now.terms[k] else { continue };
+            let fits =
+                (1..self.taus.len()).filter_map(|lag| self.judge(&relagged(&now.terms, k, lag), folds));
+            let best = fits.filter(|j| self.physical(j, folds)).min_by(|a, b| a.rms().total_cmp(&b.rms()));
+            if let Some(best) = best.filter(|b| b.rms() < now.rms()) {
+                now = best;
+            }
+        }
+        now
+    }
+
+    /// The best lag of a difference beside the terms that are there; no lag unless it earns its place.
+    pub(super) fn best_lag(
+        &self,
+        terms: &[Term],
+        sensor: usize,
+        minus: Option<usize>,
+        folds: &[usize],
+    ) -> Option<Judged> {
+        let mut columns: Vec<Vec<f64>> = terms.iter().map(|t| self.column(*t)).collect();
+        let mut at = |lag: usize| {
+            let term = Term::Thermal { sensor, minus, lag, square: false };
+            if terms.contains(&term) {
+                return None;
+            }
+            columns.push(self.column(term));
+            let judged = self.judge_columns(&[terms, &[term]].concat(), &columns, folds);
+            columns.pop();
+            judged.filter(|j| self.physical(j, folds))
+        };
+        let without = at(0);
+        let with = (1..self.taus.len()).filter_map(&mut at).min_by(|a, b| a.rms().total_cmp(&b.rms()));
+        match (without, with) {
+            (Some(a), Some(b)) => Some(if b.beats(&a) { b } else { a }),
+            (a, b) => a.or(b),
+        }
+    }
+
+    /// The pairs that are offered, the one that moves most with the response first.
+    pub(super) fn ranked_pairs(&self, folds: &[usize]) -> Vec<Ranked> {
+        let best = self.pairs.iter().filter_map(|(s, m)| self.best_lag(&[], *s, *m, folds));
+        let mut pairs: Vec<Ranked> = best.map(|j| self.ranked(&j, folds)).collect();
+        pairs.sort_by(|a, b| b.gamma_lagged.abs().total_cmp(&a.gamma_lagged.abs()));
+        pairs
+    }
+
+    /// The merit of a structure's last difference.
+    pub(super) fn ranked(&self, j: &Judged, folds: &[usize]) -> Ranked {
+        let Term::Thermal { sensor, minus, lag, .. } = j.terms[j.terms.len() - 1] else {
+            unreachable!("only differences are ranked")
+        };
+        let plain = Term::Thermal { sensor, minus, lag: 0, square: false };
+        let t = &self.binned[sensor][0];
+        let bound = |f: fn(f64, f64) -> f64| t.iter().copied().fold(t[0], f);
+        Ranked {
+            sensor: self.name(plain),
+            gamma: self.gamma(plain, folds),
+            gamma_lagged: self.gamma(Term::Thermal { sensor, minus, lag, square: false }, folds),
+            tau_s: self.taus[lag],
+            range_k: bound(f64::max) - bound(f64::min),
+            cv_rms_um: j.rms(),
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! One machine model, asked twice: over the rows of a run, and at this instant.
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::path::Path;
+
+const MODEL: &str = "name = \"lathe\"
+[[effect]]\nname = \"scale.z\"\nppm = 12.0
+[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 1.5\n";
+
+#[cfg_attr(test, test)]
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let model = Machine::parse(Path::new("machine.toml"), MODEL)?;
+    let z = Axis::new("z").ok_or("z is an axis")?;
+    let warm = Column::new("T8", Role::Temperature, vec![20.0, 28.0]);
+    let cold = Column::new("T18", Role::Temperature, vec![20.0, 20.0]);
+    let place = Column::new("z", Role::Position(z.clone()), vec![100.0, 500.0]);
+    let error = Column::new("ez", Role::Error(z.clone()), vec![1.3, 17.8]);
+    let run = Record::new(Path::new("run.run.toml"), Kind::Drift, vec![warm, cold, place, error])?;
+    println!("z over the run, µm: {:?}", model.predict(&run)?.columns[0].1); // 1.2, then 6 + 12
+
+    let sensors = vec!["T8".to_owned(), "T18".to_owned()]; // the order of the temperatures below
+    let mut live = Live::of(&model, Layout { axes: vec![z], sensors, channels: Vec::new() })?;
+    let axes = [AxisNow::moving(500.0, 20.0)];
+    live.evaluate(&Frame { axes: &axes, temperatures_degc: &[28.0, 20.0], ..Frame::default() });
+    assert!((live.errors_um()[0] - 18.0).abs() < 1e-9);
+    Ok(())
+}
