@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{Request, TracePoint};
+use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::{ReplayOutcome, replay};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, available, sigrok};
@@ -29,9 +29,9 @@ fn strokes(amplitude_counts: i64, strokes: u32) -> Vec<TracePoint> {
 }
 
 /// A new total every `every_ns`, up and down within ±400 counts.
-fn totals(end_ns: u64, every_ns: u64) -> Vec<Request> {
+fn totals(end_ns: u64, every_ns: u64) -> Vec<RequestedTotal> {
     let total = |n: u64| 2 * (200.0 * (n as f64 / 9.0).sin()) as i64;
-    (1..end_ns / every_ns).map(|n| Request { t_ns: n * every_ns, requested: total(n) }).collect()
+    (1..end_ns / every_ns).map(|n| RequestedTotal { t_ns: n * every_ns, requested: total(n) }).collect()
 }
 
 fn corrected(scale: &[TracePoint], every_ns: u64) -> (ReplayOutcome, Vec<(TracePoint, i64)>, Totals) {

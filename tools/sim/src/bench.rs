@@ -8,7 +8,7 @@ use crate::through::DesignB;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_driver::replay::{Gates, Listener, Through, Xor};
-use rtec_driver::replay::{Request, TracePoint};
+use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind};
@@ -92,7 +92,7 @@ pub fn replay_any<T, R, L, E>(
 ) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     T: Iterator<Item = Result<TracePoint, E>>,
-    R: Iterator<Item = Result<Request, E>>,
+    R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
     let config = AxisConfig { lines: AxisLines::standard(0, false), design: design.engine(), ..config };

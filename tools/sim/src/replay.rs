@@ -2,7 +2,7 @@
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_driver::replay::{Gates, Listener, ReplayCard, Request as Total, TracePoint, Xor};
+use rtec_driver::replay::{Gates, Listener, ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Refusal, Request};
@@ -197,7 +197,7 @@ pub fn replay<T, R, L, E>(
 ) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     T: Iterator<Item = Result<TracePoint, E>>,
-    R: Iterator<Item = Result<Total, E>>,
+    R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
     let start = |card: &mut ReplayCard<T, Mtc<L>, E>| homed_engine(config, card, &mut |_| true);
@@ -220,7 +220,7 @@ where
     G: Gates,
     M: Corrector,
     T: Iterator<Item = Result<TracePoint, E>>,
-    R: Iterator<Item = Result<Total, E>>,
+    R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
     let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
