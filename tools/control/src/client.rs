@@ -1,6 +1,6 @@
 //! The client's end of the control socket.
 
-use crate::protocol::{Request, Response};
+use crate::protocol::{ClientRequest, Response};
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -56,7 +56,7 @@ impl Client {
     ///
     /// # Errors
     /// When there is none.
-    pub fn ask(&mut self, request: &Request) -> Result<Response, ClientError> {
+    pub fn ask(&mut self, request: &ClientRequest) -> Result<Response, ClientError> {
         let mut line = serde_json::to_string(request).map_err(io::Error::other)?;
         line.push('\n');
         self.stream.get_mut().write_all(line.as_bytes())?;

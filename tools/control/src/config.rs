@@ -66,7 +66,7 @@ pub struct Config {
     /// Where the machine's own lines are.
     pub lines: MachineLines,
     /// The axes, in order.
-    pub axes: Vec<Axis>,
+    pub axes: Vec<ConfiguredAxis>,
     /// The real-time thread.
     pub rt: RtConfig,
     /// The control socket.
@@ -151,7 +151,7 @@ impl CardConfig {
 
 /// One axis.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Axis {
+pub struct ConfiguredAxis {
     /// Its name.
     pub name: String,
     /// What one count is worth, µm.
@@ -319,7 +319,7 @@ impl Config {
     }
 }
 
-impl Axis {
+impl ConfiguredAxis {
     /// What the control law needs to know of it.
     #[must_use]
     pub fn law(&self) -> rtec_correct::AxisSetup {
@@ -411,7 +411,7 @@ fn read(source: &mut Source<'_>, document: &Document<'_>) -> Option<Config> {
         let found = format!("{} [[axis]] tables", tables.len());
         source.finding(tables.last().map_or(0, |t| t.offset), found, format!("1 to {MAX_AXES} axes"));
     }
-    let (mut axes, mut traces): (Vec<Axis>, Vec<PathBuf>) = (Vec::new(), Vec::new());
+    let (mut axes, mut traces): (Vec<ConfiguredAxis>, Vec<PathBuf>) = (Vec::new(), Vec::new());
     for (n, table) in tables.into_iter().enumerate() {
         let offset = table.offset;
         if let Some((axis, trace)) = read_axis(source, table, n as u8, &mut card, &latency, &mut notes) {
@@ -792,7 +792,7 @@ fn read_axis(
     card: &mut Card,
     latency: &AxisConfig,
     notes: &mut Vec<String>,
-) -> Option<(Axis, Option<PathBuf>)> {
+) -> Option<(ConfiguredAxis, Option<PathBuf>)> {
     let before = source.findings.len();
     let meaning = "the axis's name, in quotes";
     let name = s.string(source, "name", meaning);
@@ -942,7 +942,7 @@ fn read_axis(
             "a lower max_accel, detect_ns, write_ns, guard_ns or min_separation_ns, or more hysteresis";
         source.finding(offset, found, expected);
     }
-    let axis = Axis {
+    let axis = ConfiguredAxis {
         name: name.to_owned(),
         count_um,
         travel_mm: travel_mm?.value,

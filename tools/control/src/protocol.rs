@@ -34,7 +34,7 @@ pub const MAX_LINE: usize = 4096;
 /// What a client asks for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Request {
+pub enum ClientRequest {
     /// Everything at this moment.
     Status {},
     /// The axis is at its known place.
@@ -111,7 +111,7 @@ pub enum Request {
     TableUnload {},
 }
 
-impl Request {
+impl ClientRequest {
     /// Reads a request line.
     ///
     /// # Errors
@@ -128,7 +128,7 @@ impl Request {
 #[serde(rename_all = "snake_case")]
 pub enum Response {
     /// The status asked for.
-    Status(Box<Status>),
+    Status(Box<DaemonStatus>),
     /// Done as asked.
     Done {
         /// What `enable` moves, axis by axis.
@@ -199,12 +199,12 @@ pub struct Happened {
     pub text: String,
     /// Where the axis was when the probe tripped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trip: Option<Trip>,
+    pub trip: Option<TripReport>,
 }
 
 /// A captured position.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Trip {
+pub struct TripReport {
     /// Position, interpolated between the neighbouring edges, counts.
     pub position_counts: f64,
     /// The same, mm.
@@ -231,7 +231,7 @@ pub struct Trip {
 
 /// The state of the corrector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Status {
+pub struct DaemonStatus {
     /// The machine's name.
     pub machine: String,
     /// `run`, `shadow`, `probe`, `hold`, `fault` or `disabled`.
@@ -261,7 +261,7 @@ pub struct Status {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Reading>,
     /// The axes.
-    pub axes: Vec<Axis>,
+    pub axes: Vec<AxisReport>,
 }
 
 /// The real-time thread.
@@ -313,7 +313,7 @@ pub struct Distribution {
 
 /// One axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Axis {
+pub struct AxisReport {
     /// Its name.
     pub name: String,
     /// Scale position, counts.
@@ -475,7 +475,7 @@ impl Happened {
                 let (position_counts, uncertainty_counts) = capture.position_counts();
                 let count_um = axis.map_or(0.0, |(_, um)| um);
                 let position_mm = position_counts * count_um / 1000.0;
-                trip = Some(Trip {
+                trip = Some(TripReport {
                     position_counts,
                     position_mm,
                     uncertainty_counts,
@@ -507,9 +507,9 @@ mod tests {
 
     #[test]
     fn requests_are_strict() {
-        let ok = Request::parse(r#"{"do":"correct","axis":"x","total_counts":-4}"#).unwrap();
-        assert_eq!(ok, Request::Correct { axis: "x".into(), total_counts: -4, large: false });
-        assert_eq!(Request::parse(r#"{"do":"status"}"#).unwrap(), Request::Status {});
+        let ok = ClientRequest::parse(r#"{"do":"correct","axis":"x","total_counts":-4}"#).unwrap();
+        assert_eq!(ok, ClientRequest::Correct { axis: "x".into(), total_counts: -4, large: false });
+        assert_eq!(ClientRequest::parse(r#"{"do":"status"}"#).unwrap(), ClientRequest::Status {});
         for (line, wants) in [
             ("", "EOF"),
             ("status", "expected value"),
@@ -519,7 +519,7 @@ mod tests {
             (r#"{"do":"correct","axis":"x","total_counts":1.5}"#, "floating point"),
             (r#"{"do":"probe","on":"yes"}"#, "invalid type"),
         ] {
-            let found = Request::parse(line).unwrap_err();
+            let found = ClientRequest::parse(line).unwrap_err();
             assert!(found.contains(wants), "{found}");
         }
     }

@@ -9,7 +9,7 @@ use nix::sys::stat::{Mode, umask};
 use nix::unistd::{Group, chown};
 use rtec_control::config::ControlConfig;
 use rtec_control::lock;
-use rtec_control::protocol::{MAX_LINE, Request, Response};
+use rtec_control::protocol::{ClientRequest, MAX_LINE, Response};
 use rtec_rt::link::ControlEnd;
 use std::fs::{DirBuilder, Permissions};
 use std::io::{ErrorKind, Read, Write};
@@ -262,10 +262,10 @@ fn obey(client: &mut Client, line: &[u8], session: &mut Session, control: &mut C
         Ok(line) => line.trim(),
         Err(_) => return client.bad("found bytes that are no UTF-8; expected one JSON object a line"),
     };
-    match Request::parse(line) {
+    match ClientRequest::parse(line) {
         Err(text) => client.bad(text),
         Ok(request) => {
-            client.watching |= request == Request::Watch {};
+            client.watching |= request == ClientRequest::Watch {};
             let response = session.answer(&request, control, log);
             client.put(&response);
         }

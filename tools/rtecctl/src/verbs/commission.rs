@@ -11,7 +11,7 @@ use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::Client;
-use rtec_control::protocol::{Axis, Request, Response, Status};
+use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
@@ -160,12 +160,12 @@ struct Guide<'a> {
 }
 
 impl Guide<'_> {
-    fn ask(&mut self, request: &Request) -> anyhow::Result<Response> {
+    fn ask(&mut self, request: &ClientRequest) -> anyhow::Result<Response> {
         check(self.client.ask(request).map_err(unreachable)?)
     }
 
-    fn status(&mut self) -> anyhow::Result<(Box<Status>, Axis)> {
-        let Response::Status(status) = self.ask(&Request::Status {})? else {
+    fn status(&mut self) -> anyhow::Result<(Box<DaemonStatus>, AxisReport)> {
+        let Response::Status(status) = self.ask(&ClientRequest::Status {})? else {
             return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
         };
         let name = &self.args.axis;
@@ -177,7 +177,7 @@ impl Guide<'_> {
     }
 
     /// Waits until the axis stands and nothing more is to be inserted.
-    fn at_rest(&mut self) -> anyhow::Result<Axis> {
+    fn at_rest(&mut self) -> anyhow::Result<AxisReport> {
         let begun = Instant::now();
         let (mut last, mut since) = (None, Instant::now());
         loop {
@@ -199,7 +199,7 @@ impl Guide<'_> {
     }
 
     fn stands(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
-        let request = Request::Jog { axis: self.args.axis.clone(), display_mm };
+        let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm };
         match self.ask(&request)? {
             Response::Stands { display_mm, indicator_mm } => Ok((display_mm, indicator_mm)),
             _ => Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into()),
@@ -240,7 +240,7 @@ impl Guide<'_> {
     }
 
     fn insert(&mut self, total_counts: i64) -> anyhow::Result<()> {
-        let request = Request::Correct { axis: self.args.axis.clone(), total_counts, large: false };
+        let request = ClientRequest::Correct { axis: self.args.axis.clone(), total_counts, large: false };
         self.ask(&request).map(drop)
     }
 

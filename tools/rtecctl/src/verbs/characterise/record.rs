@@ -3,7 +3,7 @@
 use crate::daemon::{check, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
-use rtec_control::protocol::{Request, Response, Status};
+use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
 use rtec_correct::sensors::{self, Bank, Config, Feed, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
@@ -179,7 +179,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
 /// The running daemon, asked once a row.
 struct Corrector {
     client: Client,
-    status: Status,
+    status: DaemonStatus,
     /// µm per count of each axis, once it was off zero.
     count_um: Vec<Option<f64>>,
 }
@@ -237,8 +237,8 @@ impl Corrector {
     }
 }
 
-fn status(client: &mut Client) -> anyhow::Result<Status> {
-    match check(client.ask(&Request::Status {}).map_err(unreachable)?)? {
+fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
+    match check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
         Response::Status(status) => Ok(*status),
         other => Err(crate::Outcome::Unreachable(format!("an answer that is no status: {other:?}")).into()),
     }
