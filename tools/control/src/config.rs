@@ -48,7 +48,7 @@ use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::pci::PciId;
 use rtec_driver::profile::{Place, Profile, Space, Width};
-use rtec_files::toml::{At, Document, Section, Source, Table};
+use rtec_files::toml::{At, Document, Section, SourceFile, Table};
 use rtec_files::{InputError, nearest};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::event::MAX_AXES;
@@ -74,7 +74,7 @@ pub struct Config {
     /// The machine model.
     pub model: ModelConfig,
     /// The temperature sensors.
-    pub sensors: Vec<sensors::Config>,
+    pub sensors: Vec<sensors::SensorConfig>,
     /// What is allowed but worth knowing.
     pub notes: Vec<String>,
 }
@@ -228,9 +228,9 @@ impl ControlConfig {
 
 /// Everything that is wrong with a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Findings(pub Vec<InputError>);
+pub struct ConfigFindings(pub Vec<InputError>);
 
-impl fmt::Display for Findings {
+impl fmt::Display for ConfigFindings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (n, finding) in self.0.iter().enumerate() {
             if n > 0 {
@@ -242,7 +242,7 @@ impl fmt::Display for Findings {
     }
 }
 
-impl std::error::Error for Findings {}
+impl std::error::Error for ConfigFindings {}
 
 /// Directory of socket and state file unless the configuration names others: `/run/rtec` where it exists (made by
 /// tmpfiles when installed), else the user's run-time directory, else one of the user's own in `/tmp`.
@@ -279,8 +279,8 @@ impl Config {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn load(file: &Path) -> Result<Self, Findings> {
-        let text = rtec_files::text::read(file).map_err(|finding| Findings(vec![finding]))?;
+    pub fn load(file: &Path) -> Result<Self, ConfigFindings> {
+        let text = rtec_files::text::read(file).map_err(|finding| ConfigFindings(vec![finding]))?;
         Self::parse(file, &text)
     }
 
@@ -288,15 +288,15 @@ impl Config {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn parse(file: &Path, text: &str) -> Result<Self, Findings> {
+    pub fn parse(file: &Path, text: &str) -> Result<Self, ConfigFindings> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let (document, findings) = Document::parse_all(file, text);
-        let mut source = Source { file, text, findings };
+        let mut source = SourceFile { file, text, findings };
         let config = if source.findings.is_empty() { read(&mut source, &document) } else { None };
         source.findings.sort_by_key(|f| (f.line, f.column));
         match config {
             Some(config) if source.findings.is_empty() => Ok(config),
-            _ => Err(Findings(source.findings)),
+            _ => Err(ConfigFindings(source.findings)),
         }
     }
 
@@ -368,7 +368,7 @@ enum Kind {
 }
 
 /// The file's whole content; findings are in the source, `None` where there is no way on.
-fn read(source: &mut Source<'_>, document: &Document<'_>) -> Option<Config> {
+fn read(source: &mut SourceFile<'_>, document: &Document<'_>) -> Option<Config> {
     let mut root = Section::root(document);
     let mut notes = Vec::new();
 
@@ -461,7 +461,7 @@ fn read(source: &mut Source<'_>, document: &Document<'_>) -> Option<Config> {
     })
 }
 
-fn read_model(source: &mut Source<'_>, root: &mut Section<'_>) -> ModelConfig {
+fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> ModelConfig {
     let mut table = root.table(source, "model", "[model]");
     let file = table.string(source, "file", "the path of the machine model");
     let period_ms = table.integer(source, "period_ms", 10..=20);
@@ -479,18 +479,18 @@ fn read_model(source: &mut Source<'_>, root: &mut Section<'_>) -> ModelConfig {
 }
 
 /// The `[[sensor]]` tables, as the model's library reads them; recordings to replay are beside the configuration.
-fn read_sensors(source: &mut Source<'_>, root: &Table<'_>) -> Vec<sensors::Config> {
+fn read_sensors(source: &mut SourceFile<'_>, root: &Table<'_>) -> Vec<sensors::SensorConfig> {
     let file = source.file;
     let mut all = source.keep(sensors::read_tables(root)).unwrap_or_default();
     for sensor in &mut all {
-        if let sensors::Source::Csv { record, .. } = &mut sensor.source {
+        if let sensors::SensorSource::Csv { record, .. } = &mut sensor.source {
             *record = file.parent().unwrap_or(Path::new("")).join(&*record);
         }
     }
     all
 }
 
-fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
+fn read_card(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> Card {
     let mut section = root.table(source, "card", "[card]");
     let meaning = "\"mock\" or \"gpio\" or \"mapped\" or \"port\" or \"replay\"";
     let kind = section.choice(
@@ -548,7 +548,7 @@ fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
 }
 
 /// Where the registers are, and what they mean.
-fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut Card, port: bool) {
+fn read_registers(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card, port: bool) {
     let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
     let named = section.string(source, "profile", "a profile's name or path");
     let default = if port { "parallel-port" } else { "shared-memory" };
@@ -641,7 +641,7 @@ fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut
     }
 }
 
-fn load_profile(source: &mut Source<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
+fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
     let text = match rtec_files::text::read(path) {
         Ok(text) => text,
         Err(error) => {
@@ -654,14 +654,14 @@ fn load_profile(source: &mut Source<'_>, path: &Path, named: &str, offset: usize
 }
 
 /// The lines that belong to no axis.
-fn machine_lines(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
+fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
     let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
     MachineLines { probe: wire("probe", false), disable: wire("disable", false), hold: wire("hold", true) }
 }
 
 /// The bit of a GPIO line: the next that is free.
 fn wire_gpio(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     gpio: &mut Gpio,
     key: &'static str,
@@ -694,7 +694,7 @@ fn wire_gpio(
 
 /// The bit of one line, checked against the profile and against who has it already.
 fn wire(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     card: &mut Card,
     key: &'static str,
@@ -744,7 +744,7 @@ fn wire(
 
 /// The lines of an axis: where `lines` says, or those of the standard layout.
 fn read_lines(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     n: u8,
     card: &mut Card,
@@ -763,7 +763,7 @@ fn read_lines(
         return None;
     }
     let mut lines = section.table(source, "lines", "lines");
-    let mut place = |source: &mut Source<'_>, key, output, needed| {
+    let mut place = |source: &mut SourceFile<'_>, key, output, needed| {
         let bit = wire(source, &mut lines, card, key, output, (n, owner));
         if needed { lines.required(source, key, "the line it is wired to", bit) } else { bit }
     };
@@ -786,7 +786,7 @@ fn read_lines(
 
 #[allow(clippy::too_many_lines)] // One key after the other.
 fn read_axis(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     mut s: Section<'_>,
     n: u8,
     card: &mut Card,
@@ -960,7 +960,7 @@ struct ReadSimulated {
     rest: Simulated,
 }
 
-fn read_simulated(source: &mut Source<'_>, s: &mut Section<'_>, kind: Option<Kind>) -> ReadSimulated {
+fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option<Kind>) -> ReadSimulated {
     let mut found = ReadSimulated {
         count_um: None,
         rest: Simulated { count_um: 1.0, compensates_ppm: 0.0, ignores: false },

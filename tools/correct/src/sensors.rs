@@ -24,7 +24,7 @@ use std::time::Duration;
 /// Where a sensor's values come from.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 #[allow(missing_docs)]
-pub enum Source {
+pub enum SensorSource {
     /// Device by its `name` file (or `iio:deviceN`), channel number.
     Iio { device: String, channel: u32 },
     /// Chip by its `name` file (or `hwmonN`), input number.
@@ -39,7 +39,7 @@ pub enum Source {
 
 /// A sensor as it is configured.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Config {
+pub struct SensorConfig {
     /// Name, as effects use it.
     pub name: String,
     /// Where it sits on the machine, for people.
@@ -47,7 +47,7 @@ pub struct Config {
     /// What it reads: a temperature, or what else an effect may ask for (spindle speed, coolant, load, channel).
     pub role: Role,
     /// Where its values come from.
-    pub source: Source,
+    pub source: SensorSource,
     /// Time between readings, s.
     pub period_s: f64,
     /// What it can plausibly read, °C (or its role's unit).
@@ -62,7 +62,7 @@ pub struct Config {
     pub freeze_s: f64,
 }
 
-impl Config {
+impl SensorConfig {
     /// Reads a `[[sensor]]` table.
     ///
     /// # Errors
@@ -96,16 +96,18 @@ impl Config {
         let name = text("name", "the sensor's name, as effects use it")?;
         let entry = t.required("source", "source = \"iio\", \"hwmon\", \"one_wire\", \"csv\" or \"line\"")?;
         let source = match entry.str("a source")? {
-            "iio" => Source::Iio { device: text("device", "device = \"NAME\"")?, channel: whole("channel")? },
-            "hwmon" => {
-                Source::Hwmon { chip: text("chip", "chip = \"NAME\"")?, input: whole("input")?.max(1) }
+            "iio" => {
+                SensorSource::Iio { device: text("device", "device = \"NAME\"")?, channel: whole("channel")? }
             }
-            "one_wire" => Source::OneWire { id: text("id", "id = \"28-…\"")? },
-            "csv" => Source::Csv {
+            "hwmon" => {
+                SensorSource::Hwmon { chip: text("chip", "chip = \"NAME\"")?, input: whole("input")?.max(1) }
+            }
+            "one_wire" => SensorSource::OneWire { id: text("id", "id = \"28-…\"")? },
+            "csv" => SensorSource::Csv {
                 record: PathBuf::from(text("record", "record = \"NAME.run.toml\"")?),
                 column: t.get("column").map_or(Ok(name.as_str()), |e| e.str("a column"))?.to_owned(),
             },
-            "line" => Source::Line {
+            "line" => SensorSource::Line {
                 from: text("from", "from = \"host:port\" or \"/dev/tty…\"")?,
                 key: t.get("key").map_or(Ok(name.as_str()), |e| e.str("a key"))?.to_owned(),
             },
@@ -149,7 +151,7 @@ impl Config {
     }
 }
 
-impl Config {
+impl SensorConfig {
     /// A sensor whose every reading is believed and never grows old: of a simulation, or of a recorded shift.
     #[must_use]
     pub fn believed(name: &str, role: Role) -> Self {
@@ -157,7 +159,7 @@ impl Config {
             name: name.to_owned(),
             place: String::new(),
             role,
-            source: Source::Csv { record: PathBuf::new(), column: name.to_owned() },
+            source: SensorSource::Csv { record: PathBuf::new(), column: name.to_owned() },
             period_s: 1.0,
             range: [f64::NEG_INFINITY, f64::INFINITY],
             max_rate_k_per_min: f64::INFINITY,
@@ -174,7 +176,7 @@ fn is_sensed(role: &Role) -> bool {
 
 /// What is wrong with a sensor.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Fault {
+pub enum SensorFault {
     /// No reading: why, and since when (s of the caller's clock).
     Silent(String),
     /// A reading outside its range or not a number, °C.
@@ -185,7 +187,7 @@ pub enum Fault {
     Stuck(f64),
 }
 
-impl std::fmt::Display for Fault {
+impl std::fmt::Display for SensorFault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Silent(why) => write!(f, "silent ({why})"),
@@ -210,18 +212,18 @@ pub enum Use {
 /// One sensor under watch.
 #[derive(Debug, Clone)]
 pub struct Watch {
-    config: Arc<Config>,
+    config: Arc<SensorConfig>,
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
     heard: Option<f64>,
-    fault: Option<Fault>,
+    fault: Option<SensorFault>,
     due: f64,
 }
 
 impl Watch {
     /// A sensor that has not been read yet.
     #[must_use]
-    pub fn new(config: Config) -> Self {
+    pub fn new(config: SensorConfig) -> Self {
         Self {
             config: Arc::new(config),
             good: None,
@@ -234,7 +236,7 @@ impl Watch {
 
     /// Its configuration.
     #[must_use]
-    pub fn config(&self) -> &Config {
+    pub fn config(&self) -> &SensorConfig {
         &self.config
     }
 
@@ -244,7 +246,7 @@ impl Watch {
             Err(why) => {
                 let since = self.heard.map_or(f64::INFINITY, |h| now_s - h);
                 if since > self.config.timeout_s {
-                    self.fault = Some(Fault::Silent(why));
+                    self.fault = Some(SensorFault::Silent(why));
                 }
                 return;
             }
@@ -260,16 +262,16 @@ impl Watch {
         };
         let [lo, hi] = self.config.range;
         self.fault = if !value.is_finite() || value < lo || value > hi {
-            Some(Fault::Implausible(value))
+            Some(SensorFault::Implausible(value))
         } else if self.config.stuck_s > 0.0 && since_same > self.config.stuck_s {
-            Some(Fault::Stuck(value))
+            Some(SensorFault::Stuck(value))
         } else {
             // What can have changed since the last good value; one second's worth for the reading itself.
             let jumped = self.good.filter(|(v, at)| {
                 let may = self.config.max_rate_k_per_min / 60.0 * (now_s - at + 1.0);
                 (value - v).abs() > may
             });
-            jumped.map(|(v, _)| Fault::Jump(v, value))
+            jumped.map(|(v, _)| SensorFault::Jump(v, value))
         };
         if self.fault.is_none() {
             self.good = Some((value, now_s));
@@ -290,7 +292,7 @@ impl Watch {
 
     /// What is wrong with it.
     #[must_use]
-    pub fn fault(&self) -> Option<&Fault> {
+    pub fn fault(&self) -> Option<&SensorFault> {
         self.fault.as_ref()
     }
 
@@ -445,7 +447,7 @@ fn same(file: &fs::File, path: &Path) -> io::Result<()> {
 
 /// All sensors of a machine.
 #[derive(Debug)]
-pub struct Bank {
+pub struct SensorBank {
     root: PathBuf,
     sensors: Vec<Watch>,
     feeds: Vec<Feed>,
@@ -453,20 +455,20 @@ pub struct Bank {
     replay_start: Option<f64>,
 }
 
-impl Bank {
+impl SensorBank {
     /// Sensors under a root (`/`; tests put their own tree there).
     ///
     /// # Errors
     /// A recording to replay that cannot be read.
-    pub fn new(configs: Vec<Config>, root: &Path) -> Result<Self, InputError> {
+    pub fn new(configs: Vec<SensorConfig>, root: &Path) -> Result<Self, InputError> {
         let mut feeds: Vec<Feed> = Vec::new();
         let mut replays = BTreeMap::new();
         for c in &configs {
             match &c.source {
-                Source::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
+                SensorSource::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
                     feeds.push(Feed::new(from));
                 }
-                Source::Csv { record, .. } if !replays.contains_key(record) => {
+                SensorSource::Csv { record, .. } if !replays.contains_key(record) => {
                     replays.insert(record.clone(), rtec_measure::record::read_log(record)?);
                 }
                 _ => {}
@@ -496,17 +498,17 @@ impl Bank {
         }
         let start = *self.replay_start.get_or_insert(now_s);
         for watch in &mut self.sensors {
-            let line = matches!(watch.config.source, Source::Line { .. });
+            let line = matches!(watch.config.source, SensorSource::Line { .. });
             if now_s < watch.due && !line {
                 continue;
             }
             watch.due = now_s + watch.config.period_s;
             let reading = match &watch.config.source {
-                Source::Iio { device, channel } => iio(&self.root, device, *channel),
-                Source::Hwmon { chip, input } => hwmon(&self.root, chip, *input),
-                Source::OneWire { id } => one_wire(&self.root, id),
-                Source::Csv { record, column } => replay(&self.replays[record], column, now_s - start),
-                Source::Line { from, key } => {
+                SensorSource::Iio { device, channel } => iio(&self.root, device, *channel),
+                SensorSource::Hwmon { chip, input } => hwmon(&self.root, chip, *input),
+                SensorSource::OneWire { id } => one_wire(&self.root, id),
+                SensorSource::Csv { record, column } => replay(&self.replays[record], column, now_s - start),
+                SensorSource::Line { from, key } => {
                     let feed = self.feeds.iter().find(|f| f.from == *from);
                     let value = feed.and_then(|f| f.values.get(key).copied());
                     value.ok_or_else(|| feed.map_or(String::new(), |f| f.trouble.clone()))
@@ -601,11 +603,11 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
 ///
 /// # Errors
 /// The first finding, with line and column.
-pub fn read_tables(root: &Table<'_>) -> Result<Vec<Config>, InputError> {
-    let mut found: Vec<Config> = Vec::new();
+pub fn read_tables(root: &Table<'_>) -> Result<Vec<SensorConfig>, InputError> {
+    let mut found: Vec<SensorConfig> = Vec::new();
     let tables = root.get("sensor").map(|e| e.tables("[[sensor]] tables")).transpose()?;
     for t in tables.unwrap_or_default() {
-        let config = Config::read(t)?;
+        let config = SensorConfig::read(t)?;
         if found.iter().any(|c| c.name == config.name) {
             let found = format!("sensor `{}` twice", config.name);
             return Err(t.required("name", "")?.error(found, "each name once"));
@@ -621,8 +623,8 @@ mod tests {
     use std::io::Write;
     use std::net::TcpListener;
 
-    fn config(name: &str, source: Source) -> Config {
-        Config {
+    fn config(name: &str, source: SensorSource) -> SensorConfig {
+        SensorConfig {
             name: name.into(),
             place: String::new(),
             source,
@@ -637,7 +639,7 @@ mod tests {
     }
 
     fn watch() -> Watch {
-        Watch::new(config("T1", Source::OneWire { id: "28-0".into() }))
+        Watch::new(config("T1", SensorSource::OneWire { id: "28-0".into() }))
     }
 
     #[test]
@@ -711,10 +713,10 @@ mod tests {
         for bad in [one_wire(root, "28-00b"), iio(root, "nothing", 0), hwmon(root, "k10temp", 1)] {
             assert!(bad.is_err());
         }
-        let mut bank = Bank::new(
+        let mut bank = SensorBank::new(
             vec![
-                config("T1", Source::Hwmon { chip: "tmp102".into(), input: 1 }),
-                config("T2", Source::OneWire { id: "28-00b".into() }),
+                config("T1", SensorSource::Hwmon { chip: "tmp102".into(), input: 1 }),
+                config("T2", SensorSource::OneWire { id: "28-00b".into() }),
             ],
             root,
         )
@@ -731,9 +733,9 @@ mod tests {
     fn a_line_feed_over_tcp() {
         let server = TcpListener::bind("127.0.0.1:0").unwrap();
         let from = server.local_addr().unwrap().to_string();
-        let line = |key: &str| Source::Line { from: from.clone(), key: key.into() };
+        let line = |key: &str| SensorSource::Line { from: from.clone(), key: key.into() };
         let mut bank =
-            Bank::new(vec![config("T1", line("T1")), config("T2", line("b"))], Path::new("/")).unwrap();
+            SensorBank::new(vec![config("T1", line("T1")), config("T2", line("b"))], Path::new("/")).unwrap();
         bank.poll(0.0);
         let (mut peer, _) = server.accept().unwrap();
         peer.write_all(b"T1 21.5\nb=22.25\nnonsense\nT1 21.5").unwrap();
@@ -751,7 +753,7 @@ mod tests {
         bank.poll(9.0);
         bank.poll(20.0);
         assert!(
-            matches!(bank.sensors()[0].fault(), Some(Fault::Silent(_))),
+            matches!(bank.sensors()[0].fault(), Some(SensorFault::Silent(_))),
             "{:?}",
             bank.sensors()[0].fault()
         );

@@ -26,7 +26,7 @@ pub(crate) struct Total {
 
 /// What bears on a total at one tick.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted {
+pub(crate) struct TickInputs {
     /// What the sources ask for, µm.
     pub um: f64,
     /// The total that the engine has been asked for, counts.
@@ -83,8 +83,8 @@ impl Total {
     }
 
     /// The total to ask for now; none where it stands already.
-    pub(crate) fn next(&mut self, wanted: Wanted) -> Option<i64> {
-        let Wanted { um, requested, ramp_um, changed, last } = wanted;
+    pub(crate) fn next(&mut self, wanted: TickInputs) -> Option<i64> {
+        let TickInputs { um, requested, ramp_um, changed, last } = wanted;
         if !self.following {
             // Where the axis is: what it was asked for before counts, wherever that came from.
             self.following = true;
@@ -154,8 +154,8 @@ impl Total {
 mod tests {
     use super::*;
 
-    fn wanted(um: f64, requested: i64) -> Wanted {
-        Wanted { um, requested, ramp_um: 0.05, changed: false, last: false }
+    fn wanted(um: f64, requested: i64) -> TickInputs {
+        TickInputs { um, requested, ramp_um: 0.05, changed: false, last: false }
     }
 
     fn following() -> Total {
@@ -187,7 +187,7 @@ mod tests {
     #[test]
     fn a_changed_source_is_a_ramp_and_motion_is_not() {
         let mut total = following();
-        assert_eq!(total.next(Wanted { changed: true, ..wanted(8.0, 0) }), None);
+        assert_eq!(total.next(TickInputs { changed: true, ..wanted(8.0, 0) }), None);
         let mut requested = 0;
         let steps = (0..200).filter(|_| {
             let next = total.next(wanted(8.0, requested));

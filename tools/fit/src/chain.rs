@@ -48,7 +48,7 @@ pub struct ChainReport {
 
 /// A record with the point that it measured.
 #[derive(Debug, Clone, Copy)]
-pub struct Run<'r> {
+pub struct ChainRun<'r> {
     /// The record.
     pub record: &'r Record,
     /// The point in the last frame of the tool branch, mm; the chain's own tool point where it is not given. The same
@@ -99,7 +99,7 @@ fn places(chain: &Chain, components: &[String]) -> Result<Vec<Place>, InputError
 pub fn fit(
     chain: &Chain,
     components: &[String],
-    runs: &[Run<'_>],
+    runs: &[ChainRun<'_>],
 ) -> Result<(Chain, ChainReport), InputError> {
     let places = places(chain, components)?;
     let mut now = chain.clone();
@@ -107,7 +107,7 @@ pub fn fit(
         chain.joints[j].components[c].terms[t].coefficient = v;
     };
     let get = |chain: &Chain, [j, c, t]: Place| chain.joints[j].components[c].terms[t].coefficient;
-    let says = |chain: &Chain, run: &Run<'_>, role: &Role| {
+    let says = |chain: &Chain, run: &ChainRun<'_>, role: &Role| {
         let mut out = vec![0.0; run.record.rows()];
         let mut chain = chain.clone();
         chain.tool_mm = run.tool_mm.unwrap_or(chain.tool_mm);

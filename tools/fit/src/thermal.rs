@@ -243,7 +243,7 @@ pub struct DryWet {
 
 /// What the fit of one response found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct ThermalReport {
     /// `error.z`
     pub response: String,
     /// The sensor of the environment.
@@ -1094,7 +1094,7 @@ pub fn fit(
     train: &[&Record],
     holdout: &[&Record],
     options: &Options,
-) -> Result<(Machine, Vec<Report>), InputError> {
+) -> Result<(Machine, Vec<ThermalReport>), InputError> {
     let name = train[0].path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let ideal = || Machine::ideal(name.strip_suffix(".run.toml").unwrap_or(&name));
     let mut machine = options.base.clone().unwrap_or_else(ideal);
@@ -1280,7 +1280,7 @@ fn fit_response(
     response: &Role,
     options: &Options,
     machine: &mut Machine,
-) -> Result<Report, InputError> {
+) -> Result<ThermalReport, InputError> {
     let problem = Problem::new(train, response, options)?;
     let all: Vec<usize> = (0..problem.folds).collect();
     let whole = |found: &str, expected: &str| InputError::whole(&train[0].path, found, expected);
@@ -1338,7 +1338,7 @@ fn fit_response(
     pairs.sort_by(|a, b| b.gamma_lagged.abs().total_cmp(&a.gamma_lagged.abs()));
     warnings.extend(chosen.rivals(&problem));
     let environment = problem.environment.map(|e| problem.sensors[e].clone());
-    Ok(Report {
+    Ok(ThermalReport {
         response: response.to_string(),
         environment_by: match (&options.environment, &environment) {
             (Some(_), _) => "given".to_owned(),
@@ -1625,7 +1625,7 @@ pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after
         .with(Series::new("left", Style::Dots, points(after_um)))
 }
 
-impl Report {
+impl ThermalReport {
     /// The patent's figure 17: γ of every sensor as a bar upwards, its temperature range downwards, best to the right;
     /// and, which the patent has not, γ of the difference behind its lag as a dot.
     #[must_use]

@@ -196,7 +196,7 @@ pub fn chords_of_arc(radius_mm: f64, sweep_rad: f64, off_mm: f64) -> usize {
 /// What a feature is to a machinist.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
-pub enum Kind {
+pub enum FeatureKind {
     /// Parallel to the part's axis.
     Cylinder {
         /// Distance from the axis.
@@ -231,7 +231,7 @@ pub struct Feature {
     /// `F1`, `F2`, … in probing order.
     pub name: String,
     /// What it is.
-    pub kind: Kind,
+    pub kind: FeatureKind,
     /// Its geometry, run in probing order.
     pub segment: Segment,
     /// The drawing's entity it came from.
@@ -240,7 +240,7 @@ pub struct Feature {
 
 /// A place on the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct SurfacePlace {
     /// Feature, from 0.
     pub feature: usize,
     /// From the feature's start.
@@ -263,7 +263,7 @@ pub struct Contour {
     chords: Vec<(usize, Vec<Zx>)>,
 }
 
-impl Kind {
+impl FeatureKind {
     fn of(segment: &Segment) -> Self {
         match segment {
             Segment::Line { a, b } => {
@@ -345,7 +345,7 @@ impl Contour {
             .enumerate()
             .map(|(i, (segment, entity))| Feature {
                 name: format!("F{}", i + 1),
-                kind: Kind::of(&segment),
+                kind: FeatureKind::of(&segment),
                 segment,
                 entity,
             })
@@ -356,20 +356,20 @@ impl Contour {
 
     /// The place at a length along a feature.
     #[must_use]
-    pub fn place(&self, feature: usize, along_mm: f64) -> Place {
+    pub fn place(&self, feature: usize, along_mm: f64) -> SurfacePlace {
         let segment = &self.features[feature].segment;
         let t = segment.parameter(along_mm);
         let d = segment.direction(t);
         let right = Zx::new(d.x, -d.z);
         let normal = if self.material_left { right } else { right * -1.0 };
-        Place { feature, along_mm, at: segment.at(t), normal }
+        SurfacePlace { feature, along_mm, at: segment.at(t), normal }
     }
 
     /// The place of the contour nearest to a point.
     ///
     /// `None` for a contour without features.
     #[must_use]
-    pub fn nearest(&self, p: Zx) -> Option<Place> {
+    pub fn nearest(&self, p: Zx) -> Option<SurfacePlace> {
         let mut best: Option<(f64, usize, f64)> = None;
         for (feature, chords) in &self.chords {
             let mut passed = 0.0;

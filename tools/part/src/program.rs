@@ -1,7 +1,7 @@
 //! The NC probing program: a template, named parameters and the probe's moves (NISTIR 4854, section 4 and figure 8).
 
 use crate::fit::Zx;
-use crate::path::{Record, Role};
+use crate::path::{PathPoint, PathRole};
 use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::toml::Document;
@@ -245,13 +245,13 @@ impl Controller {
 
 /// Everything a program is made of.
 #[derive(Debug, Clone)]
-pub struct Job<'a> {
+pub struct ProbingProgram<'a> {
     /// The controller it is for.
     pub controller: &'a Controller,
     /// Values of `$n`.
     pub parameters: &'a Parameters,
     /// The probe's path.
-    pub records: &'a [Record],
+    pub records: &'a [PathPoint],
     /// The program's unit: inches or mm.
     pub unit: Unit,
     /// Explain every move; else the moves and the template's code go without comments.
@@ -260,7 +260,7 @@ pub struct Job<'a> {
     pub made: &'a str,
 }
 
-impl Job<'_> {
+impl ProbingProgram<'_> {
     /// The program.
     ///
     /// # Errors
@@ -384,16 +384,20 @@ impl Job<'_> {
                 continue;
             }
             match r.role {
-                Role::Start => put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1)),
-                Role::Touch(n) => {
+                PathRole::Start => {
+                    put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1))
+                }
+                PathRole::Touch(n) => {
                     point = n;
                     put(
                         format!("{} {both} F{}", d.touch, self.parameters.get(12)),
                         &format!("TOUCH POINT {n}"),
                     );
                 }
-                Role::Finish => put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}")),
-                Role::Bypass => put(format!("{} {both}", d.rapid), "BY-PASS"),
+                PathRole::Finish => {
+                    put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}"))
+                }
+                PathRole::Bypass => put(format!("{} {both}", d.rapid), "BY-PASS"),
             }
         }
         text.truncate(text.trim_end().len());

@@ -101,7 +101,7 @@ fn main() -> ExitCode {
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
 pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<InputError>() || cause.is::<rtec_control::config::Findings>() {
+        if cause.is::<InputError>() || cause.is::<rtec_control::config::ConfigFindings>() {
             return 2;
         }
         if let Some(outcome) = cause.downcast_ref::<Outcome>() {

@@ -23,7 +23,7 @@ use manager::Manager;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use rtec_control::card::{self, OpenError};
-use rtec_control::config::{CardConfig, Config, Findings, PortPlace};
+use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
 use rtec_driver::card::Card;
 use rtec_files::InputError;
@@ -95,7 +95,7 @@ fn main() -> ExitCode {
 }
 
 fn exit_code(error: &anyhow::Error) -> u8 {
-    if error.is::<InputError>() || error.is::<Findings>() {
+    if error.is::<InputError>() || error.is::<ConfigFindings>() {
         return 2;
     }
     if error.is::<OpenError>() {

@@ -3,7 +3,7 @@
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
 use crate::noise::Noise;
-use crate::replay::{Corrector, ReplayError, ReplayOutcome, homed_engine, replay, replay_with};
+use crate::replay::{CorrectedAxis, ReplayError, ReplayOutcome, homed_engine, replay, replay_with};
 use crate::through::DesignB;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
@@ -293,7 +293,7 @@ impl<G: Gates> Card for Rig<'_, G> {
 
 /// A run on the bench.
 #[derive(Debug, Clone)]
-pub struct Run<'a> {
+pub struct BenchRun<'a> {
     /// Which design.
     pub design: AnyDesign,
     /// On which computer. The ECC is a circuit and needs none.
@@ -318,7 +318,7 @@ pub struct Run<'a> {
 
 /// What came of it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Seen {
+pub struct BenchResult {
     /// Counts of the scale.
     pub scale: i64,
     /// Counts of the MTC.
@@ -349,7 +349,7 @@ pub struct Seen {
     pub log: Vec<(u64, State, State, i64)>,
 }
 
-impl Seen {
+impl BenchResult {
     /// What the MTC has beyond scale and completed: zero, or a mistake.
     #[must_use]
     pub const fn error_counts(&self) -> i64 {
@@ -357,11 +357,11 @@ impl Seen {
     }
 }
 
-impl Run<'_> {
+impl BenchRun<'_> {
     /// An axis at rest at A = B = low, no requests, no death, gated.
     #[must_use]
-    pub fn new(design: AnyDesign, computer: &Computer) -> Run<'_> {
-        Run {
+    pub fn new(design: AnyDesign, computer: &Computer) -> BenchRun<'_> {
+        BenchRun {
             design,
             computer,
             config: AxisConfig::default(),
@@ -396,7 +396,7 @@ impl Run<'_> {
 
     /// Runs it. `None` where the computer is too slow for this axis at any speed.
     #[must_use]
-    pub fn run(&self) -> Option<Seen> {
+    pub fn run(&self) -> Option<BenchResult> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
             AnyDesign::Original => {
@@ -416,12 +416,12 @@ impl Run<'_> {
         }
     }
 
-    fn go<'s, G: Gates, M: Corrector>(
+    fn go<'s, G: Gates, M: CorrectedAxis>(
         &'s self,
         gates: G,
         start: impl FnOnce(&mut Rig<'s, G>) -> Option<M>,
         circuit: impl FnOnce(&M) -> (f64, Option<(u64, u64)>),
-    ) -> Option<Seen> {
+    ) -> Option<BenchResult> {
         let is_circuit = self.design == AnyDesign::Ecc;
         let last_ns = self.edges.last().map_or(0, |e| e.0).max(self.totals.last().map_or(0, |t| t.0));
         let mut rig = Rig {
@@ -484,7 +484,7 @@ impl Run<'_> {
         }
         let axis = corrector.axis();
         let (worst_phase_deg, pulse_ns) = circuit(&corrector);
-        Some(Seen {
+        Some(BenchResult {
             scale: rig.scale.count(),
             mtc: rig.mtc.count(),
             completed: axis.completed,

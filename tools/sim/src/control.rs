@@ -4,10 +4,10 @@ use crate::errors::NAMES;
 use crate::heat::SENSORS;
 use crate::path::AXES;
 use rtec_correct::part_table::PartTable;
-use rtec_correct::sensors::{Config, Watch};
+use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
 use rtec_part::errors::PointError;
 use rtec_rt::event::{Request, Status};
@@ -46,7 +46,7 @@ impl Control {
         let others = [("rpm".to_owned(), Role::SpindleSpeed), ("wet".to_owned(), Role::Coolant)];
         let loads = NAMES.iter().filter_map(|n| Some((format!("load_{n}"), axis(n)?)));
         let all = temperatures.chain(channels).chain(others).chain(loads);
-        let watches = all.map(|(name, role)| Watch::new(Config::believed(&name, role))).collect();
+        let watches = all.map(|(name, role)| Watch::new(SensorConfig::believed(&name, role))).collect();
         Self { law: Corrector::new(axes, RAMP_UM_S, lead_s, 0.0), watches }
     }
 
@@ -55,7 +55,7 @@ impl Control {
     ///
     /// # Errors
     /// An effect reads what the machine does not have.
-    pub(crate) fn load(&mut self, model: &Model, past: &[(f64, Vec<f64>)]) -> Result<(), InputError> {
+    pub(crate) fn load(&mut self, model: &Machine, past: &[(f64, Vec<f64>)]) -> Result<(), InputError> {
         let of = |names: &[String]| {
             let place = |n: &String| SENSORS.iter().position(|s| s.0 == n);
             let places: Vec<usize> = names.iter().filter_map(place).collect();

@@ -13,7 +13,7 @@
 //! The PLL is a behavioural model of what the paper measured of it, not of its parts.
 
 use crate::noise::Noise;
-use crate::replay::Corrector;
+use crate::replay::CorrectedAxis;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
@@ -268,7 +268,7 @@ impl Ecc {
     }
 }
 
-impl Corrector for Ecc {
+impl CorrectedAxis for Ecc {
     fn poll<C: Card>(
         &mut self,
         card: &mut C,

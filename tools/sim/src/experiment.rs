@@ -13,7 +13,7 @@ use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Effect;
 use rtec_model::effect::laws::scale;
-use rtec_model::machine::{Machine as Model, Provenance};
+use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::axis::{Design, RestPolicy};
 use serde_json::{Map, Value, json};
@@ -23,9 +23,9 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy)]
 pub struct Setting<'a> {
     /// The true machine.
-    pub truth: &'a Model,
+    pub truth: &'a Machine,
     /// What the corrector knows of it.
-    pub known: &'a Model,
+    pub known: &'a Machine,
     /// Seed of all noise.
     pub seed: u64,
     /// Where records are to lie.
@@ -273,7 +273,7 @@ struct Both {
 }
 
 /// A model with further effects, those left out that it has already.
-fn with(model: &Model, extra: &[Effect]) -> Model {
+fn with(model: &Machine, extra: &[Effect]) -> Machine {
     let mut model = model.clone();
     for effect in extra {
         // Refused only where the model has such an effect.
@@ -740,7 +740,7 @@ fn one_metre(setting: &Setting<'_>) -> (Spec, Vec<Effect>) {
     spec.rest = RestPolicy::Wait;
     let mut extra = Vec::new();
     let name = format!("{}.x", scale::NAME);
-    let names_one = |m: &Model| m.effects().any(|e| e.name() == name);
+    let names_one = |m: &Machine| m.effects().any(|e| e.name() == name);
     if !names_one(setting.truth)
         && !names_one(setting.known)
         && let Ok(mut effect) = setting.truth.dictionary().effect(&name)

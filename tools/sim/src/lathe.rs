@@ -7,16 +7,16 @@ use crate::control::Readings;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::{Heat, SENSORS};
-use crate::machine::{ControllerSpec, Machine, SERVO_NS};
+use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
 use crate::noise::Noise;
 use crate::path::AXES;
 use crate::workpiece::{Nose, Workpiece};
 use rtec_model::effect::Missing;
 use rtec_model::live::Live;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
 use rtec_part::fit::Zx;
-use rtec_part::path::{Record, Role};
+use rtec_part::path::{PathPoint, PathRole};
 use rtec_part::table::AxisCounts;
 use rtec_rt::axis::Design;
 use serde::Deserialize;
@@ -149,7 +149,7 @@ pub struct Stand<'a> {
     /// Machine, tool and probe.
     pub bench: &'a Bench,
     /// What it does wrong: effects of Z and X by position and temperature, and of the probe.
-    pub machine: &'a Model,
+    pub machine: &'a Machine,
     /// The spindle has run for so long when the program starts.
     pub begin_s: f64,
     /// The corrector's design.
@@ -173,13 +173,13 @@ pub struct Move {
 
 /// The probe's path as moves of the machine.
 #[must_use]
-pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {
+pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
     records
         .windows(2)
         .filter(|w| (w[1].at - w[0].at).norm() > 1e-9)
         .map(|w| Move {
             segment: Segment::Line { a: w[0].at, b: w[1].at },
-            feed_mm_s: if matches!(w[1].role, Role::Touch(_) | Role::Finish) {
+            feed_mm_s: if matches!(w[1].role, PathRole::Touch(_) | PathRole::Finish) {
                 feed_mm_s
             } else {
                 RAPID_MM_S
@@ -251,7 +251,7 @@ pub(crate) type Cut = (Zx, f64);
 /// The machine at work on one program.
 #[derive(Debug)]
 pub struct Lathe {
-    machine: Machine,
+    machine: SimMachine,
     errors: Errors,
     bench: Bench,
     origin: Zx,
@@ -287,7 +287,7 @@ impl Lathe {
     ) -> Result<Self, Missing> {
         let bench = stand.bench;
         let controller = ControllerSpec { decoder_hz: stand.decoder_hz, ..ControllerSpec::default() };
-        let mut machine = Machine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
+        let mut machine = SimMachine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
         set_friction(&mut machine, &stand.machine.effects().collect::<Vec<_>>());
         if tip_mm.is_some() {
             let shape = part.clone();
@@ -398,11 +398,11 @@ impl Lathe {
 }
 
 impl Attended for Lathe {
-    fn machine(&self) -> &Machine {
+    fn machine(&self) -> &SimMachine {
         &self.machine
     }
 
-    fn machine_mut(&mut self) -> &mut Machine {
+    fn machine_mut(&mut self) -> &mut SimMachine {
         &mut self.machine
     }
 

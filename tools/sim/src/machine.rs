@@ -6,7 +6,7 @@
 
 use crate::axis::{AxisSim, AxisSpec, Friction};
 use crate::gcode::Block;
-use crate::path::{AXES, Along, Command, Limits, Profile, Shape};
+use crate::path::{AXES, Along, Command, FeedProfile, Limits, MoveShape};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 
 /// Time step of the axes, ns.
@@ -57,12 +57,12 @@ pub type Surface = Box<dyn Fn([f64; AXES]) -> f64 + Send>;
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Job {
     Idle,
-    Move { shape: Shape, profile: Profile, t_s: f64 },
+    Move { shape: MoveShape, profile: FeedProfile, t_s: f64 },
     Dwell { left_s: f64 },
 }
 
 /// The simulated machine.
-pub struct Machine {
+pub struct SimMachine {
     axes: Vec<AxisSim>,
     /// Axis of the controller (0 X, 1 Y, 2 Z) of each axis of the machine.
     place: Vec<usize>,
@@ -100,13 +100,16 @@ pub struct Machine {
     edges: u64,
 }
 
-impl std::fmt::Debug for Machine {
+impl std::fmt::Debug for SimMachine {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Machine").field("t_ns", &self.t_ns).field("axes", &self.axes).finish_non_exhaustive()
+        f.debug_struct("SimMachine")
+            .field("t_ns", &self.t_ns)
+            .field("axes", &self.axes)
+            .finish_non_exhaustive()
     }
 }
 
-impl Machine {
+impl SimMachine {
     /// A machine at rest at `at_mm` (X, Y, Z). Its axes are `x`, `y` or `z`, in any order.
     #[must_use]
     pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
@@ -438,8 +441,8 @@ impl Machine {
                 return Job::Idle;
             }
             Block::Dwell { seconds } => return Job::Dwell { left_s: seconds },
-            Block::Rapid { to } => (Shape::Line { from, to }, f64::INFINITY),
-            Block::Feed { to, feed_mm_s } => (Shape::Line { from, to }, feed_mm_s),
+            Block::Rapid { to } => (MoveShape::Line { from, to }, f64::INFINITY),
+            Block::Feed { to, feed_mm_s } => (MoveShape::Line { from, to }, feed_mm_s),
             Block::Arc { to, plane: (i, j), centre, clockwise, feed_mm_s } => {
                 let start_rad = libm::atan2(from[j] - centre.1, from[i] - centre.0);
                 let end_rad = libm::atan2(to[j] - centre.1, to[i] - centre.0);
@@ -458,7 +461,7 @@ impl Machine {
                 let k = AXES - i - j;
                 let third_mm = to[k] - from[k];
                 let arc =
-                    Shape::Arc { from, plane: (i, j), centre, radius_mm, start_rad, sweep_rad, third_mm };
+                    MoveShape::Arc { from, plane: (i, j), centre, radius_mm, start_rad, sweep_rad, third_mm };
                 (arc, feed_mm_s)
             }
         };
@@ -468,8 +471,8 @@ impl Machine {
         }
         // Each axis within its own limits along the direction it takes.
         let share = |n: usize| match shape {
-            Shape::Line { from, to } => ((to[n] - from[n]) / length).abs(),
-            Shape::Arc { .. } => 1.0,
+            MoveShape::Line { from, to } => ((to[n] - from[n]) / length).abs(),
+            MoveShape::Arc { .. } => 1.0,
         };
         let least = |limit: fn(&AxisSpec) -> f64| {
             self.axes.iter().zip(&self.place).fold(f64::INFINITY, |least, (a, &p)| {
@@ -484,7 +487,7 @@ impl Machine {
             decel_mm_s2: least(|a| a.decel_mm_s2),
             jerk_mm_s3: least(|a| a.jerk_mm_s3),
         };
-        Job::Move { shape, profile: Profile::new(length, limits), t_s: 0.0 }
+        Job::Move { shape, profile: FeedProfile::new(length, limits), t_s: 0.0 }
     }
 
     /// Moves everything on by one step; a machine at rest, by as many servo periods as fit before `wake_ns`.
@@ -630,7 +633,7 @@ impl Machine {
     }
 }
 
-impl Card for Machine {
+impl Card for SimMachine {
     #[inline]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         loop {

@@ -71,7 +71,7 @@ impl Ramp {
 
 /// Jerk-limited motion from rest to rest over a length (seven phases).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Profile {
+pub struct FeedProfile {
     length_mm: f64,
     jerk_mm_s3: f64,
     speed_mm_s: f64,
@@ -80,7 +80,7 @@ pub struct Profile {
     down: Ramp,
 }
 
-impl Profile {
+impl FeedProfile {
     /// The fastest motion within the limits.
     #[must_use]
     pub fn new(length_mm: f64, limits: Limits) -> Self {
@@ -143,7 +143,7 @@ pub struct Command {
 
 /// The shape of one move.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Shape {
+pub enum MoveShape {
     /// A straight line (G00, G01).
     Line {
         /// Start, mm.
@@ -170,7 +170,7 @@ pub enum Shape {
     },
 }
 
-impl Shape {
+impl MoveShape {
     /// Length of the path, mm.
     #[must_use]
     pub fn length_mm(&self) -> f64 {
@@ -246,7 +246,7 @@ mod tests {
         for (length, limits) in
             [0.001, 0.5, 3.0, 14.9, 15.1, 50.0, 1000.0].iter().flat_map(|l| [(*l, even), (*l, lathe)])
         {
-            let p = Profile::new(length, limits);
+            let p = FeedProfile::new(length, limits);
             let n = 20_000;
             let dt = p.duration_s() / f64::from(n);
             let mut last = p.at(0.0);
@@ -271,7 +271,7 @@ mod tests {
 
     #[test]
     fn an_arc_keeps_its_radius_and_its_derivatives() {
-        let arc = Shape::Arc {
+        let arc = MoveShape::Arc {
             from: [10.0, 0.0, 5.0],
             plane: (0, 1),
             centre: (0.0, 0.0),

@@ -107,7 +107,7 @@ impl<L: Listener> Listener for Mtc<L> {
 
 /// One corrected axis, homed: what a replay, or a comparison of designs, drives. [`Engine`] is one for the designs on XOR
 /// gates, [`crate::through::DesignB`] one for Design B.
-pub trait Corrector {
+pub trait CorrectedAxis {
     /// One look at the card and everything that follows from it; a card that can wait does so at most until `by_ns`.
     ///
     /// # Errors
@@ -138,7 +138,7 @@ pub trait Corrector {
     fn now_ns(&self) -> u64;
 }
 
-impl Corrector for Engine {
+impl CorrectedAxis for Engine {
     fn poll<C: Card>(
         &mut self,
         card: &mut C,
@@ -218,7 +218,7 @@ pub fn replay_with<G, M, T, R, L, E>(
 ) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     G: Gates,
-    M: Corrector,
+    M: CorrectedAxis,
     T: Iterator<Item = Result<TracePoint, E>>,
     R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,

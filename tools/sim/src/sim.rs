@@ -5,14 +5,14 @@ use crate::control::{Control, Readings, WINDOW_COUNTS};
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::Heat;
-use crate::machine::{ControllerSpec, Machine, ServoFault, Surface};
+use crate::machine::{ControllerSpec, ServoFault, SimMachine, Surface};
 use crate::path::{AXES, Command};
 use rtec_correct::AxisSetup;
 use rtec_driver::card::CardError;
 use rtec_files::InputError;
 use rtec_model::effect::Missing;
 use rtec_model::live::Live;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
@@ -73,7 +73,7 @@ impl Spec {
     }
 
     /// The engine's configuration of one axis.
-    fn config(&self, n: usize, machine: &Machine) -> AxisConfig {
+    fn config(&self, n: usize, machine: &SimMachine) -> AxisConfig {
         let axis = &self.axes[n];
         AxisConfig {
             lines: machine.lines()[n],
@@ -127,7 +127,7 @@ pub enum SimError {
 
 /// A probe's trip: what the engine captured.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Trip {
+pub struct CapturedPosition {
     /// Position of X, Y, Z by the scales, mm, interpolated between the edges before and after the trip.
     pub position_mm: [f64; AXES],
     /// Half the width of what it may be, mm.
@@ -177,7 +177,7 @@ impl Moment {
 #[derive(Debug)]
 pub struct Sim {
     /// The machine.
-    pub machine: Machine,
+    pub machine: SimMachine,
     engine: Engine,
     errors: Errors,
     control: Option<Control>,
@@ -198,16 +198,16 @@ impl Sim {
     /// An effect reads what the machine does not have; a configuration that leaves no time for an insertion.
     pub fn new(
         spec: &Spec,
-        truth: &Model,
-        known: Option<&Model>,
+        truth: &Machine,
+        known: Option<&Machine>,
         at_mm: [f64; AXES],
         seed: u64,
     ) -> Result<Self, SimError> {
-        let effects = truth.effects().chain(known.into_iter().flat_map(Model::effects));
+        let effects = truth.effects().chain(known.into_iter().flat_map(Machine::effects));
         let mut channels: Vec<String> = effects.filter_map(|e| e.channel().map(str::to_owned)).collect();
         channels.sort();
         channels.dedup();
-        let mut machine = Machine::new(&spec.axes, spec.controller.clone(), at_mm);
+        let mut machine = SimMachine::new(&spec.axes, spec.controller.clone(), at_mm);
         set_friction(&mut machine, &truth.effects().collect::<Vec<_>>());
         machine.set_surface(None, probe_delay_ns(truth.effects()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
@@ -451,7 +451,10 @@ impl Sim {
     ///
     /// # Errors
     /// As [`Sim::advance`].
-    pub fn touch(&mut self, blocks: impl IntoIterator<Item = Block>) -> Result<Option<Trip>, SimError> {
+    pub fn touch(
+        &mut self,
+        blocks: impl IntoIterator<Item = Block>,
+    ) -> Result<Option<CapturedPosition>, SimError> {
         self.trips = [None; AXES];
         self.machine.load(blocks);
         while !self.machine.finished() {
@@ -459,7 +462,7 @@ impl Sim {
         }
         // A capture is complete with the next edge, or when the axis has stood still for a tenth of a second.
         self.advance_by_ns(12 * CONTROL_NS)?;
-        let mut trip = Trip { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
+        let mut trip = CapturedPosition { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
         for n in 0..self.machine.axis_count() {
             let (p, count_um) = (self.machine.place(n), self.machine.count_um(n));
             let Some(capture) = self.trips[p] else { return Ok(None) };

@@ -4,7 +4,7 @@ use crate::daemon::{check, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
-use rtec_correct::sensors::{self, Bank, Config, Feed, Use};
+use rtec_correct::sensors::{self, Feed, SensorBank, SensorConfig, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, Record, Role};
@@ -84,10 +84,10 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
         return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
     }
     let mut columns = vec![column("t", Role::Time)];
-    let mut bank = Bank::new(read_sensors(args.sensors.as_deref())?, &args.root)?;
+    let mut bank = SensorBank::new(read_sensors(args.sensors.as_deref())?, &args.root)?;
     columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
     let own = columns.len();
-    let mut corrector = args.socket.as_deref().map(Corrector::connect).transpose()?;
+    let mut corrector = args.socket.as_deref().map(DaemonTotals::connect).transpose()?;
     if let Some(c) = &corrector {
         columns.extend(c.columns(&columns)?);
     }
@@ -177,14 +177,14 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
 }
 
 /// The running daemon, asked once a row.
-struct Corrector {
+struct DaemonTotals {
     client: Client,
     status: DaemonStatus,
     /// µm per count of each axis, once it was off zero.
     count_um: Vec<Option<f64>>,
 }
 
-impl Corrector {
+impl DaemonTotals {
     fn connect(socket: &Path) -> anyhow::Result<Self> {
         let mut client = Client::connect(socket).map_err(unreachable)?;
         let status = status(&mut client)?;
@@ -256,7 +256,7 @@ fn wait_until(start: Instant, due_s: f64) {
     }
 }
 
-fn read_sensors(path: Option<&Path>) -> Result<Vec<Config>, InputError> {
+fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let text = rtec_files::text::read(path)?;
     let doc = Document::parse(path, &text)?;
