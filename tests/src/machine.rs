@@ -32,11 +32,11 @@ const HYSTERESIS_COUNTS: f64 = 0.25;
 /// `scale` and `screw_periodic` with phase 0).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AxisError {
-    /// µm per m.
+    /// Scale error, µm per m.
     pub ppm: f64,
-    /// Amplitude, µm.
+    /// Amplitude of the periodic error, µm.
     pub periodic_um: f64,
-    /// Period, mm.
+    /// Period of the periodic error, mm.
     pub period_mm: f64,
 }
 
@@ -56,7 +56,7 @@ impl AxisError {
 /// A round part for a touch probe: the circle that the tip's centre is on when it touches, (X, Z) in mm.
 #[derive(Debug, Clone, Copy)]
 pub struct Round {
-    /// Its centre.
+    /// Centre of the circle, mm.
     pub centre_mm: [f64; AXES],
     /// Radius of the part and of the tip together.
     pub reach_mm: f64,
@@ -98,7 +98,7 @@ pub struct Run {
     pub illegal: u64,
     /// Events that the engine refused or latched, as text.
     pub complaints: Vec<String>,
-    /// Servo periods.
+    /// Number of LinuxCNC's servo periods.
     pub periods: u64,
     /// Everything the engine said.
     pub events: Vec<Event>,

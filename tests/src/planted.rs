@@ -6,7 +6,7 @@ use rtec_driver::replay::TracePoint;
 /// What is wrong with a planted trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlantedFault {
-    /// Nothing.
+    /// The trace is right.
     None,
     /// One insertion is left out: two counts too few or too many.
     Missing,

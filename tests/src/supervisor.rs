@@ -30,7 +30,7 @@ const STORE_MAX: usize = 16;
 /// Longest that anything may take; nothing is judged by how long it took.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The service manager.
+/// A service manager for one daemon: starts it, listens to it, keeps its descriptors.
 #[derive(Debug)]
 pub struct Supervisor {
     directory: tempfile::TempDir,
@@ -201,7 +201,7 @@ impl Supervisor {
 }
 
 impl Service {
-    /// Its process number.
+    /// The daemon's process number.
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
@@ -234,11 +234,11 @@ impl Drop for Service {
 /// A trial: a daemon that corrects a moving axis is killed again and again.
 #[derive(Debug)]
 pub struct Trial {
-    /// The daemon.
+    /// The daemon's program.
     pub rtecd: PathBuf,
-    /// Its configuration.
+    /// The daemon's configuration.
     pub config: PathBuf,
-    /// Its socket.
+    /// The daemon's control socket.
     pub socket: PathBuf,
     /// How often it is killed. Every fourth kill is aimed: between the two inversions of an insertion.
     pub kills: u32,
@@ -249,7 +249,7 @@ pub struct Trial {
 /// What a trial has seen without objection.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// Kills.
+    /// How often the daemon was killed.
     pub kills: u32,
     /// Kills that left the inverters unequal.
     pub halfway: u32,
@@ -257,7 +257,7 @@ pub struct Tally {
     pub inverted: u32,
     /// Faults latched, each as it was told.
     pub faults: Vec<String>,
-    /// Insertions made.
+    /// Insertions that the daemons made, all together.
     pub insertions: u64,
     /// Descriptors in the store at the end.
     pub stored: usize,

@@ -15,7 +15,7 @@ pub enum ClientError {
     /// Nobody is at the socket.
     #[error("cannot reach rtecd at {}: {source}; is it running? (systemctl status rtecd, or start rtecd)", socket.display())]
     Unreachable {
-        /// The socket.
+        /// Path of the socket that was tried.
         socket: PathBuf,
         /// What the system said.
         source: io::Error,
@@ -26,7 +26,7 @@ pub enum ClientError {
     /// The answer is not one.
     #[error("rtecd answered {found:?}: {why}; are rtecctl and rtecd of the same version?")]
     Answer {
-        /// What came.
+        /// The line that came instead of an answer, or why none came.
         found: String,
         /// What is wrong with it.
         why: serde_json::Error,

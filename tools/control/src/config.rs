@@ -59,7 +59,7 @@ use std::path::{Path, PathBuf};
 /// A machine's configuration, checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
-    /// The machine's name.
+    /// The machine's name, as `status` shows it.
     pub machine: String,
     /// Which card, and what it needs.
     pub card: CardConfig,
@@ -67,13 +67,13 @@ pub struct Config {
     pub lines: MachineLines,
     /// The axes, in order.
     pub axes: Vec<ConfiguredAxis>,
-    /// The real-time thread.
+    /// The real-time thread (`[rt]`).
     pub rt: RtConfig,
-    /// The control socket.
+    /// The control socket and what belongs to it (`[control]`).
     pub control: ControlConfig,
-    /// The machine model.
+    /// The machine model and how it is evaluated (`[model]`).
     pub model: ModelConfig,
-    /// The temperature sensors.
+    /// The temperature sensors (`[[sensor]]`).
     pub sensors: Vec<sensors::SensorConfig>,
     /// What is allowed but worth knowing.
     pub notes: Vec<String>,
@@ -86,18 +86,18 @@ pub enum CardConfig {
     Mock,
     /// GPIO lines through the kernel's character device.
     Gpio(GpioSetup),
-    /// Mapped registers.
+    /// Registers mapped into memory.
     Mapped {
-        /// Where they are.
+        /// Where the registers are.
         place: MappedPlace,
-        /// What they are.
+        /// What each register and bit means.
         profile: Profile,
     },
     /// Registers that are I/O ports.
     Port {
-        /// Where they are.
+        /// Where the ports are.
         place: PortPlace,
-        /// What they are.
+        /// What each register and bit means.
         profile: Profile,
     },
     /// Recorded traces in real time, one per axis.
@@ -123,7 +123,7 @@ pub enum MappedPlace {
 pub enum PortPlace {
     /// A parallel port's device.
     Parport(PathBuf),
-    /// The first port.
+    /// The address of the first port.
     Io(u16),
     /// A BAR of a PCI card.
     Pci(PciId, u8),
@@ -149,10 +149,10 @@ impl CardConfig {
     }
 }
 
-/// One axis.
+/// One axis as `[[axis]]` configures it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConfiguredAxis {
-    /// Its name.
+    /// The axis's name.
     pub name: String,
     /// What one count is worth, µm.
     pub count_um: f64,
@@ -179,12 +179,12 @@ pub struct Simulated {
     pub ignores: bool,
 }
 
-/// The real-time thread.
+/// Settings of the real-time thread (`[rt]`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RtConfig {
     /// Its CPU; `None` leaves the choice to the machine.
     pub cpu: Option<usize>,
-    /// Its `SCHED_FIFO` priority.
+    /// Its `SCHED_FIFO` priority, 1 to 99.
     pub priority: u8,
     /// The machine's latency has been measured (`detect_ns` and `write_ns` stand in the file).
     pub latency_measured: bool,
@@ -193,7 +193,7 @@ pub struct RtConfig {
 /// The control socket and what belongs to it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ControlConfig {
-    /// The Unix socket.
+    /// Path of the Unix socket.
     pub socket: PathBuf,
     /// The group that may use it.
     pub group: Option<String>,

@@ -234,7 +234,7 @@ impl Watch {
         }
     }
 
-    /// Its configuration.
+    /// The sensor's configuration.
     #[must_use]
     pub fn config(&self) -> &SensorConfig {
         &self.config
@@ -284,7 +284,7 @@ impl Watch {
         self.good.map(|g| g.0)
     }
 
-    /// Its age, s.
+    /// Age of the last good value at `now_s`, s; none before the first.
     #[must_use]
     pub fn age_s(&self, now_s: f64) -> Option<f64> {
         self.good.map(|g| now_s - g.1)
@@ -485,7 +485,7 @@ impl SensorBank {
         if self.feeds.is_empty() { shortest / 2.0 } else { shortest.min(0.1) / 2.0 }
     }
 
-    /// The sensors.
+    /// The sensors, in the configuration's order.
     #[must_use]
     pub fn sensors(&self) -> &[Watch] {
         &self.sensors

@@ -12,7 +12,7 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// A parsed file.
+/// A parsed TOML file that still knows where each value stands.
 #[derive(Debug)]
 pub struct Document<'t> {
     file: &'t Path,
@@ -161,7 +161,7 @@ pub struct Entry<'d> {
 }
 
 impl<'d> Entry<'d> {
-    /// The key.
+    /// The key as the file has it.
     #[must_use]
     pub fn key(&self) -> &'d str {
         self.key
@@ -369,7 +369,7 @@ fn pair(value: &DeValue<'_>) -> Option<[f64; 2]> {
 pub struct SourceFile<'a> {
     /// The file, as the user named it.
     pub file: &'a Path,
-    /// Its text.
+    /// The file's whole text: findings take their line and column from it.
     pub text: &'a str,
     /// What was found wrong so far.
     pub findings: Vec<InputError>,
@@ -390,9 +390,9 @@ impl SourceFile<'_> {
 /// A value and the byte of the text at which it stands.
 #[derive(Debug, Clone, Copy)]
 pub struct At<T> {
-    /// The value.
+    /// The value, checked.
     pub value: T,
-    /// Where it stands.
+    /// Where the value stands in the text, bytes from the start.
     pub offset: usize,
 }
 
@@ -401,7 +401,7 @@ pub struct At<T> {
 pub struct Section<'a> {
     /// As a person writes it: `[card]`.
     pub title: &'static str,
-    /// Where it begins.
+    /// Where the section begins in the text, bytes from the start.
     pub offset: usize,
     table: Option<Table<'a>>,
     asked: Vec<&'static str>,

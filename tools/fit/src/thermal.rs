@@ -56,9 +56,9 @@ pub struct Options {
     pub environment: Option<String>,
     /// Blocks of the cross-validation.
     pub folds: usize,
-    /// Offer lags.
+    /// Offer temperature differences passed through a first-order lag.
     pub lag: bool,
-    /// Offer squares.
+    /// Offer squares of temperature differences.
     pub square: bool,
     /// What is known already: its effects are kept, and the rest is fitted.
     pub base: Option<Machine>,
@@ -125,13 +125,13 @@ pub struct Ranked {
 /// A sensor left out because another one watches the same source.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Dropped {
-    /// The sensor.
+    /// Name of the sensor that is left out.
     pub sensor: String,
     /// α: its autocorrelation with the one kept.
     pub alpha: f64,
-    /// The one kept.
+    /// Name of the sensor that is kept in its place.
     pub with: String,
-    /// Its own γ.
+    /// γ: its correlation with the response.
     pub gamma: f64,
     /// γ of its lagged difference.
     pub gamma_lagged: f64,
@@ -145,7 +145,7 @@ pub struct Dropped {
 pub struct Round {
     /// What it added; after the rounds of the refit, what it put in the place of what.
     pub added: String,
-    /// R after it.
+    /// R of the fit after this round.
     #[serde(rename = "R")]
     pub r: f64,
     /// RMS of blocked cross-validation after it, µm.
@@ -155,26 +155,26 @@ pub struct Round {
 /// A parameter with its 95 % interval (delete-one-block jackknife).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Value.
+    /// The fitted value, in the unit of the parameter's name.
     pub value: f64,
-    /// Lower end.
+    /// Lower end of the interval.
     pub low: f64,
-    /// Upper end.
+    /// Upper end of the interval.
     pub high: f64,
 }
 
 /// An effect of the fitted model.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Fitted {
-    /// `thermal_lag.z`
+    /// The effect's name, as `thermal_lag.z`.
     pub name: String,
-    /// The sensor.
+    /// The sensor that it reads.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
-    /// The one taken off.
+    /// The sensor whose temperature is taken off; none for a reference temperature.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minus: Option<String>,
-    /// Its parameters.
+    /// Its parameters, by name.
     pub parameters: BTreeMap<String, Estimate>,
 }
 
@@ -205,9 +205,9 @@ pub struct Rms {
     pub train: f64,
     /// On every block, structure and parameters chosen without it.
     pub folds: Vec<f64>,
-    /// Their mean.
+    /// Mean over the blocks.
     pub folds_mean: f64,
-    /// On every hold-out.
+    /// On every hold-out record, in the order given.
     pub holdout: Vec<f64>,
 }
 
@@ -229,7 +229,7 @@ pub struct Interval {
 pub struct DryWet {
     /// Growth per kelvin, dry, by term.
     pub dry: BTreeMap<String, f64>,
-    /// The same wet.
+    /// Growth per kelvin, wet, by term.
     pub wet: BTreeMap<String, f64>,
     /// Range of the growth on the dry rows, µm.
     pub growth_dry_um: f64,
@@ -244,7 +244,7 @@ pub struct DryWet {
 /// What the fit of one response found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ThermalReport {
-    /// `error.z`
+    /// The response that was fitted, as `error.z`.
     pub response: String,
     /// The sensor of the environment.
     pub environment: Option<String>,
@@ -260,13 +260,13 @@ pub struct ThermalReport {
     pub rounds: Vec<Round>,
     /// First sensors that the data cannot tell from the one chosen.
     pub alternatives: Vec<Ranked>,
-    /// The fitted effects.
+    /// The fitted effects with their parameters.
     pub effects: Vec<Fitted>,
     /// RMS of what is left.
     pub rms_um: Rms,
     /// RMS of what simpler predictions leave on the same blocks (mean) and hold-outs.
     pub baselines: BTreeMap<String, Rms>,
-    /// The prediction interval.
+    /// The 95 % prediction interval and how well it held.
     pub interval95: Interval,
     /// Dry against wet, where the data have both.
     #[serde(skip_serializing_if = "Option::is_none")]

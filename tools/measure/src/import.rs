@@ -144,7 +144,7 @@ pub fn linuxcnc_comp(
 pub struct ImportColumn {
     /// Its name in the header.
     pub column: String,
-    /// What it is.
+    /// The role it takes in the record.
     pub role: Role,
     /// What the file has it in: factor to the role's own unit, and what to add then.
     pub scale: [f64; 2],

@@ -6,7 +6,7 @@ use serde::Serialize;
 /// A linear axis to be characterised.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanAxis {
-    /// Its name.
+    /// The axis's name, as records have it.
     pub name: String,
     /// Travel from its lowest to its highest position, mm.
     pub travel_mm: f64,

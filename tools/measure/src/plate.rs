@@ -15,7 +15,7 @@ pub const ALUMINIUM_PER_K: f64 = 23.1e-6;
 /// A plate's fit: measured = scale · R(rotation) · nominal + offset, then a quadrupole.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Plate {
-    /// Holes used.
+    /// Number of holes that the fit used.
     pub holes: usize,
     /// Offset of the measured holes, mm.
     pub offset_mm: [f64; 2],
@@ -23,7 +23,7 @@ pub struct Plate {
     pub scale: f64,
     /// The same as an error, ppm.
     pub scale_ppm: f64,
-    /// Rotation, degrees, counter-clockwise.
+    /// Rotation of the measured plate, degrees, counter-clockwise positive.
     pub rotation_deg: f64,
     /// The same as `rotation.x.y`, µrad.
     pub rotation_urad: f64,

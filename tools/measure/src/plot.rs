@@ -45,7 +45,7 @@ impl Series {
 /// A chart with its axes' labels (with units).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Chart {
-    /// Title.
+    /// What stands above the plot.
     pub title: String,
     /// Label of the x axis, with its unit.
     pub x: String,

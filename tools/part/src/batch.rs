@@ -34,12 +34,12 @@ pub enum BatchFinding {
 /// The statistics of one place.
 #[derive(Debug, Clone, Serialize)]
 pub struct PlaceStatistics {
-    /// Feature.
+    /// Name of the feature, as the file has it.
     pub feature: String,
     /// Angle on it from the part's +Z, where the file gives one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub angle_rad: Option<f64>,
-    /// Parts measured.
+    /// Number of parts measured at this place.
     pub parts: usize,
     /// Mean error, in µm.
     pub mean_um: f64,
@@ -56,7 +56,7 @@ pub struct PlaceStatistics {
     /// What probing on the machine saw there, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on_machine_um: Option<f64>,
-    /// What it is.
+    /// What the statistics amount to.
     pub finding: BatchFinding,
 }
 
@@ -69,7 +69,7 @@ pub struct Judgement {
     pub least_um: f64,
 }
 
-/// The batch, judged.
+/// A batch of parts, judged place by place.
 #[derive(Debug, Clone, Serialize)]
 pub struct Batch {
     /// Every place, features and angles ascending.

@@ -15,16 +15,16 @@ const MAX_CHORDS: usize = 4096;
 pub enum Segment {
     /// A straight line.
     Line {
-        /// Start.
+        /// Start of the line, mm.
         a: Zx,
-        /// End.
+        /// End of the line, mm.
         b: Zx,
     },
     /// An arc; a negative sweep runs clockwise.
     Arc {
-        /// Centre.
+        /// Centre, mm.
         centre: Zx,
-        /// Radius.
+        /// Radius of the arc.
         radius_mm: f64,
         /// Angle of the start from +Z.
         start_rad: f64,
@@ -33,7 +33,7 @@ pub enum Segment {
     },
     /// A piece of an ellipse.
     Ellipse {
-        /// Centre.
+        /// Centre, mm.
         centre: Zx,
         /// Semi-major axis, from the centre.
         major: Zx,
@@ -41,7 +41,7 @@ pub enum Segment {
         ratio: f64,
         /// Parameter of the start.
         start_rad: f64,
-        /// Signed parameter range.
+        /// Parameter of the end minus that of the start; negative runs clockwise.
         sweep_rad: f64,
     },
     /// A rational B-spline: parabola, hyperbola or any other conic exactly, and free curves.
@@ -55,7 +55,7 @@ pub struct Spline {
     pub degree: usize,
     /// `points + degree + 1` ascending knots.
     pub knots: Vec<f64>,
-    /// Control points.
+    /// Control points, mm.
     pub points: Vec<Zx>,
     /// One positive weight per control point.
     pub weights: Vec<f64>,
@@ -207,18 +207,18 @@ pub enum FeatureKind {
         /// Where on the axis.
         z_mm: f64,
     },
-    /// A cone.
+    /// A cone about the part's axis.
     Taper {
         /// Inclination to the axis.
         angle_deg: f64,
     },
     /// A sphere where its centre is on the axis, else a torus or a fillet.
     Arc {
-        /// Centre, z.
+        /// Position of the centre along the part's axis.
         centre_z_mm: f64,
-        /// Centre, x.
+        /// Distance of the centre from the part's axis.
         centre_x_mm: f64,
-        /// Radius.
+        /// Radius of the arc.
         radius_mm: f64,
     },
     /// An ellipse, a parabola or a free curve.
@@ -230,7 +230,7 @@ pub enum FeatureKind {
 pub struct Feature {
     /// `F1`, `F2`, … in probing order.
     pub name: String,
-    /// What it is.
+    /// What it is to a machinist.
     pub kind: FeatureKind,
     /// Its geometry, run in probing order.
     pub segment: Segment,
@@ -241,17 +241,17 @@ pub struct Feature {
 /// A place on the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfacePlace {
-    /// Feature, from 0.
+    /// Index of the feature in [`Contour::features`], from 0.
     pub feature: usize,
     /// From the feature's start.
     pub along_mm: f64,
-    /// The point.
+    /// The point itself, mm.
     pub at: Zx,
     /// Unit normal, out of the material.
     pub normal: Zx,
 }
 
-/// The whole contour.
+/// The turned part's outline: its features joined end to end.
 #[derive(Debug, Clone)]
 pub struct Contour {
     /// Features in probing order: from the free end (largest Z) towards the chuck.

@@ -71,9 +71,9 @@ pub struct RobustSummary {
 /// What the fit found. SDs are sample standard deviations (divisor n − 1).
 #[derive(Debug, Clone, Serialize)]
 pub struct ErrorReport {
-    /// `circle` or `line`.
+    /// What was fitted: `circle` or `line`.
     pub feature: &'static str,
-    /// Points given.
+    /// Number of probed points.
     pub points: usize,
     /// Centre of the circle `[z, x]`, or centroid of the line, in mm.
     pub centre_mm: [f64; 2],
@@ -99,7 +99,7 @@ pub struct ErrorReport {
     pub rejected: Vec<usize>,
     /// Largest minus smallest error, in µm.
     pub form_um: f64,
-    /// The robust fit.
+    /// A robust fit beside it, as a check.
     pub robust: RobustSummary,
     /// Errors of all points about the second fit, in the order of the rows.
     pub errors: Vec<PointError>,

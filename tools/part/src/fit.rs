@@ -31,7 +31,7 @@ impl Zx {
         self.z.hypot(self.x)
     }
 
-    /// Scalar product.
+    /// Scalar product with another vector.
     #[must_use]
     pub fn dot(self, other: Self) -> f64 {
         self.z * other.z + self.x * other.x
@@ -72,7 +72,7 @@ impl std::ops::Mul<f64> for Zx {
     }
 }
 
-/// What is fitted.
+/// Which shape is fitted to the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FitShape {
     /// A circle with free centre and radius.
@@ -82,7 +82,7 @@ pub enum FitShape {
 }
 
 impl FitShape {
-    /// Free parameters.
+    /// Number of free parameters.
     #[must_use]
     pub const fn parameters(self) -> usize {
         match self {
@@ -92,19 +92,19 @@ impl FitShape {
     }
 }
 
-/// A fitted shape.
+/// A shape with its fitted parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FittedShape {
     /// Centre and radius, in mm.
     Circle {
-        /// Centre.
+        /// Centre, mm.
         centre: Zx,
-        /// Radius.
+        /// Radius of the circle.
         radius_mm: f64,
     },
     /// A point of the line (the points' centroid) and its unit normal.
     Line {
-        /// Centroid.
+        /// The points' centroid, mm.
         through: Zx,
         /// Unit normal; deviations are positive on its side.
         normal: Zx,
@@ -146,9 +146,9 @@ pub enum FitError {
     /// Fewer points than free parameters and one for the error.
     #[error("{found} points, {needed} are needed")]
     TooFew {
-        /// Points given.
+        /// Number of points given.
         found: usize,
-        /// Points needed.
+        /// Fewest points that the shape needs.
         needed: usize,
     },
     /// The points do not determine the shape: on one line, or all in one place.
@@ -157,7 +157,7 @@ pub enum FitError {
     /// The iteration did not settle.
     #[error("the fit did not settle in {iterations} iterations")]
     NoConvergence {
-        /// Iterations done.
+        /// Number of iterations done.
         iterations: usize,
     },
 }
@@ -371,10 +371,10 @@ fn ends(fitted: &FittedShape, points: &[Zx]) -> [usize; 2] {
     [order.first().copied().unwrap_or(0), order.last().copied().unwrap_or(0)]
 }
 
-/// A robust fit.
+/// A robust fit (MM-estimate): points that do not belong to the shape have no weight.
 #[derive(Debug, Clone)]
 pub struct Robust {
-    /// The shape.
+    /// The shape that most of the points agree on.
     pub fitted: FittedShape,
     /// Robust scale of the deviations that belong to the shape, in µm.
     pub scale_um: f64,

@@ -18,7 +18,7 @@ pub struct ProbingMotion {
     pub feed_mm_min: f64,
     /// Acceleration to that feed.
     pub accel_mm_s2: f64,
-    /// Deceleration from it.
+    /// Deceleration from that feed.
     pub decel_mm_s2: f64,
     /// Travel at constant velocity wanted on each side of the expected trip.
     pub window_mm: f64,
@@ -30,7 +30,7 @@ impl ProbingMotion {
     pub const REPORT: Self =
         Self { feed_mm_min: 2500.0, accel_mm_s2: 217.0, decel_mm_s2: 578.7, window_mm: 1.0 };
 
-    /// Feed in mm/s.
+    /// The probing feed in mm/s.
     #[must_use]
     pub fn velocity_mm_s(&self) -> f64 {
         self.feed_mm_min / 60.0
@@ -109,9 +109,9 @@ pub enum PathRole {
 /// One record of the path file: where the tip's centre goes, in mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PathPoint {
-    /// What it is.
+    /// What the probe does there.
     pub role: PathRole,
-    /// Where to.
+    /// Where the tip's centre goes, mm.
     pub at: Zx,
 }
 
@@ -126,14 +126,14 @@ pub struct Hit {
     pub at: Zx,
     /// The feature that is hit.
     pub feature: String,
-    /// What hits it.
+    /// What of the probe hits it: its tip or its stem.
     pub by: &'static str,
 }
 
 /// The plan of a probing session.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The probe.
+    /// The probe that the path is made for.
     pub probe: Probe,
     /// Gauging points in probing order.
     pub points: Vec<GaugingPoint>,

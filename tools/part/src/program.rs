@@ -14,19 +14,19 @@ use std::path::Path;
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dialect {
-    /// Its name.
+    /// The controller's name, as reports show it.
     pub name: String,
     /// What opens and closes a comment.
     pub comment: [String; 2],
-    /// Rapid positioning.
+    /// Word of rapid positioning, as `G00`.
     pub rapid: String,
     /// The move that touches.
     pub touch: String,
     /// The move back off the surface.
     pub retract: String,
-    /// Inch mode.
+    /// Word that sets inches, as `G20`.
     pub inch: String,
-    /// Millimetre mode.
+    /// Word that sets millimetres, as `G21`.
     pub mm: String,
     /// Decimals of a coordinate in inches.
     pub decimals_inch: usize,
@@ -45,7 +45,7 @@ pub struct Dialect {
 /// A dialect with its template.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    /// How it writes.
+    /// How its programs are written.
     pub dialect: Dialect,
     /// `template.prb`, copied character by character but for `$n` and `@n`.
     pub template: String,
@@ -69,13 +69,13 @@ pub const BUILT_IN: [(&str, &str, &str); 3] = [
 /// One program parameter: the `n` of its `$n`, its name, its default, its meaning.
 #[derive(Debug, Clone, Copy)]
 pub struct Parameter {
-    /// `$n`.
+    /// The `n` of its `$n` in a template.
     pub number: u32,
     /// Key in a parameter file.
     pub name: &'static str,
     /// Value where none is given.
     pub default: &'static str,
-    /// What it is.
+    /// What it means, for the help text.
     pub meaning: &'static str,
 }
 
@@ -248,9 +248,9 @@ impl Controller {
 pub struct ProbingProgram<'a> {
     /// The controller it is for.
     pub controller: &'a Controller,
-    /// Values of `$n`.
+    /// Values of the template's `$n`.
     pub parameters: &'a Parameters,
-    /// The probe's path.
+    /// The probe's path, record by record.
     pub records: &'a [PathPoint],
     /// The program's unit: inches or mm.
     pub unit: Unit,

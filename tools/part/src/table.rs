@@ -79,7 +79,7 @@ pub struct FinishRow {
     pub error_um: f64,
     /// The tool's nose in part coordinates.
     pub part_mm: Zx,
-    /// The machine then.
+    /// Machine position at that moment.
     pub machine_mm: Zx,
     /// Requested totals `[z, x]`, in counts.
     pub requested: [i64; 2],
@@ -90,9 +90,9 @@ pub struct FinishRow {
 /// Errors by angle, ready for the finish cut.
 #[derive(Debug, Clone)]
 pub struct FinishTable {
-    /// The cut.
+    /// The arc that is cut.
     pub cut: FinishCut,
-    /// Z and X.
+    /// Counts of Z and of X.
     pub axes: [AxisCounts; 2],
     errors: Vec<PointError>,
 }

@@ -32,7 +32,7 @@ pub enum Device {
     Bar(PciId, u8),
     /// x86 I/O ports, of a PCI card or at fixed addresses.
     Ports(Option<PciId>),
-    /// Any other file.
+    /// A file that is no device: shared memory, a resource in sysfs.
     File(PathBuf),
 }
 

@@ -50,11 +50,11 @@ pub enum Backend {
 pub struct SelftestOptions {
     /// The CPU of the real-time thread.
     pub cpu: usize,
-    /// Its `SCHED_FIFO` priority.
+    /// The thread's `SCHED_FIFO` priority, 1 to 99.
     pub priority: u8,
     /// How long, all in all: a third each for the wake-ups, the polling loop, and the polling loop with requests.
     pub run: Duration,
-    /// The card.
+    /// The card that is polled.
     pub backend: Backend,
     /// Seed of the far side's dwell times.
     pub seed: u64,
@@ -72,10 +72,10 @@ pub enum SelftestError {
     /// A file or thread that the test needs.
     #[error("{0}: {1}")]
     Io(&'static str, #[source] io::Error),
-    /// The card's registers.
+    /// The card's registers cannot be mapped.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// The card failed.
+    /// The card failed while the test ran.
     #[error(transparent)]
     Card(#[from] CardError),
     /// The engine did not start.
@@ -92,7 +92,7 @@ pub enum SelftestError {
 /// One of the three latencies.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Latency {
-    /// Its distribution, ns.
+    /// Distribution of the measured times, ns.
     #[serde(flatten)]
     pub ns: Snapshot,
     /// The last value, ns; of the poll gap, of which none is kept, the median.

@@ -5,7 +5,7 @@ use crate::machine::{SERVO_NS, SimMachine};
 
 /// The machine and what goes on at it.
 pub trait Attended {
-    /// The machine.
+    /// The machine that is attended.
     fn machine(&self) -> &SimMachine;
 
     /// The machine, to be attended to.
@@ -17,7 +17,7 @@ pub trait Attended {
     /// Lines may have changed.
     fn changed(&mut self) {}
 
-    /// Lets time pass.
+    /// Lets the machine run until `t_ns`, ns of its own clock, doing what is due on the way.
     fn run_to(&mut self, t_ns: u64) {
         let mut now_ns = self.machine().now_ns();
         while now_ns / SERVO_NS < t_ns / SERVO_NS {

@@ -31,7 +31,7 @@ pub enum AnyDesign {
 }
 
 impl AnyDesign {
-    /// All of them.
+    /// All designs, the oldest first.
     pub const ALL: [Self; 5] = [Self::Original, Self::A, Self::B, Self::C, Self::Ecc];
 
     /// Its name on the command line.
@@ -294,7 +294,7 @@ impl<G: Gates> Card for Rig<'_, G> {
 /// A run on the bench.
 #[derive(Debug, Clone)]
 pub struct BenchRun<'a> {
-    /// Which design.
+    /// The insertion design that is run.
     pub design: AnyDesign,
     /// On which computer. The ECC is a circuit and needs none.
     pub computer: &'a Computer,
@@ -302,7 +302,7 @@ pub struct BenchRun<'a> {
     pub config: AxisConfig,
     /// The scale's state before the first edge.
     pub start: State,
-    /// The motion.
+    /// The scale's edges: the motion.
     pub edges: &'a [Edge],
     /// Requested totals and when, ns.
     pub totals: &'a [(u64, i64)],
@@ -316,7 +316,7 @@ pub struct BenchRun<'a> {
     pub keep_log: bool,
 }
 
-/// What came of it.
+/// What came of a run on the bench.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BenchResult {
     /// Counts of the scale.
@@ -327,7 +327,7 @@ pub struct BenchResult {
     pub completed: i64,
     /// What was asked of it.
     pub requested: i64,
-    /// Insertions made.
+    /// Number of insertions made.
     pub insertions: u64,
     /// Both signals at once, at the MTC.
     pub illegal: u64,
@@ -337,7 +337,7 @@ pub struct BenchResult {
     pub overlaps: u64,
     /// Edges at which an insertion was due and the axis too fast.
     pub waited_for_gate: u64,
-    /// Latched faults.
+    /// Number of latched faults.
     pub faults: usize,
     /// Shortest and longest time from an edge to the end of the insertion it opened, ns.
     pub edge_to_done_ns: Option<(u64, u64)>,

@@ -22,7 +22,7 @@ pub(crate) const WINDOW_COUNTS: i64 = 64;
 pub(crate) struct Readings<'a> {
     /// In the order of [`SENSORS`], °C.
     pub degc: &'a [f64],
-    /// The logged channels.
+    /// Values of the logged channels, in the layout's order.
     pub channels: &'a [f64],
     pub rpm: f64,
     pub coolant: bool,
@@ -30,7 +30,7 @@ pub(crate) struct Readings<'a> {
     pub load_n: [f64; AXES],
 }
 
-/// Sensors and law.
+/// The control side of a simulation: watched sensors and the control law.
 #[derive(Debug)]
 pub(crate) struct Control {
     law: Corrector,

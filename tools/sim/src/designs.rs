@@ -38,7 +38,7 @@ impl Default for TestMotion {
 }
 
 impl TestMotion {
-    /// The scale's edges.
+    /// The scale's edges during this motion.
     #[must_use]
     pub fn edges(&self) -> Vec<Edge> {
         there_and_back(self.encoder_hz, self.accel_counts_s2, self.counts, self.rest_ns)
@@ -75,10 +75,10 @@ pub struct Death {
     pub share_harmless: f64,
 }
 
-/// One design's row.
+/// What one design can do: a row of the comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignRow {
-    /// Which.
+    /// The design of this row.
     pub design: AnyDesign,
     /// Counts of one insertion.
     pub increment_counts: i64,
@@ -111,9 +111,9 @@ pub struct DesignRow {
 pub struct Comparison {
     /// One row per design.
     pub designs: Vec<DesignRow>,
-    /// The motion.
+    /// The motion on which they were compared.
     pub motion: TestMotion,
-    /// The computer.
+    /// The computer that they ran on.
     pub timing: Computer,
 }
 
@@ -277,7 +277,7 @@ fn death(run: &BenchRun<'_>) -> Death {
 }
 
 impl Death {
-    /// In words.
+    /// The same in words, as the table prints it.
     #[must_use]
     pub fn in_words(&self) -> String {
         let after = |follows: f64| {

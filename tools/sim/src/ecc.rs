@@ -80,7 +80,7 @@ pub struct Ecc {
     insertions: u64,
     look_ns: u64,
     last_edge_ns: Option<u64>,
-    /// Direction detector.
+    /// Output of the direction detector: the axis moves in the positive direction.
     positive: bool,
     /// Time between two scale counts that the VCO stands for, ns.
     vco_ns: f64,

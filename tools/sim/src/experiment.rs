@@ -22,7 +22,7 @@ use std::path::Path;
 /// What an experiment is run with.
 #[derive(Debug, Clone, Copy)]
 pub struct Setting<'a> {
-    /// The true machine.
+    /// The machine as it really is.
     pub truth: &'a Machine,
     /// What the corrector knows of it.
     pub known: &'a Machine,
@@ -39,35 +39,35 @@ pub struct Findings {
     pub records: Vec<Record>,
     /// Plots: file name and SVG.
     pub plots: Vec<(String, String)>,
-    /// Figures.
+    /// The figures that the experiment is run for, by name with unit.
     pub summary: Map<String, Value>,
 }
 
 /// Why an experiment failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExperimentError {
-    /// The simulation.
+    /// The simulation could not go on.
     #[error(transparent)]
     Sim(#[from] SimError),
     /// The turning of a nose.
     #[error(transparent)]
     Turning(#[from] TurningError),
-    /// The record.
+    /// A record or a model is not as it must be.
     #[error(transparent)]
     Record(#[from] InputError),
-    /// The plot.
+    /// A plot could not be drawn.
     #[error(transparent)]
     Plot(#[from] rtec_measure::plot::PlotError),
 }
 
 type Run = fn(&Setting<'_>) -> Result<Findings, ExperimentError>;
 
-/// One experiment.
+/// An experiment that characterises a machine.
 #[derive(Debug, Clone, Copy)]
 pub struct Experiment {
     /// Its name on the command line.
     pub name: &'static str,
-    /// What it does.
+    /// What it does, in one line.
     pub what: &'static str,
     run: Run,
 }
@@ -88,7 +88,7 @@ impl Experiment {
     }
 }
 
-/// All of them.
+/// Every experiment, as `simulate --list` shows them.
 pub const EXPERIMENTS: [Experiment; 13] = [
     Experiment {
         name: "linear-displacement",
@@ -167,7 +167,7 @@ struct Row {
     requested_um: [f64; AXES],
 }
 
-/// Measured rows.
+/// Rows measured so far, and how they become a record.
 #[derive(Debug, Default)]
 struct Log {
     rows: Vec<Row>,

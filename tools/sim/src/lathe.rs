@@ -152,7 +152,7 @@ pub struct Stand<'a> {
     pub machine: &'a Machine,
     /// The spindle has run for so long when the program starts.
     pub begin_s: f64,
-    /// The corrector's design.
+    /// Insertion design of the corrector.
     pub design: Design,
     /// Highest count rate of the controller's decoder, Hz.
     pub decoder_hz: f64,
@@ -165,9 +165,9 @@ pub struct Stand<'a> {
 pub struct Move {
     /// Where along, in part coordinates of the tool's nose centre or the probe's tip centre.
     pub segment: Segment,
-    /// At which feed.
+    /// Feed along it, mm/s.
     pub feed_mm_s: f64,
-    /// Material is cut.
+    /// The tool cuts material on this move.
     pub cutting: bool,
 }
 
@@ -367,7 +367,7 @@ impl Lathe {
         self.machine.set_probe_reach_mm(self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3);
     }
 
-    /// Cycle start.
+    /// Cycle start: the program runs from its first block.
     pub(crate) fn start(&mut self) {
         self.machine.load(self.waiting.take().into_iter().flatten());
     }

@@ -19,22 +19,22 @@ pub const SERVO_NS: u64 = 1_000_000;
 pub enum ServoFault {
     /// Both signals of an axis changed at once (NISTIR 4832, Design B: "typically a *servo fault* message").
     IllegalState {
-        /// Which axis.
+        /// Index of the axis.
         axis: usize,
     },
     /// Two edges closer together than its decoder can follow.
     TooFast {
-        /// Which axis.
+        /// Index of the axis.
         axis: usize,
     },
     /// The axis is further from where it should be than the controller allows: feedback lost or mirrored.
     FollowingError {
-        /// Which axis.
+        /// Index of the axis.
         axis: usize,
     },
 }
 
-/// The controller (MTC).
+/// What the controller (MTC) can follow and tolerates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerSpec {
     /// Highest count rate of its decoder: edges closer than the inverse are a servo fault, Hz.
@@ -61,7 +61,7 @@ enum Job {
     Dwell { left_s: f64 },
 }
 
-/// The simulated machine.
+/// The simulated machine: axes, scales, decoders and probe, behind the lines of a card.
 pub struct SimMachine {
     axes: Vec<AxisSim>,
     /// Axis of the controller (0 X, 1 Y, 2 Z) of each axis of the machine.
@@ -206,7 +206,7 @@ impl SimMachine {
         self.axes[axis].spec.count_um
     }
 
-    /// Time, ns.
+    /// Time of the simulation, ns.
     #[must_use]
     pub const fn now_ns(&self) -> u64 {
         self.t_ns
@@ -248,13 +248,13 @@ impl SimMachine {
         self.axes[axis].position_mm(self.t_ns)
     }
 
-    /// Its speed, mm/s.
+    /// Velocity of the table of an axis, mm/s.
     #[must_use]
     pub fn velocity_mm_s(&self, axis: usize) -> f64 {
         self.axes[axis].velocity_mm_s()
     }
 
-    /// Its acceleration, mm/s².
+    /// Acceleration of the table of an axis, mm/s².
     #[must_use]
     pub fn acceleration_mm_s2(&self, axis: usize) -> f64 {
         self.axes[axis].accel_mm_s2
@@ -580,7 +580,7 @@ impl SimMachine {
         self.find_next();
     }
 
-    /// Lets time pass.
+    /// Lets the machine run until `t_ns`, ns of the simulation's time.
     pub fn run_to(&mut self, t_ns: u64) {
         loop {
             if self.next.0 <= t_ns.min(self.step_end_ns) {

@@ -3,13 +3,13 @@
 /// Limits of the motion along a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Speed, mm/s.
+    /// Highest speed, mm/s.
     pub speed_mm_s: f64,
-    /// Acceleration, mm/s².
+    /// Highest acceleration, mm/s².
     pub accel_mm_s2: f64,
-    /// Deceleration, mm/s².
+    /// Highest deceleration, mm/s².
     pub decel_mm_s2: f64,
-    /// Jerk, mm/s³.
+    /// Highest jerk, mm/s³.
     pub jerk_mm_s3: f64,
 }
 
@@ -18,9 +18,9 @@ pub struct Limits {
 pub struct Along {
     /// mm from the start.
     pub s_mm: f64,
-    /// mm/s.
+    /// Speed along the path, mm/s.
     pub v_mm_s: f64,
-    /// mm/s².
+    /// Acceleration along the path, mm/s².
     pub a_mm_s2: f64,
 }
 
@@ -42,7 +42,7 @@ impl Ramp {
         }
     }
 
-    /// `t_s` after rest.
+    /// Where it is `t_s` after rest, at a jerk of `j_mm_s3`.
     fn at(&self, t_s: f64, j_mm_s3: f64) -> Along {
         let (j, tj, ta) = (j_mm_s3, self.rise_s, self.whole_s);
         let peak_a = j * tj;
@@ -102,7 +102,7 @@ impl FeedProfile {
         Self { length_mm, jerk_mm_s3, speed_mm_s, up, cruise_s, down }
     }
 
-    /// Duration, s.
+    /// Time from rest to rest, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.up.whole_s + self.cruise_s + self.down.whole_s
@@ -133,11 +133,11 @@ pub const AXES: usize = 3;
 /// Position, speed and acceleration of every axis, mm and s.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Command {
-    /// mm.
+    /// Position of X, Y, Z, mm.
     pub p_mm: [f64; AXES],
-    /// mm/s.
+    /// Velocity of X, Y, Z, mm/s.
     pub v_mm_s: [f64; AXES],
-    /// mm/s².
+    /// Acceleration of X, Y, Z, mm/s².
     pub a_mm_s2: [f64; AXES],
 }
 
@@ -146,20 +146,20 @@ pub struct Command {
 pub enum MoveShape {
     /// A straight line (G00, G01).
     Line {
-        /// Start, mm.
+        /// Start point, mm.
         from: [f64; AXES],
-        /// End, mm.
+        /// End point, mm.
         to: [f64; AXES],
     },
     /// An arc in the plane of two axes (G02, G03), the third moving along evenly.
     Arc {
-        /// Start, mm.
+        /// Start point, mm.
         from: [f64; AXES],
         /// The plane's first and second axis.
         plane: (usize, usize),
         /// Centre in the plane, mm.
         centre: (f64, f64),
-        /// Radius, mm.
+        /// Radius of the arc, mm.
         radius_mm: f64,
         /// Angle of the start, rad.
         start_rad: f64,

@@ -19,7 +19,7 @@ pub struct ReplayOutcome {
     pub requested: i64,
     /// What was inserted, counts.
     pub completed: i64,
-    /// Insertions made.
+    /// Number of insertions made.
     pub insertions: u64,
     /// Illegal transitions of the scale.
     pub illegal_in: u64,
@@ -33,7 +33,7 @@ pub struct ReplayOutcome {
     pub overlaps: u64,
     /// Requests that were not accepted.
     pub refused: Vec<Refused>,
-    /// Latched faults.
+    /// Faults that the engine latched, in order.
     pub faults: Vec<Latched>,
     /// Rows of the trace after the first.
     pub edges: u64,
@@ -50,20 +50,20 @@ impl ReplayOutcome {
 /// A request that was not accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Refused {
-    /// When, ns.
+    /// When, ns on the trace's clock.
     pub t_ns: u64,
-    /// Its total, counts.
+    /// The total that was requested, counts.
     pub requested: i64,
-    /// Why.
+    /// Why the engine refused it.
     pub why: Refusal,
 }
 
-/// A latched fault.
+/// A fault that the engine latched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Latched {
-    /// When, ns.
+    /// When, ns on the trace's clock.
     pub t_ns: u64,
-    /// Which.
+    /// The fault.
     pub fault: Fault,
 }
 

@@ -22,17 +22,17 @@ pub use crate::control::CONTROL_NS;
 /// A machine, as it is built.
 #[derive(Debug, Clone)]
 pub struct Spec {
-    /// Its axes.
+    /// The machine's axes.
     pub axes: Vec<AxisSpec>,
-    /// Its controller.
+    /// The machine's controller.
     pub controller: ControllerSpec,
-    /// The insertion design.
+    /// Insertion design of every axis.
     pub design: Design,
     /// What to do for an axis at rest.
     pub rest: RestPolicy,
     /// Time from an edge until the engine acts on it, at the worst, and of one write, ns: what the speed gate is told.
     pub detect_ns: u64,
-    /// See `detect_ns`.
+    /// Worst time that a write to the card takes, ns.
     pub write_ns: u64,
     /// Temperature of the hall, °C.
     pub ambient_degc: f64,
@@ -110,17 +110,17 @@ pub enum SimError {
     /// The controller gave up.
     #[error("the controller stopped at {t_s:.3} s: {fault:?}")]
     Servo {
-        /// When, s.
+        /// When, s of the simulation's time.
         t_s: f64,
-        /// Why.
+        /// What stopped the controller.
         fault: ServoFault,
     },
     /// The engine latched a fault.
     #[error("the engine latched {fault:?} at {t_s:.3} s")]
     Engine {
-        /// When, s.
+        /// When, s of the simulation's time.
         t_s: f64,
-        /// Which.
+        /// The fault that the engine latched.
         fault: Fault,
     },
 }
@@ -137,7 +137,7 @@ pub struct CapturedPosition {
 /// The machine at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
-    /// s.
+    /// Time of the simulation, s.
     pub t_s: f64,
     /// What the controller commands.
     pub command: Command,
@@ -145,9 +145,9 @@ pub struct Moment {
     pub position_mm: [f64; AXES],
     /// By the controller's count, mm.
     pub counted_mm: [f64; AXES],
-    /// mm/s.
+    /// Velocity of X, Y, Z, mm/s.
     pub velocity_mm_s: [f64; AXES],
-    /// mm/s².
+    /// Acceleration of X, Y, Z, mm/s².
     pub acceleration_mm_s2: [f64; AXES],
     /// Direction of the last motion.
     pub direction: [f64; AXES],
@@ -159,9 +159,9 @@ pub struct Moment {
     pub inserted_um: [f64; AXES],
     /// Where the tool is, mm.
     pub tool_mm: [f64; AXES],
-    /// rpm.
+    /// Speed of the spindle, rpm.
     pub rpm: f64,
-    /// Coolant on.
+    /// The coolant flows.
     pub coolant: bool,
 }
 
@@ -173,10 +173,10 @@ impl Moment {
     }
 }
 
-/// A running simulation.
+/// A running simulation: machine, engine and control law together.
 #[derive(Debug)]
 pub struct Sim {
-    /// The machine.
+    /// The machine under the engine.
     pub machine: SimMachine,
     engine: Engine,
     errors: Errors,
@@ -268,7 +268,7 @@ impl Sim {
         &self.errors.heat
     }
 
-    /// The engine's status.
+    /// The engine's status at this moment.
     #[must_use]
     pub fn status(&self) -> Status {
         self.engine.status()

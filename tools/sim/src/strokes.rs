@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 pub struct StrokeMotion {
     /// Length of a stroke, counts.
     pub stroke_counts: f64,
-    /// Feed, counts/s.
+    /// Feed between the ends, counts/s.
     pub feed_counts_s: f64,
     /// Pause at either end, s.
     pub dwell_s: f64,
@@ -82,7 +82,7 @@ impl Truth {
 /// Who stands at the machine: sees the axes as they are, and presses cycle start.
 #[derive(Debug)]
 pub struct Operator {
-    /// One per axis.
+    /// What each axis really does, in the order of the axes.
     pub truth: Vec<Arc<Truth>>,
     go: Arc<AtomicBool>,
 }

@@ -112,7 +112,7 @@ pub enum TurningError {
     Design(String),
 }
 
-/// A probing session.
+/// What one probing of the part brought.
 #[derive(Debug, Clone)]
 pub struct ProbingSession {
     /// The trips as captured.
@@ -132,13 +132,13 @@ pub struct ProbingSession {
 /// How probing at one feed did.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Probing {
-    /// Feed.
+    /// Probing feed, mm/min.
     pub feed_mm_min: f64,
     /// Time on the machine for all points.
     pub seconds: f64,
     /// Captured minus true position of the tip: root mean square.
     pub capture_rms_um: f64,
-    /// The largest.
+    /// Captured minus true position of the tip: the largest.
     pub capture_worst_um: f64,
     /// The largest half width the corrector states for an axis in motion.
     pub stated_um: f64,
@@ -165,14 +165,14 @@ pub struct CutResult {
     pub true_sd_um: f64,
 }
 
-/// The whole experiment.
+/// What came of the whole experiment.
 #[derive(Debug, Serialize)]
 pub struct TurningOutcome {
     /// Design of the corrector.
     pub design: String,
     /// One correction, in µm.
     pub increment_um: f64,
-    /// Seed.
+    /// Seed of all noise.
     pub seed: u64,
     /// After the semi-finish cut with the worn tool.
     pub semi_finish: CutResult,
