@@ -353,7 +353,7 @@ impl Machine {
         self.card.edges.make_contiguous().sort_by_key(|edge| edge.t_ns);
 
         let (complaints, events) = (&mut self.run.complaints, &mut self.run.events);
-        let mut tell = |event: Event| {
+        let mut report = |event: Event| {
             use rtec_rt::event::EventKind::{Fault, Refused};
             if matches!(event.kind, Fault(_) | Refused { .. }) {
                 complaints.push(format!("{event:?}"));
@@ -367,11 +367,11 @@ impl Machine {
                 let p_mm = self.engine.status().axes[n].position_counts as f64 * COUNT_UM / 1000.0;
                 let total_counts = 2 * (error.at(p_mm) / COUNT_UM / 2.0).round() as i64;
                 let request = Request::Correct { axis: n as u8, total_counts, large: false };
-                self.engine.take(request, &mut self.card, &mut tell)?;
+                self.engine.take(request, &mut self.card, &mut report)?;
             }
         }
         while self.card.now_ns < end_ns || !self.card.edges.is_empty() {
-            self.engine.poll(&mut self.card, end_ns, &mut tell)?;
+            self.engine.poll(&mut self.card, end_ns, &mut report)?;
         }
 
         let mut illegal = 0;

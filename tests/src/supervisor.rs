@@ -147,7 +147,7 @@ impl Supervisor {
                 }
                 (message.bytes, sender, fds)
             };
-            // NotifyAccess=main: the dead predecessor's last words, and anybody else's, are not heard.
+            // NotifyAccess=main: the dead predecessor's last words, and anybody else's, are ignored.
             if sender != Some(service.child.id() as i32) {
                 continue;
             }
@@ -255,7 +255,7 @@ pub struct Tally {
     pub halfway: u32,
     /// Kills that left both inverters on.
     pub inverted: u32,
-    /// Faults latched, each as it was told.
+    /// Faults latched, each as it was reported.
     pub faults: Vec<String>,
     /// Insertions that the daemons made, all together.
     pub insertions: u64,
@@ -310,8 +310,11 @@ impl Trial {
             if cut {
                 self.done(&ClientRequest::Clear {})?;
             } else {
-                let told = status.axes[0].in_effect;
-                ensure!(told == offset, "kill {n}: the daemon tells {told} counts, the MTC has {offset}");
+                let reported = status.axes[0].in_effect;
+                ensure!(
+                    reported == offset,
+                    "kill {n}: the daemon reports {reported} counts, the MTC has {offset}"
+                );
             }
             tally.faults.extend(faults);
             self.go()?;

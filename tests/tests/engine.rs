@@ -37,10 +37,10 @@ fn totals(end_ns: u64, every_ns: u64) -> Vec<RequestedTotal> {
 fn corrected(scale: &[TracePoint], every_ns: u64) -> (ReplayOutcome, Vec<(TracePoint, i64)>, Totals) {
     let mut mtc = Vec::new();
     let requests = totals(scale.last().unwrap().t_ns, every_ns);
-    let hear = |t_ns: u64, state: State| mtc.push(TracePoint { t_ns, state });
+    let seen = |t_ns: u64, state: State| mtc.push(TracePoint { t_ns, state });
     let trace = scale.iter().map(|p| Ok::<_, Infallible>(*p));
     let (outcome, _) =
-        replay(AxisConfig::default(), trace, requests.into_iter().map(Ok), true, hear).unwrap();
+        replay(AxisConfig::default(), trace, requests.into_iter().map(Ok), true, seen).unwrap();
     let mut due = Vec::new();
     let totals = ledger::walk(scale.iter().map(|p| Ok(*p)), mtc.into_iter().map(Ok), |point, count| {
         due.push((point, count));

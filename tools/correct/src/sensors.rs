@@ -24,7 +24,7 @@ use std::time::Duration;
 /// Where a sensor's values come from.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 #[allow(missing_docs)]
-pub enum SensorSource {
+pub enum Source {
     /// Device by its `name` file (or `iio:deviceN`), channel number.
     Iio { device: String, channel: u32 },
     /// Chip by its `name` file (or `hwmonN`), input number.
@@ -39,7 +39,7 @@ pub enum SensorSource {
 
 /// A sensor as it is configured.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SensorConfig {
+pub struct Config {
     /// Name, as effects use it.
     pub name: String,
     /// Where it sits on the machine, for people.
@@ -47,7 +47,7 @@ pub struct SensorConfig {
     /// What it reads: a temperature, or what else an effect may ask for (spindle speed, coolant, load, channel).
     pub role: Role,
     /// Where its values come from.
-    pub source: SensorSource,
+    pub source: Source,
     /// Time between readings, s.
     pub period_s: f64,
     /// What it can plausibly read, °C (or its role's unit).
@@ -62,7 +62,7 @@ pub struct SensorConfig {
     pub freeze_s: f64,
 }
 
-impl SensorConfig {
+impl Config {
     /// Reads a `[[sensor]]` table.
     ///
     /// # Errors
@@ -96,18 +96,16 @@ impl SensorConfig {
         let name = text("name", "the sensor's name, as effects use it")?;
         let entry = t.required("source", "source = \"iio\", \"hwmon\", \"one_wire\", \"csv\" or \"line\"")?;
         let source = match entry.str("a source")? {
-            "iio" => {
-                SensorSource::Iio { device: text("device", "device = \"NAME\"")?, channel: whole("channel")? }
-            }
+            "iio" => Source::Iio { device: text("device", "device = \"NAME\"")?, channel: whole("channel")? },
             "hwmon" => {
-                SensorSource::Hwmon { chip: text("chip", "chip = \"NAME\"")?, input: whole("input")?.max(1) }
+                Source::Hwmon { chip: text("chip", "chip = \"NAME\"")?, input: whole("input")?.max(1) }
             }
-            "one_wire" => SensorSource::OneWire { id: text("id", "id = \"28-…\"")? },
-            "csv" => SensorSource::Csv {
+            "one_wire" => Source::OneWire { id: text("id", "id = \"28-…\"")? },
+            "csv" => Source::Csv {
                 record: PathBuf::from(text("record", "record = \"NAME.run.toml\"")?),
                 column: t.get("column").map_or(Ok(name.as_str()), |e| e.str("a column"))?.to_owned(),
             },
-            "line" => SensorSource::Line {
+            "line" => Source::Line {
                 from: text("from", "from = \"host:port\" or \"/dev/tty…\"")?,
                 key: t.get("key").map_or(Ok(name.as_str()), |e| e.str("a key"))?.to_owned(),
             },
@@ -151,7 +149,7 @@ impl SensorConfig {
     }
 }
 
-impl SensorConfig {
+impl Config {
     /// A sensor whose every reading is believed and never grows old: of a simulation, or of a recorded shift.
     #[must_use]
     pub fn believed(name: &str, role: Role) -> Self {
@@ -159,7 +157,7 @@ impl SensorConfig {
             name: name.to_owned(),
             place: String::new(),
             role,
-            source: SensorSource::Csv { record: PathBuf::new(), column: name.to_owned() },
+            source: Source::Csv { record: PathBuf::new(), column: name.to_owned() },
             period_s: 1.0,
             range: [f64::NEG_INFINITY, f64::INFINITY],
             max_rate_k_per_min: f64::INFINITY,
@@ -176,7 +174,7 @@ fn is_sensed(role: &Role) -> bool {
 
 /// What is wrong with a sensor.
 #[derive(Debug, Clone, PartialEq)]
-pub enum SensorFault {
+pub enum Fault {
     /// No reading: why, and since when (s of the caller's clock).
     Silent(String),
     /// A reading outside its range or not a number, °C.
@@ -187,7 +185,7 @@ pub enum SensorFault {
     Stuck(f64),
 }
 
-impl std::fmt::Display for SensorFault {
+impl std::fmt::Display for Fault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Silent(why) => write!(f, "silent ({why})"),
@@ -212,18 +210,18 @@ pub enum Use {
 /// One sensor under watch.
 #[derive(Debug, Clone)]
 pub struct Watch {
-    config: Arc<SensorConfig>,
+    config: Arc<Config>,
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
     heard: Option<f64>,
-    fault: Option<SensorFault>,
+    fault: Option<Fault>,
     due: f64,
 }
 
 impl Watch {
     /// A sensor that has not been read yet.
     #[must_use]
-    pub fn new(config: SensorConfig) -> Self {
+    pub fn new(config: Config) -> Self {
         Self {
             config: Arc::new(config),
             good: None,
@@ -234,9 +232,9 @@ impl Watch {
         }
     }
 
-    /// The sensor's configuration.
+    /// Its configuration.
     #[must_use]
-    pub fn config(&self) -> &SensorConfig {
+    pub fn config(&self) -> &Config {
         &self.config
     }
 
@@ -246,7 +244,7 @@ impl Watch {
             Err(why) => {
                 let since = self.heard.map_or(f64::INFINITY, |h| now_s - h);
                 if since > self.config.timeout_s {
-                    self.fault = Some(SensorFault::Silent(why));
+                    self.fault = Some(Fault::Silent(why));
                 }
                 return;
             }
@@ -262,16 +260,16 @@ impl Watch {
         };
         let [lo, hi] = self.config.range;
         self.fault = if !value.is_finite() || value < lo || value > hi {
-            Some(SensorFault::Implausible(value))
+            Some(Fault::Implausible(value))
         } else if self.config.stuck_s > 0.0 && since_same > self.config.stuck_s {
-            Some(SensorFault::Stuck(value))
+            Some(Fault::Stuck(value))
         } else {
             // What can have changed since the last good value; one second's worth for the reading itself.
             let jumped = self.good.filter(|(v, at)| {
                 let may = self.config.max_rate_k_per_min / 60.0 * (now_s - at + 1.0);
                 (value - v).abs() > may
             });
-            jumped.map(|(v, _)| SensorFault::Jump(v, value))
+            jumped.map(|(v, _)| Fault::Jump(v, value))
         };
         if self.fault.is_none() {
             self.good = Some((value, now_s));
@@ -284,7 +282,7 @@ impl Watch {
         self.good.map(|g| g.0)
     }
 
-    /// Age of the last good value at `now_s`, s; none before the first.
+    /// Its age, s.
     #[must_use]
     pub fn age_s(&self, now_s: f64) -> Option<f64> {
         self.good.map(|g| now_s - g.1)
@@ -292,7 +290,7 @@ impl Watch {
 
     /// What is wrong with it.
     #[must_use]
-    pub fn fault(&self) -> Option<&SensorFault> {
+    pub fn fault(&self) -> Option<&Fault> {
         self.fault.as_ref()
     }
 
@@ -447,7 +445,7 @@ fn same(file: &fs::File, path: &Path) -> io::Result<()> {
 
 /// All sensors of a machine.
 #[derive(Debug)]
-pub struct SensorBank {
+pub struct Bank {
     root: PathBuf,
     sensors: Vec<Watch>,
     feeds: Vec<Feed>,
@@ -455,20 +453,20 @@ pub struct SensorBank {
     replay_start: Option<f64>,
 }
 
-impl SensorBank {
+impl Bank {
     /// Sensors under a root (`/`; tests put their own tree there).
     ///
     /// # Errors
     /// A recording to replay that cannot be read.
-    pub fn new(configs: Vec<SensorConfig>, root: &Path) -> Result<Self, InputError> {
+    pub fn new(configs: Vec<Config>, root: &Path) -> Result<Self, InputError> {
         let mut feeds: Vec<Feed> = Vec::new();
         let mut replays = BTreeMap::new();
         for c in &configs {
             match &c.source {
-                SensorSource::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
+                Source::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
                     feeds.push(Feed::new(from));
                 }
-                SensorSource::Csv { record, .. } if !replays.contains_key(record) => {
+                Source::Csv { record, .. } if !replays.contains_key(record) => {
                     replays.insert(record.clone(), rtec_measure::record::read_log(record)?);
                 }
                 _ => {}
@@ -485,7 +483,7 @@ impl SensorBank {
         if self.feeds.is_empty() { shortest / 2.0 } else { shortest.min(0.1) / 2.0 }
     }
 
-    /// The sensors, in the configuration's order.
+    /// The sensors.
     #[must_use]
     pub fn sensors(&self) -> &[Watch] {
         &self.sensors
@@ -498,17 +496,17 @@ impl SensorBank {
         }
         let start = *self.replay_start.get_or_insert(now_s);
         for watch in &mut self.sensors {
-            let line = matches!(watch.config.source, SensorSource::Line { .. });
+            let line = matches!(watch.config.source, Source::Line { .. });
             if now_s < watch.due && !line {
                 continue;
             }
             watch.due = now_s + watch.config.period_s;
             let reading = match &watch.config.source {
-                SensorSource::Iio { device, channel } => iio(&self.root, device, *channel),
-                SensorSource::Hwmon { chip, input } => hwmon(&self.root, chip, *input),
-                SensorSource::OneWire { id } => one_wire(&self.root, id),
-                SensorSource::Csv { record, column } => replay(&self.replays[record], column, now_s - start),
-                SensorSource::Line { from, key } => {
+                Source::Iio { device, channel } => iio(&self.root, device, *channel),
+                Source::Hwmon { chip, input } => hwmon(&self.root, chip, *input),
+                Source::OneWire { id } => one_wire(&self.root, id),
+                Source::Csv { record, column } => replay(&self.replays[record], column, now_s - start),
+                Source::Line { from, key } => {
                     let feed = self.feeds.iter().find(|f| f.from == *from);
                     let value = feed.and_then(|f| f.values.get(key).copied());
                     value.ok_or_else(|| feed.map_or(String::new(), |f| f.trouble.clone()))
@@ -603,11 +601,11 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
 ///
 /// # Errors
 /// The first finding, with line and column.
-pub fn read_tables(root: &Table<'_>) -> Result<Vec<SensorConfig>, InputError> {
-    let mut found: Vec<SensorConfig> = Vec::new();
+pub fn read_tables(root: &Table<'_>) -> Result<Vec<Config>, InputError> {
+    let mut found: Vec<Config> = Vec::new();
     let tables = root.get("sensor").map(|e| e.tables("[[sensor]] tables")).transpose()?;
     for t in tables.unwrap_or_default() {
-        let config = SensorConfig::read(t)?;
+        let config = Config::read(t)?;
         if found.iter().any(|c| c.name == config.name) {
             let found = format!("sensor `{}` twice", config.name);
             return Err(t.required("name", "")?.error(found, "each name once"));
@@ -623,8 +621,8 @@ mod tests {
     use std::io::Write;
     use std::net::TcpListener;
 
-    fn config(name: &str, source: SensorSource) -> SensorConfig {
-        SensorConfig {
+    fn config(name: &str, source: Source) -> Config {
+        Config {
             name: name.into(),
             place: String::new(),
             source,
@@ -639,7 +637,7 @@ mod tests {
     }
 
     fn watch() -> Watch {
-        Watch::new(config("T1", SensorSource::OneWire { id: "28-0".into() }))
+        Watch::new(config("T1", Source::OneWire { id: "28-0".into() }))
     }
 
     #[test]
@@ -713,10 +711,10 @@ mod tests {
         for bad in [one_wire(root, "28-00b"), iio(root, "nothing", 0), hwmon(root, "k10temp", 1)] {
             assert!(bad.is_err());
         }
-        let mut bank = SensorBank::new(
+        let mut bank = Bank::new(
             vec![
-                config("T1", SensorSource::Hwmon { chip: "tmp102".into(), input: 1 }),
-                config("T2", SensorSource::OneWire { id: "28-00b".into() }),
+                config("T1", Source::Hwmon { chip: "tmp102".into(), input: 1 }),
+                config("T2", Source::OneWire { id: "28-00b".into() }),
             ],
             root,
         )
@@ -733,9 +731,9 @@ mod tests {
     fn a_line_feed_over_tcp() {
         let server = TcpListener::bind("127.0.0.1:0").unwrap();
         let from = server.local_addr().unwrap().to_string();
-        let line = |key: &str| SensorSource::Line { from: from.clone(), key: key.into() };
+        let line = |key: &str| Source::Line { from: from.clone(), key: key.into() };
         let mut bank =
-            SensorBank::new(vec![config("T1", line("T1")), config("T2", line("b"))], Path::new("/")).unwrap();
+            Bank::new(vec![config("T1", line("T1")), config("T2", line("b"))], Path::new("/")).unwrap();
         bank.poll(0.0);
         let (mut peer, _) = server.accept().unwrap();
         peer.write_all(b"T1 21.5\nb=22.25\nnonsense\nT1 21.5").unwrap();
@@ -753,7 +751,7 @@ mod tests {
         bank.poll(9.0);
         bank.poll(20.0);
         assert!(
-            matches!(bank.sensors()[0].fault(), Some(SensorFault::Silent(_))),
+            matches!(bank.sensors()[0].fault(), Some(Fault::Silent(_))),
             "{:?}",
             bank.sensors()[0].fault()
         );

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_correct::part_table::PartTable;
-use rtec_correct::sensors::{SensorConfig, SensorSource, Watch};
+use rtec_correct::sensors::{Config, Source, Watch};
 use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
@@ -22,12 +22,12 @@ struct Bench {
 
 const TICK_S: f64 = 0.01;
 
-fn sensor(name: &str, role: Role) -> SensorConfig {
-    SensorConfig {
+fn sensor(name: &str, role: Role) -> Config {
+    Config {
         name: name.to_owned(),
         place: String::new(),
         role,
-        source: SensorSource::Line { from: "x:1".to_owned(), key: name.to_owned() },
+        source: Source::Line { from: "x:1".to_owned(), key: name.to_owned() },
         period_s: 1.0,
         range: [-1e9, 1e9],
         max_rate_k_per_min: f64::INFINITY,
@@ -53,7 +53,7 @@ impl Bench {
     }
 
     /// With this ramp, begun at this time, and with these sensors before the temperatures T1 and T2.
-    fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
+    fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<Config>) -> Self {
         let axis = |name: &str| AxisSetup {
             name: name.to_owned(),
             count_um: 1.0,
@@ -99,12 +99,12 @@ impl Bench {
         totals
     }
 
-    /// Evaluations for so long, with the sensors heard every second; the largest step of an axis's total.
+    /// Evaluations for so long, with a reading of every sensor each second; the largest step of an axis's total.
     fn run(&mut self, s: f64, axis: usize, mut degc: impl FnMut(f64) -> Option<(f64, f64)>) -> i64 {
-        let (until, mut heard, mut largest) = (self.now_s + s, self.now_s, 0);
+        let (until, mut due_s, mut largest) = (self.now_s + s, self.now_s, 0);
         while self.now_s < until {
-            if self.now_s >= heard {
-                heard += 1.0;
+            if self.now_s >= due_s {
+                due_s += 1.0;
                 if let Some((t1, t2)) = degc(self.now_s) {
                     self.warm(t1, t2);
                 }

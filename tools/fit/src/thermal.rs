@@ -56,9 +56,9 @@ pub struct Options {
     pub environment: Option<String>,
     /// Blocks of the cross-validation.
     pub folds: usize,
-    /// Offer temperature differences passed through a first-order lag.
+    /// Offer lags.
     pub lag: bool,
-    /// Offer squares of temperature differences.
+    /// Offer squares.
     pub square: bool,
     /// What is known already: its effects are kept, and the rest is fitted.
     pub base: Option<Machine>,
@@ -125,13 +125,13 @@ pub struct Ranked {
 /// A sensor left out because another one watches the same source.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Dropped {
-    /// Name of the sensor that is left out.
+    /// The sensor.
     pub sensor: String,
     /// α: its autocorrelation with the one kept.
     pub alpha: f64,
-    /// Name of the sensor that is kept in its place.
+    /// The one kept.
     pub with: String,
-    /// γ: its correlation with the response.
+    /// Its own γ.
     pub gamma: f64,
     /// γ of its lagged difference.
     pub gamma_lagged: f64,
@@ -145,7 +145,7 @@ pub struct Dropped {
 pub struct Round {
     /// What it added; after the rounds of the refit, what it put in the place of what.
     pub added: String,
-    /// R of the fit after this round.
+    /// R after it.
     #[serde(rename = "R")]
     pub r: f64,
     /// RMS of blocked cross-validation after it, µm.
@@ -155,26 +155,26 @@ pub struct Round {
 /// A parameter with its 95 % interval (delete-one-block jackknife).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
-    /// The fitted value, in the unit of the parameter's name.
+    /// Value.
     pub value: f64,
-    /// Lower end of the interval.
+    /// Lower end.
     pub low: f64,
-    /// Upper end of the interval.
+    /// Upper end.
     pub high: f64,
 }
 
 /// An effect of the fitted model.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Fitted {
-    /// The effect's name, as `thermal_lag.z`.
+    /// `thermal_lag.z`
     pub name: String,
-    /// The sensor that it reads.
+    /// The sensor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
-    /// The sensor whose temperature is taken off; none for a reference temperature.
+    /// The one taken off.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minus: Option<String>,
-    /// Its parameters, by name.
+    /// Its parameters.
     pub parameters: BTreeMap<String, Estimate>,
 }
 
@@ -205,9 +205,9 @@ pub struct Rms {
     pub train: f64,
     /// On every block, structure and parameters chosen without it.
     pub folds: Vec<f64>,
-    /// Mean over the blocks.
+    /// Their mean.
     pub folds_mean: f64,
-    /// On every hold-out record, in the order given.
+    /// On every hold-out.
     pub holdout: Vec<f64>,
 }
 
@@ -229,7 +229,7 @@ pub struct Interval {
 pub struct DryWet {
     /// Growth per kelvin, dry, by term.
     pub dry: BTreeMap<String, f64>,
-    /// Growth per kelvin, wet, by term.
+    /// The same wet.
     pub wet: BTreeMap<String, f64>,
     /// Range of the growth on the dry rows, µm.
     pub growth_dry_um: f64,
@@ -243,8 +243,8 @@ pub struct DryWet {
 
 /// What the fit of one response found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ThermalReport {
-    /// The response that was fitted, as `error.z`.
+pub struct Report {
+    /// `error.z`
     pub response: String,
     /// The sensor of the environment.
     pub environment: Option<String>,
@@ -260,13 +260,13 @@ pub struct ThermalReport {
     pub rounds: Vec<Round>,
     /// First sensors that the data cannot tell from the one chosen.
     pub alternatives: Vec<Ranked>,
-    /// The fitted effects with their parameters.
+    /// The fitted effects.
     pub effects: Vec<Fitted>,
     /// RMS of what is left.
     pub rms_um: Rms,
     /// RMS of what simpler predictions leave on the same blocks (mean) and hold-outs.
     pub baselines: BTreeMap<String, Rms>,
-    /// The 95 % prediction interval and how well it held.
+    /// The prediction interval.
     pub interval95: Interval,
     /// Dry against wet, where the data have both.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -1094,7 +1094,7 @@ pub fn fit(
     train: &[&Record],
     holdout: &[&Record],
     options: &Options,
-) -> Result<(Machine, Vec<ThermalReport>), InputError> {
+) -> Result<(Machine, Vec<Report>), InputError> {
     let name = train[0].path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let ideal = || Machine::ideal(name.strip_suffix(".run.toml").unwrap_or(&name));
     let mut machine = options.base.clone().unwrap_or_else(ideal);
@@ -1280,7 +1280,7 @@ fn fit_response(
     response: &Role,
     options: &Options,
     machine: &mut Machine,
-) -> Result<ThermalReport, InputError> {
+) -> Result<Report, InputError> {
     let problem = Problem::new(train, response, options)?;
     let all: Vec<usize> = (0..problem.folds).collect();
     let whole = |found: &str, expected: &str| InputError::whole(&train[0].path, found, expected);
@@ -1338,7 +1338,7 @@ fn fit_response(
     pairs.sort_by(|a, b| b.gamma_lagged.abs().total_cmp(&a.gamma_lagged.abs()));
     warnings.extend(chosen.rivals(&problem));
     let environment = problem.environment.map(|e| problem.sensors[e].clone());
-    Ok(ThermalReport {
+    Ok(Report {
         response: response.to_string(),
         environment_by: match (&options.environment, &environment) {
             (Some(_), _) => "given".to_owned(),
@@ -1625,7 +1625,7 @@ pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after
         .with(Series::new("left", Style::Dots, points(after_um)))
 }
 
-impl ThermalReport {
+impl Report {
     /// The patent's figure 17: γ of every sensor as a bar upwards, its temperature range downwards, best to the right;
     /// and, which the patent has not, γ of the difference behind its lag as a dot.
     #[must_use]

@@ -191,7 +191,7 @@ impl Parameters {
     }
 
     /// Machine positions of a template that nobody has set: a program that moves to them is not ready for a machine.
-    pub fn untold(&self, template: &str) -> impl Iterator<Item = &'static str> {
+    pub fn unset(&self, template: &str) -> impl Iterator<Item = &'static str> {
         let asked = |n: u32| {
             let symbol = format!("${n}");
             let ends = |(at, _): (usize, &str)| {

@@ -79,16 +79,16 @@ fn the_segment_is_named_and_labelled_as_the_report_does() {
 
 #[test]
 fn lengths_nobody_gave_are_in_the_programs_unit_and_positions_are_asked_for_by_template() {
-    let untold = |name: &str, set: &[(&str, &str)]| {
+    let unset = |name: &str, set: &[(&str, &str)]| {
         let mut parameters = Parameters::in_unit(Unit::INCH);
         for (name, value) in set {
             parameters.set(name, value).unwrap();
         }
-        parameters.untold(&Controller::built_in(name).unwrap().unwrap().template).collect::<Vec<_>>()
+        parameters.unset(&Controller::built_in(name).unwrap().unwrap().template).collect::<Vec<_>>()
     };
-    assert_eq!(untold("report", &[]), ["probing_start_z", "reference_z", "reference_x", "clear_z"]);
-    assert_eq!(untold("linuxcnc", &[]), ["probing_start_z"], "its template asks for no other");
-    assert!(untold("fanuc", &[("probing_start_z", "3")]).is_empty());
+    assert_eq!(unset("report", &[]), ["probing_start_z", "reference_z", "reference_x", "clear_z"]);
+    assert_eq!(unset("linuxcnc", &[]), ["probing_start_z"], "its template asks for no other");
+    assert!(unset("fanuc", &[("probing_start_z", "3")]).is_empty());
     let controller = Controller::built_in("report").unwrap().unwrap();
     let (parameters, records) = (Parameters::in_unit(Unit::INCH), records());
     let (unit, made) = (Unit::INCH, "");

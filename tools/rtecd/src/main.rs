@@ -202,7 +202,7 @@ enum Kind {
     Simulated(cards::Stand),
 }
 
-/// Whom the daemon listens to and tells: clients, signals, the service manager.
+/// Whom the daemon listens to and reports to: clients, signals, the service manager.
 struct Outside<'a> {
     listener: &'a UnixListener,
     signals: &'a SignalFd,
@@ -256,7 +256,7 @@ fn work<C: Card + Send + 'static>(
             Level::Error,
             &format!("axis {}: the inverters are not where the state file left them", config.axes[n].name),
         );
-        // What is latched now stands in the status from the first one on; there is no one yet to be told.
+        // What is latched now stands in the status from the first one on; there is no one yet to report it to.
         engine.latch(Some(n as u8), Fault::InvertersMoved, &mut card, &mut |_| true)?;
     }
     if let Some((journal, _)) = journal {

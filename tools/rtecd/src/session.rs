@@ -89,7 +89,7 @@ impl Session {
         &self.config.axes
     }
 
-    /// How often the real-time thread must hear from us.
+    /// How often the real-time thread must see a sign of life.
     pub(crate) fn beat_every(&self) -> Duration {
         let stale = Duration::from_millis((self.config.control.stale_ms / 4).clamp(1, 20));
         stale.min(Duration::from_millis(self.config.model.period_ms))
@@ -183,7 +183,7 @@ impl Session {
         std::mem::take(&mut self.happened)
     }
 
-    /// Logs what the real-time thread has told.
+    /// Logs what the real-time thread has reported.
     pub(crate) fn drain(&mut self, control: &mut ControlEnd, log: &mut Log) {
         while let Some(event) = control.event() {
             self.note(&event, log);
@@ -221,7 +221,7 @@ impl Session {
         self.happened.push(happened);
     }
 
-    /// Sends a request and waits until it has been worked off; returns what was told in the meantime.
+    /// Sends a request and waits until it has been worked off; returns what was reported in the meantime.
     fn send(
         &mut self,
         request: Request,
@@ -276,7 +276,7 @@ impl Session {
         }
     }
 
-    /// Sends a request and turns what was told into an answer; an insertion under way is waited for.
+    /// Sends a request and turns what was reported into an answer; an insertion under way is waited for.
     fn carry_out(
         &mut self,
         request: Request,
@@ -455,7 +455,7 @@ impl Session {
         Response::Done { jumps: Vec::new() }
     }
 
-    /// Jogs a simulated axis, and tells what display and indicator show.
+    /// Jogs a simulated axis, and reports what display and indicator show.
     fn jog(&self, axis: &str, display_mm: Option<f64>) -> Result<Response, Response> {
         let n = self.number(axis)?;
         let Some(stand) = &self.stand else {
@@ -519,8 +519,8 @@ impl Session {
         };
         for n in axes {
             let (axis, position_counts) = (n as u8, self.config.axes[n].home_counts);
-            let told = self.carry_out(Request::Home { axis, position_counts }, control, log)?;
-            let read_back = told.iter().find_map(|e| match e.kind {
+            let events = self.carry_out(Request::Home { axis, position_counts }, control, log)?;
+            let read_back = events.iter().find_map(|e| match e.kind {
                 EventKind::HomeSet { position_counts } if e.axis == Some(axis) => Some(position_counts),
                 _ => None,
             });
@@ -822,7 +822,7 @@ mod tests {
         running.stop();
     }
 
-    /// A control side that falls silent: corrections freeze, the status says so; heard again, they go on.
+    /// A control side that falls silent: corrections freeze, the status says so; back again, they go on.
     #[test]
     fn a_stale_control_side_freezes_corrections_and_is_named() {
         let config = Config::embedded();

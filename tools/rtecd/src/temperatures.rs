@@ -1,7 +1,7 @@
 //! Temperatures: one thread per bus, so that a slow sensor holds up its own kind only; and a log that a restart reads
 //! back.
 
-use rtec_correct::sensors::{SensorBank, SensorConfig, SensorSource, Use, Watch};
+use rtec_correct::sensors::{Bank, Config, Source, Use, Watch};
 use rtec_files::{InputError, csv};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -50,16 +50,16 @@ impl Temperatures {
     ///
     /// # Errors
     /// A recording to be replayed that cannot be read.
-    pub(crate) fn start(configs: &[SensorConfig], directory: &Path, log_s: f64) -> Result<Self, InputError> {
+    pub(crate) fn start(configs: &[Config], directory: &Path, log_s: f64) -> Result<Self, InputError> {
         let clock = Clock::new();
-        let mut of_bus: BTreeMap<String, Vec<(usize, SensorConfig)>> = BTreeMap::new();
+        let mut of_bus: BTreeMap<String, Vec<(usize, Config)>> = BTreeMap::new();
         for (n, config) in configs.iter().enumerate() {
             let bus = match &config.source {
-                SensorSource::Iio { .. } => "iio",
-                SensorSource::Hwmon { .. } => "hwmon",
-                SensorSource::OneWire { .. } => "one_wire",
-                SensorSource::Csv { .. } => "csv",
-                SensorSource::Line { from, .. } => from,
+                Source::Iio { .. } => "iio",
+                Source::Hwmon { .. } => "hwmon",
+                Source::OneWire { .. } => "one_wire",
+                Source::Csv { .. } => "csv",
+                Source::Line { from, .. } => from,
             };
             of_bus.entry(bus.to_owned()).or_default().push((n, config.clone()));
         }
@@ -69,7 +69,7 @@ impl Temperatures {
             for (k, (n, _)) in members.iter().enumerate() {
                 places[*n] = (buses.len(), k);
             }
-            let bank = SensorBank::new(members.into_iter().map(|m| m.1).collect(), Path::new("/"))?;
+            let bank = Bank::new(members.into_iter().map(|m| m.1).collect(), Path::new("/"))?;
             let shared: Shared = Arc::new(Mutex::new(bank.sensors().to_vec()));
             buses.push(Arc::clone(&shared));
             // It may hang in a driver: nobody waits for it, its sensors grow old and are said to be silent.
@@ -108,7 +108,7 @@ impl Temperatures {
     }
 }
 
-fn listen(mut bank: SensorBank, shared: &Shared, clock: Clock) {
+fn listen(mut bank: Bank, shared: &Shared, clock: Clock) {
     let pause = Duration::from_secs_f64(bank.pause_s());
     loop {
         bank.poll(clock.now_s());

@@ -450,7 +450,7 @@ impl BenchRun<'_> {
         rig.out(0);
         let mut corrector = start(&mut rig)?;
         let mut faults = 0;
-        let mut tell = |e: Event| {
+        let mut report = |e: Event| {
             faults += usize::from(matches!(e.kind, EventKind::Fault(_)));
             true
         };
@@ -459,11 +459,11 @@ impl BenchRun<'_> {
         let (mut insertions, mut last_edge_ns) = (0, 0);
         loop {
             while let Some((_, total)) = totals.next_if(|t| t.0 <= corrector.now_ns()) {
-                corrector.correct(total, true, &mut rig, &mut tell).ok()?;
+                corrector.correct(total, true, &mut rig, &mut report).ok()?;
             }
             let by_ns = totals.peek().map_or(u64::MAX, |t| t.0);
             let seen = rig.seen;
-            match corrector.poll(&mut rig, by_ns, &mut tell) {
+            match corrector.poll(&mut rig, by_ns, &mut report) {
                 Ok(()) => {}
                 Err(CardError::Ended) => break,
                 Err(CardError::Io { .. }) => return None,

@@ -256,8 +256,8 @@ fn death(run: &BenchRun<'_>) -> Death {
         }
         let seen = BenchRun { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
         let (scale, mtc) = seen.at_death?;
-        let (moved, heard) = (seen.scale - scale, seen.mtc - mtc);
-        (moved != 0).then(|| (heard as f64 / moved as f64, heard - moved))
+        let (moved, counted) = (seen.scale - scale, seen.mtc - mtc);
+        (moved != 0).then(|| (counted as f64 / moved as f64, counted - moved))
     };
     for die_ns in spread.iter().copied() {
         let Some((follows, error)) = stop(die_ns) else { continue };

@@ -273,7 +273,7 @@ impl CorrectedAxis for Ecc {
         &mut self,
         card: &mut C,
         by_ns: u64,
-        _tell: &mut impl FnMut(Event) -> bool,
+        _report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let splitting = matches!(self.passing, Passing::Split { .. });
         // An input that has fallen below the lock range leaves the VCO running at its lowest frequency.
@@ -306,11 +306,11 @@ impl CorrectedAxis for Ecc {
         total_counts: i64,
         _large: bool,
         _card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         if total_counts.abs() > 1000 {
             let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
-            tell(Event { t_ns: self.look_ns, axis: Some(0), kind });
+            report(Event { t_ns: self.look_ns, axis: Some(0), kind });
         } else {
             self.requested = total_counts;
         }

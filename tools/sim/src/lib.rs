@@ -15,7 +15,7 @@
 //! | [`path`], [`gcode`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
-//! | [`sim`] | machine, engine and corrector together: runs programs, probes, tells where the tool is |
+//! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports where the tool is |
 //! | [`attended`], `polled` | what goes on at the machine once in a period; the card that polls it |
 //! | [`wires`], [`strokes`], [`duty`] | machines at a mock card's wires in real time: axes to and fro, the lathe's duty |
 //! | [`workpiece`], [`lathe`], [`job`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |

@@ -183,7 +183,7 @@ pub fn homed_engine<C: Card>(
     Ok(engine)
 }
 
-/// Plays `trace` with `totals` to the engine as one homed axis; `to` hears every change that the MTC sees.
+/// Plays `trace` with `totals` to the engine as one homed axis; `to` gets every change that the MTC sees.
 /// `large` flags every request as meant, whatever its size. Memory does not grow with the trace.
 ///
 /// # Errors

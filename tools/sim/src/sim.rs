@@ -292,12 +292,12 @@ impl Sim {
         loop {
             let by_ns = end_ns.min(self.next_control_ns);
             let (engine, machine, events) = (&mut self.engine, &mut self.machine, &mut self.events);
-            let mut tell = |e: Event| {
+            let mut report = |e: Event| {
                 events.push(e);
                 true
             };
             while engine.now_ns() < by_ns {
-                engine.poll(machine, by_ns, &mut tell)?;
+                engine.poll(machine, by_ns, &mut report)?;
             }
             if by_ns == self.next_control_ns {
                 self.control()?;
@@ -422,11 +422,11 @@ impl Sim {
     pub fn probe(&mut self, surface: Option<Surface>) -> Result<(), SimError> {
         self.probing = surface.is_some();
         let events = &mut self.events;
-        let mut tell = |e: Event| {
+        let mut report = |e: Event| {
             events.push(e);
             true
         };
-        self.engine.take(Request::Probe(self.probing), &mut self.machine, &mut tell)?;
+        self.engine.take(Request::Probe(self.probing), &mut self.machine, &mut report)?;
         let delay_ns = self.machine.probe_delay_ns();
         self.machine.set_surface(surface, delay_ns);
         self.trips = [None; AXES];
@@ -439,11 +439,11 @@ impl Sim {
     /// The simulated card failed.
     pub fn hold(&mut self, on: bool) -> Result<(), SimError> {
         let events = &mut self.events;
-        let mut tell = |e: Event| {
+        let mut report = |e: Event| {
             events.push(e);
             true
         };
-        self.engine.take(Request::Hold(on), &mut self.machine, &mut tell)?;
+        self.engine.take(Request::Hold(on), &mut self.machine, &mut report)?;
         Ok(())
     }
 

@@ -33,7 +33,7 @@ const STEP_RAD: f64 = 5e-4;
 const STEPS: usize = 3263;
 
 impl Workpiece {
-    /// A raw part, round about  with this radius, mm.
+    /// A raw part: round about `centre` (part coordinates), of this radius, mm.
     #[must_use]
     pub fn raw(centre: Zx, radius_mm: f64) -> Self {
         Self { centre, radius_mm: vec![radius_mm; STEPS] }

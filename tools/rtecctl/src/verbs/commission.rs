@@ -324,7 +324,7 @@ fn two_numbers(from: &mut impl std::io::BufRead) -> anyhow::Result<(f64, f64)> {
     }
 }
 
-/// Takes back what was inserted, and tells what of it the controller still has.
+/// Takes back what was inserted, and returns what of it the controller still has.
 fn take_back(args: &Args) -> anyhow::Result<()> {
     let client = args.daemon.connect()?;
     let mut guide = Guide { client, args, simulated: false };

@@ -59,7 +59,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
     }
     let left = |s: &DaemonStatus| s.axes.iter().map(|a| a.in_effect.unsigned_abs()).sum::<u64>();
     let (mut least, mut since) = (left(&now), Instant::now());
-    let mut told = Instant::now();
+    let mut shown_at = Instant::now();
     loop {
         // What is requested is put back too: enabled again, nothing moves.
         if now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
@@ -89,8 +89,8 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
             let text = format!("not at zero, corrections are still on: {}", waiting.join("; "));
             return Err(Outcome::No(text).into());
         }
-        if told.elapsed() >= PROGRESS_EVERY {
-            told = Instant::now();
+        if shown_at.elapsed() >= PROGRESS_EVERY {
+            shown_at = Instant::now();
             eprintln!("{}", waiting.join("; "));
         }
         std::thread::sleep(EVERY);

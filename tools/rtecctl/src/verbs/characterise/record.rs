@@ -4,7 +4,7 @@ use crate::daemon::{check, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
-use rtec_correct::sensors::{self, Feed, SensorBank, SensorConfig, Use};
+use rtec_correct::sensors::{self, Bank, Config, Feed, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, Record, Role};
@@ -84,7 +84,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
         return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
     }
     let mut columns = vec![column("t", Role::Time)];
-    let mut bank = SensorBank::new(read_sensors(args.sensors.as_deref())?, &args.root)?;
+    let mut bank = Bank::new(read_sensors(args.sensors.as_deref())?, &args.root)?;
     columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
     let own = columns.len();
     let mut corrector = args.socket.as_deref().map(DaemonTotals::connect).transpose()?;
@@ -110,7 +110,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     let start = Instant::now();
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
-    let (mut taken, mut told) = (0_u64, 0.0);
+    let (mut taken, mut shown_s) = (0_u64, 0.0);
     for row in 0..rows {
         let due = row as f64 * period;
         wait_until(start, due);
@@ -154,8 +154,8 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
             }
             taken += 1;
         }
-        if now - told >= 2.0 || row + 1 == rows {
-            told = now;
+        if now - shown_s >= 2.0 || row + 1 == rows {
+            shown_s = now;
             let trouble = if silent.is_empty() { String::new() } else { format!("; {}", silent.join(", ")) };
             eprintln!("{now:.0} of {duration:.0} s, {taken} rows{trouble}");
         }
@@ -256,7 +256,7 @@ fn wait_until(start: Instant, due_s: f64) {
     }
 }
 
-fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
+fn read_sensors(path: Option<&Path>) -> Result<Vec<Config>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let text = rtec_files::text::read(path)?;
     let doc = Document::parse(path, &text)?;

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_fit::least;
-use rtec_fit::thermal::{self, Fitted, Options, ThermalReport};
+use rtec_fit::thermal::{self, Fitted, Options, Report};
 use rtec_measure::plot::Chart;
 use rtec_model::date;
 use rtec_model::effect::Difference;
@@ -204,7 +204,7 @@ fn run_fit(
     holdout: &[PathBuf],
     date: Option<i64>,
     valid_days: i64,
-) -> anyhow::Result<(Machine, Vec<ThermalReport>)> {
+) -> anyhow::Result<(Machine, Vec<Report>)> {
     let (train, holdout) = (read(&common.records)?, read(holdout)?);
     let sensors = common.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
     let options = Options {
@@ -225,7 +225,7 @@ fn run_fit(
         }
     }
     if let Some(path) = &common.plot {
-        draw(path, &reports.iter().map(ThermalReport::chart).collect::<Vec<_>>())?;
+        draw(path, &reports.iter().map(Report::chart).collect::<Vec<_>>())?;
     }
     Ok((machine, reports))
 }
@@ -259,10 +259,7 @@ fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
     })
 }
 
-fn print_json(
-    reports: &[ThermalReport],
-    of: impl Fn(&ThermalReport) -> serde_json::Value,
-) -> anyhow::Result<()> {
+fn print_json(reports: &[Report], of: impl Fn(&Report) -> serde_json::Value) -> anyhow::Result<()> {
     let document = match reports {
         [one] => of(one),
         many => serde_json::json!({ "responses": many.iter().map(of).collect::<Vec<_>>() }),
@@ -271,7 +268,7 @@ fn print_json(
     Ok(())
 }
 
-fn print_selection(r: &ThermalReport) {
+fn print_selection(r: &Report) {
     println!("{}", r.response);
     if let Some(e) = &r.environment {
         println!("environment: {e} ({})", r.environment_by);

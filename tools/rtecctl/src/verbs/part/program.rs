@@ -94,11 +94,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             parameters.read(file)?;
         }
     }
-    let untold: Vec<&str> = parameters.untold(&controller.template).collect();
-    if !untold.is_empty() {
+    let unset: Vec<&str> = parameters.unset(&controller.template).collect();
+    if !unset.is_empty() {
         eprintln!(
             "rtecctl: machine positions left at 0: {}; set them before the program runs",
-            untold.join(", ")
+            unset.join(", ")
         );
     }
     let made = match &args.date {

@@ -72,7 +72,7 @@ impl Page {
                         Err(()) => r,
                     }
                 });
-            // The browser may be gone: its next request will tell.
+            // The browser may be gone: its next request will show it.
             let _ = request.respond(response);
             if done {
                 return Ok(());
