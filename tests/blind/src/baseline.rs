@@ -2,7 +2,7 @@
 //! own parameters fitted along: forward selection by the Bayesian information criterion, and the LASSO with
 //! cross-validation.
 
-use rtec_model::effect::{Dictionary, Effect};
+use rtec_model::effect::{Dictionary, Effect, Heat, Search};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 
@@ -74,29 +74,25 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
         let all: Vec<f64> = records.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
         all.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)))
     };
-    match effect.description().name.as_str() {
-        "thermal_lag" | "warm_up" => {
-            (0..10).filter_map(|i| set(&[("tau_s", (t1 - t0) * 0.01 * 1.65_f64.powi(i))])).collect()
-        }
-        "reversal_spike" => {
+    match searched_by(effect)[..] {
+        ["tau_s"] => (0..10).filter_map(|i| set(&[("tau_s", (t1 - t0) * 0.01 * 1.65_f64.powi(i))])).collect(),
+        ["length_mm"] => {
             let (lo, hi) = places(0);
             (0..8).filter_map(|i| set(&[("length_mm", (hi - lo) * 0.3 * 0.6_f64.powi(i))])).collect()
         }
-        "lost_counts" => {
-            (1..80).filter_map(|i| set(&[("at_s", t0 + (t1 - t0) * f64::from(i) / 80.0)])).collect()
-        }
-        "probe_lobing" => (2..=9).filter_map(|i| set(&[("lobes", f64::from(i))])).collect(),
-        "form_bump" => (0..24)
+        ["at_s"] => (1..80).filter_map(|i| set(&[("at_s", t0 + (t1 - t0) * f64::from(i) / 80.0)])).collect(),
+        ["lobes"] => (2..=9).filter_map(|i| set(&[("lobes", f64::from(i))])).collect(),
+        ["centre_rad", "width_rad"] => (0..24)
             .flat_map(|i| [0.3, 0.6, 1.2, 2.0].map(|w| (f64::from(i) * 0.262, w)))
             .filter_map(|(c, w)| set(&[("centre_rad", c), ("width_rad", w)]))
             .collect(),
-        "screw_periodic" => {
+        ["period_mm"] => {
             (0..500).filter_map(|i| set(&[("period_mm", 0.5 * 120f64.powf(f64::from(i) / 499.0))])).collect()
         }
-        "subdivision" => {
+        ["period_um"] => {
             (0..800).filter_map(|i| set(&[("period_um", 200f64.powf(f64::from(i) / 799.0))])).collect()
         }
-        "position_map" | "straightness" => {
+        ["knots_mm"] => {
             let (lo, hi) = places(effect.axes().len() - 1);
             [5, 8, 12]
                 .iter()
@@ -112,14 +108,19 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
     }
 }
 
-/// How many parameters of a candidate its grid searches: each counts like one that is fitted.
+/// The non-linear parameters of an effect, by their keys.
+fn searched_by(effect: &Effect) -> Vec<&str> {
+    let parameters = effect.description().parameters.iter();
+    parameters
+        .filter(|p| matches!(p.search, Search::Smooth | Search::Chosen))
+        .map(|p| p.name.as_str())
+        .collect()
+}
+
+/// How many parameters of a candidate its grid searches: each counts like one that is fitted. Knots are none: each has a
+/// height that is fitted.
 fn searched(effect: &Effect) -> usize {
-    match effect.description().name.as_str() {
-        "form_bump" => 2,
-        "thermal_lag" | "warm_up" | "reversal_spike" | "lost_counts" | "probe_lobing" | "screw_periodic"
-        | "subdivision" => 1,
-        _ => 0,
-    }
+    searched_by(effect).iter().filter(|key| **key != "knots_mm").count()
 }
 
 /// A grid point of an effect.
@@ -163,7 +164,7 @@ fn problem(records: &[Record], machine: &Machine) -> Problem {
         candidates.extend(grid(records, &e).iter().map(|g| {
             let mut columns = stacked(records, g, false);
             // The quadratic term of a temperature law is the analyst's second thought.
-            if ["thermal_growth", "thermal_lag"].contains(&g.description().name.as_str()) {
+            if g.description().heat == Heat::Growth {
                 columns.truncate(1);
             }
             Candidate { name: name.clone(), columns, searched: searched(&e) }

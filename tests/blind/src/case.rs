@@ -163,6 +163,17 @@ fn write_run(
     Ok(path)
 }
 
+/// Whether a machine can have it: the bounds that formats.md states.
+fn physical(s: &Source) -> bool {
+    let law = s.name.split('.').next().unwrap_or_default();
+    match law {
+        "subdivision" => s.val("um").abs() < s.val("period_um") / 4.0,
+        "scale" => s.val("ppm").abs() < 1000.0,
+        "thermal_growth" | "thermal_lag" => s.val("um_per_K").abs() < 60.0,
+        _ => true,
+    }
+}
+
 /// Makes a case and writes it into `dir`. `law` asks for a kind of effect where the case hides one.
 ///
 /// # Errors
@@ -219,6 +230,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
                 s.scale(whole / v);
             }
             snr.push(size(s, &runs) / noise.sd);
+            good &= physical(s);
         }
         // A rival of the same name with different sensors is legal but nothing to be asked twice.
         if !good || snr.iter().any(|s| *s > 12.0 || *s < 0.9 * floor) {
@@ -237,6 +249,9 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
                 continue;
             }
             s.scale(dice.log(1.0, 15.0) * noise.sd / now);
+            if !physical(&s) {
+                continue;
+            }
             let mut with = hidden.clone();
             with.push(s.clone());
             // Where the model's own effect already looks like the hidden one nothing would be missing.

@@ -4,7 +4,7 @@
 
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
-use rtec_reconcile::{Options, Reconciliation, reconcile};
+use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> Option<String> {
@@ -61,7 +61,7 @@ fn a_plate_that_was_turned_is_called_turned() {
 fn a_plate_that_is_too_small_alike_may_be_cold() {
     let Some(text) = data("plate_cmm/D2130A1") else { return };
     let r = reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &Options::default()).unwrap();
-    assert_eq!(r.verdict, "not_separable");
+    assert_eq!(r.verdict, Verdict::NotSeparable);
     let (scale, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "scale.x").unwrap();
     assert!(scale.rivals.iter().any(|v| v.name == "thermal_expansion.x"));
     assert!(scale.effect.scalar(0) < -10.0 && scale.effect.scalar(0) > -40.0);
@@ -163,7 +163,7 @@ fn a_driven_axis_has_coulomb_friction_that_differs_by_direction() {
             100.0 * before / size,
             r.every
         );
-        assert_eq!(r.verdict, "named");
+        assert_eq!(r.verdict, Verdict::Named);
         assert_eq!(names(&r), ["friction_coulomb.x", "friction_asymmetric.x"]);
         let coulomb = r.effects[0].0.effect.scalar(0);
         assert!((coulomb - 20.39).abs() < 0.5, "the owners' Coulomb friction: {coulomb} N");
@@ -208,7 +208,7 @@ fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
             r.verdict,
             r.effects.iter().map(|(f, _)| (f.effect.name(), &f.effect.delta)).collect::<Vec<_>>()
         );
-        assert_eq!(r.verdict, "not_separable");
+        assert_eq!(r.verdict, Verdict::NotSeparable);
         assert_eq!(names(&r)[0], "thermal_lag.z");
         assert!(after < 0.3 * learned, "{after} and {learned}");
         assert!(!better_than_own_mean || after < own, "{after} and {own}");

@@ -29,6 +29,8 @@ struct AxisState {
     model_um: f64,
     table_um: f64,
     total: Total,
+    /// Where all axes were when it last changed, counts.
+    changed_at: [i64; MAX_AXES],
     /// Why its total stands still, or its thermal part.
     holds: Option<String>,
     stands: Option<String>,
@@ -73,6 +75,7 @@ impl Corrector {
                 model_um: 0.0,
                 table_um: 0.0,
                 total: Total::new(s.count_um, s.increment_counts, s.window_counts, s.max_counts),
+                changed_at: [0; MAX_AXES],
                 holds: None,
                 stands: None,
             });
@@ -316,13 +319,18 @@ impl Corrector {
                 axis.total.rest();
                 continue;
             }
-            totals[n] = axis.total.next(TickInputs {
+            let next = axis.total.next(TickInputs {
                 um: axis.model_um + axis.table_um,
                 requested: s.requested,
                 ramp_um: if axis.holds.is_none() { self.ramp_um_s * dt_s } else { 0.0 },
                 changed,
+                moved: self.motion.moved_since(&axis.changed_at, &self.setups),
                 last,
             });
+            if next.is_some() {
+                axis.changed_at = self.motion.place();
+            }
+            totals[n] = next;
         }
         totals
     }

@@ -2,7 +2,7 @@
 
 use crate::AxisSetup;
 use rtec_model::live::AxisNow;
-use rtec_rt::event::Status;
+use rtec_rt::event::{MAX_AXES, Status};
 use std::collections::VecDeque;
 
 /// Beyond an increment, how far an axis must come back before it counts as having turned, counts.
@@ -60,6 +60,19 @@ impl Motion {
     /// Every axis now; its load is not known here.
     pub(crate) fn now(&self) -> &[AxisNow] {
         &self.now
+    }
+
+    /// Where the axes are by their scales, counts.
+    pub(crate) fn place(&self) -> [i64; MAX_AXES] {
+        self.seen.back().map_or([0; MAX_AXES], |s| s.axes.map(|a| a.position_counts))
+    }
+
+    /// An axis has moved since it was at `place`, by more than an insertion does.
+    pub(crate) fn moved_since(&self, place: &[i64; MAX_AXES], axes: &[AxisSetup]) -> bool {
+        let now = self.place();
+        axes.iter()
+            .enumerate()
+            .any(|(n, axis)| (now[n] - place[n]).abs() > axis.increment_counts + TURNED_COUNTS)
     }
 
     /// Positions have been counted anew.

@@ -172,7 +172,8 @@ fn run(shift: &Record, axes: &[Axis], stages: &mut [Stage<'_>; 2], changes: &mut
     for row in 0..shift.rows() {
         let before = row.saturating_sub(1);
         let gap_s = t[row] - t[before];
-        let ticks = (gap_s / PERIOD_S).ceil().clamp(1.0, MOST_TICKS);
+        // A row a period after the last one is one tick, however its decimals fall.
+        let ticks = (gap_s / PERIOD_S - 1e-6).ceil().clamp(1.0, MOST_TICKS);
         for k in 1..=ticks as u32 {
             let part = f64::from(k) / ticks;
             let reading = |data: &[f64]| data[before] + (data[row] - data[before]) * part;

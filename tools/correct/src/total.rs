@@ -4,8 +4,10 @@
 //! a sensor back) is a ramp, never a jump. No step is larger than the belief window, so that the engine believes it.
 
 /// A total changes when it is further than half an increment and this share of one off: what trembles on a boundary must
-/// not send counts back and forth.
-const HYSTERESIS: f64 = 0.25;
+/// not send counts back and forth. While the axes move, they themselves carry it past the boundary.
+const MOVING: f64 = 0.1;
+/// The same while they stand: only the noise of the sensors is left, some tenths of a micrometre.
+const STANDING: f64 = 0.25;
 
 /// The counts of one axis.
 #[derive(Debug, Clone)]
@@ -35,6 +37,8 @@ pub(crate) struct TickInputs {
     pub ramp_um: f64,
     /// A source has changed: what is new in it is approached in a ramp.
     pub changed: bool,
+    /// An axis has moved since the total last changed.
+    pub moved: bool,
     /// No source but the operator is left.
     pub last: bool,
 }
@@ -84,7 +88,7 @@ impl Total {
 
     /// The total to ask for now; none where it stands already.
     pub(crate) fn next(&mut self, wanted: TickInputs) -> Option<i64> {
-        let TickInputs { um, requested, ramp_um, changed, last } = wanted;
+        let TickInputs { um, requested, ramp_um, changed, moved, last } = wanted;
         if !self.following {
             // Where the axis is: what it was asked for before counts, wherever that came from.
             self.following = true;
@@ -97,7 +101,8 @@ impl Total {
         self.offset_um -= self.offset_um.clamp(-ramp_um, ramp_um);
         self.out_um = um + self.offset_um;
         let counts = self.out_um / self.count_um;
-        if (counts - self.counts as f64).abs() > (0.5 + HYSTERESIS) * self.increment_counts as f64 {
+        let hysteresis = if moved { MOVING } else { STANDING };
+        if (counts - self.counts as f64).abs() > (0.5 + hysteresis) * self.increment_counts as f64 {
             self.counts = self.rounded(self.out_um);
         } else if last && self.out_um == 0.0 {
             self.counts = 0;
@@ -155,7 +160,7 @@ mod tests {
     use super::*;
 
     fn wanted(um: f64, requested: i64) -> TickInputs {
-        TickInputs { um, requested, ramp_um: 0.05, changed: false, last: false }
+        TickInputs { um, requested, ramp_um: 0.05, changed: false, moved: false, last: false }
     }
 
     fn following() -> Total {
@@ -173,6 +178,16 @@ mod tests {
             assert_eq!(total.next(wanted(um, 2)), None, "{um}");
         }
         assert_eq!(total.next(wanted(0.49, 2)), Some(0));
+    }
+
+    #[test]
+    fn an_axis_that_moves_is_followed_more_closely() {
+        let mut total = following();
+        let moved = |um, requested| TickInputs { moved: true, ..wanted(um, requested) };
+        assert_eq!(total.next(moved(1.19, 0)), None);
+        assert_eq!(total.next(moved(1.21, 0)), Some(2));
+        assert_eq!(total.next(wanted(0.79, 2)), None, "it stands now");
+        assert_eq!(total.next(moved(0.79, 2)), Some(0));
     }
 
     #[test]

@@ -1295,7 +1295,7 @@ fn fit_response(
     let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
     let guards = rows.guards(&problem, &terms, &plain, &|_| true);
     let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
-        .map_err(|e| whole(&e.to_string(), "parameters within the law's limits"))?;
+        .map_err(|e| whole(&e.to_string(), "parameters within the law's bounds"))?;
     let mut fitted = Vec::new();
     let mut own = Machine::ideal("fit");
     for (effect, interval) in effects {

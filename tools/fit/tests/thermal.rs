@@ -38,15 +38,18 @@ fn patents_equations_to_the_last_digit() {
         temperatures.iter().map(|(n, v)| ((*n).to_owned(), Role::Temperature, vec![*v])).collect();
     columns.extend(["x", "y", "z"].map(|a| (format!("e{a}"), error(a), vec![0.0])));
     let p = machine.predict(&record(columns)).unwrap();
-    // E_x = 0.4179 + 0.114·10 − 0.0008·100 − 0.0128·5 + 0.0005·25 = 1.4264 mm
+    // E_x = 0.4179 + 0.0114·10 − 0.0008·100 − 0.0128·5 + 0.0005·25 = 0.4004 mm, with a tenth of the printed 0.114
     // E_y = 0.4017 + 0.0045·8 − 0.00004·64 − 0.05712·(−2) − 0.00074·4 = 0.54642 mm
     // E_z = 0.5248 + 0.015·10 − 0.00041·100 − 0.020·6 + 0.0015·36 + 0.00062·2 − 0.00056·4 − 0.0068·3 − 0.000084·9
     //     = 0.545644 mm
-    for ((name, got), want) in p.columns.iter().zip([1426.4, 546.42, 545.644]) {
+    for ((name, got), want) in p.columns.iter().zip([400.4, 546.42, 545.644]) {
         assert!((got[0] - want).abs() < 1e-9, "{name}: {} and {want}", got[0]);
     }
-    // The text's own selection for Z has T7 − T18 = 7 K in the first pair: 0.521554 mm.
+    // As printed, equation 2 is outside the bounds of growth.
     let text = std::fs::read_to_string(&path).unwrap();
+    let printed = Machine::parse(&path, &text.replace("um_per_K = 11.4", "um_per_K = 114.0")).unwrap_err();
+    assert!(printed.found.contains("114") && printed.expected.contains("60 µm/K"), "{printed}");
+    // The text's own selection for Z has T7 − T18 = 7 K in the first pair: 0.521554 mm.
     let z = text.rfind("name = \"offset.z\"").unwrap();
     let other = format!("{}{}", &text[..z], text[z..].replacen("\"T8\"", "\"T7\"", 1));
     let mut columns: Vec<_> =

@@ -156,6 +156,8 @@ pub struct Machine {
     listed: Vec<Listed>,
     fits: Vec<FitNote>,
     chain: Option<Chain>,
+    /// The laws that a program gave it; its file's own come on top.
+    given: Dictionary,
     dictionary: Dictionary,
     /// The dictionary will stand beside the model wherever that is written.
     adopted: bool,
@@ -175,6 +177,7 @@ impl Machine {
             listed: Vec::new(),
             fits: Vec::new(),
             chain: None,
+            given: Dictionary::default(),
             dictionary: Dictionary::default(),
             adopted: false,
             doc,
@@ -185,7 +188,7 @@ impl Machine {
     ///
     /// # Errors
     /// The first finding, with file, line and column: syntax, unknown key or effect, a parameter that is missing, not
-    /// a finite number or outside its limits, `minus` together with `reference_degC`, one effect twice.
+    /// a finite number or outside its bounds, `minus` together with `reference_degC`, one effect twice.
     pub fn read(path: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(path)?;
         Self::parse(path, &text)
@@ -196,6 +199,14 @@ impl Machine {
     /// # Errors
     /// As [`Machine::read`].
     pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
+        Self::parse_with(path, text, Dictionary::default())
+    }
+
+    /// As [`Machine::parse`], with the laws of a program that has more than the built-in ones.
+    ///
+    /// # Errors
+    /// As [`Machine::read`].
+    pub fn parse_with(path: &Path, text: &str, given: Dictionary) -> Result<Self, InputError> {
         let doc = Document::parse(path, text)?;
         let root = doc.root();
         root.only(&["name", "note", "dictionary", "chain", "fit", "effect"])?;
@@ -212,7 +223,7 @@ impl Machine {
                 path
             })
         };
-        let mut dictionary = Dictionary::default();
+        let mut dictionary = given.clone();
         if let Some(own) = root.get("dictionary") {
             dictionary.read_own(&beside(own.str("a file of the project's own laws")?)?)?;
         }
@@ -241,7 +252,8 @@ impl Machine {
             let at = e.span().map_or(0, |s| s.start);
             InputError::at_offset(path, text, at, e.message(), "TOML")
         })?;
-        Ok(Self { path: path.to_owned(), sha256, name, listed, fits, chain, dictionary, adopted: false, doc })
+        let (path, adopted) = (path.to_owned(), false);
+        Ok(Self { path, sha256, name, listed, fits, chain, given, dictionary, adopted, doc })
     }
 
     /// SHA-256 of the file as it was read, with the dictionary and the chain that it names behind it.
@@ -392,7 +404,7 @@ impl Machine {
             None => String::new(),
         };
         text += laws;
-        let mut dictionary = Dictionary::default();
+        let mut dictionary = self.given.clone();
         dictionary.add_own(Path::new(file), &text)?;
         self.dictionary = dictionary;
         self.adopted = true;
@@ -421,7 +433,7 @@ impl Machine {
     /// Sets a parameter of the n-th effect, and its interval; comments and order of the file stay.
     ///
     /// # Errors
-    /// Unknown parameter, a value outside its limits.
+    /// Unknown parameter, a value outside its bounds.
     ///
     /// # Panics
     /// When there is no n-th effect.

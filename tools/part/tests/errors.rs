@@ -157,6 +157,7 @@ fn bad_points_are_named_by_their_line() {
     assert!(probed.check_expected(&off, 0.1).unwrap_err().found.contains("point 8"));
 }
 
+#[cfg(feature = "dxf")]
 #[test]
 fn whiskers_are_drawn_at_two_hundred_and_fifty() {
     let files = Files::new();

@@ -1,7 +1,7 @@
 //! What chance alone would find: the same search on noise made from the residual by moving its blocks about.
 
 use crate::gram::{Cholesky, Products, Vector, dot};
-use crate::search::{Search, Set};
+use crate::search::{AtPhi, Search, Set};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 
@@ -77,7 +77,9 @@ impl Search<'_, '_> {
                 .map(|i| if i == 0 { r[0] * (1.0 - phi * phi).sqrt() } else { r[i] - phi * r[i - 1] })
                 .collect();
             let mean = e.iter().sum::<f64>() / n as f64;
-            e.iter_mut().for_each(|x| *x = (*x - mean) * inflate);
+            for x in &mut e {
+                *x = (*x - mean) * inflate;
+            }
             let length = (n as f64).cbrt().ceil() as usize;
             let mut moved = Vec::with_capacity(n + length);
             while moved.len() < n {
@@ -102,90 +104,149 @@ impl Search<'_, '_> {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
         let (residual, phi) = self.residual(like);
         let inflate = (self.stack.n as f64 / (self.stack.n as f64 - like.ids.len() as f64).max(8.0)).sqrt();
-        let empty = self.empty();
         let draws: Vec<Vector> = (0..rounds)
             .map(|_| Vector::new(self.noise(&residual, phi, inflate, &mut rng), &self.stack.ranges))
             .collect();
-        let with_bank = self.all.bank.products(&draws.iter().collect::<Vec<_>>());
-        let with_known: Vec<Vec<Products>> = draws
-            .iter()
-            .map(|d| {
-                empty.ids.iter().map(|i| d.products(&self.vectors[*i].data, &self.stack.ranges)).collect()
-            })
-            .collect();
-        let own: Vec<Products> = draws.iter().map(|d| d.products(&d.data, &self.stack.ranges)).collect();
-        // For each noise coefficient: the model's own parameters' share of each draw.
-        let start: Vec<Vec<(Vec<f64>, f64)>> = (0..rounds)
-            .map(|d| {
-                empty
-                    .fits
-                    .iter()
-                    .map(|at| {
-                        let mut z: Vec<f64> = with_known[d].iter().map(|p| p.at(at.phi)).collect();
-                        at.factor.forward(&mut z);
-                        let rss = (own[d].at(at.phi) - dot(&z, &z)).max(1e-9);
-                        (z, rss)
-                    })
-                    .collect()
-            })
-            .collect();
-        let null: Vec<f64> = (0..rounds)
-            .map(|d| {
-                let values: Vec<f64> = empty
-                    .fits
-                    .iter()
-                    .zip(&start[d])
-                    .map(|(at, (_, rss))| self.loglik_of(at.phi, *rss))
-                    .collect();
-                self.best_phi(&values).0
-            })
-            .collect();
-        let mut best_named = vec![f64::NEG_INFINITY; rounds];
-        let mut best_any = vec![f64::NEG_INFINITY; rounds];
+        let rounds = Rounds::new(self, &draws);
+        let mut best_named = vec![f64::NEG_INFINITY; draws.len()];
+        let mut best_any = best_named.clone();
         for (i, atom) in self.all.atoms.iter().enumerate() {
-            let k = atom.columns.len();
-            let b = empty.ids.len();
-            let mut values = vec![Vec::with_capacity(empty.fits.len()); rounds];
-            for (f, at) in empty.fits.iter().enumerate() {
-                let mut a = vec![0.0; k * b];
-                for (c, column) in atom.columns.iter().enumerate() {
-                    let row = &mut a[c * b..(c + 1) * b];
-                    for (x, id) in row.iter_mut().zip(&empty.ids) {
-                        *x = self.against_bank(*id)[*column].at(at.phi);
-                    }
-                    at.factor.forward(row);
-                }
-                let mut m = vec![0.0; k * k];
-                let mut p = 0;
-                for r in 0..k {
-                    for c in 0..=r {
-                        let full = self.all.own[i][p].at(at.phi);
-                        p += 1;
-                        let left = full - dot(&a[r * b..(r + 1) * b], &a[c * b..(c + 1) * b]);
-                        m[r * k + c] = if r == c && left < 1e-6 * full { f64::INFINITY } else { left };
-                    }
-                }
-                let factor = Cholesky::new(&m, k);
-                for d in 0..rounds {
-                    let (z, rss) = &start[d][f];
-                    let mut g: Vec<f64> = (0..k)
-                        .map(|c| with_bank[d][atom.columns[c]].at(at.phi) - dot(&a[c * b..(c + 1) * b], z))
-                        .collect();
-                    factor.forward(&mut g);
-                    let gain: f64 = g.iter().filter(|x| x.is_finite()).map(|x| x * x).sum();
-                    values[d].push(self.loglik_of(at.phi, (rss - gain).max(1e-9 * rss)));
-                }
-            }
-            let price = atom.cost + self.dimension_cost() * k as f64;
-            for d in 0..rounds {
-                let gain = self.best_phi(&values[d]).0 - null[d];
+            let price = atom.cost + self.dimension_cost() * atom.columns.len() as f64;
+            let named = self.all.list[atom.hypothesis].named();
+            for (d, value) in rounds.with_atom(self, i).into_iter().enumerate() {
+                let gain = value - rounds.null[d];
                 best_any[d] = best_any[d].max(gain - price);
-                if self.all.list[atom.hypothesis].named() {
+                if named {
                     best_named[d] = best_named[d].max(gain - price);
                 }
             }
         }
         let draws = draws.into_iter().map(|d| d.data).collect();
         Chance { named: Extreme::fit(&best_named), any: Extreme::fit(&best_any), draws }
+    }
+}
+
+/// Rounds of noise, each fitted by the model's own parameters at every noise coefficient.
+struct Rounds {
+    empty: Set,
+    /// Per round and column of the bank.
+    with_bank: Vec<Vec<Products>>,
+    /// Per round and noise coefficient: L⁻¹ of the right-hand side, and what is left.
+    start: Vec<Vec<(Vec<f64>, f64)>>,
+    /// Per round: log likelihood without anything beside the model.
+    null: Vec<f64>,
+}
+
+impl Rounds {
+    fn new(search: &Search<'_, '_>, draws: &[Vector]) -> Self {
+        let empty = search.empty();
+        let ranges = &search.stack.ranges;
+        let with_bank = search.all.bank.products(&draws.iter().collect::<Vec<_>>());
+        let start: Vec<Vec<(Vec<f64>, f64)>> = draws
+            .iter()
+            .map(|d| {
+                let known = empty.ids.iter().map(|i| d.products(&search.vectors[*i].data, ranges));
+                let known: Vec<Products> = known.collect();
+                let own = d.products(&d.data, ranges);
+                let fit = |at: &AtPhi| {
+                    let mut z: Vec<f64> = known.iter().map(|p| p.at(at.phi)).collect();
+                    at.factor.forward(&mut z);
+                    let rss = (own.at(at.phi) - dot(&z, &z)).max(1e-9);
+                    (z, rss)
+                };
+                empty.fits.iter().map(fit).collect()
+            })
+            .collect();
+        let null = start.iter().map(|of| {
+            let values = empty.fits.iter().zip(of).map(|(at, (_, rss))| search.loglik_of(at.phi, *rss));
+            search.best_phi(&values.collect::<Vec<f64>>()).0
+        });
+        let null = null.collect();
+        Self { empty, with_bank, start, null }
+    }
+
+    /// Log likelihood of each round with a grid point's columns beside the model.
+    fn with_atom(&self, search: &Search<'_, '_>, atom: usize) -> Vec<f64> {
+        let columns = &search.all.atoms[atom].columns;
+        let (k, b) = (columns.len(), self.empty.ids.len());
+        let mut values = vec![Vec::with_capacity(self.empty.fits.len()); self.start.len()];
+        for (f, at) in self.empty.fits.iter().enumerate() {
+            let (a, factor) = self.reduced(search, atom, at);
+            for (d, values) in values.iter_mut().enumerate() {
+                let (z, rss) = &self.start[d][f];
+                let mut g: Vec<f64> = (0..k)
+                    .map(|c| self.with_bank[d][columns[c]].at(at.phi) - dot(&a[c * b..(c + 1) * b], z))
+                    .collect();
+                factor.forward(&mut g);
+                let gain: f64 = g.iter().filter(|x| x.is_finite()).map(|x| x * x).sum();
+                values.push(search.loglik_of(at.phi, (rss - gain).max(1e-9 * rss)));
+            }
+        }
+        values.iter().map(|v| search.best_phi(v).0).collect()
+    }
+
+    /// A grid point's columns less what the model's own parameters explain of them: their share, and the factor of what
+    /// is left.
+    fn reduced(&self, search: &Search<'_, '_>, atom: usize, at: &AtPhi) -> (Vec<f64>, Cholesky) {
+        let columns = &search.all.atoms[atom].columns;
+        let (k, b) = (columns.len(), self.empty.ids.len());
+        let mut a = vec![0.0; k * b];
+        for (c, column) in columns.iter().enumerate() {
+            let row = &mut a[c * b..(c + 1) * b];
+            for (x, id) in row.iter_mut().zip(&self.empty.ids) {
+                *x = search.against_bank(*id)[*column].at(at.phi);
+            }
+            at.factor.forward(row);
+        }
+        let mut m = vec![0.0; k * k];
+        let mut p = 0;
+        for r in 0..k {
+            for c in 0..=r {
+                let full = search.all.own[atom][p].at(at.phi);
+                p += 1;
+                let left = full - dot(&a[r * b..(r + 1) * b], &a[c * b..(c + 1) * b]);
+                m[r * k + c] = if r == c && left < 1e-6 * full { f64::INFINITY } else { left };
+            }
+        }
+        let factor = Cholesky::new(&m, k);
+        (a, factor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hypotheses::Hypotheses;
+    use crate::problem::Stack;
+    use crate::testing::{noise, record};
+    use rtec_model::effect::Dictionary;
+
+    /// Gumbel's distribution of location 2 and width 1.5: mean and tail as tables have them.
+    #[test]
+    fn the_tail_of_largest_values_is_gumbels() {
+        let n = 4000;
+        let values: Vec<f64> =
+            (1..n).map(|i| 2.0 - 1.5 * (-(f64::from(i) / f64::from(n)).ln()).ln()).collect();
+        let fitted = Extreme::fit(&values);
+        assert!((fitted.location - 2.0).abs() < 0.05 && (fitted.width - 1.5).abs() < 0.05, "{fitted:?}");
+        // One in a hundred lies beyond location + 4.6 widths.
+        assert!((Extreme { location: 2.0, width: 1.5 }.tail(2.0 + 4.600_149 * 1.5) - 0.01).abs() < 1e-5);
+    }
+
+    /// Noise is not found in noise; an offset of twenty standard errors is no chance.
+    #[test]
+    fn chance_gives_what_noise_gives() {
+        let dice = noise(3, 200);
+        let records = [record(200, |i| dice[i as usize])];
+        let stack = Stack::new(&records);
+        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(1.0, Vec::new(), stack.missing(&[]));
+        let chance = search.chance(&search.empty(), 20);
+        assert_eq!((chance.draws.len(), chance.draws[0].len()), (20, 200));
+        assert!(chance.of_name(-40.0, true) > 0.99 && chance.of_anything(-40.0) > 0.99);
+        assert!(
+            chance.of_name(60.0, true) < 1e-6 && chance.of_name(60.0, false) <= chance.of_name(60.0, true)
+        );
     }
 }

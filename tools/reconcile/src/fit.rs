@@ -43,8 +43,7 @@ pub(crate) type Keep<'k> = Option<&'k [bool]>;
 
 /// Measured minus the sum of the terms, weighed.
 pub(crate) fn residual(stack: &Stack<'_>, terms: &[Term]) -> Vec<f64> {
-    let simulated = stack.predict(terms.iter().map(|t| &t.effect));
-    let mut r: Vec<f64> = stack.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect();
+    let mut r = stack.missing(terms.iter().map(|t| &t.effect));
     stack.weigh(&mut r);
     r
 }
@@ -81,7 +80,9 @@ pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize,
             terms[*t].half[*v] = HALF_WIDTH * (var * noise).sqrt();
         }
     }
-    terms.iter_mut().for_each(tidy);
+    for term in terms {
+        tidy(term);
+    }
 }
 
 fn apply(terms: &mut [Term], start: &[Term], places: &[(usize, usize)], step: &[f64], share: f64) {
@@ -127,82 +128,121 @@ fn mask(x: &mut [f64], keep: Keep<'_>) {
 type Step = (Vec<(usize, usize)>, Vec<f64>, Vec<f64>);
 
 fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option<Step> {
-    let mut places = Vec::new();
-    let mut columns: Vec<Vector> = Vec::new();
-    let mut scale = Vec::new();
-    for (t, term) in terms.iter().enumerate() {
-        if !term.free.iter().any(|f| *f) {
-            continue;
-        }
-        for (v, mut column) in stack.slopes(&term.effect).into_iter().enumerate() {
-            stack.weigh(&mut column);
-            mask(&mut column, keep);
-            let size = rms(&column);
-            if term.free[v] && size > 1e-12 {
-                column.iter_mut().for_each(|c| *c /= size);
-                places.push((t, v));
-                scale.push(size);
-                columns.push(Vector::new(column, &stack.ranges));
-            }
-        }
-    }
-    if places.is_empty() {
-        return None;
-    }
+    let free = Free::of(stack, terms, keep)?;
     let mut r = residual(stack, terms);
     mask(&mut r, keep);
-    let k = places.len();
-    let mut a = vec![0.0; k * k];
-    for i in 0..k {
-        for j in 0..=i {
-            let p: Products = columns[i].products(&columns[j].data, &stack.ranges);
-            a[i * k + j] = p.at(phi);
-            a[j * k + i] = a[i * k + j];
-        }
-    }
-    let mut g: Vec<f64> = columns.iter().map(|c| c.products(&r, &stack.ranges).at(phi)).collect();
-    for (i, (t, v)) in places.iter().enumerate() {
-        if let Some((values, sd)) = &terms[*t].prior {
-            let w = (1.0 / (sd[*v] * scale[i])).powi(2);
-            a[i * k + i] += w;
-            g[i] += w * (values[*v] - terms[*t].effect.values()[*v]) * scale[i];
-        }
-        // A trace of a pull to where it is keeps what the data do not show where it is.
-        a[i * k + i] *= 1.0 + 1e-9;
-    }
-    // What offset and scale are for stays out of a map's heights: none of it in a new map, no change of it in a known one.
-    for (t, term) in terms.iter().enumerate() {
-        let width = term.effect.width();
-        let from = |v: usize| term.prior.as_ref().map_or(0.0, |(values, _)| values[v]);
-        for weights in term.effect.constraints() {
-            let own: Vec<(usize, f64)> = places
-                .iter()
-                .enumerate()
-                .filter(|(_, (at, v))| *at == t && v / width == 1)
-                .map(|(i, (_, v))| (i, weights[v % width] / scale[i]))
-                .collect();
-            let largest = own.iter().map(|(_, w)| w.abs()).fold(1e-300, f64::max);
-            let pull = 1e3 * stack.n as f64 / (largest * largest);
-            let now: f64 = weights
-                .iter()
-                .zip(term.effect.get(1))
-                .enumerate()
-                .map(|(k, (w, u))| w * (u - from(width + k)))
-                .sum();
-            for (i, wi) in &own {
-                for (j, wj) in &own {
-                    a[i * k + j] += pull * wi * wj;
+    let mut normal = Normal::of(stack, &free, &r, phi);
+    normal.pull_to_priors(terms, &free);
+    normal.keep_maps_level(terms, &free, stack.n);
+    let Normal { k, a, mut g } = normal;
+    let factor = Cholesky::new(&a, k);
+    let variance = factor.inverse_diagonal().iter().zip(&free.scale).map(|(v, s)| v / (s * s)).collect();
+    factor.forward(&mut g);
+    factor.backward(&mut g);
+    let step = g.iter().zip(&free.scale).map(|(g, s)| g / s).collect();
+    Some((free.places, step, variance))
+}
+
+/// The values that a step may move.
+struct Free {
+    /// Term and value.
+    places: Vec<(usize, usize)>,
+    /// Slopes, weighed, of unit size.
+    columns: Vec<Vector>,
+    /// What they were divided by.
+    scale: Vec<f64>,
+}
+
+impl Free {
+    /// None where the rows show no free value.
+    fn of(stack: &Stack<'_>, terms: &[Term], keep: Keep<'_>) -> Option<Self> {
+        let mut free = Self { places: Vec::new(), columns: Vec::new(), scale: Vec::new() };
+        for (t, term) in terms.iter().enumerate() {
+            if !term.free.iter().any(|f| *f) {
+                continue;
+            }
+            for (v, mut column) in stack.slopes(&term.effect).into_iter().enumerate() {
+                stack.weigh(&mut column);
+                mask(&mut column, keep);
+                let size = rms(&column);
+                if term.free[v] && size > 1e-12 {
+                    for c in &mut column {
+                        *c /= size;
+                    }
+                    free.places.push((t, v));
+                    free.scale.push(size);
+                    free.columns.push(Vector::new(column, &stack.ranges));
                 }
-                g[*i] -= pull * wi * now;
+            }
+        }
+        (!free.places.is_empty()).then_some(free)
+    }
+}
+
+/// The normal equations of a step.
+struct Normal {
+    k: usize,
+    a: Vec<f64>,
+    g: Vec<f64>,
+}
+
+impl Normal {
+    fn of(stack: &Stack<'_>, free: &Free, r: &[f64], phi: f64) -> Self {
+        let k = free.columns.len();
+        let mut a = vec![0.0; k * k];
+        for i in 0..k {
+            for j in 0..=i {
+                let p: Products = free.columns[i].products(&free.columns[j].data, &stack.ranges);
+                a[i * k + j] = p.at(phi);
+                a[j * k + i] = a[i * k + j];
+            }
+        }
+        let g = free.columns.iter().map(|c| c.products(r, &stack.ranges).at(phi)).collect();
+        Self { k, a, g }
+    }
+
+    /// What the file says of a value counts as one more observation of it.
+    fn pull_to_priors(&mut self, terms: &[Term], free: &Free) {
+        for (i, (t, v)) in free.places.iter().enumerate() {
+            let diagonal = &mut self.a[i * self.k + i];
+            if let Some((values, sd)) = &terms[*t].prior {
+                let w = (1.0 / (sd[*v] * free.scale[i])).powi(2);
+                *diagonal += w;
+                self.g[i] += w * (values[*v] - terms[*t].effect.values()[*v]) * free.scale[i];
+            }
+            // A trace of a pull to where it is keeps what the data do not show where it is.
+            *diagonal *= 1.0 + 1e-9;
+        }
+    }
+
+    /// What offset and scale are for stays out of a map's heights: none of it in a new map, no change of it in a known
+    /// one.
+    fn keep_maps_level(&mut self, terms: &[Term], free: &Free, rows: usize) {
+        for (t, term) in terms.iter().enumerate() {
+            let Some(heights) = term.effect.description().place(Search::Linear) else { continue };
+            let width = term.effect.width();
+            let from = |v: usize| term.prior.as_ref().map_or(0.0, |(values, _)| values[v]);
+            for weights in term.effect.constraints() {
+                let own: Vec<(usize, f64)> = free
+                    .places
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, (at, v))| *at == t && v / width == heights)
+                    .map(|(i, (_, v))| (i, weights[v % width] / free.scale[i]))
+                    .collect();
+                let largest = own.iter().map(|(_, w)| w.abs()).fold(1e-300, f64::max);
+                let pull = 1e3 * rows as f64 / (largest * largest);
+                let values = weights.iter().zip(term.effect.get(heights)).enumerate();
+                let now: f64 = values.map(|(k, (w, u))| w * (u - from(heights * width + k))).sum();
+                for (i, wi) in &own {
+                    for (j, wj) in &own {
+                        self.a[i * self.k + j] += pull * wi * wj;
+                    }
+                    self.g[*i] -= pull * wi * now;
+                }
             }
         }
     }
-    let factor = Cholesky::new(&a, k);
-    let variance: Vec<f64> = factor.inverse_diagonal().iter().zip(&scale).map(|(v, s)| v / (s * s)).collect();
-    factor.forward(&mut g);
-    factor.backward(&mut g);
-    let step = g.iter().zip(&scale).map(|(g, s)| g / s).collect();
-    Some((places, step, variance))
 }
 
 /// Amplitudes above zero, phases and angles within one turn.
@@ -222,4 +262,63 @@ fn tidy(term: &mut Term) {
     }
     // Only a change that means the same is made: it cannot leave the bounds.
     let _same = term.effect.set_values(&values);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{noise, record};
+    use rtec_model::effect::Dictionary;
+    use rtec_model::record::Record;
+    use std::f64::consts::PI;
+
+    /// A wave of 12.5 mm on a record of noise.
+    fn run() -> Record {
+        let dice = noise(11, 200);
+        let mut run = record(200, |i| 0.2 * dice[i as usize]);
+        let p = run.columns[1].data.clone();
+        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
+            *e += 3.0 * (2.0 * PI * p / 12.5 + 0.4).sin();
+        }
+        run
+    }
+
+    fn wave(values: &[f64]) -> Effect {
+        let mut effect = Dictionary::default().effect("screw_periodic.x").unwrap();
+        effect.set_values(values).unwrap();
+        effect
+    }
+
+    #[test]
+    fn all_parameters_move_to_where_the_data_are_with_an_interval_each() {
+        let records = [run()];
+        let stack = Stack::new(&records);
+        let mut terms = vec![Term::new(wave(&[12.45, 2.0, 0.0]), &[])];
+        fit(&stack, &mut terms, 0.0, 12, None);
+        for ((got, want), half) in terms[0].effect.values().iter().zip([12.5, 3.0, 0.4]).zip(&terms[0].half) {
+            assert!((got - want).abs() < 2.0 * half && *half < 0.1 * want, "{got} ± {half}, not {want}");
+        }
+    }
+
+    #[test]
+    fn a_value_that_is_trusted_stays_and_a_held_one_does_not_move() {
+        let records = [run()];
+        let stack = Stack::new(&records);
+        let start = [12.5, 2.0, 0.4];
+        let mut trusted = Term::new(wave(&start), &[0, 2]);
+        trusted.prior = Some((start.to_vec(), vec![0.0, 1e-6, 0.0]));
+        let mut terms = vec![trusted];
+        fit(&stack, &mut terms, 0.0, 12, None);
+        assert!((terms[0].effect.scalar(1) - 2.0).abs() < 1e-6);
+        let held = [terms[0].effect.scalar(0) - 12.5, terms[0].effect.scalar(2) - 0.4];
+        assert!(held.iter().all(|d| d.abs() < 1e-12), "{held:?}");
+    }
+
+    #[test]
+    fn an_amplitude_below_zero_is_another_phase() {
+        let mut term = Term::fixed(wave(&[12.5, -2.0, 3.0]));
+        tidy(&mut term);
+        assert!((term.effect.scalar(1) - 2.0).abs() < 1e-12);
+        assert!((term.effect.scalar(2) - (3.0 - PI)).abs() < 1e-12);
+    }
 }

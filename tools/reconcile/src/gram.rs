@@ -337,26 +337,7 @@ impl Bank {
                     }
                     covered = rows.clone();
                 }
-                sums.resize(2 * m * alike, 0.0);
-                // SAFETY: `panel` holds `alike` columns of n values, `right` 2m of n, `sums` 2m rows of `alike`, all with these strides.
-                unsafe {
-                    matrixmultiply::dgemm(
-                        2 * m,
-                        n,
-                        alike,
-                        1.0,
-                        right.as_ptr(),
-                        n as isize,
-                        1,
-                        panel.as_ptr(),
-                        1,
-                        n as isize,
-                        0.0,
-                        sums.as_mut_ptr(),
-                        alike as isize,
-                        1,
-                    );
-                }
+                multiply(&right, &panel, n, &mut sums);
                 for (k, (v, out)) in vectors.iter().zip(&mut out).enumerate() {
                     for (i, column) in panel.chunks_exact(n).enumerate() {
                         out.push(Products {
@@ -370,6 +351,31 @@ impl Bank {
             from += alike;
         }
         out
+    }
+}
+
+/// Products of every row of `left` with every row of `right`, all of `n` values, row by row of `left`.
+fn multiply(left: &[f64], right: &[f64], n: usize, out: &mut Vec<f64>) {
+    let (rows, columns) = (left.len() / n, right.len() / n);
+    out.resize(rows * columns, 0.0);
+    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
+    unsafe {
+        matrixmultiply::dgemm(
+            rows,
+            n,
+            columns,
+            1.0,
+            left.as_ptr(),
+            n as isize,
+            1,
+            right.as_ptr(),
+            1,
+            n as isize,
+            0.0,
+            out.as_mut_ptr(),
+            columns as isize,
+            1,
+        );
     }
 }
 

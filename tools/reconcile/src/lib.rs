@@ -1,29 +1,59 @@
 //! Reconciliation: measured runs and a machine model in; out comes where they disagree, which effect is missing, a
 //! better model, and how far the gap shrank.
+//!
+//! A reader's way: [`reconcile()`] → `analysis` → `search` → `naming` → `fit` → [`Reconciliation`].
+//!
+//! | module | what |
+//! |---|---|
+//! | `workflow` | the whole of it: analysis, last fit, what is written into the model |
+//! | `problem`, `gram` | runs and model as one least-squares problem; products of columns under correlated noise |
+//! | `cause`, `hypotheses`, `shapes`, `waves`, `extent` | what may be missing: effects over their grids, shapes of no name |
+//! | `search` | the set of explanations that the data pay for |
+//! | `analysis`, `tuning` | the search again and again, the model's own parameters and the noise's size mended in between |
+//! | `chance` | what the same search finds in noise |
+//! | `naming`, `steady` | which of it is named, what else it might be; explanations by heat that predict |
+//! | `fit` | all effects jointly, with an interval for each value |
+//! | `where_found` | where measured and simulated disagree |
+//! | `unexplained` | a curve that stands for what has no name |
+//! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
+//!
+//! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
+//! description in `rtec-model`; no module matches a law by its name. Nothing here knows a machine, a simulator or time.
 
-// Sums over columns read best as `for_each`; the lists of hypotheses are long because the dictionary is.
-#![allow(clippy::needless_for_each, clippy::too_many_lines)]
-
+mod advice;
 mod analysis;
+mod cause;
 mod chance;
+mod document;
+mod extent;
 mod fit;
+mod gap;
 mod gram;
 mod hypotheses;
+mod naming;
 mod problem;
 mod report;
 mod search;
+mod shapes;
 mod steady;
+#[cfg(test)]
+mod testing;
+mod tuning;
 mod unexplained;
 mod verdict;
-mod wherein;
+mod waves;
+mod where_found;
+mod workflow;
 
 pub use analysis::{Answer, Finding, Rival, Tried};
+pub use cause::Shape;
 pub use chance::SEED;
-pub use hypotheses::Shape;
+pub use gap::{Gap, Trace};
 pub use report::html;
 pub use unexplained::LAWS_FILE;
-pub use verdict::{Gap, Reconciliation, Refined, Trace, find, reconcile};
-pub use wherein::Place;
+pub use verdict::{Reconciliation, Refined, Verdict};
+pub use where_found::Place;
+pub use workflow::{find, reconcile};
 
 /// What a reconciliation may be told.
 #[derive(Debug, Clone)]

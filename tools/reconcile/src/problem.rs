@@ -96,6 +96,12 @@ impl<'r> Stack<'r> {
         out
     }
 
+    /// Measured minus the sum of effects, stacked, not weighed.
+    pub(crate) fn missing<'e>(&self, effects: impl IntoIterator<Item = &'e Effect>) -> Vec<f64> {
+        let simulated = self.predict(effects);
+        self.measured.iter().zip(&simulated).map(|(m, s)| m - s).collect()
+    }
+
     /// The basis columns of an effect, stacked; constraints taken in, so that the columns are free.
     pub(crate) fn basis(&self, effect: &Effect) -> Vec<Vec<f64>> {
         let k = effect.coefficient_count();
@@ -229,4 +235,71 @@ pub(crate) fn known(stack: &Stack<'_>, noise: f64, file: &[Effect], now: &[Effec
 
 pub(crate) fn rms(v: &[f64]) -> f64 {
     (crate::gram::dot(v, v) / v.len().max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{axis, column, record};
+    use rtec_model::effect::Dictionary;
+    use rtec_model::record::Kind;
+    use std::path::Path;
+
+    fn effect(name: &str, values: &[f64]) -> Effect {
+        let mut effect = Dictionary::default().effect(name).unwrap();
+        effect.set_values(values).unwrap();
+        effect
+    }
+
+    /// Two records, one with two responses: the rows of a response stand together, weighed each by its own noise.
+    #[test]
+    fn responses_stand_one_under_the_other() {
+        let y = rtec_model::record::Axis::new("y").unwrap();
+        let columns = vec![
+            column("p", Role::Position(axis()), vec![0.0, 100.0]),
+            column("ex", Role::Error(axis()), vec![1.0, 2.0]),
+            column("ey", Role::Error(y), vec![5.0, 6.0]),
+        ];
+        let two = Record::new(Path::new("two.run.toml"), Kind::Plate, columns).unwrap();
+        let records = [two, record(3, |i| 10.0 * i)];
+        let mut stack = Stack::new(&records);
+        assert_eq!(stack.measured, [1.0, 2.0, 0.0, 10.0, 20.0, 5.0, 6.0]);
+        assert_eq!((stack.rows(0), stack.rows(1), stack.n), (0..5, 5..7, 7));
+        stack.sigma = vec![2.0, 5.0];
+        let mut weighed = stack.measured.clone();
+        stack.weigh(&mut weighed);
+        assert_eq!(weighed, [0.5, 1.0, 0.0, 5.0, 10.0, 1.0, 1.2]);
+        // A scale of x does nothing to y.
+        let missing = stack.missing(&[effect("scale.x", &[10.0])]);
+        assert!((missing[1] - 1.0).abs() < 1e-12 && missing[5..] == [5.0, 6.0], "{missing:?}");
+    }
+
+    #[test]
+    fn a_map_moves_without_its_constant_and_its_straight_line() {
+        let map = effect("position_map.x", &[0.0, 30.0, 60.0, 100.0, 1.0, -1.0, 2.0, 0.0]);
+        let free = free_directions(&map.constraints(), 4);
+        assert_eq!(free.len(), 2);
+        for (i, v) in free.iter().enumerate() {
+            assert!(v.iter().sum::<f64>().abs() < 1e-12);
+            for (j, w) in free.iter().enumerate() {
+                let d: f64 = v.iter().zip(w).map(|(a, b)| a * b).sum();
+                assert!((d - f64::from(u8::from(i == j))).abs() < 1e-12);
+            }
+        }
+        let records = [record(200, |i| i)];
+        let stack = Stack::new(&records);
+        assert_eq!(stack.basis(&map).len(), 2);
+    }
+
+    /// What the file says counts: a value at another point is pulled back to the file's by as much as it is off.
+    #[test]
+    fn the_model_s_parameters_are_known_with_their_trust() {
+        let records = [record(100, |i| i)];
+        let stack = Stack::new(&records);
+        let (file, now) = (effect("scale.x", &[50.0]), effect("scale.x", &[60.0]));
+        let known = known(&stack, 1.0, &[file], &[now]);
+        assert_eq!((known.len(), known[0].target), (1, -10.0));
+        // 0.3 of what the effect does, in its own unit.
+        assert!((known[0].sd - TRUST * 60.0).abs() < 1e-9, "{}", known[0].sd);
+    }
 }

@@ -1,6 +1,7 @@
 //! `report.html`: the answer for a person, in one file, plots inside.
 
-use crate::verdict::{Reconciliation, Trace};
+use crate::gap::Trace;
+use crate::verdict::{Reconciliation, Verdict};
 use std::fmt::Write as _;
 
 const WIDTH: f64 = 860.0;
@@ -21,36 +22,17 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
          <h1>Reconciliation of {0}</h1><p class=\"verdict\"><span class=\"tag\">{2}</span> {3}</p>",
         escape(machine),
         match r.verdict {
-            "named" => "#2a7d46",
-            "nothing_missing" => "#5b6b7b",
-            "not_separable" => "#b36b00",
-            _ => "#a33",
+            Verdict::Named => "#2a7d46",
+            Verdict::NothingMissing => "#5b6b7b",
+            Verdict::NotSeparable => "#b36b00",
+            Verdict::UnknownEffect => "#a33",
         },
-        r.verdict.replace('_', " "),
+        r.verdict.name().replace('_', " "),
         escape(&headline(r)),
     );
     gap(&mut h, r);
     effects(&mut h, r);
-    if !r.refined.is_empty() {
-        h.push_str("<h2>What the model had slightly wrong</h2><table><tr><th>effect<th>parameter<th class=n>model<th class=n>data<th class=n>interval");
-        for x in &r.refined {
-            for (i, p) in x.before.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
-                let (b, a, half) = (x.before.scalar(i), x.after.0.scalar(i), x.after.1[i]);
-                let _ = write!(
-                    h,
-                    "<tr><td>{}<td>{} ({})<td class=n>{}<td class=n>{}<td class=n>{} … {}",
-                    escape(&x.before.name()),
-                    p.name,
-                    p.unit,
-                    number(b),
-                    number(a),
-                    number(a - half),
-                    number(a + half)
-                );
-            }
-        }
-        h.push_str("</table>");
-    }
+    refined(&mut h, r);
     h.push_str("<h2>Measured minus simulated, before and after</h2>");
     for t in &r.traces {
         trace(&mut h, t);
@@ -70,14 +52,38 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
     h
 }
 
+fn refined(h: &mut String, r: &Reconciliation) {
+    if r.refined.is_empty() {
+        return;
+    }
+    h.push_str("<h2>What the model had slightly wrong</h2><table><tr><th>effect<th>parameter<th class=n>model<th class=n>data<th class=n>interval");
+    for x in &r.refined {
+        for (i, p) in x.before.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
+            let (b, a, half) = (x.before.scalar(i), x.after.0.scalar(i), x.after.1[i]);
+            let _ = write!(
+                h,
+                "<tr><td>{}<td>{} ({})<td class=n>{}<td class=n>{}<td class=n>{} … {}",
+                escape(&x.before.name()),
+                p.name,
+                p.unit,
+                number(b),
+                number(a),
+                number(a - half),
+                number(a + half)
+            );
+        }
+    }
+    h.push_str("</table>");
+}
+
 fn headline(r: &Reconciliation) -> String {
     let names = r.effects.iter().map(|(f, _)| f.effect.name()).collect::<Vec<_>>().join(", ");
     match r.verdict {
-        "named" => format!("missing: {names}"),
-        "not_separable" => {
+        Verdict::Named => format!("missing: {names}"),
+        Verdict::NotSeparable => {
             format!("something is missing; likeliest {names}, but this data cannot tell it from its rivals")
         }
-        "unknown_effect" => r
+        Verdict::UnknownEffect => r
             .unexplained
             .iter()
             .map(|s| {
@@ -93,8 +99,8 @@ fn headline(r: &Reconciliation) -> String {
             }))
             .collect::<Vec<_>>()
             .join("; "),
-        _ if r.refined.is_empty() => "model and measurement agree".to_owned(),
-        _ => "no effect is missing; parameters of the model were corrected".to_owned(),
+        Verdict::NothingMissing if r.refined.is_empty() => "model and measurement agree".to_owned(),
+        Verdict::NothingMissing => "no effect is missing; parameters of the model were corrected".to_owned(),
     }
 }
 

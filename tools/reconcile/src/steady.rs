@@ -1,23 +1,23 @@
 //! Which of many explanations by heat? Sensors that warm together fit the past in hundreds of ways, and what fits it
-//! best may be far off an hour later. So an explanation is asked to foretell: fitted on the rows before a moment, it
+//! best may be far off an hour later. So an explanation is asked to predict: fitted on the rows before a moment, it
 //! predicts those after it. One that cannot, although it fits, gives way to the simplest physics that can: growth in
 //! proportion to how much warmer one place is than the machine's surroundings, later by a lag.
 
-use crate::analysis::effect_of;
+use crate::cause::Cause;
 use crate::gram::{Cholesky, dot};
-use crate::hypotheses::{Atom, Cause};
+use crate::hypotheses::Atom;
 use crate::problem::rms;
 use crate::search::{Search, Set};
 use rtec_model::effect::{Against, Difference, Effect, Heat};
 use rtec_model::record::{Kind, Role};
 
-/// Moments that later rows are foretold from, as shares of the run.
+/// Moments that later rows are predicted from, as shares of the run.
 const MOMENTS: [f64; 4] = [0.4, 0.55, 0.7, 0.85];
-/// Foretelling that is so much worse than fitting shows a law that is not the cause.
+/// Prediction that is so much worse than fitting shows a law that is not the cause.
 const UNSTEADY: f64 = 1.5;
 /// The same where several effects of heat are added up, or one is no machine's: more freedom to fit what is not there.
 const UNSTEADY_SUM: f64 = 1.2;
-/// What foretells nearly as well as the best is not told from it.
+/// What predicts nearly as well as the best is not told from it.
 const EQUAL: f64 = 1.5;
 /// Share of the gap by which the simplest physics may fit worse.
 const WORSE: f64 = 0.03;
@@ -29,12 +29,12 @@ const REFERENCE_DEGC: std::ops::RangeInclusive<f64> = -10.0..=60.0;
 const LONGEST_LAG: f64 = 1.0 / 3.0;
 /// Sensors within so much of the coldest show the surroundings, K.
 const SURROUNDINGS_K: f64 = 1.0;
-/// Fewer rows foretell nothing.
+/// Fewer rows predict nothing.
 const FEWEST_ROWS: usize = 200;
 
 /// How an explanation does.
 struct Trial {
-    /// RMS of later rows, foretold.
+    /// RMS of later rows, predicted.
     ahead: f64,
     /// RMS over all rows, fitted.
     fitted: f64,
@@ -86,23 +86,42 @@ fn trial(y: &[f64], fixed: &[&[f64]], grid: &[(f64, Vec<&[f64]>)], span_s: f64) 
     Some(Trial { ahead: (sum / MOMENTS.len() as f64).sqrt(), fitted: (left / n as f64).sqrt(), at })
 }
 
+/// A drift of one record with several temperatures.
+struct Run {
+    /// What the model leaves, weighed.
+    y: Vec<f64>,
+    span_s: f64,
+}
+
+impl Run {
+    /// None for other runs, or where nothing in the set is of heat.
+    fn of(search: &Search<'_, '_>, set: &Set) -> Option<Self> {
+        let record = &search.stack.records[0];
+        let n = search.stack.n;
+        let drift = record.kind == Kind::Drift && search.stack.ranges.len() == 1 && n >= FEWEST_ROWS;
+        let heat = set.members.iter().any(|m| follows_heat(&m.cause));
+        (drift && heat && record.names(&Role::Temperature).count() >= 2).then(|| Self {
+            y: search.vectors[search.y].data.clone(),
+            span_s: record.time_s()[n - 1] - record.time_s()[0],
+        })
+    }
+}
+
+/// Growth in proportion to one temperature difference, maybe late.
+struct Simple {
+    hypothesis: usize,
+    trial: Trial,
+    /// Its best grid point.
+    atom: usize,
+}
+
 impl Search<'_, '_> {
-    /// A steadier explanation than a set that fits but cannot foretell, and what foretells as well; none where the set
+    /// A steadier explanation than a set that fits but cannot predict, and what predicts as well; none where the set
     /// is steady, or nothing is steadier.
     pub(crate) fn steadier(&mut self, set: &Set) -> Option<(Set, Vec<usize>)> {
-        let record = &self.stack.records[0];
-        let n = self.stack.n;
-        let heat = |e: &Effect| e.description().heat != Heat::None;
-        let of = |cause: &Cause| matches!(cause, Cause::Effect { effect, .. } if heat(effect));
-        let drift = record.kind == Kind::Drift && self.stack.ranges.len() == 1 && n >= FEWEST_ROWS;
-        if !drift || record.names(&Role::Temperature).count() < 2 || !set.members.iter().any(|m| of(&m.cause))
-        {
-            return None;
-        }
-        let span = record.time_s()[n - 1] - record.time_s()[0];
-        let y = self.vectors[self.y].data.clone();
+        let run = Run::of(self, set)?;
         let all: Vec<&[f64]> = set.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
-        let own = trial(&y, &all, &[(0.0, Vec::new())], span)?;
+        let own = trial(&run.y, &all, &[(0.0, Vec::new())], run.span_s)?;
         let plausible = self.plausible(set);
         let simple = plausible && set.members.iter().filter(|m| grows(&m.cause)).count() < 2;
         let bound = if simple { UNSTEADY } else { UNSTEADY_SUM };
@@ -110,88 +129,94 @@ impl Search<'_, '_> {
             return None;
         }
         let mut rest = set.clone();
-        while let Some(i) = rest.members.iter().position(|m| of(&m.cause)) {
+        while let Some(i) = rest.members.iter().position(|m| follows_heat(&m.cause)) {
             rest = self.without(&rest, i);
         }
-        let constant = vec![1.0; n];
-        let mut fixed: Vec<&[f64]> = rest.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
-        fixed.push(&constant);
-        let whole = rms(&self.residual(&self.empty()).0);
-        let cold = self.surroundings();
-        let mut tried: Vec<(usize, Trial, usize)> = Vec::new();
-        for (h, hypothesis) in self.all.list.iter().enumerate() {
-            let Some(difference) = hypothesis.sensor() else { continue };
-            let follows = hypothesis.law().is_some_and(|l| l.heat == Heat::Growth);
-            if !follows || !outward(difference, &cold) {
-                continue;
-            }
-            let atoms: Vec<usize> = (0..self.all.atoms.len())
-                .filter(|a| self.all.atoms[*a].hypothesis == h && straight(&self.all.atoms[*a]).is_some())
-                .collect();
-            let columns: Vec<Vec<Vec<f64>>> = atoms
-                .iter()
-                .map(|a| self.all.atoms[*a].columns.iter().map(|c| self.all.bank.column(*c)).collect())
-                .collect();
-            let grid: Vec<(f64, Vec<&[f64]>)> = atoms
-                .iter()
-                .zip(&columns)
-                .map(|(a, columns)| {
-                    let lag = straight(&self.all.atoms[*a]).unwrap_or(0.0);
-                    (lag, columns.iter().map(Vec::as_slice).collect())
-                })
-                .collect();
-            let Some(t) = trial(&y, &fixed, &grid, span) else { continue };
-            let columns: Vec<&[f64]> = fixed.iter().chain(&grid[t.at].1).copied().collect();
-            let (beta, _) = fit(&y, &columns, n);
-            let column = self.all.atoms[atoms[t.at]].columns[0];
-            let gain = beta[columns.len() - 1] / self.all.bank.scale[column];
-            if t.fitted <= own.fitted + WORSE * whole && gain.abs() <= MOST_UM_PER_K {
-                let at = atoms[t.at];
-                tried.push((h, t, at));
-            }
-        }
-        tried.sort_by(|a, b| a.1.ahead.total_cmp(&b.1.ahead));
-        let least = tried.first()?.1.ahead;
-        // The simplest physics need not foretell better than a sum of effects, only nearly as well.
+        let mut tried = self.simplest(&run, &rest, own.fitted);
+        tried.sort_by(|a, b| a.trial.ahead.total_cmp(&b.trial.ahead));
+        let least = tried.first()?.trial.ahead;
+        // The simplest physics need not predict better than a sum of effects, only nearly as well.
         let needed = if simple { own.ahead / UNSTEADY } else { own.ahead * EQUAL };
         if plausible && least > needed {
             return None;
         }
-        tried.retain(|t| t.1.ahead <= EQUAL * least);
+        tried.retain(|t| t.trial.ahead <= EQUAL * least);
         // What leads the growth most is nearest to its cause: heat flows outwards, and growth follows.
-        let lag = |at: usize| straight(&self.all.atoms[at]).unwrap_or(0.0);
-        let first = (0..tried.len()).rev().max_by(|a, b| lag(tried[*a].2).total_cmp(&lag(tried[*b].2)))?;
-        let (_, _, at) = tried.remove(first);
-        let equals = tried.iter().map(|t| t.0).collect();
-        let mut atom = self.all.atoms[at].clone();
+        let lag = |t: &Simple| straight(&self.all.atoms[t.atom]).unwrap_or(0.0);
+        let first = (0..tried.len()).rev().max_by(|a, b| lag(&tried[*a]).total_cmp(&lag(&tried[*b])))?;
+        let chosen = tried.remove(first);
+        let equals = tried.iter().map(|t| t.hypothesis).collect();
+        Some((self.in_place(&rest, chosen.atom)?, equals))
+    }
+
+    /// Growth in proportion to each difference between a place of the machine and its surroundings, beside what a set
+    /// has that is not of heat: those that fit nearly as well as what fits best, with a machine's gain.
+    fn simplest(&self, run: &Run, rest: &Set, fitted: f64) -> Vec<Simple> {
+        let constant = vec![1.0; self.stack.n];
+        let mut fixed: Vec<&[f64]> = rest.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
+        fixed.push(&constant);
+        let whole = rms(&self.residual(&self.empty()).0);
+        let cold = self.surroundings();
+        let mut tried = Vec::new();
+        for (h, hypothesis) in self.all.list.iter().enumerate() {
+            let growth = hypothesis.law().is_some_and(|l| l.heat == Heat::Growth);
+            if growth && hypothesis.sensor().is_some_and(|d| outward(d, &cold)) {
+                let simple = self.simple(run, &fixed, h);
+                let near = |s: &(Simple, f64)| s.0.trial.fitted <= fitted + WORSE * whole;
+                tried.extend(simple.filter(|s| near(s) && s.1.abs() <= MOST_UM_PER_K).map(|s| s.0));
+            }
+        }
+        tried
+    }
+
+    /// One of them, and its gain, µm/K.
+    fn simple(&self, run: &Run, fixed: &[&[f64]], hypothesis: usize) -> Option<(Simple, f64)> {
+        let atoms: Vec<usize> = (0..self.all.atoms.len())
+            .filter(|a| {
+                self.all.atoms[*a].hypothesis == hypothesis && straight(&self.all.atoms[*a]).is_some()
+            })
+            .collect();
+        let columns: Vec<Vec<Vec<f64>>> = atoms
+            .iter()
+            .map(|a| self.all.atoms[*a].columns.iter().map(|c| self.all.bank.column(*c)).collect())
+            .collect();
+        let lag = |a: &usize| straight(&self.all.atoms[*a]).unwrap_or(0.0);
+        let grid: Vec<(f64, Vec<&[f64]>)> = atoms
+            .iter()
+            .zip(&columns)
+            .map(|(a, c)| (lag(a), c.iter().map(Vec::as_slice).collect()))
+            .collect();
+        let trial = trial(&run.y, fixed, &grid, run.span_s)?;
+        let columns: Vec<&[f64]> = fixed.iter().chain(&grid[trial.at].1).copied().collect();
+        let (beta, _) = fit(&run.y, &columns, self.stack.n);
+        let atom = atoms[trial.at];
+        let gain = beta[columns.len() - 1] / self.all.bank.scale[self.all.atoms[atom].columns[0]];
+        Some((Simple { hypothesis, trial, atom }, gain))
+    }
+
+    /// A set with a grid point of growth: from any reference temperature, or, of two sensors, beside a constant.
+    fn in_place(&mut self, rest: &Set, atom: usize) -> Option<Set> {
+        let all = self.all;
+        let mut atom = all.atoms[atom].clone();
         if let Cause::Effect { effect, free, reference } = &mut atom.cause
             && !effect.delta.as_ref().is_some_and(Difference::is_pair)
         {
-            let constant = self.all.atoms.iter().find(|a| {
-                a.hypothesis == atom.hypothesis
-                    && matches!(&a.cause, Cause::Effect { effect: e, free: f, reference: true }
-                        if e.values() == effect.values() && f == free)
-            })?;
+            let same = |e: &Effect, f: &[usize]| e.values() == effect.values() && f == free.as_slice();
+            let referred = all.atoms.iter().filter(|a| a.hypothesis == atom.hypothesis).find(
+                |a| matches!(&a.cause, Cause::Effect { effect: e, free: f, reference: true } if same(e, f)),
+            )?;
             *reference = true;
-            atom.columns.clone_from(&constant.columns);
+            atom.columns.clone_from(&referred.columns);
         }
-        let mut steady = self.take_atom(&rest, &atom);
-        if matches!(&atom.cause, Cause::Effect { reference: false, .. })
-            && let Some(a) = self.all.atoms.iter().find(|a| self.all.list[a.hypothesis].is_offset())
-        {
-            steady = self.take_atom(&steady, a);
-        }
-        Some((steady, equals))
+        let steady = self.take_atom(rest, &atom);
+        let offset = all.atoms.iter().find(|a| all.list[a.hypothesis].is_offset());
+        let without_level = matches!(&atom.cause, Cause::Effect { reference: false, .. });
+        Some(offset.filter(|_| without_level).map_or(steady.clone(), |a| self.take_atom(&steady, a)))
     }
 
     /// Whether growth per kelvin and reference temperatures are a machine's.
     fn plausible(&self, set: &Set) -> bool {
-        let beta = self.coefficients(set);
-        let mut at = self.slopes.len();
-        set.members.iter().all(|m| {
-            let gamma = &beta[at..at + m.columns()];
-            at += m.columns();
-            let Some(effect) = effect_of(&m.cause, gamma) else { return true };
+        self.effects(set).iter().flatten().all(|effect| {
             let Some(difference) = &effect.delta else { return true };
             let growth = effect.description().heat == Heat::Growth;
             let gain = if growth { effect.scalar(0).abs() } else { 0.0 };
@@ -218,9 +243,15 @@ impl Search<'_, '_> {
     }
 }
 
+/// Follows heat, or stands in for it.
+fn follows_heat(cause: &Cause) -> bool {
+    matches!(cause, Cause::Effect { effect, .. } if effect.description().heat != Heat::None)
+}
+
 /// Growth that follows a temperature, or only the time.
 fn grows(cause: &Cause) -> bool {
-    matches!(cause, Cause::Effect { effect, .. } if effect.delta.is_some() || effect.description().heat == Heat::FromStart)
+    let grows = |e: &Effect| e.delta.is_some() || e.description().heat == Heat::FromStart;
+    matches!(cause, Cause::Effect { effect, .. } if grows(effect))
 }
 
 /// Between a place of the machine and its surroundings, or a fixed temperature.
@@ -239,5 +270,47 @@ fn straight(atom: &Atom) -> Option<f64> {
             Some(effect.description().lag.map_or(0.0, |tau| effect.scalar(tau)))
         }
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(n: usize) -> Vec<f64> {
+        (0..n).map(|i| i as f64).collect()
+    }
+
+    /// What is the cause predicts as well as it fits; what only runs beside it for a while does not.
+    #[test]
+    fn a_law_that_is_not_the_cause_fits_and_does_not_predict() {
+        let n = 400;
+        let cause: Vec<f64> = line(n).iter().map(|i| (i / 60.0).sin()).collect();
+        let y: Vec<f64> = cause.iter().map(|c| 3.0 * c).collect();
+        let beside: Vec<Vec<f64>> =
+            (0..5).map(|k| line(n).iter().map(|i| (i / 400.0).powi(k)).collect()).collect();
+        let right = trial(&y, &[&cause], &[(0.0, Vec::new())], 400.0).unwrap();
+        let columns: Vec<&[f64]> = beside.iter().map(Vec::as_slice).collect();
+        let wrong = trial(&y, &columns, &[(0.0, Vec::new())], 400.0).unwrap();
+        assert!(right.ahead < 1e-6 && right.fitted < 1e-6);
+        assert!(wrong.ahead > UNSTEADY * wrong.fitted, "{} and {}", wrong.ahead, wrong.fitted);
+    }
+
+    #[test]
+    fn a_lag_as_long_as_the_run_is_not_tried() {
+        let (y, column) = (line(100), line(100));
+        let grid = |lag: f64| vec![(lag, vec![column.as_slice()])];
+        assert!(trial(&y, &[], &grid(5.0), 100.0).is_some());
+        assert!(trial(&y, &[], &grid(50.0), 100.0).is_none());
+    }
+
+    #[test]
+    fn heat_flows_from_the_machine_to_its_surroundings() {
+        let cold = vec!["T0".to_owned(), "T1".to_owned()];
+        assert!(outward(&Difference::pair("T8", "T0"), &cold) && outward(&Difference::single("T8"), &cold));
+        assert!(
+            !outward(&Difference::pair("T8", "T9"), &cold) && !outward(&Difference::pair("T0", "T1"), &cold)
+        );
+        assert!(!outward(&Difference::single("T1"), &cold));
     }
 }

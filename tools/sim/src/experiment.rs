@@ -606,22 +606,29 @@ fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, ExperimentErr
     Ok(findings)
 }
 
-/// A probing session as the experiment's record: temperatures first, angle and radial error last.
-fn probing_record(mut record: Record, path: &Path) -> Record {
-    path.clone_into(&mut record.path);
-    record.columns.sort_by_key(|c| match c.role {
+/// A probing session as a record of the part: what differs from row to row is the angle and, last, the radial error. Time,
+/// place and temperatures are those at its end: where the machine was at each trip says no more than the angle does.
+fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
+    let mut columns = session.columns;
+    columns.sort_by_key(|c| match c.role {
         Role::Time | Role::Position(_) | Role::Direction(_) => 0,
         Role::Temperature => 1,
         _ => 2,
     });
-    for column in &mut record.columns {
-        let per = if matches!(column.role, Role::Error(_)) { 1e4 } else { 1e6 };
-        column.data.iter_mut().for_each(|v| *v = digits(*v, per));
+    for column in &mut columns {
+        let last = column.data.last().copied().unwrap_or(0.0);
+        let per = if matches!(column.role, Role::Error(_)) { 1e4 } else { 1e9 };
+        for v in &mut column.data {
+            *v = match column.role {
+                Role::Angle | Role::Error(_) => digits(*v, per),
+                _ => digits(last, 1e6),
+            };
+        }
         if matches!(column.role, Role::Error(_)) {
             "e_r".clone_into(&mut column.name);
         }
     }
-    record
+    Record::new(path, Kind::Probing, columns)
 }
 
 /// The loop of NISTIR 4854 without and with correction: by what is known of the part's form, or else by what the
@@ -643,8 +650,9 @@ fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
         };
         let turned = setup.turn_nose(!suffix.is_empty())?;
         let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
+        // A session whose trips are all there has a record.
         let Some(record) = turned.record else { continue };
-        let record = probing_record(record, &path);
+        let record = part_record(record, &path)?;
         let errors = record.responses().flat_map(|c| c.data.iter());
         let (lo, hi) =
             errors.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), e| (lo.min(*e), hi.max(*e)));

@@ -154,6 +154,13 @@ impl SimMachine {
         machine
     }
 
+    /// The fastest that any of its scales counts, counts/s.
+    #[must_use]
+    pub fn fastest_counts_s(&self) -> f64 {
+        let speeds = self.axes.iter().map(|a| a.spec.speed_mm_s * 1000.0 / a.spec.count_um);
+        speeds.fold(1.0, f64::max)
+    }
+
     /// Number of axes.
     #[must_use]
     pub fn axis_count(&self) -> usize {

@@ -1,5 +1,6 @@
 //! Machines at the other end of a mock card's wires, in real time. The card lets time go no further than the next change
-//! of a line: late looks find the machine waiting.
+//! of a line, and a sixteenth of a count at the axes' fastest: late looks find the machine waiting, and what takes a few
+//! looks, as an insertion does, is not overtaken by a count because the process was kept away in the middle of it.
 
 use crate::attended::Attended;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -23,6 +24,8 @@ pub struct MachineWires<A> {
     now_ns: u64,
     /// Until then, and as long as the outputs stay, the inputs do.
     quiet_until_ns: u64,
+    /// Further than this no look finds the machines gone on, ns.
+    patience_ns: u64,
     outputs: u64,
     inputs: u64,
 }
@@ -61,9 +64,12 @@ impl<A: Attended> MachineWires<A> {
     /// Machines with the card's lines of their axes; feed hold and probe are common to all.
     #[must_use]
     pub fn new(machines: impl IntoIterator<Item = (A, Vec<AxisLines>)>, lines: MachineLines) -> Self {
-        let stations = machines.into_iter().map(|(attended, lines)| Station { attended, lines }).collect();
+        let stations: Vec<_> =
+            machines.into_iter().map(|(attended, lines)| Station { attended, lines }).collect();
+        let fastest = stations.iter().map(|s| s.attended.machine().fastest_counts_s()).fold(1.0, f64::max);
         Self {
             stations,
+            patience_ns: (1e9 / 16.0 / fastest) as u64,
             probe: bit(lines.probe),
             hold: bit(lines.hold),
             start_ns: None,
@@ -97,7 +103,7 @@ impl<A: Attended> Wires for MachineWires<A> {
 
     #[inline]
     fn step_limit_ns(&self) -> u64 {
-        self.quiet_until_ns.saturating_sub(self.now_ns).max(1)
+        self.quiet_until_ns.saturating_sub(self.now_ns).clamp(1, self.patience_ns.max(1))
     }
 }
 

@@ -84,6 +84,12 @@ fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
     let on_bump = bump.iter().filter(|e| **e > 0.5).count();
     assert!((5..=7).contains(&on_bump), "{on_bump} points: {bump:?}");
     let after = worst(record(&findings, "hemisphere-compensated"));
+    // Each record has rows of its own, angle and error last.
+    for r in &findings.records {
+        assert_eq!(r.file, r.path.file_name().unwrap().to_str().unwrap().replace(".run.toml", ".csv"));
+        let names: Vec<&str> = r.columns.iter().map(|c| c.name.as_str()).collect();
+        assert!(names.ends_with(&["angle", "e_r"]), "{names:?}");
+    }
     assert!(after <= 4.0, "{after} µm");
 }
 

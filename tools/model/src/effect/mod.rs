@@ -327,6 +327,12 @@ impl Effect {
         checked
     }
 
+    /// Whether its values are inside the law's bounds: linear coefficients are set without asking.
+    #[must_use]
+    pub fn is_physical(&self) -> bool {
+        self.with_values(&self.values).is_some()
+    }
+
     /// Sets one parameter by its name; arrays keep their length.
     ///
     /// # Errors
@@ -464,8 +470,9 @@ impl Effect {
 
 fn bounds_text(p: &Parameter) -> String {
     match p.bounds {
-        [lo, hi] if lo.is_finite() && hi.is_finite() => format!("a value from {lo} to {hi} ({})", p.unit),
-        [lo, _] if lo.is_finite() => format!("a value above {lo} ({})", p.unit),
+        [lo, hi] if lo.is_finite() && hi.is_finite() => {
+            format!("a value from {lo} to {hi} ({}): {}", p.unit, p.source)
+        }
         _ => format!("a finite number ({})", p.unit),
     }
 }

@@ -482,3 +482,33 @@ fn candidates_need_their_channels() {
         ["inertia.x", "friction_viscous.x", "friction_coulomb.x", "friction_asymmetric.x", "force_offset.x"]
     );
 }
+
+/// formats.md, "Bounds": with a reason each, and nothing is set outside them.
+#[test]
+fn every_parameter_has_bounds_with_a_source() {
+    for law in Dictionary::default().laws().map(Law::describe) {
+        for p in &law.parameters {
+            let [lo, hi] = p.bounds;
+            let free = law.name == laws::channel::NAME || p.search == Search::Phase || p.cyclic;
+            assert!(free || (lo.is_finite() && hi.is_finite() && lo < hi), "{} {}", law.name, p.name);
+            assert_eq!(lo.is_finite(), !p.source.is_empty(), "{} {}", law.name, p.name);
+            let [from, to] = p.plausible;
+            assert!(free || (from >= lo && to <= hi), "{} {}: plausible, but refused", law.name, p.name);
+        }
+    }
+    let d = Dictionary::default();
+    let refused = |name: &str, key: &str, value: f64| {
+        let e = d.effect(name).unwrap().set(key, &[value]).unwrap_err();
+        assert!(e.parameter == key && e.expected.len() > 20, "{e}");
+    };
+    refused("scale.x", "ppm", 1001.0);
+    refused("thermal_growth.z", "um_per_K", -60.5);
+    refused("thermal_lag.z", "um_per_K", 61.0);
+    refused("screw_periodic.x", "period_mm", 61.0);
+    let mut wave = d.effect("subdivision.x").unwrap();
+    wave.set_values(&[20.0, 5.0, 0.0]).unwrap();
+    assert!(wave.set("um", &[5.1]).unwrap_err().expected.contains("0.25 of the period"));
+    // Coefficients are set as a fit finds them, and asked afterwards.
+    wave.set_coefficients(&[4.0, 4.0]);
+    assert!(!wave.is_physical());
+}

@@ -1,7 +1,7 @@
 //! Waves along a position. Amplitude and phase stand for two linear coefficients, amplitude times cosine and sine of the
 //! phase.
 
-use super::{Description, Effect, Input, Law, Out, Parameter, Search, State};
+use super::{Description, Effect, Input, Law, Out, Parameter, Search, State, ValueError};
 use std::f64::consts::TAU;
 
 /// Places of period, amplitude and phase among the parameters.
@@ -15,6 +15,8 @@ pub(super) struct Sine {
     pub(super) description: Description,
     /// Unit of the period, mm.
     pub(super) unit_mm: f64,
+    /// Largest amplitude in periods, where the amplitude has that to do with the period.
+    pub(super) most_periods: Option<f64>,
 }
 
 /// The amplitude of a periodic law: above zero.
@@ -75,5 +77,14 @@ impl Law for Sine {
 
     fn coefficient_count(&self, _: usize) -> usize {
         2
+    }
+
+    fn check(&self, effect: &Effect) -> Result<(), ValueError> {
+        let Some(most) = self.most_periods else { return Ok(()) };
+        let (um, largest) = (effect.scalar(UM), most * effect.scalar(PERIOD));
+        if um.abs() <= largest {
+            return Ok(());
+        }
+        Err(ValueError::new("um", format!("{um}"), format!("at most {largest} um, {most} of the period")))
     }
 }

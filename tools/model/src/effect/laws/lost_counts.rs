@@ -22,7 +22,10 @@ pub(super) fn law() -> Arc<dyn Law> {
         parameters: vec![
             Parameter::linear("um", "um", 10_000.0)
                 .within([-1e6, 1e6], "a metre: a decoder that lost so much has lost the axis"),
-            Parameter::new("at_s", "s", [0.0, 1e6], Search::Chosen).refined(Refine::Moment).telling_apart(),
+            Parameter::new("at_s", "s", [0.0, 1e6], Search::Chosen)
+                .within([-1e12, 1e12], "30 000 years: no clock of a log is that far off")
+                .refined(Refine::Moment)
+                .telling_apart(),
         ],
         needs: vec![Need::Time],
         experiment: "return to a fixed stop or to the reference mark before and after".into(),

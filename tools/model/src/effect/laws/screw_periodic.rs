@@ -30,5 +30,5 @@ pub(super) fn law() -> Arc<dyn Law> {
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
         ..Description::default()
     };
-    Arc::new(Sine { description, unit_mm: 1.0 })
+    Arc::new(Sine { description, unit_mm: 1.0, most_periods: None })
 }

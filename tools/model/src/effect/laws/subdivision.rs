@@ -10,10 +10,13 @@ pub const NAME: &str = "subdivision";
 /// Unit of the period, mm.
 const UNIT_MM: f64 = 1e-3;
 
+/// Largest amplitude in periods: sine and cosine that leave the count a quarter of a period off lose counts instead.
+const MOST_PERIODS: f64 = 0.25;
+
 pub(super) fn law() -> Arc<dyn Law> {
     let bounds = "signal periods of linear scales, from interferential (1 µm) to inductive ones (200 µm)";
     // What is finer than the positions are read cannot be told from something coarser: two steps to a period.
-    let wave = Wave { unit_mm: UNIT_MM, usual_mm: &[], steps: Some(2.0), most_periods: Some(20.0) };
+    let wave = Wave { unit_mm: UNIT_MM, usual_mm: &[], steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
     let description = Description {
         name: NAME.into(),
         law: "e = um·sin(2πp/period_um + phase)".into(),
@@ -21,10 +24,14 @@ pub(super) fn law() -> Arc<dyn Law> {
             "interpolation of the scale's signal period: offsets, amplitudes and phase of its sine and cosine"
                 .into(),
         experiment: "slow motion over a few signal periods in steps much finer than one".into(),
-        parameters: vec![period("period_um", "um", [1.0, 200.0], bounds), amplitude(5.0), phase()],
+        parameters: vec![
+            period("period_um", "um", [1.0, 200.0], bounds),
+            amplitude(5.0).within([-50.0, 50.0], "a quarter of the longest period"),
+            phase(),
+        ],
         needs: vec![Need::Position(0)],
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
         ..Description::default()
     };
-    Arc::new(Sine { description, unit_mm: UNIT_MM })
+    Arc::new(Sine { description, unit_mm: UNIT_MM, most_periods: Some(MOST_PERIODS) })
 }

@@ -1,0 +1,121 @@
+//! One recorded shift through the law and through a rehearsal: the same totals, count for count. The simulator, the
+//! daemon and the demo run the same file through their own code (`shift` in their tests).
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_correct::rehearse::{Options, rehearse};
+use rtec_correct::sensors::{Config, Watch};
+use rtec_correct::{AxisSetup, Corrector};
+use rtec_files::csv::Reader;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_rt::event::{Mode, Status};
+use std::path::Path;
+
+const LEAD_S: f64 = 0.02;
+
+/// Columns of the shift, as its header names them.
+fn shift() -> Vec<Vec<f64>> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/shift/shift.csv");
+    let mut reader = Reader::open(&file).unwrap();
+    let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
+    assert_eq!(
+        header.names().collect::<Vec<_>>(),
+        [
+            "t_s",
+            "x_counts",
+            "y_counts",
+            "z_counts",
+            "T8",
+            "T18",
+            "operator_x",
+            "total_x",
+            "total_y",
+            "total_z"
+        ]
+    );
+    let mut columns = vec![Vec::new(); 10];
+    while let Some(row) = reader.row().unwrap() {
+        header
+            .each(row, |n, cell| {
+                columns[n].push(cell.finite()?);
+                Ok(())
+            })
+            .unwrap();
+    }
+    columns
+}
+
+fn machine() -> Machine {
+    Machine::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/shift/machine.toml")).unwrap()
+}
+
+fn axes() -> Vec<AxisSetup> {
+    let axis = |name: &str| AxisSetup {
+        name: name.to_owned(),
+        count_um: 1.0,
+        increment_counts: 2,
+        window_counts: 50,
+        max_counts: 1000,
+    };
+    ["x", "y", "z"].map(axis).to_vec()
+}
+
+#[test]
+fn the_law_asks_for_what_was_recorded() {
+    let shift = shift();
+    let mut watches = ["T8", "T18"].map(|n| Watch::new(Config::believed(n, Role::Temperature)));
+    let mut law = Corrector::new(axes(), rtec_correct::RAMP_UM_S, LEAD_S, 0.0);
+    law.load(machine(), &watches, &|_| Vec::new()).unwrap();
+    let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+    status.axes.iter_mut().for_each(|a| a.homed = true);
+    let mut moved = [0; 3];
+    for row in 0..shift[0].len() {
+        let at = |column: usize| shift[column][row];
+        watches[0].offer(at(0), Ok(at(4)));
+        watches[1].offer(at(0), Ok(at(5)));
+        law.operator_is(0, at(6) as i64);
+        status.t_ns = (at(0) * 1e9).round() as u64;
+        (0..3).for_each(|n| status.axes[n].position_counts = at(1 + n) as i64);
+        let totals = law.tick(at(0), &status, &watches);
+        for (n, axis) in status.axes.iter_mut().enumerate().take(3) {
+            let total = totals[n].unwrap_or(axis.requested);
+            assert_eq!(total, at(7 + n) as i64, "axis {n} at {} s", at(0));
+            moved[n] += usize::from(total != axis.requested);
+            (axis.requested, axis.completed, axis.in_effect) = (total, total, total);
+        }
+    }
+    assert!(moved.iter().all(|m| *m > 15), "a shift in which every axis is corrected: {moved:?}");
+}
+
+#[test]
+fn a_rehearsal_of_it_shows_the_same_totals() {
+    let shift = shift();
+    let name = |n: &str| Axis::new(n).unwrap();
+    let column = |name: &str, role: Role, data: Vec<f64>| Column {
+        name: name.to_owned(),
+        unit: role.unit().unwrap_or("1").to_owned(),
+        role,
+        data,
+    };
+    let mm = |n: usize| shift[n].iter().map(|c| c / 1000.0).collect::<Vec<_>>();
+    let columns = vec![
+        column("t", Role::Time, shift[0].clone()),
+        column("x", Role::Position(name("x")), mm(1)),
+        column("y", Role::Position(name("y")), mm(2)),
+        column("z", Role::Position(name("z")), mm(3)),
+        column("T8", Role::Temperature, shift[4].clone()),
+        column("T18", Role::Temperature, shift[5].clone()),
+    ];
+    let record = Record::of_checked(Path::new("shift.run.toml"), Kind::Drift, columns);
+    let options = Options { axes: axes(), lead_s: LEAD_S, ..Options::default() };
+    let found = rehearse(&Machine::ideal("no model"), &machine(), &record, &options).unwrap();
+    for (n, axis) in found.axes.iter().enumerate() {
+        assert!((axis.held, axis.largest_um[0]) == (0.0, 0.0), "{axis:?}");
+        for (row, (t_s, totals)) in axis.rows.iter().enumerate() {
+            // The operator is no part of a rehearsal.
+            let operator = if n == 0 { shift[6][row] as i64 } else { 0 };
+            assert_eq!(totals[1] + operator, shift[7 + n][row] as i64, "axis {} at {t_s} s", axis.axis);
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! The experiment that would separate what these data cannot.
+
+use crate::analysis::Finding;
+use crate::cause::Shape;
+use crate::extent::{self, GRID_SHARE};
+use crate::verdict::Verdict;
+use rtec_model::effect::{Dictionary, Effect};
+use rtec_model::record::{Record, Role};
+
+/// Periods that a grid of targets cannot tell from the one that is given.
+fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
+    let law = effect.description();
+    let unit_mm = law.searched.wave?.unit_mm;
+    let role = Role::Position(effect.axes()[0].clone());
+    let mut places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
+    places.sort_by(f64::total_cmp);
+    let period_mm = effect.scalar(0) * unit_mm;
+    let pitch = extent::pitch(&places, GRID_SHARE * period_mm)?;
+    let [lo, hi] = law.parameters[0].bounds;
+    let range = [1.0 / (hi * unit_mm), 1.0 / (lo * unit_mm)];
+    let others: Vec<String> = extent::aliases(1.0 / period_mm, pitch, range, 7)
+        .iter()
+        .map(|f| 1.0 / (f * unit_mm))
+        .filter(|p| (p / effect.scalar(0) - 1.0).abs() > 1e-3)
+        .map(|p| format!("{p:.4}"))
+        .collect();
+    let unit = &law.parameters[0].unit;
+    (!others.is_empty()).then(|| {
+        format!(
+            "the targets of {} lie on a grid of {pitch:.4} mm, on which a period of {:.4} {unit} looks the same as {} {unit} \
+             and more: targets at uneven distances (or the lead by the screw's data sheet) tell which it is",
+            effect.name(),
+            effect.scalar(0),
+            others.join(", ")
+        )
+    })
+}
+
+/// What to do next.
+pub(crate) fn advice(
+    verdict: Verdict,
+    effects: &[(Finding, Vec<f64>)],
+    shapes: &[Shape],
+    train: &[Record],
+    dictionary: &Dictionary,
+) -> String {
+    let mut parts: Vec<String> = match verdict {
+        Verdict::NotSeparable => effects.iter().flat_map(|(f, _)| separating(f, dictionary)).collect(),
+        Verdict::UnknownEffect => shapes.iter().map(isolating).collect(),
+        Verdict::Named => {
+            let narrow = |f: &Effect| format!("to narrow {}: {}", f.name(), f.description().experiment);
+            effects.iter().map(|(f, _)| narrow(&f.effect)).collect()
+        }
+        Verdict::NothingMissing => Vec::new(),
+    };
+    parts.extend(effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train)));
+    parts.join("; ")
+}
+
+/// The run in which sensors part, and the runs that show each rival.
+fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
+    let name = f.effect.name();
+    let same = f.rivals.iter().filter(|r| r.name == name).filter_map(|r| r.sensor.as_ref());
+    let same: Vec<String> = same.map(ToString::to_string).collect();
+    let mut parts: Vec<String> = Vec::new();
+    if !same.is_empty() {
+        parts.push(format!(
+            "{name}: sensors {} and {} saw the same here; a run in which they part (heat one place only, or \
+             let the machine cool while the surroundings warm) would tell them apart",
+            f.effect.delta.as_ref().map_or_else(String::new, ToString::to_string),
+            same.join(", ")
+        ));
+    }
+    let mut seen = vec![name.clone()];
+    for r in &f.rivals {
+        if seen.contains(&r.name) {
+            continue;
+        }
+        seen.push(r.name.clone());
+        if let Ok(e) = dictionary.effect(&r.name) {
+            parts.push(format!("{name} or {}: {}", r.name, e.description().experiment));
+        }
+    }
+    parts
+}
+
+fn isolating(s: &Shape) -> String {
+    format!(
+        "{} has structure against {} ({}) that no effect of the dictionary explains: repeat the run with {} \
+         varied by itself, all else held",
+        s.response,
+        s.against.join(" and "),
+        s.manner,
+        s.against[0]
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::Rival;
+    use crate::testing::{axis, column};
+    use rtec_model::effect::Difference;
+    use rtec_model::record::Kind;
+    use std::path::Path;
+
+    #[test]
+    fn sensors_that_saw_the_same_and_rivals_are_told_apart() {
+        let dictionary = Dictionary::default();
+        let mut effect = dictionary.effect("thermal_growth.z").unwrap();
+        effect.delta = Some(Difference::single("T1"));
+        let rival = |name: &str, sensor: Option<&str>| Rival {
+            name: name.into(),
+            sensor: sensor.map(Difference::single),
+            margin: 0.5,
+        };
+        let rivals =
+            vec![rival("thermal_growth.z", Some("T2")), rival("warm_up.z", None), rival("warm_up.z", None)];
+        let finding = Finding { effect, held: Vec::new(), p_value: 0.0, evidence: 9.0, rivals };
+        let text = advice(Verdict::NotSeparable, &[(finding, Vec::new())], &[], &[], &dictionary);
+        assert!(text.contains("sensors T1 and T2 saw the same"), "{text}");
+        assert_eq!(
+            text.matches("thermal_growth.z or warm_up.z: drift from a cold start").count(),
+            1,
+            "{text}"
+        );
+        assert_eq!(advice(Verdict::NothingMissing, &[], &[], &[], &dictionary), "");
+    }
+
+    #[test]
+    fn on_a_grid_the_other_periods_are_said() {
+        let p: Vec<f64> = (0..60).map(|i| 20.0 * f64::from(i % 30)).collect();
+        let columns = vec![
+            column("p", Role::Position(axis()), p.clone()),
+            column("e", Role::Error(axis()), vec![0.0; p.len()]),
+        ];
+        let train = [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()];
+        let mut wave = Dictionary::default().effect("screw_periodic.x").unwrap();
+        wave.set("period_mm", &[12.0]).unwrap();
+        let text = other_periods(&wave, &train).unwrap();
+        assert!(text.contains("grid of 20.0000 mm") && text.contains("30.0000"), "{text}");
+        assert_eq!(other_periods(&Dictionary::default().effect("scale.x").unwrap(), &train), None);
+    }
+}

@@ -1,0 +1,476 @@
+//! What the search found gets its names: whatever does not stand out from chance goes, what the data cannot tell from it
+//! is listed beside it, and what no name explains becomes a shape.
+
+use crate::analysis::{Answer, Finding, ROUNDS, Rival, Tried};
+use crate::cause::{Cause, Shape};
+use crate::chance::Chance;
+use crate::problem::rms;
+use crate::search::{Found, Member, Search, Set};
+use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC};
+
+/// Log odds below which the data do not decide between two explanations.
+const DECISIVE: f64 = 3.0;
+/// Log odds by which a shape without a name must beat the best named explanation.
+const SHAPE_DECISIVE: f64 = 1.5;
+/// The same where the names leave little.
+const SHAPE_INSTEAD: f64 = 12.0;
+
+/// An effect that changes the root mean square by less than this share of the whole gap is not worth a name: on a real
+/// machine everything shows a little of everything.
+const WORTH: f64 = 0.015;
+/// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
+const EXPLAINED: f64 = 0.2;
+/// Where named effects leave less than this share of the gap, they are not exchanged for a shape without a name,
+/// however well it fits: no law is true to a fiftieth.
+const NEARLY_ALL: f64 = 0.05;
+/// Most rivals that are listed for one effect.
+const MOST_RIVALS: usize = 12;
+
+/// What was decided on the way to the findings.
+struct Conclusion<'f> {
+    found: &'f Found,
+    set: Set,
+    chance: Chance,
+    level: f64,
+    unexplained: Vec<Shape>,
+    /// Where a steadier explanation took the place of what fits best: what predicts as well.
+    equals: Option<Vec<usize>>,
+}
+
+/// Names what a search found, beside the model as it is now.
+pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
+    let named = renamed(search, found.named.clone());
+    let mut named = with_offset(search, &named);
+    let any = found.any.clone();
+    // The level holds for the whole answer: a half for names, a half for shapes.
+    let level = level / 2.0;
+    let chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
+    named = standing_out(search, named, &chance, level);
+    let mut equals = None;
+    if let Some((set, others)) = search.steadier(&named) {
+        (named, equals) = (set, Some(others));
+    } else {
+        named = search.with_references(named);
+    }
+    named = search.bounded(named);
+    let unexplained = unexplained(search, &named, &any, &chance, level);
+    let set = if unexplained.is_empty() { named } else { any.clone() };
+    let mut tried = TriedList::of(search, &set);
+    let conclusion = Conclusion { found, set, chance, level, unexplained, equals };
+    let findings = conclusion.findings(search, &mut tried);
+    let Conclusion { set, chance, unexplained, .. } = conclusion;
+    let (residual, phi) = search.residual(if any.score > set.score { &any } else { &set });
+    Answer {
+        findings,
+        unexplained,
+        present: now.to_vec(),
+        file: Vec::new(),
+        anchor: Vec::new(),
+        ranking: tried.best_first(),
+        residual,
+        phi,
+        sigma: search.stack.sigma.clone(),
+        draws: chance.draws,
+    }
+}
+
+/// Names that were tried.
+struct TriedList(Vec<Tried>);
+
+impl TriedList {
+    /// The members of a set; where it has none, all that could have joined it.
+    fn of(search: &Search<'_, '_>, set: &Set) -> Self {
+        let mut tried = Self(Vec::new());
+        for m in &set.members {
+            tried.note(search.all.list[m.hypothesis].label(), 0.0, true);
+        }
+        if set.members.is_empty() {
+            for r in &*search.ranking(set) {
+                let o = &r.offers[0];
+                tried.note(search.all.list[o.hypothesis].label(), o.score - set.score, false);
+            }
+        }
+        tried
+    }
+
+    fn note(&mut self, label: String, odds: f64, accepted: bool) {
+        match self.0.iter_mut().find(|t| t.label == label) {
+            Some(t) => {
+                t.odds = t.odds.max(odds);
+                t.accepted |= accepted;
+            }
+            None => self.0.push(Tried { label, odds, accepted }),
+        }
+    }
+
+    fn best_first(mut self) -> Vec<Tried> {
+        self.0.sort_by(|a, b| b.accepted.cmp(&a.accepted).then(b.odds.total_cmp(&a.odds)));
+        self.0
+    }
+}
+
+/// A set without what does not stand out from chance, weakest first.
+fn standing_out(search: &mut Search<'_, '_>, named: Set, chance: &Chance, level: f64) -> Set {
+    let whole = rms(&search.residual(&search.empty()).0);
+    let mut named = named;
+    loop {
+        let mut rests: Vec<Set> = (0..named.members.len()).map(|i| search.without(&named, i)).collect();
+        if let Some(slight) = slightest(search, &named, &rests, whole) {
+            named = renamed(search, rests.swap_remove(slight));
+            continue;
+        }
+        let evidence: Vec<f64> = rests.iter().map(|rest| search.gain(rest, &named)).collect();
+        let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
+        let alone = named.members.len() == 1;
+        if let Some(w) = weakest.filter(|w| chance.of_name(evidence[*w], alone) > level) {
+            named = rests.swap_remove(w);
+            continue;
+        }
+        // Several may hold each other up and be worth nothing together.
+        let chances = |s: &Set| chance.of_name(search.gain(s, &named), s.members.is_empty());
+        match fewer(search, &named).into_iter().rev().find(|s| chances(s) > level) {
+            Some(rest) => named = rest,
+            None => return named,
+        }
+    }
+}
+
+/// The member that is worth least, where that is too little for a name. `rests`: the set without each of its members.
+fn slightest(search: &Search<'_, '_>, named: &Set, rests: &[Set], whole: f64) -> Option<usize> {
+    let now = rms(&search.residual(named).0);
+    let worth: Vec<f64> = rests.iter().map(|rest| rms(&search.residual(rest).0) - now).collect();
+    let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]))?;
+    // Where all else that drifts has become noise, the last effect is measured by what it does itself.
+    let own = || search.share(named, least).powi(2) > 2.0 * WORTH * whole.powi(2);
+    let slight = worth[least] < WORTH * whole && !(named.members.len() == 1 && own());
+    slight.then_some(least)
+}
+
+/// Structure that the names leave to shapes; empty where the names keep their place.
+fn unexplained(search: &Search<'_, '_>, named: &Set, any: &Set, chance: &Chance, level: f64) -> Vec<Shape> {
+    let whole = rms(&search.residual(&search.empty()).0);
+    let left = rms(&search.residual(named).0);
+    let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
+    // Names that leave next to nothing, or that the shape only stands beside, keep their place.
+    let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
+    let kept = mostly && (beside || left < NEARLY_ALL * whole);
+    // A shape in place of the names, not beside them, has to be the far better account where they leave little.
+    // The more names one shape replaces, the less.
+    let each = any.members.len() as f64 / named.members.len().max(1) as f64;
+    let needed = if mostly { SHAPE_INSTEAD * each.min(1.0) } else { SHAPE_DECISIVE };
+    if kept || any.score <= named.score + needed {
+        return Vec::new();
+    }
+    // In place of names it is the whole that chance would have to give.
+    let gain = if beside { search.gain(named, any) } else { search.gain(&search.empty(), any) };
+    if chance.of_anything(gain) > level {
+        return Vec::new();
+    }
+    any.members.iter().filter_map(|m| m.cause.shape().cloned()).collect()
+}
+
+impl Conclusion<'_> {
+    /// The set's effects with what the data cannot tell from each, strongest first.
+    fn findings(&self, search: &mut Search<'_, '_>, tried: &mut TriedList) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        for (i, effect) in search.effects(&self.set).into_iter().enumerate() {
+            let Some(mut effect) = effect.filter(Effect::is_physical) else { continue };
+            let member = &self.set.members[i];
+            let evidence = search.gain(&search.without(&self.set, i), &self.set);
+            if self.entangled(&effect, evidence) {
+                continue;
+            }
+            let p_value = self.chance.of_name(evidence, self.set.members.len() == 1);
+            let mut rivals = self.rivals(search, i, &effect, tried);
+            if let Cause::Effect { reference: true, .. } = member.cause
+                && let Some(level) = level_beside(search, &self.set, &effect)
+            {
+                // Another reference temperature and a constant (or a scale) beside the law do the same to these data.
+                if effect.delta.as_ref().is_some_and(plausible_reference) {
+                    rivals.push(Rival { name: level.name(), sensor: None, margin: 0.0 });
+                } else if let Some((own, level)) = split_reference(&effect, level) {
+                    effect = own;
+                    let (held, rivals) = (Vec::new(), Vec::new());
+                    findings.push(Finding { effect: level, held, p_value, evidence, rivals });
+                }
+            }
+            rivals.sort_by(|a, b| a.margin.total_cmp(&b.margin));
+            rivals.truncate(MOST_RIVALS);
+            findings.push(Finding { effect, held: held(&member.cause), p_value, evidence, rivals });
+        }
+        findings.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        findings
+    }
+
+    /// Beside a shape without a name only what reads something else, and stands out by itself, is named.
+    fn entangled(&self, effect: &Effect, evidence: f64) -> bool {
+        !self.unexplained.is_empty()
+            && (reads(effect, &self.unexplained) || self.chance.of_anything(evidence) > self.level)
+    }
+
+    fn rivals(
+        &self,
+        search: &mut Search<'_, '_>,
+        i: usize,
+        effect: &Effect,
+        tried: &mut TriedList,
+    ) -> Vec<Rival> {
+        if let Some(equals) = &self.equals {
+            // What predicts as well, not what fits as well.
+            let equals = equals.iter().filter(|_| effect.delta.is_some());
+            return equals.map(|h| Rival::of(search, *h, 0.0)).collect();
+        }
+        if !self.unexplained.is_empty() {
+            return Vec::new();
+        }
+        let mut rivals = self.ranked(search, i, tried);
+        self.visited(search, &self.set.members[i], &mut rivals);
+        rivals
+    }
+
+    /// What would do as well in a member's place.
+    fn ranked(&self, search: &mut Search<'_, '_>, i: usize, tried: &mut TriedList) -> Vec<Rival> {
+        let (set, member) = (&self.set, &self.set.members[i]);
+        let own = search.all.list[member.hypothesis].name.clone();
+        let rest = search.without(set, i);
+        let ranking = search.ranking(&rest);
+        let top = ranking.iter().find(|r| r.name == own).map_or(set.score, |r| r.evidence.max(set.score));
+        let mut rivals = Vec::new();
+        for r in &*ranking {
+            let label = search.all.list[r.offers[0].hypothesis].label();
+            tried.note(label, r.offers[0].score - set.score, false);
+            let alike = r.name == own;
+            let margin = if alike { 0.0 } else { top - r.evidence };
+            if margin >= DECISIVE {
+                continue;
+            }
+            let best = if alike { set.score } else { r.offers[0].score };
+            let close = |h: usize, score: f64| h != member.hypothesis && best - score < DECISIVE;
+            for o in r.offers.iter().filter(|o| close(o.hypothesis, o.score)) {
+                let instead = search.take(&rest, o);
+                if search.physical(&instead) {
+                    rivals.push(Rival::of(search, o.hypothesis, margin.max(best - o.score)));
+                }
+            }
+        }
+        rivals
+    }
+
+    /// Members of other sets that were visited, as good as this one and without this member.
+    fn visited(&self, search: &Search<'_, '_>, member: &Member, rivals: &mut Vec<Rival>) {
+        let set = &self.set;
+        let name = |h: usize| &search.all.list[h].name;
+        let lacks = |h: usize| !set.members.iter().any(|m| name(m.hypothesis) == name(h));
+        for v in self.found.visited.iter().filter(|v| set.score - v.score < DECISIVE) {
+            if v.members.iter().any(|x| x.hypothesis == member.hypothesis) {
+                continue;
+            }
+            for x in v.members.iter().filter(|x| lacks(x.hypothesis)) {
+                let rival = Rival::of(search, x.hypothesis, set.score - v.score);
+                if !rivals.iter().any(|r| r.name == rival.name && r.sensor == rival.sensor) {
+                    rivals.push(rival);
+                }
+            }
+        }
+    }
+}
+
+impl Rival {
+    fn of(search: &Search<'_, '_>, hypothesis: usize, margin: f64) -> Self {
+        let h = &search.all.list[hypothesis];
+        Self { name: h.name.clone(), sensor: h.sensor().cloned(), margin }
+    }
+}
+
+/// Linear parameters that a cause does not let free.
+fn held(cause: &Cause) -> Vec<usize> {
+    let Cause::Effect { effect, free, .. } = cause else { return Vec::new() };
+    if !effect.constraints().is_empty() || effect.width() != 1 {
+        return Vec::new();
+    }
+    let parameters = effect.description().parameters.iter().enumerate();
+    let linear = parameters.filter(|(_, p)| p.search == effect::Search::Linear).map(|(v, _)| v);
+    linear.enumerate().filter(|(k, _)| !free.contains(k)).map(|(_, v)| v).collect()
+}
+
+/// One member at a time may have a better name, with the others in place.
+fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
+    let mut named = set;
+    for _ in 0..3 {
+        let mut changed = false;
+        for i in 0..named.members.len() {
+            let rest = search.without(&named, i);
+            let member = named.members[i].hypothesis;
+            let ranking = search.ranking(&rest);
+            let Some(first) = ranking.first() else { continue };
+            let offer = first.offers[0].clone();
+            let own = &search.all.list[member].name;
+            let present =
+                ranking.iter().find(|r| r.name == *own).map_or(named.score, |r| r.evidence.max(named.score));
+            let better =
+                if first.name == *own { offer.score > named.score + 1e-6 } else { first.evidence > present };
+            if offer.hypothesis == member || !better {
+                continue;
+            }
+            let next = search.take(&rest, &offer);
+            let next = search.polish(next);
+            if !search.physical(&next) {
+                continue;
+            }
+            named = next;
+            changed = true;
+            break;
+        }
+        if !changed {
+            break;
+        }
+    }
+    named
+}
+
+/// A constant beside a member may make another explanation of that member better than itself: a step that a search
+/// by single steps does not take.
+fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
+    let offsets: Vec<usize> = (0..search.all.list.len())
+        .filter(|h| search.all.list[*h].law().is_some_and(|l| l.constant))
+        .collect();
+    let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor().is_some();
+    let n = set.members.len();
+    let mut rests: Vec<Set> = (0..n).map(|i| search.without(set, i)).collect();
+    // Two sensors with a constant between them may be their difference.
+    for i in (0..n).filter(|i| thermal(*i)) {
+        for j in (i + 1..n).filter(|j| thermal(*j)) {
+            rests.push(search.without(&search.without(set, j), i));
+        }
+    }
+    let mut best = set.clone();
+    for rest in rests {
+        for h in &offsets {
+            if set.members.iter().any(|m| m.hypothesis == *h) {
+                continue;
+            }
+            let Some(offset) = search.offer_of(&rest, *h) else { continue };
+            let level = search.take(&rest, &offset);
+            let Some(offer) = search.offers(&level, 1, 0, false).into_iter().next() else { continue };
+            if offer.score > best.score + 1e-6 {
+                let next = search.take(&level, &offer);
+                let next = search.polish(next);
+                if search.physical(&next) {
+                    best = next;
+                }
+            }
+        }
+    }
+    best
+}
+
+/// A set without its weakest member, without the weakest of what is left, and so on to the empty set.
+fn fewer(search: &Search<'_, '_>, set: &Set) -> Vec<Set> {
+    let mut out: Vec<Set> = Vec::new();
+    for _ in 0..set.members.len() {
+        let from = out.last().unwrap_or(set);
+        let each = (0..from.members.len()).map(|i| search.without(from, i));
+        out.extend(each.max_by(|a, b| a.score.total_cmp(&b.score)));
+    }
+    out
+}
+
+/// How far from 20 °C a reference temperature may be and still be one, K.
+const REFERENCE_REACH: f64 = 8.0;
+
+fn plausible_reference(delta: &Difference) -> bool {
+    matches!(delta.against, Against::Reference(degc) if (degc - STANDARD_DEGC).abs() <= REFERENCE_REACH)
+}
+
+/// What does the same as another reference temperature of a thermal effect: an offset, or a scale beside an expansion.
+/// None where the set or the model has it.
+fn level_beside(search: &Search<'_, '_>, set: &Set, effect: &Effect) -> Option<Effect> {
+    let name = effect.companion()?.name();
+    if set.members.iter().any(|m| search.all.list[m.hypothesis].name == name) {
+        return None;
+    }
+    search.all.atoms.iter().find_map(|a| match &a.cause {
+        Cause::Effect { effect, .. } if effect.name() == name => Some(effect.clone()),
+        _ => None,
+    })
+}
+
+/// The same as a law of the difference from 20 °C beside a constant: c₁(x − d) + c₂(x − d)², with x from 20 °C.
+fn split_reference(effect: &Effect, mut level: Effect) -> Option<(Effect, Effect)> {
+    let mut own = effect.clone();
+    let delta = own.delta.as_mut()?;
+    let Against::Reference(degc) = delta.against else { return None };
+    delta.against = Against::Standard;
+    let d = degc - STANDARD_DEGC;
+    let k = own.coefficient_count();
+    let first = own.scalar(0);
+    let second = if k > 1 { own.scalar(1) } else { 0.0 };
+    let mut values = own.values().to_vec();
+    values[0] = first - 2.0 * second * d;
+    own.set_values(&values).ok()?;
+    level = level.with(&[(0, second * d * d - first * d)])?;
+    Some((own, level))
+}
+
+/// Whether an effect reads what a shape runs along; a temperature runs along time.
+fn reads(effect: &Effect, shapes: &[Shape]) -> bool {
+    let along = |text: &str| shapes.iter().any(|s| s.against.iter().any(|a| a.starts_with(text)));
+    effect.description().needs.iter().any(|n| match n {
+        Need::Delta | Need::Time => along("time") || along("temperature"),
+        Need::Velocity | Need::Direction | Need::Acceleration => along("velocity") || along("direction"),
+        Need::Channel => effect.channel().is_some_and(|c| along(&format!("channel.{c}"))) || along("time"),
+        Need::Position(_) => along(&n.role(effect.axes()).to_string()),
+        other => along(&other.role(effect.axes()).to_string()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_model::effect::Dictionary;
+
+    fn growth(against: Against, values: &[f64]) -> Effect {
+        let mut effect = Dictionary::default().effect("thermal_growth.z").unwrap();
+        effect.delta = Some(Difference { sensor: "T1".into(), against });
+        effect.set_values(values).unwrap();
+        effect
+    }
+
+    /// Growth from a reference that no machine has is growth from 20 °C and an offset: the same at every temperature.
+    #[test]
+    fn a_reference_that_is_none_is_an_offset() {
+        let effect = growth(Against::Reference(36.0), &[2.0, 0.1]);
+        assert!(!plausible_reference(effect.delta.as_ref().unwrap()));
+        let (own, level) = split_reference(&effect, effect.companion().unwrap()).unwrap();
+        assert_eq!(
+            (own.delta.as_ref().unwrap(), level.name().as_str()),
+            (&Difference::single("T1"), "offset.z")
+        );
+        let at = |e: &Effect, d: f64| e.scalar(0) * d + e.scalar(1) * d * d;
+        for degc in [18.0, 25.0, 40.0] {
+            let split = at(&own, degc - 20.0) + level.scalar(0);
+            assert!((at(&effect, degc - 36.0) - split).abs() < 1e-9, "{degc} °C");
+        }
+        assert!(plausible_reference(&Difference { sensor: "T1".into(), against: Against::Reference(23.0) }));
+    }
+
+    /// Beside a shape along the time nothing is named that follows time or temperature.
+    #[test]
+    fn what_reads_what_a_shape_runs_along_is_entangled_with_it() {
+        let shape = |against: &str| {
+            vec![Shape { response: "error.z".into(), against: vec![against.into()], manner: "smooth".into() }]
+        };
+        let warm = growth(Against::Standard, &[1.0, 0.0]);
+        let scale = Dictionary::default().effect("scale.z").unwrap();
+        assert!(reads(&warm, &shape("time")) && reads(&warm, &shape("temperature.T4")));
+        assert!(reads(&scale, &shape("position.z")));
+        assert!(!reads(&scale, &shape("time")) && !reads(&warm, &shape("position.z")));
+    }
+
+    #[test]
+    fn what_a_grid_point_leaves_out_is_held() {
+        let effect = growth(Against::Standard, &[1.0, 0.0]);
+        let cause = |free: Vec<usize>| Cause::Effect { effect: effect.clone(), free, reference: false };
+        assert_eq!((held(&cause(vec![0])), held(&cause(vec![0, 1]))), (vec![1], vec![]));
+    }
+}

@@ -1,0 +1,187 @@
+//! The search for the set of effects that explains what the model does not: a beam over sets, every hypothesis fitted
+//! jointly with the model's own parameters, non-linear parameters refined, every price of freedom paid.
+//!
+//! | module | what |
+//! |---|---|
+//! | `sets` | sets of explanations and their fits |
+//! | `cross` | what further columns add to a set |
+//! | `offers` | which explanation could join a set |
+//! | `periods`, `periodogram` | the period of a wave |
+//! | `refine` | non-linear parameters between grid points |
+//! | `beam` | the order in which sets are tried |
+
+mod beam;
+mod cross;
+mod offers;
+mod periodogram;
+mod periods;
+mod refine;
+mod sets;
+
+pub(crate) use beam::Found;
+pub(crate) use sets::{AtPhi, Member, Set};
+
+use crate::gram::{Products, Vector};
+use crate::hypotheses::{Hypotheses, reference_column};
+use crate::problem::{Known, Stack};
+use crate::waves::Wave;
+use offers::Ranked;
+use periodogram::{OnPlaces, Transform};
+use rtec_model::effect::Effect;
+use std::cell::{Cell, OnceCell, RefCell};
+use std::collections::HashMap;
+use std::rc::Rc;
+
+/// Noise coefficients that every fit is tried at: tanh of an even grid.
+const NOISE_STEP: f64 = 0.35;
+
+const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=7;
+
+/// Everything that a search keeps.
+pub(crate) struct Search<'p, 'r> {
+    pub(crate) stack: &'p Stack<'r>,
+    pub(crate) all: &'p Hypotheses,
+    pub(crate) waves: &'p [Wave],
+    known: Vec<Known>,
+    /// Size of the noise, in units of the stack's: the model's parameters are worth that many observations.
+    noise: f64,
+    pub(crate) vectors: Vec<Vector>,
+    /// What the model leaves, and the slopes of its parameters, among the vectors.
+    pub(crate) y: usize,
+    pub(crate) slopes: Vec<usize>,
+    /// Products of each vector with the bank's columns, once they are asked for.
+    with_bank: Vec<OnceCell<Vec<Products>>>,
+    /// Products among vectors, once they are asked for: `pairs[i][j]`, j ≤ i.
+    pairs: Vec<Vec<OnceCell<Products>>>,
+    /// Vectors by their bits.
+    places: HashMap<u64, Vec<usize>>,
+    /// Degrees of freedom that noise is judged by.
+    pub(crate) nu: f64,
+    pub(crate) phis: Vec<f64>,
+    /// How many of the noise coefficients are in use: the first few, while a search takes no structure for noise.
+    usable: usize,
+    transform: RefCell<Transform>,
+    /// Per wave: how its frequencies lie on the places.
+    places_seen: Vec<OnceCell<Vec<OnPlaces>>>,
+    /// Frequencies worth a look, per wave: the highest peaks met so far.
+    peaks: RefCell<Vec<Vec<f64>>>,
+    /// Waves that were looked at, by hypothesis and frequency.
+    seen: RefCell<HashMap<(usize, u64), Seen>>,
+    /// Values that the waves may still keep.
+    room: Cell<usize>,
+    /// Rankings that were asked for, by what the set's vectors and hypotheses are.
+    rankings: RefCell<HashMap<Vec<usize>, Rc<[Ranked]>>>,
+}
+
+/// A wave of one frequency.
+struct Seen {
+    /// Where there is room for them.
+    columns: Option<Vec<Vec<f64>>>,
+    own: Vec<Products>,
+    /// Products with vectors, those that were asked for.
+    with: Vec<Option<[Products; 2]>>,
+}
+
+/// Values that the waves that were looked at may keep: 64 MB.
+const ROOM: usize = 8_000_000;
+
+impl<'p, 'r> Search<'p, 'r> {
+    /// [`Search::begin`] gives it what is to be explained.
+    pub(crate) fn new(stack: &'p Stack<'r>, all: &'p Hypotheses, waves: &'p [Wave]) -> Self {
+        let phis: Vec<f64> = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
+        let usable = phis.len();
+        Self {
+            stack,
+            all,
+            waves,
+            known: Vec::new(),
+            noise: 1.0,
+            vectors: Vec::new(),
+            y: 0,
+            slopes: Vec::new(),
+            with_bank: Vec::new(),
+            pairs: Vec::new(),
+            places: HashMap::new(),
+            nu: 0.0,
+            phis,
+            usable,
+            transform: RefCell::new(Transform::new()),
+            places_seen: waves.iter().map(|_| OnceCell::new()).collect(),
+            peaks: RefCell::new(Vec::new()),
+            seen: RefCell::new(HashMap::new()),
+            room: Cell::new(ROOM),
+            rankings: RefCell::default(),
+        }
+    }
+
+    /// Begins, or begins again with the model at other values of its parameters and noise of another size: what was
+    /// worked out for columns that stay is kept. `missing`: measured minus simulated, weighed.
+    pub(crate) fn begin(&mut self, noise: f64, known: Vec<Known>, missing: Vec<f64>) {
+        self.noise = noise;
+        self.y = self.register(missing);
+        self.slopes = known.iter().map(|k| self.register(k.column.clone())).collect();
+        self.nu = (self.stack.n as f64 - known.len() as f64).max(self.stack.n as f64 / 2.0);
+        self.known = known;
+        *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
+        self.rankings.borrow_mut().clear();
+    }
+
+    fn add(&mut self, column: Vec<f64>) -> usize {
+        let at = self.vectors.len();
+        self.vectors.push(Vector::new(column, &self.stack.ranges));
+        self.with_bank.push(OnceCell::new());
+        self.pairs.push(vec![OnceCell::new(); at + 1]);
+        at
+    }
+
+    /// The number of a vector, that of one with the same values where there is one.
+    fn register(&mut self, column: Vec<f64>) -> usize {
+        let key = column
+            .iter()
+            .fold(0u64, |h, x| (h.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        if let Some(at) =
+            self.places.get(&key).and_then(|p| p.iter().find(|i| self.vectors[**i].data == column))
+        {
+            return *at;
+        }
+        let at = self.add(column);
+        self.places.entry(key).or_default().push(at);
+        at
+    }
+
+    /// Products of a vector with the bank's columns.
+    pub(crate) fn against_bank(&self, vector: usize) -> &[Products] {
+        self.with_bank[vector].get_or_init(|| self.all.bank.products(&[&self.vectors[vector]]).swap_remove(0))
+    }
+
+    /// The same for several vectors in one go.
+    fn meet_bank(&self, ids: impl IntoIterator<Item = usize>) {
+        let mut missing: Vec<usize> =
+            ids.into_iter().filter(|i| self.with_bank[*i].get().is_none()).collect();
+        missing.sort_unstable();
+        missing.dedup();
+        let vectors: Vec<&Vector> = missing.iter().map(|i| &self.vectors[*i]).collect();
+        for (i, products) in missing.iter().zip(self.all.bank.products(&vectors)) {
+            // It was empty a moment ago.
+            let _set = self.with_bank[*i].set(products);
+        }
+    }
+
+    fn pair(&self, a: usize, b: usize) -> Products {
+        let (a, b) = (a.max(b), a.min(b));
+        *self.pairs[a][b].get_or_init(|| self.vectors[a].products(&self.vectors[b].data, &self.stack.ranges))
+    }
+
+    /// The columns of an effect with free coefficients, weighed.
+    fn columns(&self, effect: &Effect, free: &[usize], reference: bool) -> Vec<Vec<f64>> {
+        let all = self.stack.basis(effect);
+        let mut out: Vec<Vec<f64>> = free.iter().map(|i| all[*i].clone()).collect();
+        if reference {
+            out.push(reference_column(self.stack, effect));
+        }
+        for column in &mut out {
+            self.stack.weigh(column);
+        }
+        out
+    }
+}

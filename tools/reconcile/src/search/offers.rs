@@ -1,0 +1,190 @@
+//! Explanations that could join a set: scanned over all grids, by name, best first.
+
+use super::Search;
+use super::cross::Scratch;
+use super::sets::Set;
+use crate::cause::Cause;
+use crate::hypotheses::{Atom, Hypothesis};
+use std::rc::Rc;
+
+/// An explanation that could join a set.
+#[derive(Debug, Clone)]
+pub(crate) struct Offer {
+    pub(crate) cause: Cause,
+    pub(crate) hypothesis: usize,
+    pub(crate) cost: f64,
+    /// Score of the set with it.
+    pub(crate) score: f64,
+    /// The same, averaged over the grid instead of its best point: what the hypothesis as a whole is worth.
+    pub(crate) evidence: f64,
+    pub(super) columns: Source,
+}
+
+#[derive(Debug, Clone)]
+pub(super) enum Source {
+    Bank(Vec<usize>),
+    Made(Vec<Vec<f64>>),
+}
+
+/// A name with everything that speaks for it.
+pub(crate) struct Ranked {
+    pub(crate) name: String,
+    pub(crate) evidence: f64,
+    /// One per sensor, best first.
+    pub(crate) offers: Vec<Offer>,
+}
+
+impl Search<'_, '_> {
+    /// The best grid point of one hypothesis as an addition to a set.
+    pub(crate) fn offer_of(&self, set: &Set, hypothesis: usize) -> Option<Offer> {
+        let mut scratch = Scratch::default();
+        let mut scored = |i: usize| {
+            let atom = &self.all.atoms[i];
+            self.with_atom(set, i, &mut scratch) - self.price(set, atom.cost, atom.columns.len())
+        };
+        (0..self.all.atoms.len())
+            .filter(|i| self.all.atoms[*i].hypothesis == hypothesis)
+            .map(|i| (i, scored(i)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(i, score)| self.bank_offer(i, score, score))
+    }
+
+    pub(super) fn bank_offer(&self, i: usize, score: f64, evidence: f64) -> Offer {
+        let atom: &Atom = &self.all.atoms[i];
+        Offer {
+            cause: atom.cause.clone(),
+            hypothesis: atom.hypothesis,
+            cost: atom.cost,
+            score,
+            evidence,
+            columns: Source::Bank(atom.columns.clone()),
+        }
+    }
+
+    /// The best grid point of every hypothesis as an addition to a set, best first.
+    pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
+        self.meet_bank(set.ids.iter().copied().chain([self.y]));
+        let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
+        let mut scratch = Scratch::default();
+        for (i, atom) in self.all.atoms.iter().enumerate() {
+            let score = self.with_atom(set, i, &mut scratch) - self.price(set, atom.cost, atom.columns.len());
+            let place = &mut best[atom.hypothesis];
+            *place = Some(match *place {
+                None => (score, i, score),
+                Some((s, at, all)) if s >= score => (s, at, log_sum(all, score)),
+                Some((_, _, all)) => (score, i, log_sum(all, score)),
+            });
+        }
+        let mut offers: Vec<Offer> = best
+            .into_iter()
+            .flatten()
+            .map(|(score, i, evidence)| self.bank_offer(i, score, evidence))
+            .collect();
+        for (i, wave) in self.waves.iter().enumerate() {
+            if fresh {
+                self.find_peaks(set, i);
+            }
+            offers.extend(self.wave(set, wave, &self.peaks.borrow()[i]));
+        }
+        offers.sort_by(|a, b| b.score.total_cmp(&a.score));
+        offers
+    }
+
+    /// The set with an offer taken in.
+    pub(crate) fn take(&mut self, set: &Set, offer: &Offer) -> Set {
+        let columns = match &offer.columns {
+            Source::Bank(at) => self.of_bank(at),
+            Source::Made(columns) => columns.clone(),
+        };
+        self.joined_by(set, &offer.cause, offer.hypothesis, offer.cost, columns)
+    }
+
+    /// Whether an offer repeats what a set has: the same hypothesis, unless it may stand twice.
+    pub(super) fn repeats(&self, set: &Set, offer: &Offer) -> bool {
+        let may = |h: &Hypothesis| h.law().is_some_and(|l| l.searched.repeats);
+        set.members.iter().any(|m| {
+            let (a, b) = (&self.all.list[m.hypothesis], &self.all.list[offer.hypothesis]);
+            m.hypothesis == offer.hypothesis && !(may(b) || (a.named() && a.name != b.name))
+        })
+    }
+
+    /// Named explanations as additions to a set, by name: the evidence of each name over all its sensors and grid
+    /// points, with its best offers refined. Best first.
+    pub(crate) fn ranking(&self, set: &Set) -> Rc<[Ranked]> {
+        let key: Vec<usize> =
+            set.ids.iter().copied().chain(set.members.iter().map(|m| m.hypothesis)).collect();
+        if let Some(known) = self.rankings.borrow().get(&key) {
+            return Rc::clone(known);
+        }
+        let ranking: Rc<[Ranked]> = self.ranked(set).into();
+        self.rankings.borrow_mut().insert(key, Rc::clone(&ranking));
+        ranking
+    }
+
+    pub(super) fn ranked(&self, set: &Set) -> Vec<Ranked> {
+        let mut out: Vec<Ranked> = Vec::new();
+        for offer in self.scan(set, false) {
+            let hypothesis = &self.all.list[offer.hypothesis];
+            if !hypothesis.named() || self.repeats(set, &offer) {
+                continue;
+            }
+            match out.iter_mut().find(|r| r.name == hypothesis.name) {
+                Some(r) => {
+                    r.evidence = log_sum(r.evidence, offer.evidence);
+                    r.offers.push(offer);
+                }
+                None => out.push(Ranked {
+                    name: hypothesis.name.clone(),
+                    evidence: offer.evidence,
+                    offers: vec![offer],
+                }),
+            }
+        }
+        let top = out.iter().map(|r| r.evidence).fold(f64::NEG_INFINITY, f64::max);
+        for (i, r) in out.iter_mut().enumerate() {
+            // Far behind, no refinement will bring it back.
+            let close = r.evidence > top - 40.0 || i < 3;
+            let offers = std::mem::take(&mut r.offers);
+            r.offers = offers
+                .into_iter()
+                .enumerate()
+                .map(|(k, o)| if close && k < 3 { self.refine(set, o) } else { o })
+                .collect();
+            r.offers.sort_by(|a, b| b.score.total_cmp(&a.score));
+            r.evidence = r.evidence.max(r.offers[0].score);
+        }
+        out.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        out
+    }
+
+    /// Best additions to a set, refined: so many named and so many unnamed.
+    pub(crate) fn offers(&self, set: &Set, named: usize, unnamed: usize, fresh: bool) -> Vec<Offer> {
+        let mut left = [unnamed, named];
+        let mut out = Vec::new();
+        let mut sensors: Vec<(String, usize)> = Vec::new();
+        for offer in self.scan(set, fresh) {
+            let hypothesis = &self.all.list[offer.hypothesis];
+            let room = &mut left[usize::from(hypothesis.named())];
+            if *room == 0 || self.repeats(set, &offer) {
+                continue;
+            }
+            // Many sensors of one law must not crowd out other laws.
+            let law = if hypothesis.named() { hypothesis.name.clone() } else { offer.hypothesis.to_string() };
+            match sensors.iter_mut().find(|(l, _)| *l == law) {
+                Some((_, n)) if *n >= 2 => continue,
+                Some((_, n)) => *n += 1,
+                None => sensors.push((law, 1)),
+            }
+            *room -= 1;
+            out.push(self.refine(set, offer));
+        }
+        out.sort_by(|a, b| b.score.total_cmp(&a.score));
+        out
+    }
+}
+
+/// log(eᵃ + eᵇ)
+fn log_sum(a: f64, b: f64) -> f64 {
+    let (hi, lo) = if a > b { (a, b) } else { (b, a) };
+    hi + (lo - hi).exp().ln_1p()
+}

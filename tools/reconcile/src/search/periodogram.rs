@@ -1,0 +1,119 @@
+//! Periodograms of rows at uneven places, over a million frequencies.
+
+use crate::gram;
+use rustfft::FftPlanner;
+use rustfft::num_complex::Complex32;
+
+/// The three highest peaks of a periodogram, added to a list of frequencies.
+pub(super) fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>) {
+    for _ in 0..3 {
+        let mut top = 0;
+        for (i, p) in power.iter().enumerate() {
+            if *p > power[top] {
+                top = i;
+            }
+        }
+        let f = from + step * top as f64;
+        if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
+            list.push(f);
+        }
+        let end = (top + 5).min(power.len());
+        power[top.saturating_sub(4)..end].fill(0.0);
+    }
+}
+
+/// What a Fourier transform needs, kept from one to the next.
+pub(super) struct Transform {
+    planner: FftPlanner<f32>,
+    grid: Vec<Complex32>,
+    scratch: Vec<Complex32>,
+}
+
+impl Transform {
+    pub(super) fn new() -> Self {
+        Self { planner: FftPlanner::new(), grid: Vec::new(), scratch: Vec::new() }
+    }
+
+    /// Σ uᵢ·exp(2πj·f·xᵢ) at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
+    /// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
+    pub(super) fn sums(
+        &mut self,
+        x: &[f64],
+        u: &[f64],
+        from: f64,
+        step: f64,
+        count: usize,
+    ) -> impl Iterator<Item = Complex32> {
+        let size = room(count + count / 2);
+        // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
+        let middle = from + step * (count / 2) as f64;
+        let Self { planner, grid, scratch } = self;
+        grid.clear();
+        grid.resize(size, Complex32::new(0.0, 0.0));
+        for (x, u) in x.iter().zip(u) {
+            let (sin, cos) = gram::wave(middle * x);
+            let place = x * step * size as f64;
+            let base = place.floor();
+            let w = place - base;
+            // Lagrange's cubic through four neighbours.
+            let weights = [
+                -w * (w - 1.0) * (w - 2.0) / 6.0,
+                (w + 1.0) * (w - 1.0) * (w - 2.0) / 2.0,
+                -(w + 1.0) * w * (w - 2.0) / 2.0,
+                (w + 1.0) * w * (w - 1.0) / 6.0,
+            ];
+            for (k, weight) in weights.iter().enumerate() {
+                let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
+                grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
+            }
+        }
+        let fft = planner.plan_fft_inverse(size);
+        scratch.resize(fft.get_inplace_scratch_len().max(scratch.len()), Complex32::new(0.0, 0.0));
+        fft.process_with_scratch(grid, scratch);
+        // The lower half of the band stands at the grid's end.
+        grid[size - count / 2..].iter().chain(&grid[..count - count / 2]).copied()
+    }
+
+    /// How waves of these frequencies lie on the places.
+    pub(super) fn places(&mut self, x: &[f64], from: f64, step: f64, count: usize) -> Vec<OnPlaces> {
+        let share = vec![1.0 / x.len() as f64; x.len()];
+        let once: Vec<Complex32> = self.sums(x, &share, from, step, count).collect();
+        let twice = self.sums(x, &share, 2.0 * from, 2.0 * step, count);
+        once.into_iter().zip(twice).map(|(once, twice)| OnPlaces::new(once, twice)).collect()
+    }
+}
+
+/// Mean square of a cosine and of a sine over the places, their means taken off, and of the one times the other. Where
+/// targets are few a wave may be mostly sine there, or mostly constant.
+pub(super) struct OnPlaces {
+    cos: f32,
+    sin: f32,
+    both: f32,
+}
+
+impl OnPlaces {
+    /// From the means of exp(jθ) and exp(2jθ).
+    fn new(once: Complex32, twice: Complex32) -> Self {
+        Self {
+            cos: 0.5 * (1.0 + twice.re) - once.re * once.re,
+            sin: 0.5 * (1.0 - twice.re) - once.im * once.im,
+            both: 0.5 * twice.im - once.re * once.im,
+        }
+    }
+
+    /// What the wave explains beside a constant (Zechmeister and Kürster, Astron. Astrophys. 496, 2009), up to a factor.
+    pub(super) fn power(&self, z: Complex32) -> f64 {
+        // No more than the sums are good for is believed of a wave that is next to nothing on the places.
+        let whole = (self.cos * self.sin - self.both * self.both).max(LEAST_WHOLE);
+        f64::from((self.sin * z.re * z.re + self.cos * z.im * z.im - 2.0 * self.both * z.re * z.im) / whole)
+    }
+}
+
+/// A quarter where the places are spread well.
+const LEAST_WHOLE: f32 = 0.05;
+
+/// The smallest size from `least` on that a Fourier transform is quick at: a power of two, or three quarters of one.
+fn room(least: usize) -> usize {
+    let whole = least.next_power_of_two().max(64);
+    if whole / 4 * 3 >= least { whole / 4 * 3 } else { whole }
+}

@@ -1,0 +1,335 @@
+//! Sets of explanations, each fitted at every noise coefficient together with the model's own parameters, and what such a
+//! fit says.
+
+use super::{NOISE_GRID, NOISE_STEP, Search};
+use crate::cause::Cause;
+use crate::gram::{Cholesky, Products, dot};
+use crate::hypotheses::Atom;
+use crate::problem::rms;
+use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
+
+/// Noise of a smaller coefficient is not asked whether plain least squares agrees.
+const LONG_MEMORY: f64 = 0.5;
+
+/// F value beyond which plain least squares contradicts a fit.
+const CONTRADICTION: f64 = 25.0;
+
+/// A fit at one noise coefficient.
+#[derive(Debug, Clone)]
+pub(crate) struct AtPhi {
+    pub(crate) phi: f64,
+    pub(crate) factor: Cholesky,
+    /// L⁻¹ of the right-hand side.
+    pub(crate) z: Vec<f64>,
+    pub(crate) rss: f64,
+}
+
+/// An accepted explanation inside a set.
+#[derive(Debug, Clone)]
+pub(crate) struct Member {
+    pub(crate) cause: Cause,
+    pub(crate) hypothesis: usize,
+    pub(crate) cost: f64,
+    pub(super) vectors: Vec<usize>,
+}
+
+impl Member {
+    /// Number of its coefficients.
+    pub(crate) fn columns(&self) -> usize {
+        self.vectors.len()
+    }
+}
+
+/// A set of explanations, fitted.
+#[derive(Debug, Clone)]
+pub(crate) struct Set {
+    pub(crate) members: Vec<Member>,
+    /// Log likelihood less the price of all freedom.
+    pub(crate) score: f64,
+    pub(crate) loglik: f64,
+    pub(crate) fits: Vec<AtPhi>,
+    pub(crate) ids: Vec<usize>,
+}
+
+impl Search<'_, '_> {
+    pub(super) fn fits(&self, ids: &[usize]) -> Vec<AtPhi> {
+        let b = ids.len();
+        let pairs: Vec<Vec<Products>> =
+            (0..b).map(|i| (0..=i).map(|j| self.pair(ids[i], ids[j])).collect()).collect();
+        self.phis[..self.usable]
+            .iter()
+            .map(|&phi| {
+                let mut a = vec![0.0; b * b];
+                for (i, row) in pairs.iter().enumerate() {
+                    for (j, p) in row.iter().enumerate() {
+                        a[i * b + j] = p.at(phi);
+                    }
+                }
+                let mut g: Vec<f64> = ids.iter().map(|i| self.pair(*i, self.y).at(phi)).collect();
+                let mut rss = self.pair(self.y, self.y).at(phi);
+                for (i, k) in self.known.iter().enumerate() {
+                    // What the file says of a parameter counts as one more observation of it.
+                    let w = (self.noise / k.sd).powi(2);
+                    a[i * b + i] += w;
+                    g[i] += w * k.target;
+                    rss += w * k.target * k.target;
+                }
+                let factor = Cholesky::new(&a, b);
+                let mut z = g;
+                factor.forward(&mut z);
+                let rss = (rss - dot(&z, &z)).max(1e-9);
+                AtPhi { phi, factor, z, rss }
+            })
+            .collect()
+    }
+
+    pub(crate) fn loglik(&self, at: &AtPhi, gain: f64) -> f64 {
+        self.loglik_of(at.phi, (at.rss - gain).max(1e-9 * at.rss))
+    }
+
+    pub(crate) fn loglik_of(&self, phi: f64, rss: f64) -> f64 {
+        let segments = self.stack.ranges.len() as f64;
+        -0.5 * self.nu * (rss / self.nu).ln() + 0.5 * segments * (1.0 - phi * phi).ln()
+    }
+
+    /// Best over the noise coefficient, from values on its grid: a parabola through the best three.
+    pub(crate) fn best_phi(&self, loglik: &[f64]) -> (f64, f64) {
+        let top = (0..loglik.len()).max_by(|a, b| loglik[*a].total_cmp(&loglik[*b])).unwrap_or(0);
+        if top == 0 || top + 1 == loglik.len() {
+            return (loglik[top], self.phis[top]);
+        }
+        let (a, b, c) = (loglik[top - 1], loglik[top], loglik[top + 1]);
+        let bend = a - 2.0 * b + c;
+        let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
+        let at = (f64::from(*NOISE_GRID.start()) + top as f64 + shift) * NOISE_STEP;
+        (b - 0.25 * (a - c) * shift, at.tanh())
+    }
+
+    pub(crate) fn dimension_cost(&self) -> f64 {
+        0.5 * (self.stack.n as f64).ln()
+    }
+
+    pub(super) fn set(&self, members: Vec<Member>) -> Set {
+        let mut ids = self.slopes.clone();
+        ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
+        let fits = self.fits(&ids);
+        let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
+        let (loglik, _) = self.best_phi(&values);
+        let price: f64 =
+            members.iter().map(|m| m.cost + self.dimension_cost() * m.vectors.len() as f64).sum();
+        Set { members, score: loglik - price, loglik, fits, ids }
+    }
+
+    pub(crate) fn empty(&self) -> Set {
+        self.set(Vec::new())
+    }
+
+    /// The set without one member.
+    pub(crate) fn without(&self, set: &Set, member: usize) -> Set {
+        let mut members = set.members.clone();
+        members.remove(member);
+        self.set(members)
+    }
+
+    /// By how much a set is better than another. The sizes of several responses' noise were taken from what the search
+    /// had found, which made whatever it found in one of them look certain: here each set has its own.
+    pub(crate) fn gain(&self, from: &Set, to: &Set) -> f64 {
+        let by_score = to.score - from.score;
+        if self.stack.responses.len() == 1 {
+            return by_score;
+        }
+        let own = |set: &Set| {
+            let (residual, phi) = self.residual(set);
+            let white = sharpened(&residual, phi, &self.stack.ranges);
+            let mut loglik = 0.5 * self.stack.ranges.len() as f64 * (1.0 - phi * phi).ln();
+            for j in 0..self.stack.responses.len() {
+                let rows =
+                    || self.stack.segments.iter().filter(|s| s.response == j).flat_map(|s| s.rows.clone());
+                let squares: f64 = rows().map(|i| residual[i] * white[i]).sum();
+                let n = rows().count() as f64;
+                loglik -= 0.5 * n * (squares.max(1e-9) / n).ln();
+            }
+            loglik - (set.loglik - set.score)
+        };
+        by_score.min(own(to) - own(from))
+    }
+
+    /// What the set leaves unexplained, weighed.
+    pub(crate) fn residual(&self, set: &Set) -> (Vec<f64>, f64) {
+        let top = (0..set.fits.len())
+            .max_by(|a, b| self.loglik(&set.fits[*a], 0.0).total_cmp(&self.loglik(&set.fits[*b], 0.0)))
+            .unwrap_or(0);
+        let fit = &set.fits[top];
+        (self.left(set, fit), fit.phi)
+    }
+
+    /// What a set leaves with the coefficients of one of its fits.
+    pub(super) fn left(&self, set: &Set, fit: &AtPhi) -> Vec<f64> {
+        let mut beta = fit.z.clone();
+        fit.factor.backward(&mut beta);
+        let mut r = self.vectors[self.y].data.clone();
+        for (b, i) in beta.iter().zip(&set.ids) {
+            r.iter_mut().zip(&self.vectors[*i].data).for_each(|(r, x)| *r -= b * x);
+        }
+        r
+    }
+
+    /// Root mean square of what one member of a set does, weighed.
+    pub(crate) fn share(&self, set: &Set, member: usize) -> f64 {
+        let beta = self.coefficients(set);
+        let before: usize = set.members[..member].iter().map(Member::columns).sum();
+        let mut does = vec![0.0; self.stack.n];
+        for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
+            does.iter_mut().zip(&self.vectors[*i].data).for_each(|(d, x)| *d += b * x);
+        }
+        rms(&does)
+    }
+
+    /// Coefficients of the set at its best noise coefficient: known parameters' changes, then members' in order.
+    pub(crate) fn coefficients(&self, set: &Set) -> Vec<f64> {
+        let fits = self.fits(&set.ids);
+        let top = (0..fits.len())
+            .max_by(|a, b| self.loglik(&fits[*a], 0.0).total_cmp(&self.loglik(&fits[*b], 0.0)))
+            .unwrap_or(0);
+        let mut beta = fits[top].z.clone();
+        fits[top].factor.backward(&mut beta);
+        beta
+    }
+
+    /// The effects that a set's members stand for; none for a shape.
+    pub(crate) fn effects(&self, set: &Set) -> Vec<Option<Effect>> {
+        let beta = self.coefficients(set);
+        let mut at = self.slopes.len();
+        let of = |m: &Member| {
+            at += m.columns();
+            m.cause.effect(&beta[at - m.columns()..at])
+        };
+        set.members.iter().map(of).collect()
+    }
+
+    /// Whether the noise coefficient that fits best is bought with coefficients that plain least squares contradicts:
+    /// noise that wanders so slowly would not have let plain least squares explain so much more (Hausman,
+    /// Econometrica 46 (1978) 1251: two estimates that differ where they should not show a wrong model). A law whose
+    /// steps the record has smoothed does that: all it has left to say then lies in a few rows.
+    pub(crate) fn contradicted(&self, set: &Set) -> bool {
+        let top = set.fits.iter().max_by(|a, b| self.loglik(a, 0.0).total_cmp(&self.loglik(b, 0.0)));
+        let plain = set.fits.iter().find(|f| f.phi == 0.0);
+        let (Some(top), Some(plain)) = (top, plain) else { return false };
+        if top.phi < LONG_MEMORY {
+            return false;
+        }
+        let left = |fit: &AtPhi| {
+            let r = self.left(set, fit);
+            dot(&r, &r)
+        };
+        let (fitted, plain) = (left(top), left(plain));
+        let k = set.ids.len().max(1) as f64;
+        let independent = self.stack.n as f64 * (1.0 - top.phi) / (1.0 + top.phi);
+        (fitted - plain) / k > CONTRADICTION * plain / (independent - k).max(1.0)
+    }
+
+    /// The set with a grid point taken in.
+    pub(crate) fn take_atom(&mut self, set: &Set, atom: &Atom) -> Set {
+        self.joined_by(set, &atom.cause, atom.hypothesis, atom.cost, self.of_bank(&atom.columns))
+    }
+
+    pub(super) fn of_bank(&self, columns: &[usize]) -> Vec<Vec<f64>> {
+        let bank = &self.all.bank;
+        columns.iter().map(|c| bank.column(*c).into_iter().map(|x| x * bank.scale[*c]).collect()).collect()
+    }
+
+    pub(super) fn joined_by(
+        &mut self,
+        set: &Set,
+        cause: &Cause,
+        hypothesis: usize,
+        cost: f64,
+        columns: Vec<Vec<f64>>,
+    ) -> Set {
+        let vectors = columns.into_iter().map(|c| self.register(c)).collect();
+        let mut members = set.members.clone();
+        members.push(Member { cause: cause.clone(), hypothesis, cost, vectors });
+        self.set(members)
+    }
+
+    /// The set with a constant taken for the reference temperature of the thermal law that it stands beside: the same
+    /// columns, and one effect less.
+    pub(crate) fn with_references(&mut self, set: Set) -> Set {
+        for j in (0..set.members.len()).rev() {
+            let Cause::Effect { effect, free, reference: false } = &set.members[j].cause else { continue };
+            let (mut cause, effect, free) = (set.members[j].cause.clone(), effect.clone(), free.clone());
+            if !effect.delta.as_ref().is_some_and(|d| matches!(d.against, Against::Standard)) {
+                continue;
+            }
+            let Some(level) = effect.companion().map(|level| level.name()) else { continue };
+            let is_level = |m: &Member| self.all.list[m.hypothesis].name == level;
+            let Some(i) = set.members.iter().position(is_level) else { continue };
+            if let Cause::Effect { reference, .. } = &mut cause {
+                *reference = true;
+            }
+            let Member { hypothesis, cost, .. } = set.members[j];
+            let rest = self.without(&self.without(&set, i.max(j)), i.min(j));
+            let columns = self.columns(&effect, &free, true);
+            let next = self.joined_by(&rest, &cause, hypothesis, cost + ANOTHER_REFERENCE, columns);
+            if next.score > set.score {
+                return self.with_references(next);
+            }
+        }
+        set
+    }
+
+    pub(crate) fn named(&self, set: &Set) -> bool {
+        set.members.iter().all(|m| self.all.list[m.hypothesis].named())
+    }
+
+    /// The first member of a set whose effect is outside its law's bounds.
+    pub(super) fn unphysical(&self, set: &Set) -> Option<usize> {
+        self.effects(set).iter().position(|e| e.as_ref().is_some_and(|e| !e.is_physical()))
+    }
+
+    /// Whether all its effects are inside their laws' bounds: outside them nothing is named.
+    pub(crate) fn physical(&self, set: &Set) -> bool {
+        self.unphysical(set).is_none()
+    }
+
+    /// The set without the members outside their laws' bounds.
+    pub(crate) fn bounded(&self, set: Set) -> Set {
+        let mut set = set;
+        while let Some(i) = self.unphysical(&set) {
+            set = self.without(&set, i);
+        }
+        set
+    }
+
+    /// The set without the members that do not pay.
+    pub(super) fn thinned(&self, set: Set) -> Set {
+        let mut set = set;
+        loop {
+            let fewer = (0..set.members.len())
+                .map(|i| self.without(&set, i))
+                .max_by(|a, b| a.score.total_cmp(&b.score));
+            match fewer {
+                Some(f) if f.score >= set.score => set = f,
+                _ => return set,
+            }
+        }
+    }
+}
+
+/// K·r with K = `WᵀW`, the inverse covariance of the noise.
+pub(super) fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]) -> Vec<f64> {
+    let mut out: Vec<f64> = r.iter().map(|x| (1.0 + phi * phi) * x).collect();
+    for s in segments {
+        for i in s.clone() {
+            if i > s.start {
+                out[i] -= phi * r[i - 1];
+            }
+            if i + 1 < s.end {
+                out[i] -= phi * r[i + 1];
+            }
+        }
+        out[s.start] -= phi * phi * r[s.start];
+        out[s.end - 1] -= phi * phi * r[s.end - 1];
+    }
+    out
+}

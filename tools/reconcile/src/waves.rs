@@ -1,0 +1,48 @@
+//! A variable that a wave may run along: what the search of its period needs.
+
+use crate::cause::Shape;
+use crate::problem::Stack;
+use rtec_model::effect::Effect;
+use std::ops::Range;
+
+/// A variable that a periodic effect or shape runs along, for the search of its period.
+#[derive(Debug, Clone)]
+pub(crate) struct Wave {
+    pub(crate) hypothesis: usize,
+    pub(crate) effect: Option<Effect>,
+    pub(crate) shape: Option<Shape>,
+    /// The rows of its response.
+    pub(crate) rows: Range<usize>,
+    /// The variable at those rows.
+    pub(crate) along: Vec<f64>,
+    /// The same in rising order, each value once.
+    pub(crate) places: Vec<f64>,
+    /// Frequencies to search, in periods per unit of the variable.
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    /// Unit of the period parameter in units of the variable.
+    pub(crate) unit: f64,
+}
+
+impl Wave {
+    pub(crate) fn new(
+        stack: &Stack<'_>,
+        hypothesis: usize,
+        response: usize,
+        along: &[f64],
+        from: f64,
+        to: f64,
+    ) -> Self {
+        let rows = stack.rows(response);
+        let along = along[rows.clone()].to_vec();
+        let mut places = along.clone();
+        places.sort_by(f64::total_cmp);
+        places.dedup();
+        Self { hypothesis, effect: None, shape: None, rows, along, places, from, to, unit: 1.0 }
+    }
+
+    /// The variable's extent.
+    pub(crate) fn span(&self) -> f64 {
+        self.places.last().zip(self.places.first()).map_or(0.0, |(last, first)| last - first)
+    }
+}

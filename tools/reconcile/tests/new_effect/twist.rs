@@ -1,0 +1,35 @@
+//! `twist.A.B`: a bed that twists under a load that moves out, seen at the lever of A.
+
+use crate::Sample;
+use rtec_model::effect::{Description, Effect, Input, Law, Naming, Need, Out, Parameter, State};
+use std::sync::Arc;
+
+#[derive(Debug)]
+struct Twist(Description);
+
+pub(crate) fn sample() -> Sample {
+    let law = Arc::new(Twist(Description {
+        name: "twist".into(),
+        law: "e_A = um·(p_A/100)·(p_B/100)²".into(),
+        cause: "a bed on three feet under a table that moves out".into(),
+        experiment: "the same line measured at three places of the other axis".into(),
+        naming: Naming::Two,
+        parameters: vec![
+            Parameter::linear("um", "um", 5.0)
+                .within([-100.0, 100.0], "a bed twists by milliradians, not by tenths"),
+        ],
+        needs: vec![Need::Position(0), Need::Position(1)],
+        ..Description::default()
+    }));
+    Sample { law, name: "twist.x.z", values: &[0.6] }
+}
+
+impl Law for Twist {
+    fn describe(&self) -> &Description {
+        &self.0
+    }
+
+    fn basis(&self, _: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+        out[0] = now.p_mm[0] / 100.0 * (now.p_mm[1] / 100.0).powi(2);
+    }
+}
