@@ -1,4 +1,11 @@
-//! `rtecctl`: the command line of the real-time error corrector. One file per verb.
+//! `rtecctl`: the command line of the real-time error corrector.
+//!
+//! | file | what |
+//! |---|---|
+//! | `verbs/` | one file per verb: its arguments, what it calls, what it prints |
+//! | `daemon` | the running daemon: where its socket is, its answers as exit codes |
+//!
+//! What must not live here: a formula, a file format, a decision: verbs connect the crates below and print.
 
 mod daemon;
 mod verbs;

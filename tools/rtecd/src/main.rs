@@ -8,6 +8,8 @@
 //! | `server` | the control socket and its clients |
 //! | `manager` | the service manager: ready, watchdog, the store for file descriptors |
 //! | `log` | standard error, fit for the journal |
+//!
+//! What must not live here: the control law (`rtec-correct`), effects (`rtec-model`), the step between two edges (`rtec-rt`).
 
 mod cards;
 mod log;

@@ -1,8 +1,7 @@
 //! The one simulated machine, for the unchanged engine to run against, in virtual time and in real time; every
 //! experiment on it, and every insertion design side by side.
 //!
-//! What moves, counts, grows warm, cuts or touches is here, once. What a part looks like is `rtec-part`'s, what a machine
-//! does wrong `rtec-model`'s to say.
+//! What moves, counts, grows warm, cuts or touches is here, once.
 //!
 //! | module | what |
 //! |---|---|
@@ -22,6 +21,10 @@
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
 //! | [`experiment`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
+//! | `control`, `errors` | the control side over the engine; the true machine's errors and friction, acting |
+//!
+//! What must not live here: what a part looks like (`rtec-part`), what a machine does wrong (`rtec-model`), a control law
+//! of its own (`rtec-correct`), the daemon.
 
 pub mod attended;
 pub mod axis;
