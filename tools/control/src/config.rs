@@ -61,9 +61,9 @@ use std::path::{Path, PathBuf};
 pub struct Config {
     /// The machine's name, as `status` shows it.
     pub machine: String,
-    /// Which card, and what it needs.
+    /// The card and what its backend needs (`[card]`).
     pub card: CardConfig,
-    /// Where the machine's own lines are.
+    /// The machine's own lines: probe, disable switch, hold.
     pub lines: MachineLines,
     /// The axes, in order.
     pub axes: Vec<ConfiguredAxis>,
@@ -208,18 +208,18 @@ pub struct ControlConfig {
 pub struct ModelConfig {
     /// The model that shall run; none where the file names none.
     pub file: Option<PathBuf>,
-    /// How often it is evaluated, ms.
+    /// Time between two evaluations, ms.
     pub period_ms: u64,
     /// How fast a correction goes to a new place that no motion of the axis asks for, µm/s.
     pub ramp_um_s: f64,
     /// How long before the axes are there it is evaluated, ms.
     pub lead_ms: f64,
-    /// How often temperatures are logged, s.
+    /// Time between two logged sets of temperatures, s.
     pub log_s: f64,
 }
 
 impl ControlConfig {
-    /// Where the state file is.
+    /// Path of the state file: as configured, else beside the socket.
     #[must_use]
     pub fn state_path(&self) -> PathBuf {
         self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))
@@ -258,7 +258,7 @@ pub fn default_directory() -> PathBuf {
     Path::new("/tmp").join(format!("rtec-{}", std::env::var("USER").unwrap_or_else(|_| "user".to_owned())))
 }
 
-/// Where an installed machine's configuration is.
+/// Path of an installed machine's configuration.
 pub const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
 /// The configuration without a file: the mock card with three simulated axes.

@@ -35,7 +35,7 @@ pub const MAX_LINE: usize = 4096;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ClientRequest {
-    /// Everything at this moment.
+    /// Asks for the whole status at this moment.
     Status {},
     /// The axis is at its known place.
     Home {
@@ -73,7 +73,7 @@ pub enum ClientRequest {
         /// `true` switches it on, `false` off.
         on: bool,
     },
-    /// Release latched faults.
+    /// Releases latched faults.
     Clear {},
     /// Send every event from now on.
     Watch {},
@@ -147,7 +147,7 @@ pub enum Response {
     },
     /// A fault is latched: because of this request, or before it.
     Fault {
-        /// Which, and what to do.
+        /// Which fault it is, and what to do.
         text: String,
     },
     /// The request itself is wrong.
@@ -155,11 +155,11 @@ pub enum Response {
         /// What was found, what was expected.
         text: String,
     },
-    /// Something happened (after `watch`).
+    /// An event, as it happens (after `watch`).
     Event(Box<Happened>),
     /// What a model would change.
     ModelPreview(Box<ModelPreview>),
-    /// Where a simulated axis stands.
+    /// Position of a simulated axis.
     Stands {
         /// What its controller displays, mm.
         display_mm: f64,
@@ -189,7 +189,7 @@ pub struct Jump {
 /// One event, in words.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Happened {
-    /// When, on the card's clock, ns.
+    /// Time of the event on the card's clock, ns.
     pub t_ns: u64,
     /// The axis; none for the machine as a whole.
     pub axis: Option<String>,
@@ -254,7 +254,7 @@ pub struct DaemonStatus {
     /// The part table that is loaded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<PartTable>,
-    /// What it does now.
+    /// What the part table takes out at this moment, where it is in force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table_now: Option<TableNow>,
     /// The temperature sensors, in the configuration's order.

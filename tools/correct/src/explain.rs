@@ -28,7 +28,7 @@ pub struct ModelPreview {
 pub struct Change {
     /// Name of the axis.
     pub axis: String,
-    /// Its total now, counts.
+    /// Its present total, counts.
     pub now_counts: i64,
     /// The present total, µm.
     pub now_um: f64,
@@ -88,7 +88,7 @@ pub struct Reading {
     /// Where it sits on the machine, for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
-    /// Its last good value, °C.
+    /// The sensor's last good value, °C.
     pub degc: Option<f64>,
     /// The age of that, s.
     pub age_s: Option<f64>,

@@ -54,7 +54,7 @@ pub struct TableNow {
 pub(crate) struct PartErrors {
     pub(crate) shown: PartTable,
     table: FinishTable,
-    /// Its two axes among the corrector's.
+    /// The table's two axes (Z and X of the part) as indices of the corrector's axes.
     pub(crate) axes: [usize; 2],
 }
 
@@ -121,7 +121,7 @@ impl PartErrors {
         ((place - cut.origin - cut.centre).norm() - cut.radius_mm - cut.nose_mm).abs()
     }
 
-    /// How many probed points it came from.
+    /// Number of probed points that the table came from.
     pub(crate) fn points(&self) -> usize {
         self.table.points()
     }

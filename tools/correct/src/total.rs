@@ -70,7 +70,7 @@ impl Total {
         (self.rounded(um) + self.operator_counts).clamp(-self.max_counts, self.max_counts)
     }
 
-    /// The same, limit aside.
+    /// The total of [`Self::goal`], counts, without the limit.
     pub(crate) fn unlimited(&self, um: f64) -> i64 {
         self.rounded(um) + self.operator_counts
     }

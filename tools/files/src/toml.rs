@@ -399,7 +399,7 @@ pub struct At<T> {
 /// A table whose keys are asked for once each: what nobody asked for is a finding.
 #[derive(Debug)]
 pub struct Section<'a> {
-    /// As a person writes it: `[card]`.
+    /// The section as a person writes it: `[card]`.
     pub title: &'static str,
     /// Where the section begins in the text, bytes from the start.
     pub offset: usize,

@@ -142,7 +142,7 @@ pub fn linuxcnc_comp(
 /// A column of a CSV that is to be imported.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImportColumn {
-    /// Its name in the header.
+    /// The column's name in the header.
     pub column: String,
     /// The role it takes in the record.
     pub role: Role,

@@ -18,7 +18,7 @@ pub struct Target {
     pub mean_down: Option<f64>,
     /// Estimator of the standard uncertainty of positioning upwards, s↑.
     pub s_up: Option<f64>,
-    /// The same downwards, s↓.
+    /// Estimator of the standard uncertainty of positioning downwards, s↓.
     pub s_down: Option<f64>,
     /// Reversal value Bᵢ = x̄↑ − x̄↓.
     #[serde(rename = "B")]

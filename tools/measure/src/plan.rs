@@ -29,7 +29,7 @@ pub struct Step {
     pub run: String,
     /// The columns to record.
     pub columns: Vec<String>,
-    /// How it is evaluated.
+    /// How the record is evaluated.
     pub evaluate: &'static str,
     /// About how long it takes, min.
     pub minutes: f64,

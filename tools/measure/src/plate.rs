@@ -21,11 +21,11 @@ pub struct Plate {
     pub offset_mm: [f64; 2],
     /// Scale, measured over nominal.
     pub scale: f64,
-    /// The same as an error, ppm.
+    /// The scale's difference from 1, ppm.
     pub scale_ppm: f64,
     /// Rotation of the measured plate, degrees, counter-clockwise positive.
     pub rotation_deg: f64,
-    /// The same as `rotation.x.y`, µrad.
+    /// The rotation as the effect `rotation.x.y` has it, µrad.
     pub rotation_urad: f64,
     /// RMS of the residual's length after offset, scale and rotation, µm.
     pub rms_um: f64,

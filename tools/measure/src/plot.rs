@@ -23,7 +23,7 @@ pub struct Series {
     pub label: String,
     /// (x, y), in the chart's units.
     pub points: Vec<(f64, f64)>,
-    /// How it is drawn.
+    /// Line, dots, bars or band.
     pub style: Style,
 }
 

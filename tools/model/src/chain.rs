@@ -18,9 +18,9 @@ pub const COMPONENTS: [&str; 6] = ["dx", "dy", "dz", "ex", "ey", "ez"];
 /// Which end of the machine a joint carries.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Branch {
-    /// From the bed to the work.
+    /// The branch from the bed to the work.
     Work,
-    /// From the bed to the tool.
+    /// The branch from the bed to the tool.
     Tool,
 }
 
@@ -51,7 +51,7 @@ pub struct Component {
 pub struct Joint {
     /// The joint's name.
     pub name: String,
-    /// Which end it carries.
+    /// The branch of the chain that it belongs to.
     pub branch: Branch,
     /// The axis whose position moves it, with the direction in the machine's frame; none for a joint at rest
     /// (spindle, tool post).

@@ -58,11 +58,11 @@ impl AxisNow {
 pub struct Frame<'a> {
     /// Time on the caller's clock, s; never decreasing.
     pub t_s: f64,
-    /// Per axis of the layout.
+    /// State of every axis of the layout.
     pub axes: &'a [AxisNow],
-    /// Per sensor of the layout, °C.
+    /// Temperature of every sensor of the layout, °C.
     pub temperatures_degc: &'a [f64],
-    /// Per channel of the layout.
+    /// Value of every channel of the layout, in the unit it is logged in.
     pub channels: &'a [f64],
     /// Speed of the spindle, rpm.
     pub rpm: f64,
@@ -110,7 +110,7 @@ struct Item {
 /// One effect at the last instant.
 #[derive(Debug, Clone, Copy)]
 pub struct Part<'l> {
-    /// The effect.
+    /// The effect that is evaluated.
     pub effect: &'l Effect,
     /// What it was worth (µm or N; the second value is a pair's second axis).
     pub value: [f64; 2],

@@ -89,7 +89,7 @@ fn named_from(folder: &Path, path: &Path) -> PathBuf {
 /// Where an effect comes from. All of it may be absent, as in what a person writes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Provenance {
-    /// Who or what added it.
+    /// The program or person that added the effect.
     pub added_by: Option<String>,
     /// The date, as ISO 8601.
     pub date: Option<String>,
@@ -104,7 +104,7 @@ pub struct Provenance {
 pub struct Listed {
     /// The effect with its parameters.
     pub effect: Effect,
-    /// Where it comes from.
+    /// Records, dates and intervals that the effect comes with.
     pub provenance: Provenance,
 }
 

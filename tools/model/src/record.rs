@@ -196,7 +196,7 @@ impl Kind {
         Self::ALL.iter().find(|(name, _)| *name == text).map(|&(_, kind)| kind)
     }
 
-    /// Its name in a sidecar.
+    /// The kind's name in a sidecar.
     #[must_use]
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
@@ -210,7 +210,7 @@ pub struct Column {
     pub name: String,
     /// What the column holds.
     pub role: Role,
-    /// Its unit, as written.
+    /// The column's unit, as the sidecar writes it.
     pub unit: String,
     /// One value per row.
     pub data: Vec<f64>,

@@ -76,7 +76,7 @@ pub struct Batch {
     pub places: Vec<PlaceStatistics>,
     /// Systematic errors by angle: to be added to the table's errors, if the user decides so.
     pub offer_table: Vec<PointError>,
-    /// In words: what is offered, to whom.
+    /// What is offered and to whom, in words.
     pub offers: Vec<String>,
 }
 

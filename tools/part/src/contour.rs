@@ -204,7 +204,7 @@ pub enum FeatureKind {
     },
     /// A face, square to the axis.
     Step {
-        /// Where on the axis.
+        /// Position along the part's axis.
         z_mm: f64,
     },
     /// A cone about the part's axis.
@@ -232,7 +232,7 @@ pub struct Feature {
     pub name: String,
     /// What it is to a machinist.
     pub kind: FeatureKind,
-    /// Its geometry, run in probing order.
+    /// The feature's geometry, run in probing order.
     pub segment: Segment,
     /// The drawing's entity it came from.
     pub entity: String,
@@ -243,7 +243,7 @@ pub struct Feature {
 pub struct SurfacePlace {
     /// Index of the feature in [`Contour::features`], from 0.
     pub feature: usize,
-    /// From the feature's start.
+    /// Distance along the feature from its start.
     pub along_mm: f64,
     /// The point itself, mm.
     pub at: Zx,

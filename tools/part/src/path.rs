@@ -86,7 +86,7 @@ pub struct Probe {
 /// A gauging point and how the probe gets there.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GaugingPoint {
-    /// Where the surface is touched.
+    /// Place on the nominal surface that is touched.
     pub place: SurfacePlace,
     /// Points in space to go through from the point before.
     pub bypass: Vec<Zx>,
@@ -111,7 +111,7 @@ pub enum PathRole {
 pub struct PathPoint {
     /// What the probe does there.
     pub role: PathRole,
-    /// Where the tip's centre goes, mm.
+    /// Target of the tip's centre, mm.
     pub at: Zx,
 }
 
@@ -122,7 +122,7 @@ pub struct Hit {
     pub point: usize,
     /// During the touch itself, not on the way to it.
     pub touching: bool,
-    /// Where the tip's centre is then.
+    /// The tip's centre at the collision, mm.
     pub at: Zx,
     /// The feature that is hit.
     pub feature: String,

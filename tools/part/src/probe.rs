@@ -17,7 +17,7 @@ pub struct Trip {
     /// Half the width of what the position may be, in µm: time between two looks times speed, or a count where an
     /// axis stood still.
     pub uncertainty_um: f64,
-    /// When, on the corrector's clock.
+    /// Time of the trip on the corrector's clock.
     pub t_s: f64,
 }
 

@@ -36,7 +36,7 @@ pub struct Dialect {
     pub x_is_diameter: bool,
     /// Digits of a block number.
     pub block_digits: usize,
-    /// From one block number to the next.
+    /// Step from one block number to the next.
     pub block_step: u32,
     /// The first block number that is not available to moves.
     pub program_end: u32,
@@ -243,7 +243,7 @@ impl Controller {
     }
 }
 
-/// Everything a program is made of.
+/// What an NC probing program is made of.
 #[derive(Debug, Clone)]
 pub struct ProbingProgram<'a> {
     /// The controller it is for.

@@ -112,7 +112,7 @@ impl FinishTable {
         &self.errors
     }
 
-    /// How many points it came from.
+    /// Number of probed points that the table came from.
     #[must_use]
     pub fn points(&self) -> usize {
         self.errors.len()

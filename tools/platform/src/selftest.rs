@@ -35,7 +35,7 @@ pub const WAKEUP_INTERVAL_NS: u64 = 500_000;
 const WATCH_INTERVAL: Duration = Duration::from_millis(2);
 const SECOND: Duration = Duration::from_secs(1);
 
-/// Which card to measure with.
+/// The card that the test measures with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
@@ -81,7 +81,7 @@ pub enum SelftestError {
     /// The engine did not start.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// Its thread did not.
+    /// The engine's thread did not start.
     #[error(transparent)]
     Spawn(#[from] SpawnError),
     /// The wake-up thread ended by a panic: a bug.
@@ -106,7 +106,7 @@ pub struct Latency {
 /// What the polling loop did, while the far side gave edges and was the MTC.
 #[derive(Debug, Clone, Default)]
 pub struct Polling {
-    /// How long the loop does not look.
+    /// Time between two looks of the loop.
     pub poll_gap: Latency,
     /// The engine's own part of edge to done: from the look that saw the edge to the look that ordered the second
     /// inversion.
@@ -130,7 +130,7 @@ impl Polling {
     }
 }
 
-/// Everything that was measured.
+/// The three latencies and what they were measured with.
 #[derive(Debug, Clone)]
 pub struct Measured {
     /// The set-up under which it was measured.

@@ -88,7 +88,7 @@ pub(crate) fn lathe(
     Ok((MockCard::new(wires, Monotonic), cuts))
 }
 
-/// One recorded axis.
+/// The recording that stands for one axis's scale.
 struct Recorded {
     lines: AxisLines,
     points: Vec<TracePoint>,

@@ -41,7 +41,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use temperatures::Temperatures;
 
-/// Where an installed machine's configuration is.
+/// Path of an installed machine's configuration.
 const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
 /// Real-time error corrector: the daemon
@@ -196,7 +196,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
 
 /// What hangs on a card.
 enum Kind {
-    /// A machine.
+    /// A machine tool.
     Real,
     /// Another program, or a recording.
     Harmless,

@@ -29,7 +29,7 @@ const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// The service manager, or nobody.
 pub(crate) struct Manager {
     socket: Option<UnixDatagram>,
-    /// How often it expects a message.
+    /// Time between two watchdog messages that the manager expects; none without a watchdog.
     watchdog_every: Option<Duration>,
     fed: Instant,
     /// Looks at the card when the watchdog was fed last.

@@ -45,7 +45,7 @@ pub(crate) struct Session {
     patience: Duration,
     temperatures: Temperatures,
     corrector: Corrector,
-    /// When the corrector looks again.
+    /// Time of the corrector's next look.
     due: Instant,
     /// Who stands at the machine, where it is a simulated one.
     stand: Option<Stand>,

@@ -257,7 +257,7 @@ impl AxisSim {
         self.find_edge(from_ns, step_ns);
     }
 
-    /// Nothing moves and nothing is asked to.
+    /// The axis stands still and is not commanded to move.
     pub(crate) fn rests(&self) -> bool {
         self.speed == 0.0 && self.wanted == (0.0, 0.0)
     }

@@ -34,7 +34,7 @@ impl AnyDesign {
     /// All designs, the oldest first.
     pub const ALL: [Self; 5] = [Self::Original, Self::A, Self::B, Self::C, Self::Ecc];
 
-    /// Its name on the command line.
+    /// The design's name on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -329,7 +329,7 @@ pub struct BenchResult {
     pub requested: i64,
     /// Number of insertions made.
     pub insertions: u64,
-    /// Both signals at once, at the MTC.
+    /// Illegal transitions at the MTC: A and B at once.
     pub illegal: u64,
     /// Shortest time between two edges at the MTC, ns.
     pub min_separation_ns: u64,

@@ -20,7 +20,7 @@ pub(crate) const WINDOW_COUNTS: i64 = 64;
 /// What the machine's sensors read at one moment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Readings<'a> {
-    /// In the order of [`SENSORS`], °C.
+    /// Readings in the order of [`SENSORS`], °C.
     pub degc: &'a [f64],
     /// Values of the logged channels, in the layout's order.
     pub channels: &'a [f64],

@@ -102,7 +102,7 @@ pub struct DesignRow {
     pub served: bool,
     /// What happens when the computer dies, in words, from what was run.
     pub when_computer_dies: String,
-    /// The same in figures.
+    /// What happens when the computer dies, in figures.
     pub death: Death,
 }
 

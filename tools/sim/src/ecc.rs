@@ -22,13 +22,13 @@ use serde::Serialize;
 /// What the paper measured of its PLL: frequencies of the XOR of A and B, which is twice the encoder's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Pll {
-    /// It begins to double, Hz.
+    /// Lowest input frequency at which the PLL doubles at all, Hz.
     pub lock_from_hz: f64,
-    /// It doubles cleanly from here, Hz.
+    /// Lowest input frequency at which it doubles cleanly, Hz.
     pub clean_from_hz: f64,
-    /// It doubles cleanly up to here, Hz.
+    /// Highest input frequency at which it doubles cleanly, Hz.
     pub clean_to_hz: f64,
-    /// It doubles up to here, Hz.
+    /// Highest input frequency at which it doubles at all, Hz.
     pub lock_to_hz: f64,
     /// Time constant with which the VCO follows a changing input, ns.
     pub follow_ns: f64,

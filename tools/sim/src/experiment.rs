@@ -28,7 +28,7 @@ pub struct Setting<'a> {
     pub known: &'a Machine,
     /// Seed of all noise.
     pub seed: u64,
-    /// Where records are to lie.
+    /// Folder that records are to be written to.
     pub out: &'a Path,
 }
 
@@ -65,7 +65,7 @@ type Run = fn(&Setting<'_>) -> Result<Findings, ExperimentError>;
 /// An experiment that characterises a machine.
 #[derive(Debug, Clone, Copy)]
 pub struct Experiment {
-    /// Its name on the command line.
+    /// The experiment's name on the command line.
     pub name: &'static str,
     /// What it does, in one line.
     pub what: &'static str,

@@ -34,11 +34,11 @@ pub enum Job<'a> {
 /// What came of a program.
 #[derive(Debug, Clone)]
 pub struct Ran {
-    /// Everything the engine said.
+    /// Events that the engine reported, in order.
     pub events: Vec<Event>,
     /// The engine at the end.
     pub status: Status,
-    /// How long it took.
+    /// Time on the machine, s.
     pub seconds: f64,
     /// The controller's own count minus the scale's, Z and X, by the machine's decoders, not the engine's.
     pub mtc_minus_scale: [i64; 2],

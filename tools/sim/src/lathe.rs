@@ -446,7 +446,7 @@ pub fn design(name: &str) -> Option<Design> {
     }
 }
 
-/// Both axes' counts on this bench.
+/// Counts of Z and of X on this bench, for a design's increment.
 #[must_use]
 pub fn axes(bench: &Bench, design: Design) -> [AxisCounts; 2] {
     [AxisCounts { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]

@@ -279,7 +279,7 @@ impl SimMachine {
         self.axes[axis].direction
     }
 
-    /// Where the controller believes it is, mm.
+    /// Position of an axis by the controller's count, mm.
     #[must_use]
     pub fn counted_mm(&self, axis: usize) -> f64 {
         self.axes[axis].counted_mm()

@@ -141,9 +141,9 @@ pub struct Moment {
     pub t_s: f64,
     /// What the controller commands.
     pub command: Command,
-    /// By the scales, mm.
+    /// Position by the scales, mm.
     pub position_mm: [f64; AXES],
-    /// By the controller's count, mm.
+    /// Position by the controller's count, mm.
     pub counted_mm: [f64; AXES],
     /// Velocity of X, Y, Z, mm/s.
     pub velocity_mm_s: [f64; AXES],
@@ -157,7 +157,7 @@ pub struct Moment {
     pub error_um: [f64; AXES],
     /// What has been inserted, µm.
     pub inserted_um: [f64; AXES],
-    /// Where the tool is, mm.
+    /// True position of the tool, mm.
     pub tool_mm: [f64; AXES],
     /// Speed of the spindle, rpm.
     pub rpm: f64,

@@ -48,7 +48,7 @@ impl Default for Truth {
 }
 
 impl Truth {
-    /// Where the controller wants the axis, counts.
+    /// Position that the controller commands, counts.
     pub fn commanded_counts(&self) -> f64 {
         f64::from_bits(self.commanded.load(Ordering::Relaxed))
     }

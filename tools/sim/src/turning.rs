@@ -30,7 +30,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Everything that is chosen beforehand.
+/// What the experiment is run with.
 #[derive(Debug, Clone)]
 pub struct Setup {
     /// Machine, tool and probe.
