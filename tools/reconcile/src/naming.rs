@@ -52,7 +52,12 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     } else {
         named = search.with_references(named);
     }
-    named = search.bounded(named);
+    if !search.physical(&named) {
+        // Outside its bounds nothing is named, however well it fits: the best set that a machine may have.
+        let best = found.visited.iter().find(|set| search.physical(set)).cloned();
+        named = standing_out(search, best.unwrap_or_else(|| search.empty()), &chance, level);
+        named = search.bounded(named);
+    }
     let unexplained = unexplained(search, &named, &any, &chance, level);
     let set = if unexplained.is_empty() { named } else { any.clone() };
     let mut tried = TriedList::of(search, &set);
@@ -262,7 +267,8 @@ impl Conclusion<'_> {
         let name = |h: usize| &search.all.list[h].name;
         let lacks = |h: usize| !set.members.iter().any(|m| name(m.hypothesis) == name(h));
         for v in self.found.visited.iter().filter(|v| set.score - v.score < DECISIVE) {
-            if v.members.iter().any(|x| x.hypothesis == member.hypothesis) {
+            let has = v.members.iter().any(|x| x.hypothesis == member.hypothesis);
+            if has || !search.physical(v) {
                 continue;
             }
             for x in v.members.iter().filter(|x| lacks(x.hypothesis)) {
@@ -313,11 +319,7 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
                 continue;
             }
             let next = search.take(&rest, &offer);
-            let next = search.polish(next);
-            if !search.physical(&next) {
-                continue;
-            }
-            named = next;
+            named = search.polish(next);
             changed = true;
             break;
         }
@@ -354,10 +356,7 @@ fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
             let Some(offer) = search.offers(&level, 1, 0, false).into_iter().next() else { continue };
             if offer.score > best.score + 1e-6 {
                 let next = search.take(&level, &offer);
-                let next = search.polish(next);
-                if search.physical(&next) {
-                    best = next;
-                }
+                best = search.polish(next);
             }
         }
     }

@@ -135,7 +135,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
     }
     h.push_str("<h2>What is missing</h2><table><tr><th>effect<th>law<th>parameter<th class=n>value<th class=n>interval<th>what else it might be");
     for (f, half) in &r.effects {
-        let card = f.effect.description();
+        let description = f.effect.description();
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
         let rivals = f
             .rivals
@@ -146,7 +146,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
             })
             .collect::<Vec<_>>()
             .join("<br>");
-        for (i, p) in card.parameters.iter().enumerate() {
+        for (i, p) in description.parameters.iter().enumerate() {
             let (value, interval) = if p.array {
                 (format!("{} values", f.effect.width()), String::new())
             } else {
@@ -157,7 +157,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
                 )
             };
             let (name, law, rivals) = if i == 0 {
-                (escape(&f.effect.name()) + &escape(&sensor), escape(&card.law), rivals.clone())
+                (escape(&f.effect.name()) + &escape(&sensor), escape(&description.law), rivals.clone())
             } else {
                 Default::default()
             };
@@ -172,7 +172,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
             h,
             "<tr><td colspan=6><small>{}: {}. Probability that chance alone explains as much: {p}.</small>",
             escape(&f.effect.name()),
-            escape(&card.cause)
+            escape(&description.cause)
         );
     }
     h.push_str("</table>");

@@ -327,4 +327,20 @@ mod tests {
         assert!((whole_counts(&effect, &[run.clone()], &[0.5, 0.0]).scalar(0) - 10.0).abs() < 1e-12);
         assert!((whole_counts(&effect, &[run], &[0.1, 0.0]).scalar(0) - 9.7).abs() < 1e-12);
     }
+
+    /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.
+    #[test]
+    fn outside_its_bounds_nothing_is_named() {
+        let dice = noise(8, 300);
+        let mut run = record(300, |i| dice[i as usize]);
+        let p = run.columns[1].data.clone();
+        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
+            *e += 3000.0 * p / 1000.0;
+        }
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        assert!(r.effects.iter().all(|(f, _)| f.effect.is_physical() && f.effect.name() != "scale.x"));
+        assert!(r.model.effects().all(Effect::is_physical), "{}", r.model.to_text());
+        let rivals = r.effects.iter().flat_map(|(f, _)| &f.rivals);
+        assert!(rivals.into_iter().all(|r| r.name != "scale.x"));
+    }
 }

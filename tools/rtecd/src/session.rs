@@ -721,8 +721,10 @@ fn distribution(reader: &Reader) -> Distribution {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_correct::sensors;
     use rtec_driver::clock::Monotonic;
     use rtec_driver::mock::{MockCard, SharedWires};
+    use rtec_files::csv::Reader;
     use rtec_rt::engine::{Engine, MachineConfig};
     use rtec_rt::link::{REQUESTS, link};
     use rtec_rt::thread::{ThreadOptions, spawn};
@@ -739,6 +741,53 @@ mod tests {
         let config = Config::embedded();
         let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
         Session::new(config, set_up, temperatures)
+    }
+
+    /// The recorded shift of `rtec-correct`'s tests through the daemon's own tick: the same totals, count for count.
+    #[test]
+    fn a_recorded_shift_gets_the_recorded_totals() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
+        let directory = tempfile::tempdir().unwrap();
+        let mut config = Config::embedded();
+        config.control.state_file = Some(directory.path().join("state"));
+        config.model.lead_ms = 20.0;
+        let (engine, _card) = engine(&config);
+        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+        let watch = |n: &str| Watch::new(sensors::Config::believed(n, Role::Temperature));
+        let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
+        let mut session = Session::new(config, set_up, played);
+        session.load(Machine::read(&folder.join("machine.toml")).unwrap()).unwrap();
+        let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+        status.axes.iter_mut().for_each(|a| a.homed = true);
+        let (mut control, mut rt) = link(status);
+        let mut log = Log::new();
+        let mut reader = Reader::open(&folder.join("shift.csv")).unwrap();
+        let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
+        let mut rows = 0;
+        while let Some(row) = reader.row().unwrap() {
+            let mut at = Vec::new();
+            let take = |_, cell: rtec_files::csv::Cell<'_>| cell.finite().map(|v| at.push(v));
+            header.each(row, take).unwrap();
+            session.temperatures.play(at[0], &at[4..6]);
+            session.corrector.operator_is(0, at[6] as i64);
+            status.t_ns = (at[0] * 1e9).round() as u64;
+            (0..3).for_each(|n| status.axes[n].position_counts = at[1 + n] as i64);
+            rt.publish(status);
+            session.due = Instant::now();
+            session.tick(&mut control, &mut log);
+            while let Some(request) = rt.request() {
+                let Request::Correct { axis, total_counts, large: false } = request else {
+                    panic!("{request:?} from the corrector")
+                };
+                let axis = &mut status.axes[usize::from(axis)];
+                (axis.requested, axis.completed, axis.in_effect) = (total_counts, total_counts, total_counts);
+            }
+            for n in 0..3 {
+                assert_eq!(status.axes[n].requested, at[7 + n] as i64, "axis {n} at {} s", at[0]);
+            }
+            rows += 1;
+        }
+        assert_eq!(rows, 2400);
     }
 
     /// A real-time thread that takes nothing: the request is answered, and when the ring is full that is said.

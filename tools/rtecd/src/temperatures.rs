@@ -17,19 +17,28 @@ const FULL: u64 = 16 << 20;
 
 /// Seconds since 1970 that never jump: the system's time at the start, and a steady clock from there on.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Clock {
-    start: Instant,
-    start_s: f64,
+pub(crate) enum Clock {
+    Steady {
+        start: Instant,
+        start_s: f64,
+    },
+    /// A test's own time, s.
+    #[cfg(test)]
+    At(f64),
 }
 
 impl Clock {
     pub(crate) fn new() -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { start: Instant::now(), start_s: since.as_secs_f64() }
+        Self::Steady { start: Instant::now(), start_s: since.as_secs_f64() }
     }
 
     pub(crate) fn now_s(&self) -> f64 {
-        self.start_s + self.start.elapsed().as_secs_f64()
+        match self {
+            Self::Steady { start, start_s } => start_s + start.elapsed().as_secs_f64(),
+            #[cfg(test)]
+            Self::At(t_s) => *t_s,
+        }
     }
 }
 
@@ -87,6 +96,21 @@ impl Temperatures {
             std::thread::spawn(move || log.keep(clock, log_s));
         }
         Ok(temperatures)
+    }
+
+    /// Sensors that a test plays.
+    #[cfg(test)]
+    pub(crate) fn played(sensors: Vec<Watch>) -> Self {
+        Self { clock: Clock::At(0.0), buses: Vec::new(), places: Vec::new(), seen: sensors }
+    }
+
+    /// What the played sensors read at a time, s.
+    #[cfg(test)]
+    pub(crate) fn play(&mut self, t_s: f64, values: &[f64]) {
+        self.clock = Clock::At(t_s);
+        for (watch, value) in self.seen.iter_mut().zip(values) {
+            watch.offer(t_s, Ok(*value));
+        }
     }
 
     pub(crate) fn now_s(&self) -> f64 {

@@ -95,3 +95,55 @@ impl Control {
         status.axes().iter().enumerate().all(|(n, s)| self.law.settled(n, s))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_files::csv::{Cell, Reader};
+    use rtec_rt::event::Mode;
+    use std::path::Path;
+
+    /// The recorded shift of `rtec-correct`'s tests through what simulator and lathe do: the same totals, count for count.
+    #[test]
+    fn a_recorded_shift_gets_the_recorded_totals() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
+        let axis = |name: &str| AxisSetup {
+            name: name.to_owned(),
+            count_um: 1.0,
+            increment_counts: 2,
+            window_counts: 50,
+            max_counts: 1000,
+        };
+        let mut control = Control::new(["x", "y", "z"].map(axis).to_vec(), &[], 0.02);
+        control.load(&Machine::read(&folder.join("machine.toml")).unwrap(), &[]).unwrap();
+        let place = |name: &str| SENSORS.iter().position(|s| s.0 == name).unwrap();
+        let mut degc = vec![20.0; SENSORS.len()];
+        let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+        status.axes.iter_mut().for_each(|a| a.homed = true);
+        let mut reader = Reader::open(&folder.join("shift.csv")).unwrap();
+        let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
+        let mut rows = 0;
+        while let Some(row) = reader.row().unwrap() {
+            let mut at = Vec::new();
+            header.each(row, |_, cell: Cell<'_>| cell.finite().map(|v| at.push(v))).unwrap();
+            (degc[place("T8")], degc[place("T18")]) = (at[4], at[5]);
+            status.t_ns = (at[0] * 1e9).round() as u64;
+            (0..3).for_each(|n| status.axes[n].position_counts = at[1 + n] as i64);
+            let now = Readings { degc: &degc, channels: &[], rpm: 0.0, coolant: false, load_n: [0.0; AXES] };
+            for request in control.requests(at[0], &status, now) {
+                let Request::Correct { axis, total_counts, large: false } = request else {
+                    panic!("{request:?}")
+                };
+                let axis = &mut status.axes[usize::from(axis)];
+                (axis.requested, axis.completed, axis.in_effect) = (total_counts, total_counts, total_counts);
+            }
+            for n in 0..3 {
+                // Nobody operates the simulated machine.
+                let operator = if n == 0 { at[6] as i64 } else { 0 };
+                assert_eq!(status.axes[n].requested + operator, at[7 + n] as i64, "axis {n} at {} s", at[0]);
+            }
+            rows += 1;
+        }
+        assert_eq!(rows, 2400);
+    }
+}

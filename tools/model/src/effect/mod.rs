@@ -8,6 +8,19 @@
 //!
 //! For most laws the coefficients are the parameters themselves. For a periodic law they are um·cos(phase) and
 //! um·sin(phase), so that amplitude and phase are found by one linear fit.
+//!
+//! A built-in effect is one file of [`laws`] and one line in its list. What others need to know of a law beyond its values
+//! (how it is searched, how it stands to heat, whose it is, its bounds) they ask of its [`Description`]: nobody asks for
+//! its name. A program's own law implements [`Law`] and joins a [`Dictionary`]; a project's own comes from a file (`own`).
+//!
+//! | module | what |
+//! |---|---|
+//! | `description` | what a law says about itself |
+//! | [`laws`] | the built-in effects |
+//! | `linear`, `wave`, `knots`, `lag` | what several of them are made of |
+//! | `grid` | where a search looks first |
+//! | `bound` | an effect over a record |
+//! | `dictionary`, `own` | all laws by name; laws from a file |
 
 mod bound;
 mod description;

@@ -512,3 +512,20 @@ fn every_parameter_has_bounds_with_a_source() {
     wave.set_coefficients(&[4.0, 4.0]);
     assert!(!wave.is_physical());
 }
+
+/// A file whose line was forgotten is no effect.
+#[test]
+fn every_file_of_a_law_is_in_the_list() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/effect/laws");
+    let dictionary = Dictionary::default();
+    let mut files = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        if name != "mod" {
+            files += 1;
+            assert!(dictionary.laws().any(|l| l.describe().name == name), "{name}");
+        }
+    }
+    assert_eq!(files, dictionary.laws().count());
+}

@@ -50,9 +50,6 @@ impl Search<'_, '_> {
         for set in second.visited.into_iter().chain([second.any]) {
             let set = self.set(set.members);
             let set = self.thinned(set);
-            if !self.physical(&set) {
-                continue;
-            }
             if self.named(&set) {
                 if set.score > found.named.score + SHORT_MARGIN {
                     found.named = set.clone();
@@ -129,10 +126,7 @@ impl Search<'_, '_> {
             seen.push(key);
             room[usize::from(pure)] -= 1;
             let set = self.take(set, &offer);
-            let set = self.polish(set);
-            if self.physical(&set) {
-                grown.push(set);
-            }
+            grown.push(self.polish(set));
         }
         grown
     }
@@ -161,7 +155,7 @@ mod tests {
     use rtec_model::record::Record;
 
     /// What a search finds in one record.
-    fn found(record: Record) -> (Vec<String>, Vec<Option<rtec_model::effect::Effect>>, bool) {
+    fn found(record: Record) -> (Vec<String>, Vec<Option<rtec_model::effect::Effect>>) {
         let records = [record];
         let stack = Stack::new(&records);
         let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
@@ -171,8 +165,7 @@ mod tests {
         let mut names: Vec<String> =
             found.named.members.iter().map(|m| search.all.list[m.hypothesis].name.clone()).collect();
         names.sort();
-        let physical = found.visited.iter().all(|set| search.physical(set));
-        (names, search.effects(&found.named), physical)
+        (names, search.effects(&found.named))
     }
 
     #[test]
@@ -183,9 +176,8 @@ mod tests {
         for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
             *e += 0.3 * p;
         }
-        let (names, effects, physical) = found(run);
+        let (names, effects) = found(run);
         assert_eq!(names, ["lost_counts.x", "scale.x"]);
-        assert!(physical);
         let step = effects.iter().flatten().find(|e| e.description().whole_counts).unwrap();
         assert!((step.scalar(1) - 700.0).abs() < 1e-9, "refined to the row: {}", step.scalar(1));
         assert!(found(record(300, |i| dice[i as usize])).0.is_empty());
@@ -206,12 +198,12 @@ mod tests {
             }
             found(run)
         };
-        let (names, effects, _) = wave(1.0, 7.3);
+        let (names, effects) = wave(1.0, 7.3);
         assert_eq!(names, ["screw_periodic.x"]);
         assert!((effects[0].as_ref().unwrap().scalar(0) - 7.3).abs() < 0.01);
-        let (names, ..) = wave(2.0, 0.02);
+        let (names, _) = wave(2.0, 0.02);
         assert_eq!(names, ["subdivision.x"]);
-        let (names, ..) = wave(9.0, 0.02);
+        let (names, _) = wave(9.0, 0.02);
         assert!(!names.contains(&"subdivision.x".to_owned()), "{names:?}");
     }
 }

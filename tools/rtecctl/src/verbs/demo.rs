@@ -106,7 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let truth = &operator.truth;
     operator.cycle_start();
 
-    let mut law = law(&axis)?;
+    let mut law = law(&axis, KNOWN)?;
     let live = !args.json && std::io::stdout().is_terminal();
     let (begun, mut drawn) = (Instant::now(), Duration::ZERO);
     let mut seen = Seen::default();
@@ -177,7 +177,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// The control law with what is known of the axis.
-fn law(axis: &AxisConfig) -> anyhow::Result<Corrector> {
+fn law(axis: &AxisConfig, known: &str) -> anyhow::Result<Corrector> {
     let setup = AxisSetup {
         name: "x".to_owned(),
         count_um: COUNT_UM,
@@ -186,7 +186,7 @@ fn law(axis: &AxisConfig) -> anyhow::Result<Corrector> {
         max_counts: axis.max_correction_counts,
     };
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, TICK_S + FOLLOWS_S, 0.0);
-    law.load(Machine::parse(Path::new("demo"), KNOWN)?, &[], &|_| Vec::new())?;
+    law.load(Machine::parse(Path::new("demo"), known)?, &[], &|_| Vec::new())?;
     Ok(law)
 }
 
@@ -282,4 +282,50 @@ fn bar(um: f64) -> String {
             }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_files::csv::{Cell, Reader};
+
+    /// The recorded shift of `rtec-correct`'s tests through the demo's law, for what of its model acts by the axis that the
+    /// demo has: as many totals as the same law gives with all axes and nothing else to correct.
+    #[test]
+    fn a_recorded_shift_gets_the_totals_of_the_law() {
+        let known = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 120.0\n[[effect]]\nname = \"screw_periodic.x\"\n\
+                     period_mm = 10.0\num = 4.0\nphase_rad = 0.3\n";
+        let axis = AxisConfig { window_counts: 50, max_correction_counts: 1000, ..AxisConfig::default() };
+        let mut demo = law(&axis, known).unwrap();
+        let setup = |name: &str| AxisSetup {
+            name: name.to_owned(),
+            count_um: COUNT_UM,
+            increment_counts: 2,
+            window_counts: 50,
+            max_counts: 1000,
+        };
+        let mut all = Corrector::new(vec![setup("x")], RAMP_UM_S, TICK_S + FOLLOWS_S, 0.0);
+        all.load(Machine::parse(Path::new("m"), known).unwrap(), &[], &|_| Vec::new()).unwrap();
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift/shift.csv");
+        let mut reader = Reader::open(&file).unwrap();
+        let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
+        let mut both = [Status { mode: Mode::Run, axes_used: 1, ..Status::default() }; 2];
+        both.iter_mut().for_each(|s| s.axes[0].homed = true);
+        let mut asked = 0;
+        while let Some(row) = reader.row().unwrap() {
+            let mut at = Vec::new();
+            header.each(row, |_, cell: Cell<'_>| cell.finite().map(|v| at.push(v))).unwrap();
+            for (status, law) in both.iter_mut().zip([&mut demo, &mut all]) {
+                status.t_ns = (at[0] * 1e9).round() as u64;
+                status.axes[0].position_counts = at[1] as i64;
+                let total = law.tick(at[0], status, &[])[0];
+                asked += usize::from(total.is_some());
+                let axis = &mut status.axes[0];
+                let total = total.unwrap_or(axis.requested);
+                (axis.requested, axis.completed, axis.in_effect) = (total, total, total);
+            }
+            assert_eq!(both[0].axes[0].requested, both[1].axes[0].requested, "at {} s", at[0]);
+        }
+        assert!(asked > 60, "{asked}");
+    }
 }
