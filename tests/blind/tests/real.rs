@@ -252,8 +252,8 @@ fn a_decoy_is_never_the_cause_of_growth() {
         );
         assert_eq!(names(&r)[0], "thermal_lag.z");
         for (f, _) in &r.effects {
-            let told = format!("{} {:?} {:?}", f.effect.name(), f.effect.delta, f.rivals);
-            assert!(!told.contains("D1") && !told.contains("D2") && !told.contains("D3"), "{told}");
+            let named = format!("{} {:?} {:?}", f.effect.name(), f.effect.delta, f.rivals);
+            assert!(!named.contains("D1") && !named.contains("D2") && !named.contains("D3"), "{named}");
         }
     }
 }

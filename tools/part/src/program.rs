@@ -385,7 +385,7 @@ impl ProbingProgram<'_> {
             }
             match r.role {
                 PathRole::Start => {
-                    put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1))
+                    put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1));
                 }
                 PathRole::Touch(n) => {
                     point = n;
@@ -395,7 +395,7 @@ impl ProbingProgram<'_> {
                     );
                 }
                 PathRole::Finish => {
-                    put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}"))
+                    put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}"));
                 }
                 PathRole::Bypass => put(format!("{} {both}", d.rapid), "BY-PASS"),
             }

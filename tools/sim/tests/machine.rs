@@ -21,7 +21,7 @@ fn program(text: &str) -> Vec<Block> {
 }
 
 #[test]
-fn an_ideal_machine_goes_where_it_is_told() {
+fn an_ideal_machine_goes_where_it_is_commanded() {
     let mut s = sim(&Machine::ideal("m"), None);
     s.run(program("G0 X20 Y-30 Z10\nG1 X25 F500\nG2 X25 Y-30 I-5 J0 F1000\n")).unwrap();
     let m = s.moment();

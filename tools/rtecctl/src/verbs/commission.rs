@@ -71,7 +71,7 @@ impl Place {
     }
 }
 
-/// What was found.
+/// The verdict of one proof, in words.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 struct Finding {
     /// `right`, `wrong_sign`, `wrong_unit`, `controller_compensates`, `controller_ignores`, `wrong_insertion`
@@ -244,7 +244,7 @@ impl Guide<'_> {
         self.ask(&request).map(drop)
     }
 
-    /// Everything, in order.
+    /// Runs every proof in order.
     fn prove(&mut self, figures: &mut serde_json::Map<String, serde_json::Value>) -> anyhow::Result<Finding> {
         let (args, tolerance_um) = (self.args, self.args.tolerance_um);
         let note = |f: &mut serde_json::Map<String, serde_json::Value>, key: &str, v: f64| {

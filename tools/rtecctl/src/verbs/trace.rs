@@ -103,7 +103,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What was written.
+/// Figures of the trace that was written.
 #[derive(Debug, Default, PartialEq)]
 struct Summary {
     points: u64,

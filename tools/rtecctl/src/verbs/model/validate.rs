@@ -190,7 +190,7 @@ fn options(config: &Config) -> rehearse::Options {
     }
 }
 
-/// Both corrections of an axis over time.
+/// The present and the new correction of an axis over time.
 fn chart(axis: &AxisChange) -> Chart {
     let line = |name: &str, k: usize| {
         let um = |counts: i64| counts as f64 * axis.count_um;

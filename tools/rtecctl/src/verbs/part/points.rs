@@ -1,7 +1,7 @@
 //! `rtecctl part points`: probing points and the probe's path.
 
 use super::features::DrawingArgs;
-use super::web::{Page, Session};
+use super::web::{Page, PlanEditor};
 use super::{print, usage, write_all};
 use crate::Outcome;
 use rtec_part::path::{Hit, Plan, Probe, ProbingMotion, Stem};
@@ -175,7 +175,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let page = Page::listen(args.port)?;
         eprintln!("open {} and say Done there when you are", page.url());
         let clear_mm = args.bypass.unwrap_or(2.0);
-        let mut session = Session { contour, plan, unit, folder: args.out.clone(), clear_mm };
+        let mut session = PlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };
         return Ok(page.serve(&mut session)?);
     }
     if plan.points.is_empty() {

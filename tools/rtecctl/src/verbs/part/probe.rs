@@ -124,7 +124,7 @@ fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
 struct Seen {
     trips: Vec<Trip>,
     sensors: Vec<String>,
-    /// Per trip and sensor.
+    /// Temperatures at each trip, one value per sensor, °C.
     degc: Vec<Vec<f64>>,
     origin: Zx,
     seconds: f64,
