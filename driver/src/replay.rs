@@ -14,7 +14,7 @@ pub struct TracePoint {
 
 /// A requested total and the time at which it is given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Request {
+pub struct RequestedTotal {
     /// Time in ns.
     pub t_ns: u64,
     /// Requested total in counts since homing.

@@ -4,7 +4,7 @@
 
 use rtec_driver::card::CardError;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{Request, TracePoint};
+use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::replay;
 use rtec_tests::judge::LinuxCnc;
@@ -110,8 +110,9 @@ fn replay_speed() -> anyhow::Result<()> {
             point = TracePoint { t_ns: point.t_ns + 2000, state: point.state.next(n / 1000 % 2 == 0) };
             Ok::<_, std::convert::Infallible>(point)
         });
-        let requests = (1..EDGES / every)
-            .map(|n| Ok(Request { t_ns: n * every * 2000, requested: if n % 2 == 0 { 2 } else { 0 } }));
+        let requests = (1..EDGES / every).map(|n| {
+            Ok(RequestedTotal { t_ns: n * every * 2000, requested: if n % 2 == 0 { 2 } else { 0 } })
+        });
         let before_kb = peak_kb();
         let start = Instant::now();
         let (outcome, _) = replay(AxisConfig::default(), trace, requests, true, |_, _| ())?;

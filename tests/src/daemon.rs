@@ -118,7 +118,7 @@ impl Daemon {
         self.log.lock().map(|log| log.clone()).unwrap_or_default()
     }
 
-    /// Its process number.
+    /// The daemon's process number.
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
@@ -159,7 +159,7 @@ impl Daemon {
             .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)))
     }
 
-    /// Sends a signal.
+    /// Sends the daemon a signal, by its name without `SIG`.
     pub fn signal(&self, name: &str) {
         let _ = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status();
     }
@@ -197,7 +197,7 @@ pub fn user(socket: &Path, args: &[&str]) -> Output {
 /// What the machine and its controller at the end of a shared-memory card show.
 #[derive(Debug, Default)]
 pub struct Seen {
-    /// The scale's count.
+    /// The scale's count, counts.
     pub scale: AtomicI64,
     /// The controller's count minus the scale's.
     pub offset: AtomicI64,
@@ -212,7 +212,7 @@ pub struct Seen {
 /// The card's lines as the machine sees them: one axis, A and B in bits 0 and 1 of the inputs, their inverters in bits 0
 /// and 1 of the outputs.
 pub trait Lines: Send {
-    /// The outputs.
+    /// The inverters as the corrector has written them.
     fn outputs(&mut self) -> u64;
     /// Sets A (bit 0) and B (bit 1).
     fn show(&mut self, scale: State);
@@ -248,7 +248,7 @@ impl Lines for Registers {
 /// One axis at the end of a card: it goes to and fro while it is let.
 #[derive(Debug)]
 pub struct Machine {
-    /// What it shows.
+    /// What machine and controller count, for the test to read.
     pub seen: Arc<Seen>,
     moving: Arc<AtomicBool>,
     glitch: Arc<AtomicBool>,
@@ -381,7 +381,7 @@ pub fn alone() -> MutexGuard<'static, ()> {
 /// A bench: machine and controller on a card of shared memory, in a directory with the daemon's configuration and socket.
 #[derive(Debug)]
 pub struct Bench {
-    /// The machine.
+    /// The machine at the end of the card.
     pub machine: Machine,
     directory: tempfile::TempDir,
 }
@@ -430,7 +430,7 @@ impl Bench {
         command
     }
 
-    /// Its daemon.
+    /// Starts the daemon on the bench's configuration.
     #[must_use]
     pub fn daemon(&self) -> Daemon {
         Daemon::spawn(&mut self.command(), &self.at("s"))

@@ -77,7 +77,7 @@ pub struct LinuxCnc {
 /// TSC cycles of `encoder.update-counters` for three channels, as HAL measured them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cycles {
-    /// Calls measured.
+    /// Number of calls measured.
     pub calls: usize,
     /// Median of the three-channel update.
     pub p50: i32,

@@ -13,7 +13,7 @@ pub struct Totals {
     pub scale_counts: i64,
     /// Counts that the inversions added.
     pub inserted: i64,
-    /// Single inversions.
+    /// Number of single inversions, of A or of B.
     pub inversions: u64,
 }
 

@@ -10,6 +10,8 @@
 //! | [`machine`] | a two-axis machine with a known error, driven by LinuxCNC, corrected by the engine |
 //! | [`supervisor`] | a service manager that keeps file descriptors, and the trial that kills `rtecd` |
 //! | [`planted`] | corrected traces made without the engine, right ones and wrong ones: the judges' own test |
+//!
+//! What must not live here: anything that the product needs; the judges take no formula from what they judge.
 
 pub mod daemon;
 pub mod gpio_sim;

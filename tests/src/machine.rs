@@ -32,11 +32,11 @@ const HYSTERESIS_COUNTS: f64 = 0.25;
 /// `scale` and `screw_periodic` with phase 0).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AxisError {
-    /// µm per m.
+    /// Scale error, µm per m.
     pub ppm: f64,
-    /// Amplitude, µm.
+    /// Amplitude of the periodic error, µm.
     pub periodic_um: f64,
-    /// Period, mm.
+    /// Period of the periodic error, mm.
     pub period_mm: f64,
 }
 
@@ -56,7 +56,7 @@ impl AxisError {
 /// A round part for a touch probe: the circle that the tip's centre is on when it touches, (X, Z) in mm.
 #[derive(Debug, Clone, Copy)]
 pub struct Round {
-    /// Its centre.
+    /// Centre of the circle, mm.
     pub centre_mm: [f64; AXES],
     /// Radius of the part and of the tip together.
     pub reach_mm: f64,
@@ -98,7 +98,7 @@ pub struct Run {
     pub illegal: u64,
     /// Events that the engine refused or latched, as text.
     pub complaints: Vec<String>,
-    /// Servo periods.
+    /// Number of LinuxCNC's servo periods.
     pub periods: u64,
     /// Everything the engine said.
     pub events: Vec<Event>,
@@ -353,7 +353,7 @@ impl Machine {
         self.card.edges.make_contiguous().sort_by_key(|edge| edge.t_ns);
 
         let (complaints, events) = (&mut self.run.complaints, &mut self.run.events);
-        let mut tell = |event: Event| {
+        let mut report = |event: Event| {
             use rtec_rt::event::EventKind::{Fault, Refused};
             if matches!(event.kind, Fault(_) | Refused { .. }) {
                 complaints.push(format!("{event:?}"));
@@ -367,11 +367,11 @@ impl Machine {
                 let p_mm = self.engine.status().axes[n].position_counts as f64 * COUNT_UM / 1000.0;
                 let total_counts = 2 * (error.at(p_mm) / COUNT_UM / 2.0).round() as i64;
                 let request = Request::Correct { axis: n as u8, total_counts, large: false };
-                self.engine.take(request, &mut self.card, &mut tell)?;
+                self.engine.take(request, &mut self.card, &mut report)?;
             }
         }
         while self.card.now_ns < end_ns || !self.card.edges.is_empty() {
-            self.engine.poll(&mut self.card, end_ns, &mut tell)?;
+            self.engine.poll(&mut self.card, end_ns, &mut report)?;
         }
 
         let mut illegal = 0;

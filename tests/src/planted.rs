@@ -5,8 +5,8 @@ use rtec_driver::replay::TracePoint;
 
 /// What is wrong with a planted trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fault {
-    /// Nothing.
+pub enum PlantedFault {
+    /// The trace is right.
     None,
     /// One insertion is left out: two counts too few or too many.
     Missing,
@@ -42,7 +42,7 @@ pub fn corrected(
     scale: &[TracePoint],
     every: usize,
     separation_ns: u64,
-    fault: Fault,
+    fault: PlantedFault,
 ) -> Vec<(TracePoint, i64)> {
     let first = scale[0];
     let mut out = vec![(first, 0_i64)];
@@ -60,15 +60,15 @@ pub fn corrected(
         insertions += 1;
         let add = pseudo_random(n) & 1 == 0;
         let equal = edge.state.a() == edge.state.b();
-        let fault = if insertions == wrong_one { fault } else { Fault::None };
-        let a_first = (equal == add) != (fault == Fault::WrongOrder);
+        let fault = if insertions == wrong_one { fault } else { PlantedFault::None };
+        let a_first = (equal == add) != (fault == PlantedFault::WrongOrder);
         let (one, two) = if a_first { (1, 2) } else { (2, 1) };
         let step = if add { 1 } else { -1 };
         let due = scale_counts + inserted;
         let (early, late) = (edge.t_ns + 50, edge.t_ns + 50 + separation_ns);
         match fault {
-            Fault::Missing => {}
-            Fault::BothAtOnce => {
+            PlantedFault::Missing => {}
+            PlantedFault::BothAtOnce => {
                 out.push((TracePoint { t_ns: late, state: see(mask ^ 3) }, due + 2 * step));
                 mask ^= 3;
             }

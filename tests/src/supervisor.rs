@@ -14,7 +14,7 @@ use nix::unistd::Pid;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_control::client::Client;
-use rtec_control::protocol::{Request, Response, Status};
+use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
 use std::fs::File;
 use std::io::{IoSliceMut, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
@@ -30,7 +30,7 @@ const STORE_MAX: usize = 16;
 /// Longest that anything may take; nothing is judged by how long it took.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The service manager.
+/// A service manager for one daemon: starts it, listens to it, keeps its descriptors.
 #[derive(Debug)]
 pub struct Supervisor {
     directory: tempfile::TempDir,
@@ -147,7 +147,7 @@ impl Supervisor {
                 }
                 (message.bytes, sender, fds)
             };
-            // NotifyAccess=main: the dead predecessor's last words, and anybody else's, are not heard.
+            // NotifyAccess=main: the dead predecessor's last words, and anybody else's, are ignored.
             if sender != Some(service.child.id() as i32) {
                 continue;
             }
@@ -201,7 +201,7 @@ impl Supervisor {
 }
 
 impl Service {
-    /// Its process number.
+    /// The daemon's process number.
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
@@ -234,11 +234,11 @@ impl Drop for Service {
 /// A trial: a daemon that corrects a moving axis is killed again and again.
 #[derive(Debug)]
 pub struct Trial {
-    /// The daemon.
+    /// The daemon's program.
     pub rtecd: PathBuf,
-    /// Its configuration.
+    /// The daemon's configuration.
     pub config: PathBuf,
-    /// Its socket.
+    /// The daemon's control socket.
     pub socket: PathBuf,
     /// How often it is killed. Every fourth kill is aimed: between the two inversions of an insertion.
     pub kills: u32,
@@ -249,33 +249,33 @@ pub struct Trial {
 /// What a trial has seen without objection.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// Kills.
+    /// How often the daemon was killed.
     pub kills: u32,
     /// Kills that left the inverters unequal.
     pub halfway: u32,
     /// Kills that left both inverters on.
     pub inverted: u32,
-    /// Faults latched, each as it was told.
+    /// Faults latched, each as it was reported.
     pub faults: Vec<String>,
-    /// Insertions made.
+    /// Insertions that the daemons made, all together.
     pub insertions: u64,
     /// Descriptors in the store at the end.
     pub stored: usize,
 }
 
 impl Trial {
-    fn ask(&self, request: &Request) -> anyhow::Result<Response> {
+    fn ask(&self, request: &ClientRequest) -> anyhow::Result<Response> {
         Ok(Client::connect(&self.socket)?.ask(request)?)
     }
 
-    fn status(&self) -> anyhow::Result<Status> {
-        match self.ask(&Request::Status {})? {
+    fn status(&self) -> anyhow::Result<DaemonStatus> {
+        match self.ask(&ClientRequest::Status {})? {
             Response::Status(status) => Ok(*status),
             other => bail!("found {other:?}, expected a status"),
         }
     }
 
-    fn done(&self, request: &Request) -> anyhow::Result<()> {
+    fn done(&self, request: &ClientRequest) -> anyhow::Result<()> {
         match self.ask(request)? {
             Response::Done { .. } => Ok(()),
             other => bail!("{request:?}: found {other:?}, expected it done"),
@@ -308,16 +308,19 @@ impl Trial {
             ensure!(machine.illegal() == 0, "kill {n}: the MTC has seen an illegal transition");
             ensure!(cut != faults.is_empty(), "kill {n}: inverters left unequal: {cut}, faults: {faults:?}");
             if cut {
-                self.done(&Request::Clear {})?;
+                self.done(&ClientRequest::Clear {})?;
             } else {
-                let told = status.axes[0].in_effect;
-                ensure!(told == offset, "kill {n}: the daemon tells {told} counts, the MTC has {offset}");
+                let reported = status.axes[0].in_effect;
+                ensure!(
+                    reported == offset,
+                    "kill {n}: the daemon reports {reported} counts, the MTC has {offset}"
+                );
             }
             tally.faults.extend(faults);
             self.go()?;
             // Nothing is inserted before corrections are enabled, and homing sets both counts to nothing.
             base = machine.offset();
-            self.done(&Request::Enable { accept_jump: false })?;
+            self.done(&ClientRequest::Enable { accept_jump: false })?;
             if n == self.kills {
                 self.park(&mut supervisor, service, machine, base)?;
                 break;
@@ -338,7 +341,7 @@ impl Trial {
                 let x = &status.axes[0];
                 if status.mode == "run" && x.completed == x.requested {
                     let total_counts = 2 * (below(21) as i64 - 10);
-                    let request = Request::Correct { axis: x.name.clone(), total_counts, large: true };
+                    let request = ClientRequest::Correct { axis: x.name.clone(), total_counts, large: true };
                     self.done(&request)?;
                 }
                 tally.insertions = tally.insertions.max(x.insertions);
@@ -387,7 +390,7 @@ impl Trial {
             ensure!(begun.elapsed() < PATIENCE, "the axis does not move");
             std::thread::sleep(Duration::from_millis(10));
         }
-        self.done(&Request::Home { axis: None })
+        self.done(&ClientRequest::Home { axis: None })
     }
 
     /// A clean stop with a correction in effect: it stays.
@@ -399,7 +402,7 @@ impl Trial {
         base: i64,
     ) -> anyhow::Result<()> {
         let axis = self.status()?.axes[0].name.clone();
-        self.done(&Request::Correct { axis, total_counts: 6, large: true })?;
+        self.done(&ClientRequest::Correct { axis, total_counts: 6, large: true })?;
         until("the last correction", || self.status().is_ok_and(|s| s.axes[0].completed == 6));
         service.signal(Signal::SIGTERM)?;
         let ended = service.wait()?;
@@ -414,7 +417,7 @@ impl Trial {
 }
 
 /// Latched faults of the machine and its axes, as the protocol names them.
-fn faults(status: &Status) -> Vec<String> {
+fn faults(status: &DaemonStatus) -> Vec<String> {
     let axes = status.axes.iter().flat_map(|axis| &axis.faults);
     status.faults.iter().chain(axes).map(rtec_control::protocol::word).collect()
 }

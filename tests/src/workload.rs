@@ -92,12 +92,12 @@ impl Workload {
         let mut wires = Wires { inputs: 0, outputs: 0, t_ns: 1, step_ns, looks: 0, looks_per_edge };
         let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
         let mut engine = Engine::new(&mut wires, &axes, machine, &[])?;
-        let tell = &mut |_| true;
-        engine.start_homed(&mut wires, tell)?;
+        let report = &mut |_| true;
+        engine.start_homed(&mut wires, report)?;
         if motion == Motion::Correcting {
             for axis in 0..AXES {
                 let request = Request::Correct { axis, total_counts: i64::MAX / 2, large: true };
-                engine.take(request, &mut wires, tell)?;
+                engine.take(request, &mut wires, report)?;
             }
         }
         Ok(Self { engine, wires })

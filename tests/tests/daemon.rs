@@ -299,12 +299,12 @@ fn nonsense_and_floods_hurt_nobody_else() {
     assert_eq!(line(&mut client)["status"]["mode"], "run");
     assert_eq!(line(&mut client)["done"], serde_json::json!({}));
 
-    // A line without an end: told, and shown the door.
+    // A line without an end: refused, and disconnected.
     client.get_mut().write_all(&[b'x'; 5000]).unwrap();
     assert!(line(&mut client)["bad"]["text"].as_str().is_some_and(|t| t.contains("4096 bytes")));
     assert_eq!(client.read(&mut [0; 16]).unwrap_or(0), 0);
 
-    // Thirty-two that say nothing; the next one is told so.
+    // Thirty-two that say nothing; the next one gets a refusal.
     let idle: Vec<_> = (0..32).map(|_| connect(&socket)).collect();
     let mut late = connect(&socket);
     assert!(line(&mut late)["bad"]["text"].as_str().is_some_and(|t| t.contains("32 clients")));

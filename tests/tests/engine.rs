@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{Request, TracePoint};
+use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::{ReplayOutcome, replay};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, available, sigrok};
@@ -29,18 +29,18 @@ fn strokes(amplitude_counts: i64, strokes: u32) -> Vec<TracePoint> {
 }
 
 /// A new total every `every_ns`, up and down within ±400 counts.
-fn totals(end_ns: u64, every_ns: u64) -> Vec<Request> {
+fn totals(end_ns: u64, every_ns: u64) -> Vec<RequestedTotal> {
     let total = |n: u64| 2 * (200.0 * (n as f64 / 9.0).sin()) as i64;
-    (1..end_ns / every_ns).map(|n| Request { t_ns: n * every_ns, requested: total(n) }).collect()
+    (1..end_ns / every_ns).map(|n| RequestedTotal { t_ns: n * every_ns, requested: total(n) }).collect()
 }
 
 fn corrected(scale: &[TracePoint], every_ns: u64) -> (ReplayOutcome, Vec<(TracePoint, i64)>, Totals) {
     let mut mtc = Vec::new();
     let requests = totals(scale.last().unwrap().t_ns, every_ns);
-    let hear = |t_ns: u64, state: State| mtc.push(TracePoint { t_ns, state });
+    let seen = |t_ns: u64, state: State| mtc.push(TracePoint { t_ns, state });
     let trace = scale.iter().map(|p| Ok::<_, Infallible>(*p));
     let (outcome, _) =
-        replay(AxisConfig::default(), trace, requests.into_iter().map(Ok), true, hear).unwrap();
+        replay(AxisConfig::default(), trace, requests.into_iter().map(Ok), true, seen).unwrap();
     let mut due = Vec::new();
     let totals = ledger::walk(scale.iter().map(|p| Ok(*p)), mtc.into_iter().map(Ok), |point, count| {
         due.push((point, count));

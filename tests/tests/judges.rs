@@ -6,7 +6,7 @@ use rtec_driver::replay::TracePoint;
 use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, Verdict, available, sigrok};
 use rtec_tests::ledger;
-use rtec_tests::planted::{Fault, corrected, motion};
+use rtec_tests::planted::{PlantedFault, corrected, motion};
 use std::path::Path;
 
 fn linuxcnc(trace: &[(TracePoint, i64)]) -> Verdict {
@@ -18,20 +18,20 @@ fn linuxcnc(trace: &[(TracePoint, i64)]) -> Verdict {
 }
 
 /// Where the counts due in a wrong trace first part from those of a counter: at the planted fault.
-fn assert_caught(verdict: Verdict, fault: Fault) {
+fn assert_caught(verdict: Verdict, fault: PlantedFault) {
     let wrong = verdict.first_wrong.unwrap_or_else(|| panic!("{fault:?} was not caught: {verdict:?}"));
     assert!(verdict.wrong > verdict.judged / 4, "{fault:?} caught by chance only: {verdict:?}");
     assert!(wrong.state > verdict.judged / 4, "{fault:?} caught before it was there: {verdict:?}");
 }
 
-const FAULTS: [Fault; 3] = [Fault::Missing, Fault::WrongOrder, Fault::BothAtOnce];
+const FAULTS: [PlantedFault; 3] = [PlantedFault::Missing, PlantedFault::WrongOrder, PlantedFault::BothAtOnce];
 
 #[test]
 fn linuxcnc_counts_what_is_due_at_every_state() {
     if !available(LINUXCNC) {
         return;
     }
-    let trace = corrected(&motion(500_000), 7, 500, Fault::None);
+    let trace = corrected(&motion(500_000), 7, 500, PlantedFault::None);
     let verdict = linuxcnc(&trace);
     assert_eq!(verdict, Verdict { judged: trace.len() as u64, wrong: 0, first_wrong: None });
 }
@@ -51,14 +51,14 @@ fn sigrok_counts_what_is_due_at_every_state_and_catches_every_planted_fault() {
     if !available(SIGROK) {
         return;
     }
-    let trace = corrected(&motion(5000), 7, 500, Fault::None);
+    let trace = corrected(&motion(5000), 7, 500, PlantedFault::None);
     let verdict = sigrok(&trace).unwrap();
     assert_eq!(verdict, Verdict { judged: trace.len() as u64, wrong: 0, first_wrong: None });
-    for fault in [Fault::Missing, Fault::WrongOrder] {
+    for fault in [PlantedFault::Missing, PlantedFault::WrongOrder] {
         assert_caught(sigrok(&corrected(&motion(5000), 7, 500, fault)).unwrap(), fault);
     }
     // It has no count for a double transition: one of the states stays without.
-    let both = sigrok(&corrected(&motion(5000), 7, 500, Fault::BothAtOnce)).unwrap_err().to_string();
+    let both = sigrok(&corrected(&motion(5000), 7, 500, PlantedFault::BothAtOnce)).unwrap_err().to_string();
     assert!(both.contains("sigrok counted"), "{both}");
 }
 
@@ -66,7 +66,7 @@ fn sigrok_counts_what_is_due_at_every_state_and_catches_every_planted_fault() {
 #[test]
 fn the_ledger_of_two_traces_is_the_planted_one() {
     let scale = motion(50_000);
-    let trace = corrected(&scale, 7, 500, Fault::None);
+    let trace = corrected(&scale, 7, 500, PlantedFault::None);
     let mut due = trace.iter();
     let totals =
         ledger::walk(scale.iter().map(|p| Ok(*p)), trace.iter().map(|(p, _)| Ok(*p)), |point, count| {
@@ -84,15 +84,15 @@ fn the_ledger_refuses_what_the_gates_cannot_have_made() {
     let walk = |trace: &[(TracePoint, i64)]| {
         ledger::walk(scale.iter().map(|p| Ok(*p)), trace.iter().map(|(p, _)| Ok(*p)), |_, _| Ok(()))
     };
-    let both = walk(&corrected(&scale, 7, 500, Fault::BothAtOnce)).unwrap_err().to_string();
+    let both = walk(&corrected(&scale, 7, 500, PlantedFault::BothAtOnce)).unwrap_err().to_string();
     assert!(both.contains("both inverters turn at once"), "{both}");
 
-    let mut late = corrected(&scale, 7, 500, Fault::None);
+    let mut late = corrected(&scale, 7, 500, PlantedFault::None);
     late[1].0.t_ns += 1;
     let late = walk(&late).unwrap_err().to_string();
     assert!(late.contains("is not in the MTC's trace"), "{late}");
 
-    let mut short = corrected(&scale, 7, 500, Fault::None);
+    let mut short = corrected(&scale, 7, 500, PlantedFault::None);
     short.truncate(100);
     let short = walk(&short).unwrap_err().to_string();
     assert!(short.contains("is not in the MTC's trace"), "{short}");
@@ -101,7 +101,7 @@ fn the_ledger_refuses_what_the_gates_cannot_have_made() {
 /// A trace passes through both file formats on its way to the judges.
 #[test]
 fn a_planted_trace_survives_both_formats() {
-    let trace = corrected(&motion(5000), 7, 500, Fault::None);
+    let trace = corrected(&motion(5000), 7, 500, PlantedFault::None);
     for format in [TraceFormat::Csv, TraceFormat::Vcd] {
         let mut writer = TraceWriter::new(format, Vec::new()).unwrap();
         for (point, _) in &trace {

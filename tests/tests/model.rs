@@ -27,7 +27,7 @@ impl Sensors {
         std::thread::spawn(move || {
             for peer in listener.incoming().map_while(Result::ok) {
                 let (t1, silent) = (Arc::clone(&t1), Arc::clone(&silent));
-                std::thread::spawn(move || tell(&peer, &t1, &silent));
+                std::thread::spawn(move || send_readings(&peer, &t1, &silent));
             }
         });
         sensors
@@ -38,7 +38,7 @@ impl Sensors {
     }
 }
 
-fn tell(mut peer: &TcpStream, t1: &AtomicU64, silent: &AtomicBool) {
+fn send_readings(mut peer: &TcpStream, t1: &AtomicU64, silent: &AtomicBool) {
     loop {
         let said = format!("T1 {}\nT2 20\n", f64::from_bits(t1.load(Ordering::Relaxed)));
         if !silent.load(Ordering::Relaxed) && peer.write_all(said.as_bytes()).is_err() {
@@ -149,7 +149,7 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
     );
     assert_eq!(status["sensors"][0]["place"], "spindle");
 
-    // Probing: not corrected, but told.
+    // Probing: not corrected, but reported.
     let probed = daemon.user(&["probe", "on", "--captures", "2", "--json"]);
     let captures: Value = serde_json::from_slice(&probed.stdout).unwrap();
     for capture in captures["captures"].as_array().unwrap() {

@@ -259,7 +259,7 @@ fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
     assert_eq!((bench.machine.offset(), bench.machine.illegal()), (frozen, 0), "no insertion begins");
     assert!((2..40).contains(&frozen), "{frozen}");
     drop(stopped);
-    // Named, heard again, and not one edge of the meantime is lost.
+    // Named, answered again, and not one edge of the meantime is lost.
     until("it is named", || daemon.log().contains("the control side is silent"));
     until("corrections go on", || bench.machine.offset() > frozen);
     let status = daemon.status();

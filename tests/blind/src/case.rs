@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// What a case hides.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
 pub enum Hides {
-    /// Nothing.
+    /// Nothing is hidden: the model is complete.
     Nothing,
     /// One effect of the dictionary.
     One,
@@ -55,13 +55,13 @@ pub const LAWS: [&str; 30] = [
 pub struct Case {
     /// Seed that makes it again.
     pub seed: u64,
-    /// What it hides.
+    /// What the case hides.
     pub hides: Hides,
     /// Names the answer must give.
     pub truth: Vec<String>,
     /// Ratio of each hidden effect's RMS to the noise.
     pub snr: Vec<f64>,
-    /// Which experiment.
+    /// Name of the experiment, one of [`crate::world::DESIGNS`].
     pub design: &'static str,
     /// One line on noise, model and size.
     pub story: String,

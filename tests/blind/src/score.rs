@@ -5,7 +5,7 @@ use crate::case::{Case, Hides};
 /// What an answer came to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
 pub enum Mark {
-    /// Exactly right.
+    /// The hidden effects are named, and no other.
     Exact,
     /// Called not separable, with the truth in the group.
     Group,
@@ -29,7 +29,7 @@ pub struct Reply {
     pub effects: Vec<(String, Vec<String>)>,
 }
 
-/// Marks an answer.
+/// Marks a reply against what the case hides.
 #[must_use]
 pub fn mark(case: &Case, reply: &Reply) -> Mark {
     let mut got: Vec<&str> = reply.effects.iter().map(|(n, _)| n.as_str()).collect();

@@ -35,7 +35,7 @@ impl Dice {
     pub fn chance(&mut self, p: f64) -> bool {
         self.unit() < p
     }
-    /// One of several.
+    /// One of several, each equally likely.
     pub fn pick<'a, T>(&mut self, from: &'a [T]) -> &'a T {
         &from[self.int(0, from.len() - 1)]
     }
@@ -44,13 +44,13 @@ impl Dice {
         let u = 1.0 - self.unit();
         (-2.0 * u.ln()).sqrt() * (TAU * self.unit()).cos()
     }
-    /// −1 or +1.
+    /// −1 or +1, each equally likely.
     pub fn sign(&mut self) -> f64 {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 }
 
-/// A logged column.
+/// One logged column of a run.
 #[derive(Clone)]
 pub struct Col {
     /// Name in the CSV.
@@ -74,7 +74,7 @@ pub struct Run {
     pub cols: Vec<Col>,
     /// Roles of the responses.
     pub responses: Vec<String>,
-    /// Rows.
+    /// Number of rows.
     pub n: usize,
 }
 
@@ -117,11 +117,11 @@ impl Run {
 pub struct Source {
     /// The name by which the answer has to call it; a shape of no dictionary starts with `?`.
     pub name: String,
-    /// Plain parameters.
+    /// Parameters with one value, by name.
     pub num: Vec<(&'static str, f64)>,
     /// Parameters with one value per knot.
     pub arr: Vec<(&'static str, Vec<f64>)>,
-    /// Sensor names.
+    /// Names of the sensors, by key (`sensor`, `minus`).
     pub text: Vec<(&'static str, String)>,
 }
 
@@ -133,7 +133,7 @@ impl Source {
         self.num.push((key, v));
         self
     }
-    /// A plain parameter.
+    /// The value of a parameter that has only one; 0 where it has none.
     #[must_use]
     pub fn val(&self, key: &str) -> f64 {
         self.num.iter().find(|(k, _)| *k == key).map_or(0.0, |(_, v)| *v)
@@ -456,7 +456,7 @@ pub enum Manner {
 /// Settings of an experiment that training and hold-out runs share.
 #[derive(Clone)]
 pub struct Plan {
-    /// Which experiment.
+    /// Name of the experiment, one of [`DESIGNS`].
     pub design: &'static str,
     axes: Vec<String>,
     travel: f64,
@@ -473,7 +473,7 @@ pub struct Plan {
     extra: [bool; 4],
 }
 
-/// The experiments.
+/// Names of the experiments.
 pub const DESIGNS: [&str; 10] = [
     "positioning",
     "sweep",

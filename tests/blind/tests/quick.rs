@@ -121,7 +121,7 @@ fn noise(seed: u64, n: usize) -> Vec<f64> {
 }
 
 #[test]
-fn on_a_grid_of_targets_the_other_periods_are_told() {
+fn on_a_grid_of_targets_the_other_periods_are_listed() {
     let p: Vec<f64> = (0..310).map(|i| 20.0 * f64::from(i % 31)).collect();
     let e = p
         .iter()

@@ -183,11 +183,11 @@ fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<
     Record::new(&PathBuf::from("spindle.run.toml"), Kind::Drift, columns).unwrap()
 }
 
-/// Learned from the rows before a moment, the model foretells those after it: always far better than the mean it
+/// Learned from the rows before a moment, the model predicts those after it: always far better than the mean it
 /// learned, and from the moment on at which the machine has once been warm and cooler again, better than the later
-/// rows' own mean, which nobody knew. Sensors that cannot be told apart are called that.
+/// rows' own mean, which nobody knew. Sensors that cannot be separated are called that.
 #[test]
-fn a_spindle_grows_with_its_heat_and_later_hours_are_foretold() {
+fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
     let Some(text) = data("spindle_thermal/first_half.csv") else { return };
     let model = Machine::ideal("spindle");
     for (split, better_than_own_mean) in [(1200, false), (1600, true), (1800, true)] {
@@ -252,8 +252,8 @@ fn a_decoy_is_never_the_cause_of_growth() {
         );
         assert_eq!(names(&r)[0], "thermal_lag.z");
         for (f, _) in &r.effects {
-            let told = format!("{} {:?} {:?}", f.effect.name(), f.effect.delta, f.rivals);
-            assert!(!told.contains("D1") && !told.contains("D2") && !told.contains("D3"), "{told}");
+            let named = format!("{} {:?} {:?}", f.effect.name(), f.effect.delta, f.rivals);
+            assert!(!named.contains("D1") && !named.contains("D2") && !named.contains("D3"), "{named}");
         }
     }
 }

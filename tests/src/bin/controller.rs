@@ -8,9 +8,9 @@
 use anyhow::{Context, ensure};
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::fit::Zx;
-use rtec_part::path::{Motion, Plan, Probe};
+use rtec_part::path::{Plan, Probe, ProbingMotion};
 use rtec_part::probe::assign;
-use rtec_part::program::{Controller, Job as Program, Parameters};
+use rtec_part::program::{Controller, Parameters, ProbingProgram};
 use rtec_part::unit::Unit;
 use rtec_sim::job::captured;
 use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, PROBE_LOG, Round, Run, run};
@@ -138,7 +138,8 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
     let (centre, radius_mm, tip_mm) = (Zx::new(-100.0, 0.0), 38.1, 2.5);
     let nose = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
     let part = Contour::new(vec![(nose, "NOSE".to_owned())], false);
-    let motion = Motion { feed_mm_min, accel_mm_s2: 500.0, decel_mm_s2: 500.0, ..Motion::REPORT };
+    let motion =
+        ProbingMotion { feed_mm_min, accel_mm_s2: 500.0, decel_mm_s2: 500.0, ..ProbingMotion::REPORT };
     let (stand_off_mm, over_travel_mm) = (motion.stand_off_mm(), motion.over_travel_mm());
     let mut plan = Plan::new(Probe { tip_mm, stand_off_mm, over_travel_mm, stem: None });
     plan.add_number(&part, 0, 20, 0.0);
@@ -149,7 +150,7 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
             .map_err(|(found, expected)| anyhow::anyhow!("{found}, expected {expected}"))?;
     }
     let controller = Controller::built_in("linuxcnc").context("no dialect linuxcnc")??;
-    let program = Program {
+    let program = ProbingProgram {
         controller: &controller,
         parameters: &parameters,
         records: &plan.records(),

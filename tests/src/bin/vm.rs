@@ -186,7 +186,7 @@ fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<String>> {
     corrector.expect(0, &["probe", "on", "--captures", "0"]);
     until("probing", || corrector.status()["mode"] == "probe");
     gpio_sim::pull(directory, PROBE, true)?;
-    until("the trip is told", || corrector.log().contains("probe tripped at"));
+    until("the trip is reported", || corrector.log().contains("probe tripped at"));
     gpio_sim::pull(directory, PROBE, false)?;
     corrector.expect(0, &["probe", "off"]);
     until("corrections again", || corrector.status()["mode"] == "run");
@@ -677,27 +677,27 @@ const STEP_NS: u64 = 4_000;
 /// The card's far side, on the host: does what the guest asks for until it is told to end.
 fn far_side(file: &Path) -> anyhow::Result<()> {
     let words = Registers::open(file, BYTES, "far side")?;
-    let told = || words.read(PHASE, Width::Bits32);
+    let phase = || words.read(PHASE, Width::Bits32);
     let say = |offset: i64, illegal: u64| {
         words.write(OFFSET, Width::Bits32, offset as u32);
         words.write(ILLEGAL, Width::Bits32, illegal as u32);
     };
     let (mut illegal, mut counts) = (0, 0);
     loop {
-        let phase = told();
-        match phase {
+        let now = phase();
+        match now {
             SLOW => {
                 let machine = Machine::paced(Registers::open(file, 8, "machine")?, EDGE);
                 machine.move_axis(true);
-                words.write(AT, Width::Bits32, phase);
-                while told() == phase {
+                words.write(AT, Width::Bits32, now);
+                while phase() == now {
                     say(machine.offset(), machine.illegal());
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 illegal += machine.illegal();
             }
             STEPPED => {
-                let (scale, mtc) = in_step(&words, &say, &told);
+                let (scale, mtc) = in_step(&words, &say, &phase);
                 println!(
                     "far side, in step: scale {scale}, controller {}, {} illegal",
                     mtc.count(),
@@ -717,13 +717,13 @@ fn far_side(file: &Path) -> anyhow::Result<()> {
 
 /// In step with the guest: time goes on only when it has looked, and done what follows from it; and then by one unit while
 /// the guest has something to do, else to the unit before the next edge.
-fn in_step(words: &Registers, say: &impl Fn(i64, u64), told: &impl Fn() -> u32) -> (i64, Decoder) {
+fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32) -> (i64, Decoder) {
     let lines = AxisLines::standard(0, false);
     let (mut state, mut mtc, mut scale, mut tick) =
         (State::default(), Decoder::new(State::default()), 0_i64, 0_u32);
     words.write(0, Width::Bits32, 0);
     words.write(AT, Width::Bits32, STEPPED);
-    while told() == STEPPED {
+    while phase() == STEPPED {
         let outputs = || u64::from(words.read(4, Width::Bits32));
         let idle = words.read(BUSY, Width::Bits32) == 0;
         tick += if idle { (COUNT_STEPS - 1 - tick % COUNT_STEPS).max(1) } else { 1 };
@@ -736,7 +736,7 @@ fn in_step(words: &Registers, say: &impl Fn(i64, u64), told: &impl Fn() -> u32) 
         }
         words.write(TICK, Width::Bits32, tick);
         let mut spins = 0_u32;
-        while words.read(SEEN, Width::Bits32) != tick && told() == STEPPED {
+        while words.read(SEEN, Width::Bits32) != tick && phase() == STEPPED {
             spins += 1;
             // The guest may need this CPU to go on.
             if spins.is_multiple_of(4096) {
@@ -862,11 +862,11 @@ fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
     let config =
         MachineConfig { lines: MachineLines { probe: None, disable: None, hold: None }, may_arm: true };
     let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
-    let tell = &mut |_| true;
-    engine.start_homed(&mut card, tell)?;
+    let report = &mut |_| true;
+    engine.start_homed(&mut card, report)?;
     let (mut requests, mut looks) = (0, 0_u64);
     loop {
-        engine.poll(&mut card, u64::MAX, tell)?;
+        engine.poll(&mut card, u64::MAX, report)?;
         looks += 1;
         if !looks.is_multiple_of(500) {
             continue;
@@ -879,7 +879,7 @@ fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
         }
         requests += 1;
         let total_counts = if last { 0 } else { 2 * ((f64::from(requests) / 40.0).sin() * 200.0) as i64 };
-        engine.take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, tell)?;
+        engine.take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, report)?;
     }
     let (axis, balanced) = (engine.status().axes[0], engine.status().balanced());
     let counted = i64::from(words.read(OFFSET, Width::Bits32) as i32);

@@ -14,16 +14,16 @@ use std::path::{Path, PathBuf};
 /// Why a card could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// GPIO lines.
+    /// The GPIO lines cannot be had.
     #[error(transparent)]
     Gpio(#[from] GpioError),
-    /// Mapped registers.
+    /// The registers cannot be mapped.
     #[error(transparent)]
     Map(#[from] MapError),
     /// A card on the PCI bus.
     #[error(transparent)]
     Pci(#[from] PciError),
-    /// I/O ports.
+    /// The I/O ports cannot be opened.
     #[error(transparent)]
     Port(#[from] PortError),
     /// The card is not what its profile says.

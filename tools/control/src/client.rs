@@ -1,6 +1,6 @@
 //! The client's end of the control socket.
 
-use crate::protocol::{Request, Response};
+use crate::protocol::{ClientRequest, Response};
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ pub enum ClientError {
     /// Nobody is at the socket.
     #[error("cannot reach rtecd at {}: {source}; is it running? (systemctl status rtecd, or start rtecd)", socket.display())]
     Unreachable {
-        /// The socket.
+        /// Path of the socket that was tried.
         socket: PathBuf,
         /// What the system said.
         source: io::Error,
@@ -26,7 +26,7 @@ pub enum ClientError {
     /// The answer is not one.
     #[error("rtecd answered {found:?}: {why}; are rtecctl and rtecd of the same version?")]
     Answer {
-        /// What came.
+        /// The line that came instead of an answer, or why none came.
         found: String,
         /// What is wrong with it.
         why: serde_json::Error,
@@ -56,7 +56,7 @@ impl Client {
     ///
     /// # Errors
     /// When there is none.
-    pub fn ask(&mut self, request: &Request) -> Result<Response, ClientError> {
+    pub fn ask(&mut self, request: &ClientRequest) -> Result<Response, ClientError> {
         let mut line = serde_json::to_string(request).map_err(io::Error::other)?;
         line.push('\n');
         self.stream.get_mut().write_all(line.as_bytes())?;

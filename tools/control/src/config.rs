@@ -48,7 +48,7 @@ use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::pci::PciId;
 use rtec_driver::profile::{Place, Profile, Space, Width};
-use rtec_files::toml::{At, Document, Section, Source, Table};
+use rtec_files::toml::{At, Document, Section, SourceFile, Table};
 use rtec_files::{InputError, nearest};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::event::MAX_AXES;
@@ -59,21 +59,21 @@ use std::path::{Path, PathBuf};
 /// A machine's configuration, checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
-    /// The machine's name.
+    /// The machine's name, as `status` shows it.
     pub machine: String,
-    /// Which card, and what it needs.
+    /// The card and what its backend needs (`[card]`).
     pub card: CardConfig,
-    /// Where the machine's own lines are.
+    /// The machine's own lines: probe, disable switch, hold.
     pub lines: MachineLines,
     /// The axes, in order.
-    pub axes: Vec<Axis>,
-    /// The real-time thread.
+    pub axes: Vec<ConfiguredAxis>,
+    /// The real-time thread (`[rt]`).
     pub rt: RtConfig,
-    /// The control socket.
+    /// The control socket and what belongs to it (`[control]`).
     pub control: ControlConfig,
-    /// The machine model.
+    /// The machine model and how it is evaluated (`[model]`).
     pub model: ModelConfig,
-    /// The temperature sensors.
+    /// The temperature sensors (`[[sensor]]`).
     pub sensors: Vec<sensors::Config>,
     /// What is allowed but worth knowing.
     pub notes: Vec<String>,
@@ -86,18 +86,18 @@ pub enum CardConfig {
     Mock,
     /// GPIO lines through the kernel's character device.
     Gpio(GpioSetup),
-    /// Mapped registers.
+    /// Registers mapped into memory.
     Mapped {
-        /// Where they are.
+        /// Where the registers are.
         place: MappedPlace,
-        /// What they are.
+        /// What each register and bit means.
         profile: Profile,
     },
     /// Registers that are I/O ports.
     Port {
-        /// Where they are.
+        /// Where the ports are.
         place: PortPlace,
-        /// What they are.
+        /// What each register and bit means.
         profile: Profile,
     },
     /// Recorded traces in real time, one per axis.
@@ -123,7 +123,7 @@ pub enum MappedPlace {
 pub enum PortPlace {
     /// A parallel port's device.
     Parport(PathBuf),
-    /// The first port.
+    /// The address of the first port.
     Io(u16),
     /// A BAR of a PCI card.
     Pci(PciId, u8),
@@ -149,10 +149,10 @@ impl CardConfig {
     }
 }
 
-/// One axis.
+/// One axis as `[[axis]]` configures it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Axis {
-    /// Its name.
+pub struct ConfiguredAxis {
+    /// The axis's name.
     pub name: String,
     /// What one count is worth, µm.
     pub count_um: f64,
@@ -179,12 +179,12 @@ pub struct Simulated {
     pub ignores: bool,
 }
 
-/// The real-time thread.
+/// Settings of the real-time thread (`[rt]`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RtConfig {
     /// Its CPU; `None` leaves the choice to the machine.
     pub cpu: Option<usize>,
-    /// Its `SCHED_FIFO` priority.
+    /// Its `SCHED_FIFO` priority, 1 to 99.
     pub priority: u8,
     /// The machine's latency has been measured (`detect_ns` and `write_ns` stand in the file).
     pub latency_measured: bool,
@@ -193,7 +193,7 @@ pub struct RtConfig {
 /// The control socket and what belongs to it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ControlConfig {
-    /// The Unix socket.
+    /// Path of the Unix socket.
     pub socket: PathBuf,
     /// The group that may use it.
     pub group: Option<String>,
@@ -208,18 +208,18 @@ pub struct ControlConfig {
 pub struct ModelConfig {
     /// The model that shall run; none where the file names none.
     pub file: Option<PathBuf>,
-    /// How often it is evaluated, ms.
+    /// Time between two evaluations, ms.
     pub period_ms: u64,
     /// How fast a correction goes to a new place that no motion of the axis asks for, µm/s.
     pub ramp_um_s: f64,
     /// How long before the axes are there it is evaluated, ms.
     pub lead_ms: f64,
-    /// How often temperatures are logged, s.
+    /// Time between two logged sets of temperatures, s.
     pub log_s: f64,
 }
 
 impl ControlConfig {
-    /// Where the state file is.
+    /// Path of the state file: as configured, else beside the socket.
     #[must_use]
     pub fn state_path(&self) -> PathBuf {
         self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))
@@ -228,9 +228,9 @@ impl ControlConfig {
 
 /// Everything that is wrong with a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Findings(pub Vec<InputError>);
+pub struct ConfigFindings(pub Vec<InputError>);
 
-impl fmt::Display for Findings {
+impl fmt::Display for ConfigFindings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (n, finding) in self.0.iter().enumerate() {
             if n > 0 {
@@ -242,7 +242,7 @@ impl fmt::Display for Findings {
     }
 }
 
-impl std::error::Error for Findings {}
+impl std::error::Error for ConfigFindings {}
 
 /// Directory of socket and state file unless the configuration names others: `/run/rtec` where it exists (made by
 /// tmpfiles when installed), else the user's run-time directory, else one of the user's own in `/tmp`.
@@ -258,7 +258,7 @@ pub fn default_directory() -> PathBuf {
     Path::new("/tmp").join(format!("rtec-{}", std::env::var("USER").unwrap_or_else(|_| "user".to_owned())))
 }
 
-/// Where an installed machine's configuration is.
+/// Path of an installed machine's configuration.
 pub const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
 /// The configuration without a file: the mock card with three simulated axes.
@@ -279,8 +279,8 @@ impl Config {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn load(file: &Path) -> Result<Self, Findings> {
-        let text = rtec_files::text::read(file).map_err(|finding| Findings(vec![finding]))?;
+    pub fn load(file: &Path) -> Result<Self, ConfigFindings> {
+        let text = rtec_files::text::read(file).map_err(|finding| ConfigFindings(vec![finding]))?;
         Self::parse(file, &text)
     }
 
@@ -288,15 +288,15 @@ impl Config {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn parse(file: &Path, text: &str) -> Result<Self, Findings> {
+    pub fn parse(file: &Path, text: &str) -> Result<Self, ConfigFindings> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let (document, findings) = Document::parse_all(file, text);
-        let mut source = Source { file, text, findings };
+        let mut source = SourceFile { file, text, findings };
         let config = if source.findings.is_empty() { read(&mut source, &document) } else { None };
         source.findings.sort_by_key(|f| (f.line, f.column));
         match config {
             Some(config) if source.findings.is_empty() => Ok(config),
-            _ => Err(Findings(source.findings)),
+            _ => Err(ConfigFindings(source.findings)),
         }
     }
 
@@ -319,7 +319,7 @@ impl Config {
     }
 }
 
-impl Axis {
+impl ConfiguredAxis {
     /// What the control law needs to know of it.
     #[must_use]
     pub fn law(&self) -> rtec_correct::AxisSetup {
@@ -368,7 +368,7 @@ enum Kind {
 }
 
 /// The file's whole content; findings are in the source, `None` where there is no way on.
-fn read(source: &mut Source<'_>, document: &Document<'_>) -> Option<Config> {
+fn read(source: &mut SourceFile<'_>, document: &Document<'_>) -> Option<Config> {
     let mut root = Section::root(document);
     let mut notes = Vec::new();
 
@@ -411,7 +411,7 @@ fn read(source: &mut Source<'_>, document: &Document<'_>) -> Option<Config> {
         let found = format!("{} [[axis]] tables", tables.len());
         source.finding(tables.last().map_or(0, |t| t.offset), found, format!("1 to {MAX_AXES} axes"));
     }
-    let (mut axes, mut traces): (Vec<Axis>, Vec<PathBuf>) = (Vec::new(), Vec::new());
+    let (mut axes, mut traces): (Vec<ConfiguredAxis>, Vec<PathBuf>) = (Vec::new(), Vec::new());
     for (n, table) in tables.into_iter().enumerate() {
         let offset = table.offset;
         if let Some((axis, trace)) = read_axis(source, table, n as u8, &mut card, &latency, &mut notes) {
@@ -461,7 +461,7 @@ fn read(source: &mut Source<'_>, document: &Document<'_>) -> Option<Config> {
     })
 }
 
-fn read_model(source: &mut Source<'_>, root: &mut Section<'_>) -> ModelConfig {
+fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> ModelConfig {
     let mut table = root.table(source, "model", "[model]");
     let file = table.string(source, "file", "the path of the machine model");
     let period_ms = table.integer(source, "period_ms", 10..=20);
@@ -479,7 +479,7 @@ fn read_model(source: &mut Source<'_>, root: &mut Section<'_>) -> ModelConfig {
 }
 
 /// The `[[sensor]]` tables, as the model's library reads them; recordings to replay are beside the configuration.
-fn read_sensors(source: &mut Source<'_>, root: &Table<'_>) -> Vec<sensors::Config> {
+fn read_sensors(source: &mut SourceFile<'_>, root: &Table<'_>) -> Vec<sensors::Config> {
     let file = source.file;
     let mut all = source.keep(sensors::read_tables(root)).unwrap_or_default();
     for sensor in &mut all {
@@ -490,7 +490,7 @@ fn read_sensors(source: &mut Source<'_>, root: &Table<'_>) -> Vec<sensors::Confi
     all
 }
 
-fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
+fn read_card(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> Card {
     let mut section = root.table(source, "card", "[card]");
     let meaning = "\"mock\" or \"gpio\" or \"mapped\" or \"port\" or \"replay\"";
     let kind = section.choice(
@@ -548,7 +548,7 @@ fn read_card(source: &mut Source<'_>, root: &mut Section<'_>) -> Card {
 }
 
 /// Where the registers are, and what they mean.
-fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut Card, port: bool) {
+fn read_registers(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card, port: bool) {
     let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
     let named = section.string(source, "profile", "a profile's name or path");
     let default = if port { "parallel-port" } else { "shared-memory" };
@@ -641,7 +641,7 @@ fn read_registers(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut
     }
 }
 
-fn load_profile(source: &mut Source<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
+fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
     let text = match rtec_files::text::read(path) {
         Ok(text) => text,
         Err(error) => {
@@ -654,14 +654,14 @@ fn load_profile(source: &mut Source<'_>, path: &Path, named: &str, offset: usize
 }
 
 /// The lines that belong to no axis.
-fn machine_lines(source: &mut Source<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
+fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
     let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
     MachineLines { probe: wire("probe", false), disable: wire("disable", false), hold: wire("hold", true) }
 }
 
 /// The bit of a GPIO line: the next that is free.
 fn wire_gpio(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     gpio: &mut Gpio,
     key: &'static str,
@@ -694,7 +694,7 @@ fn wire_gpio(
 
 /// The bit of one line, checked against the profile and against who has it already.
 fn wire(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     card: &mut Card,
     key: &'static str,
@@ -744,7 +744,7 @@ fn wire(
 
 /// The lines of an axis: where `lines` says, or those of the standard layout.
 fn read_lines(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     n: u8,
     card: &mut Card,
@@ -763,7 +763,7 @@ fn read_lines(
         return None;
     }
     let mut lines = section.table(source, "lines", "lines");
-    let mut place = |source: &mut Source<'_>, key, output, needed| {
+    let mut place = |source: &mut SourceFile<'_>, key, output, needed| {
         let bit = wire(source, &mut lines, card, key, output, (n, owner));
         if needed { lines.required(source, key, "the line it is wired to", bit) } else { bit }
     };
@@ -786,13 +786,13 @@ fn read_lines(
 
 #[allow(clippy::too_many_lines)] // One key after the other.
 fn read_axis(
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     mut s: Section<'_>,
     n: u8,
     card: &mut Card,
     latency: &AxisConfig,
     notes: &mut Vec<String>,
-) -> Option<(Axis, Option<PathBuf>)> {
+) -> Option<(ConfiguredAxis, Option<PathBuf>)> {
     let before = source.findings.len();
     let meaning = "the axis's name, in quotes";
     let name = s.string(source, "name", meaning);
@@ -942,7 +942,7 @@ fn read_axis(
             "a lower max_accel, detect_ns, write_ns, guard_ns or min_separation_ns, or more hysteresis";
         source.finding(offset, found, expected);
     }
-    let axis = Axis {
+    let axis = ConfiguredAxis {
         name: name.to_owned(),
         count_um,
         travel_mm: travel_mm?.value,
@@ -960,7 +960,7 @@ struct ReadSimulated {
     rest: Simulated,
 }
 
-fn read_simulated(source: &mut Source<'_>, s: &mut Section<'_>, kind: Option<Kind>) -> ReadSimulated {
+fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option<Kind>) -> ReadSimulated {
     let mut found = ReadSimulated {
         count_um: None,
         rest: Simulated { count_um: 1.0, compensates_ppm: 0.0, ignores: false },

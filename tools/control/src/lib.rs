@@ -9,6 +9,10 @@
 //! | [`card`] | the real card that a configuration names, opened |
 //! | [`profile`] | card profiles, from their files |
 //! | [`lock`] | one program at a time on a socket, on a card |
+//! | `lines` | the lines and register bits that a configuration names |
+//!
+//! What must not live here: decisions of the control law (`rtec-correct`), anything of a simulated machine (`rtec-sim`),
+//! the daemon's own state.
 
 pub mod card;
 pub mod client;

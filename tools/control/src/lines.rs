@@ -1,7 +1,7 @@
 //! How a configuration names a line of a card.
 
 use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
-use rtec_files::toml::{At, Entry, Section, Source};
+use rtec_files::toml::{At, Entry, Section, SourceFile};
 
 /// How a configuration names a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,7 +22,7 @@ pub(crate) const DRIVES: [(&str, Drive); 3] =
 /// A line: its name, or its bit.
 pub(crate) fn line<'a>(
     section: &mut Section<'a>,
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     key: &'static str,
 ) -> Option<At<LineName<'a>>> {
     section.value(source, key, "the name of a line of the card's profile, or its bit from 0 to 63", |v| {
@@ -34,7 +34,7 @@ pub(crate) fn line<'a>(
 /// A GPIO line: its name, its number, or a table that says more. What the table leaves out is in `card`.
 pub(crate) fn gpio_line(
     section: &mut Section<'_>,
-    source: &mut Source<'_>,
+    source: &mut SourceFile<'_>,
     key: &'static str,
     card: &GpioLine,
 ) -> Option<At<GpioLine>> {

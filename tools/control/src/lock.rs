@@ -17,17 +17,17 @@ pub enum LockError {
     Taken {
         /// The process, where it is known: ` (process 123)`.
         by: String,
-        /// `lock` or `card`.
+        /// What is locked: `lock` (the socket's lock file) or `card`.
         what: &'static str,
-        /// The file.
+        /// The locked file.
         path: PathBuf,
     },
-    /// The system refused.
+    /// The system refused the lock for another reason than its holder.
     #[error("{what} {}: {source}", path.display())]
     Io {
-        /// `lock` or `card`.
+        /// What is locked: `lock` (the socket's lock file) or `card`.
         what: &'static str,
-        /// The file.
+        /// The locked file.
         path: PathBuf,
         /// What the system said.
         source: io::Error,

@@ -34,16 +34,16 @@ pub const MAX_LINE: usize = 4096;
 /// What a client asks for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Request {
-    /// Everything at this moment.
+pub enum ClientRequest {
+    /// Asks for the whole status at this moment.
     Status {},
     /// The axis is at its known place.
     Home {
-        /// Its name; all axes without it.
+        /// Name of the axis; all axes without it.
         #[serde(default)]
         axis: Option<String>,
     },
-    /// Corrections on.
+    /// Corrections on: insertions follow the requested totals from now on.
     Enable {
         /// A jump beyond the belief window is meant.
         #[serde(default)]
@@ -55,7 +55,7 @@ pub enum Request {
     Shadow {},
     /// The total correction of an axis.
     Correct {
-        /// Its name.
+        /// Name of the axis.
         axis: String,
         /// Total since homing, counts.
         total_counts: i64,
@@ -63,17 +63,17 @@ pub enum Request {
         #[serde(default)]
         large: bool,
     },
-    /// Probing mode.
+    /// Probing mode: corrections are frozen and every trip of the probe is captured.
     Probe {
-        /// On or off.
+        /// `true` switches it on, `false` off.
         on: bool,
     },
-    /// Feed hold.
+    /// The hold line to the controller: feed hold while it is on.
     Hold {
-        /// On or off.
+        /// `true` switches it on, `false` off.
         on: bool,
     },
-    /// Release latched faults.
+    /// Releases latched faults.
     Clear {},
     /// Send every event from now on.
     Watch {},
@@ -93,7 +93,7 @@ pub enum Request {
     ModelUnload {},
     /// A simulated axis: jog it, and read it.
     Jog {
-        /// Its name.
+        /// Name of the axis.
         axis: String,
         /// Where to, as the controller displays it, mm; only read without it.
         #[serde(default)]
@@ -101,7 +101,7 @@ pub enum Request {
     },
     /// What each axis's correction is made of.
     Explain {
-        /// Its name; all axes without it.
+        /// Name of the axis; all axes without it.
         #[serde(default)]
         axis: Option<String>,
     },
@@ -111,7 +111,7 @@ pub enum Request {
     TableUnload {},
 }
 
-impl Request {
+impl ClientRequest {
     /// Reads a request line.
     ///
     /// # Errors
@@ -128,7 +128,7 @@ impl Request {
 #[serde(rename_all = "snake_case")]
 pub enum Response {
     /// The status asked for.
-    Status(Box<Status>),
+    Status(Box<DaemonStatus>),
     /// Done as asked.
     Done {
         /// What `enable` moves, axis by axis.
@@ -147,7 +147,7 @@ pub enum Response {
     },
     /// A fault is latched: because of this request, or before it.
     Fault {
-        /// Which, and what to do.
+        /// Which fault it is, and what to do.
         text: String,
     },
     /// The request itself is wrong.
@@ -155,11 +155,11 @@ pub enum Response {
         /// What was found, what was expected.
         text: String,
     },
-    /// Something happened (after `watch`).
+    /// An event, as it happens (after `watch`).
     Event(Box<Happened>),
     /// What a model would change.
     ModelPreview(Box<ModelPreview>),
-    /// Where a simulated axis stands.
+    /// Position of a simulated axis.
     Stands {
         /// What its controller displays, mm.
         display_mm: f64,
@@ -176,11 +176,11 @@ pub enum Response {
 /// How far an axis moves when corrections are enabled now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Jump {
-    /// The axis.
+    /// Name of the axis.
     pub axis: String,
     /// Counts to be inserted.
     pub counts: i64,
-    /// The same, µm.
+    /// The same length, µm.
     pub um: f64,
     /// The axis's belief window, counts.
     pub window_counts: i64,
@@ -189,7 +189,7 @@ pub struct Jump {
 /// One event, in words.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Happened {
-    /// When, on the card's clock, ns.
+    /// Time of the event on the card's clock, ns.
     pub t_ns: u64,
     /// The axis; none for the machine as a whole.
     pub axis: Option<String>,
@@ -199,19 +199,19 @@ pub struct Happened {
     pub text: String,
     /// Where the axis was when the probe tripped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trip: Option<Trip>,
+    pub trip: Option<TripReport>,
 }
 
-/// A captured position.
+/// The position of one axis at a trip of the probe, captured by the engine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Trip {
+pub struct TripReport {
     /// Position, interpolated between the neighbouring edges, counts.
     pub position_counts: f64,
-    /// The same, mm.
+    /// The same position, mm.
     pub position_mm: f64,
     /// Half the width of what it may be, counts.
     pub uncertainty_counts: f64,
-    /// The same, µm.
+    /// The same half width, µm.
     #[serde(default)]
     pub uncertainty_um: f64,
     /// The trip lies between these two times of the card's clock, ns: the same for all axes.
@@ -231,8 +231,8 @@ pub struct Trip {
 
 /// The state of the corrector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Status {
-    /// The machine's name.
+pub struct DaemonStatus {
+    /// The machine's name, as `[machine] name` has it.
     pub machine: String,
     /// `run`, `shadow`, `probe`, `hold`, `fault` or `disabled`.
     pub mode: String,
@@ -246,7 +246,7 @@ pub struct Status {
     pub faults: Vec<Fault>,
     /// Why nothing is corrected now, and what to do about it; empty while correcting.
     pub why_not: Vec<String>,
-    /// The real-time thread.
+    /// The real-time thread: set-up, losses and latencies.
     pub rt: Rt,
     /// The model that runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -254,23 +254,23 @@ pub struct Status {
     /// The part table that is loaded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<PartTable>,
-    /// What it does now.
+    /// What the part table takes out at this moment, where it is in force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table_now: Option<TableNow>,
-    /// The temperature sensors.
+    /// The temperature sensors, in the configuration's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Reading>,
-    /// The axes.
-    pub axes: Vec<Axis>,
+    /// The axes, in the configuration's order.
+    pub axes: Vec<AxisReport>,
 }
 
-/// The real-time thread.
+/// The real-time thread: how it was set up, what it lost, how quick it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::struct_excessive_bools)] // Each is a lamp of its own.
 pub struct Rt {
-    /// It runs.
+    /// The thread runs.
     pub alive: bool,
-    /// The card's backend.
+    /// The card's backend: `mock`, `gpio`, `mapped`, `port` or `replay`.
     pub card: String,
     /// Corrections may be enabled on this card with this set-up.
     pub may_arm: bool,
@@ -297,30 +297,30 @@ pub struct Rt {
 /// A distribution of times, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Distribution {
-    /// Smallest.
+    /// Smallest value, ns.
     pub min: u64,
-    /// Median.
+    /// Median, ns.
     pub p50: u64,
-    /// 99 %.
+    /// 99th percentile, ns.
     pub p99: u64,
-    /// 99.99 %.
+    /// 99.99th percentile, ns.
     pub p9999: u64,
-    /// Largest.
+    /// Largest value, ns.
     pub max: u64,
-    /// How many.
+    /// Number of values.
     pub samples: u64,
 }
 
-/// One axis.
+/// One axis: its position, its correction and its ledger.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Axis {
-    /// Its name.
+pub struct AxisReport {
+    /// The axis's name, as `[[axis]] name` has it.
     pub name: String,
-    /// Scale position, counts.
+    /// Position by the scale since homing, counts.
     pub position_counts: i64,
-    /// The same, mm.
+    /// The same position, mm.
     pub position_mm: f64,
-    /// Accepted total, counts.
+    /// Total correction that the engine has accepted, counts since homing.
     pub requested: i64,
     /// Inserted, counts; in shadow mode what would have been.
     pub completed: i64,
@@ -330,19 +330,19 @@ pub struct Axis {
     pub mtc_minus_scale: i64,
     /// Both inverters are on.
     pub inverted: bool,
-    /// Homed.
+    /// The axis is homed: its position and its totals mean something.
     pub homed: bool,
     /// Why it is or is not correcting: `done`, `inserting`, `waiting_for_edge`, `too_fast`, …
     pub gate: String,
     /// Scale edges per second.
     pub edge_rate_hz: f64,
-    /// Latched faults.
+    /// Latched faults of this axis.
     pub faults: Vec<Fault>,
-    /// Largest total, counts.
+    /// Largest total that is accepted, counts.
     pub max_correction_counts: i64,
-    /// Belief window, counts.
+    /// Belief window: the largest change of the total that is believed at once, counts.
     pub window_counts: i64,
-    /// Insertions made.
+    /// Insertions made since the daemon's start.
     pub insertions: u64,
     /// Edges at which the gate was shut.
     pub waited_for_gate: u64,
@@ -475,7 +475,7 @@ impl Happened {
                 let (position_counts, uncertainty_counts) = capture.position_counts();
                 let count_um = axis.map_or(0.0, |(_, um)| um);
                 let position_mm = position_counts * count_um / 1000.0;
-                trip = Some(Trip {
+                trip = Some(TripReport {
                     position_counts,
                     position_mm,
                     uncertainty_counts,
@@ -507,9 +507,9 @@ mod tests {
 
     #[test]
     fn requests_are_strict() {
-        let ok = Request::parse(r#"{"do":"correct","axis":"x","total_counts":-4}"#).unwrap();
-        assert_eq!(ok, Request::Correct { axis: "x".into(), total_counts: -4, large: false });
-        assert_eq!(Request::parse(r#"{"do":"status"}"#).unwrap(), Request::Status {});
+        let ok = ClientRequest::parse(r#"{"do":"correct","axis":"x","total_counts":-4}"#).unwrap();
+        assert_eq!(ok, ClientRequest::Correct { axis: "x".into(), total_counts: -4, large: false });
+        assert_eq!(ClientRequest::parse(r#"{"do":"status"}"#).unwrap(), ClientRequest::Status {});
         for (line, wants) in [
             ("", "EOF"),
             ("status", "expected value"),
@@ -519,7 +519,7 @@ mod tests {
             (r#"{"do":"correct","axis":"x","total_counts":1.5}"#, "floating point"),
             (r#"{"do":"probe","on":"yes"}"#, "invalid type"),
         ] {
-            let found = Request::parse(line).unwrap_err();
+            let found = ClientRequest::parse(line).unwrap_err();
             assert!(found.contains(wants), "{found}");
         }
     }

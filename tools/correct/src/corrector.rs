@@ -6,7 +6,7 @@ use crate::motion::Motion;
 use crate::part_table::{NEAR_MM, PartErrors, PartTable, TableNow};
 use crate::sensors::Watch;
 use crate::source::{ModelSource, acts};
-use crate::total::{Total, Wanted};
+use crate::total::{TickInputs, Total};
 use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::effect::Difference;
@@ -319,7 +319,7 @@ impl Corrector {
                 axis.total.rest();
                 continue;
             }
-            let next = axis.total.next(Wanted {
+            let next = axis.total.next(TickInputs {
                 um: axis.model_um + axis.table_um,
                 requested: s.requested,
                 ramp_um: if axis.holds.is_none() { self.ramp_um_s * dt_s } else { 0.0 },

@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 /// What a model would change now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelPreview {
-    /// Its name.
+    /// The name that `machine.toml` gives it.
     pub name: String,
-    /// Its file.
+    /// Path of its `machine.toml`.
     pub file: String,
     /// Its hash: what is taken must have the same.
     pub sha256: String,
@@ -19,22 +19,22 @@ pub struct ModelPreview {
     /// Fits whose validity has ended: it is not taken unless that is meant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub expired: Vec<String>,
-    /// Per axis.
+    /// One entry per axis that changes or might.
     pub axes: Vec<Change>,
 }
 
 /// What changes on an axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Change {
-    /// The axis.
+    /// Name of the axis.
     pub axis: String,
-    /// Its total now, counts.
+    /// Its present total, counts.
     pub now_counts: i64,
-    /// The same, µm.
+    /// The present total, µm.
     pub now_um: f64,
     /// Its total with the new model, counts.
     pub then_counts: i64,
-    /// The same, µm.
+    /// The new total, µm.
     pub then_um: f64,
     /// Why it would not follow the model yet.
     pub holds: Option<String>,
@@ -43,13 +43,13 @@ pub struct Change {
 /// What an axis's correction is made of. Errors that are taken out, µm: the axis moves by the opposite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Explained {
-    /// The axis.
+    /// Name of the axis.
     pub axis: String,
-    /// The total, counts.
+    /// The total that is requested of the engine, counts since homing.
     pub requested: i64,
     /// The same, µm: the sum of the parts.
     pub total_um: f64,
-    /// The parts.
+    /// What the total is the sum of.
     pub parts: Vec<Contribution>,
     /// Why it does not follow the model; none where it does.
     pub holds: Option<String>,
@@ -61,7 +61,7 @@ pub struct Contribution {
     /// An effect's name; or `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go),
     /// `rounding` (to the design's increment).
     pub name: String,
-    /// Its share, µm.
+    /// How much of the total it is, µm.
     pub um: f64,
     /// The sensors it reads.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -80,15 +80,15 @@ impl Contribution {
     }
 }
 
-/// A sensor now.
+/// A temperature sensor as it stands now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
-    /// Its name.
+    /// The sensor's name, as effects use it.
     pub sensor: String,
-    /// Where it sits.
+    /// Where it sits on the machine, for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
-    /// Its last good value, °C.
+    /// The sensor's last good value, °C.
     pub degc: Option<f64>,
     /// The age of that, s.
     pub age_s: Option<f64>,
@@ -122,11 +122,11 @@ impl Reading {
 /// The model that runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunningModel {
-    /// Its name.
+    /// The name that `machine.toml` gives it.
     pub name: String,
-    /// Its file.
+    /// Path of its `machine.toml`.
     pub file: String,
-    /// Its hash.
+    /// SHA-256 of that file, in hexadecimal.
     pub sha256: String,
     /// What its fits say about themselves.
     pub fits: Vec<String>,

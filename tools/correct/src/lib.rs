@@ -33,7 +33,7 @@ pub const RAMP_UM_S: f64 = 5.0;
 /// One axis, as the law needs to know it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisSetup {
-    /// Its name.
+    /// The axis's name, as models name it.
     pub name: String,
     /// What one count is worth, µm.
     pub count_um: f64,
@@ -41,6 +41,6 @@ pub struct AxisSetup {
     pub increment_counts: i64,
     /// Largest change that the engine believes at once, counts.
     pub window_counts: i64,
-    /// Largest total, counts.
+    /// Largest total that is ever requested, counts.
     pub max_counts: i64,
 }

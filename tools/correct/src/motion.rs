@@ -17,7 +17,7 @@ const SPEED_OVER: usize = 3;
 /// Recent states of the machine, and what they say of each axis's motion.
 #[derive(Debug)]
 pub(crate) struct Motion {
-    /// Newest last.
+    /// The engine's states that velocity is taken from, newest last.
     seen: VecDeque<Status>,
     turning: Vec<Turning>,
     now: Vec<AxisNow>,

@@ -3,7 +3,7 @@
 use crate::AxisSetup;
 use rtec_part::errors::PointError;
 use rtec_part::fit::Zx;
-use rtec_part::table::{AxisCounts, Cut, Table};
+use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
 use serde::{Deserialize, Serialize};
 
 /// A part table acts in full within this distance of its arc, mm, and no more beyond the second: a tool on its way
@@ -53,8 +53,8 @@ pub struct TableNow {
 #[derive(Debug)]
 pub(crate) struct PartErrors {
     pub(crate) shown: PartTable,
-    table: Table,
-    /// Its two axes among the corrector's.
+    table: FinishTable,
+    /// The table's two axes (Z and X of the part) as indices of the corrector's axes.
     pub(crate) axes: [usize; 2],
 }
 
@@ -92,7 +92,7 @@ impl PartErrors {
                     .to_owned(),
             );
         }
-        let cut = Cut {
+        let cut = FinishCut {
             centre: Zx::new(cz, cx),
             radius_mm: shown.radius_mm,
             nose_mm: shown.nose_mm,
@@ -103,7 +103,7 @@ impl PartErrors {
             increment: of[n].increment_counts,
             sign: 1.0,
         });
-        Ok(Self { table: Table::new(cut, counts, errors), axes, shown })
+        Ok(Self { table: FinishTable::new(cut, counts, errors), axes, shown })
     }
 
     /// What it takes out at a machine position that is reached in the table's lead, µm.
@@ -121,7 +121,7 @@ impl PartErrors {
         ((place - cut.origin - cut.centre).norm() - cut.radius_mm - cut.nose_mm).abs()
     }
 
-    /// How many probed points it came from.
+    /// Number of probed points that the table came from.
     pub(crate) fn points(&self) -> usize {
         self.table.points()
     }

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 /// The law is asked this often between two rows, s, but at most [`MOST_TICKS`] times: rows may be minutes apart.
 const PERIOD_S: f64 = 0.01;
-/// See [`PERIOD_S`].
+/// Most ticks of the law between two rows; see [`PERIOD_S`].
 const MOST_TICKS: f64 = 20.0;
 
 /// What the law is run with, where the shift does not say.
@@ -24,9 +24,9 @@ const MOST_TICKS: f64 = 20.0;
 pub struct Options {
     /// The axes as the configuration has them; those it lacks are taken as [`Options::axis`] makes them.
     pub axes: Vec<AxisSetup>,
-    /// See [`Corrector::new`], µm/s.
+    /// How fast a total goes to a new place that no motion asks for, µm/s (see [`Corrector::new`]).
     pub ramp_um_s: f64,
-    /// See [`Corrector::new`], s.
+    /// How long before the axes are there the law is asked, s (see [`Corrector::new`]).
     pub lead_s: f64,
 }
 
@@ -53,7 +53,7 @@ impl Options {
 /// What changes on one axis. A positive total takes out a positive error.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AxisChange {
-    /// The axis.
+    /// Name of the axis.
     pub axis: String,
     /// What one count is worth, µm.
     pub count_um: f64,
@@ -61,7 +61,7 @@ pub struct AxisChange {
     pub largest_um: [f64; 2],
     /// Largest change from one to the other, µm.
     pub change_um: f64,
-    /// When, s.
+    /// When the change is largest, s on the shift's clock.
     pub change_at_s: f64,
     /// Root of the mean squared change, µm.
     pub change_rms_um: f64,
@@ -77,7 +77,7 @@ pub struct AxisChange {
 /// What a rehearsal found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Rehearsal {
-    /// Per axis.
+    /// One entry per axis of the shift.
     pub axes: Vec<AxisChange>,
     /// Share of the rows on which an effect of the new model was outside its range, by effect.
     pub outside: BTreeMap<String, f64>,

@@ -78,7 +78,7 @@ struct Lag {
     /// It has followed its input without a gap since then, s.
     since_s: f64,
     last_s: f64,
-    /// It was in equilibrium when it began.
+    /// It was in equilibrium with its input when it began to follow.
     settled: bool,
 }
 

@@ -28,7 +28,7 @@ pub(crate) struct Total {
 
 /// What bears on a total at one tick.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted {
+pub(crate) struct TickInputs {
     /// What the sources ask for, µm.
     pub um: f64,
     /// The total that the engine has been asked for, counts.
@@ -70,7 +70,7 @@ impl Total {
         (self.rounded(um) + self.operator_counts).clamp(-self.max_counts, self.max_counts)
     }
 
-    /// The same, limit aside.
+    /// The total of [`Self::goal`], counts, without the limit.
     pub(crate) fn unlimited(&self, um: f64) -> i64 {
         self.rounded(um) + self.operator_counts
     }
@@ -87,8 +87,8 @@ impl Total {
     }
 
     /// The total to ask for now; none where it stands already.
-    pub(crate) fn next(&mut self, wanted: Wanted) -> Option<i64> {
-        let Wanted { um, requested, ramp_um, changed, moved, last } = wanted;
+    pub(crate) fn next(&mut self, wanted: TickInputs) -> Option<i64> {
+        let TickInputs { um, requested, ramp_um, changed, moved, last } = wanted;
         if !self.following {
             // Where the axis is: what it was asked for before counts, wherever that came from.
             self.following = true;
@@ -159,8 +159,8 @@ impl Total {
 mod tests {
     use super::*;
 
-    fn wanted(um: f64, requested: i64) -> Wanted {
-        Wanted { um, requested, ramp_um: 0.05, changed: false, moved: false, last: false }
+    fn wanted(um: f64, requested: i64) -> TickInputs {
+        TickInputs { um, requested, ramp_um: 0.05, changed: false, moved: false, last: false }
     }
 
     fn following() -> Total {
@@ -183,7 +183,7 @@ mod tests {
     #[test]
     fn an_axis_that_moves_is_followed_more_closely() {
         let mut total = following();
-        let moved = |um, requested| Wanted { moved: true, ..wanted(um, requested) };
+        let moved = |um, requested| TickInputs { moved: true, ..wanted(um, requested) };
         assert_eq!(total.next(moved(1.19, 0)), None);
         assert_eq!(total.next(moved(1.21, 0)), Some(2));
         assert_eq!(total.next(wanted(0.79, 2)), None, "it stands now");
@@ -202,7 +202,7 @@ mod tests {
     #[test]
     fn a_changed_source_is_a_ramp_and_motion_is_not() {
         let mut total = following();
-        assert_eq!(total.next(Wanted { changed: true, ..wanted(8.0, 0) }), None);
+        assert_eq!(total.next(TickInputs { changed: true, ..wanted(8.0, 0) }), None);
         let mut requested = 0;
         let steps = (0..200).filter(|_| {
             let next = total.next(wanted(8.0, requested));

@@ -99,12 +99,12 @@ impl Bench {
         totals
     }
 
-    /// Evaluations for so long, with the sensors heard every second; the largest step of an axis's total.
+    /// Evaluations for so long, with a reading of every sensor each second; the largest step of an axis's total.
     fn run(&mut self, s: f64, axis: usize, mut degc: impl FnMut(f64) -> Option<(f64, f64)>) -> i64 {
-        let (until, mut heard, mut largest) = (self.now_s + s, self.now_s, 0);
+        let (until, mut due_s, mut largest) = (self.now_s + s, self.now_s, 0);
         while self.now_s < until {
-            if self.now_s >= heard {
-                heard += 1.0;
+            if self.now_s >= due_s {
+                due_s += 1.0;
                 if let Some((t1, t2)) = degc(self.now_s) {
                     self.warm(t1, t2);
                 }

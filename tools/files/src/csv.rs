@@ -162,7 +162,7 @@ pub struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    /// Its line, from 1.
+    /// Line of the file, from 1.
     #[must_use]
     pub fn line(&self) -> usize {
         self.line
@@ -234,7 +234,7 @@ impl<'a> Row<'a> {
 #[derive(Debug)]
 pub struct Cells<'a> {
     row: Row<'a>,
-    /// Where the next cell begins, in bytes.
+    /// Start of the next cell in the row, bytes; none after the last.
     next: Option<usize>,
     /// There is a quote somewhere in the row.
     quotes: bool,
@@ -330,7 +330,7 @@ impl<'a> Cell<'a> {
         self.row.at(self.start, found, expected)
     }
 
-    /// Its column in characters, from 1.
+    /// Column of the cell's first character, from 1.
     #[must_use]
     pub fn column(&self) -> usize {
         self.said("", "").column
@@ -387,7 +387,7 @@ impl Header {
         self.names.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Its line, from 1.
+    /// Line of the file, from 1.
     #[must_use]
     pub fn line(&self) -> usize {
         self.line

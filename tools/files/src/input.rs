@@ -12,7 +12,7 @@ pub struct InputError {
     pub line: usize,
     /// Column in characters, from 1; 0 where the finding concerns the whole line.
     pub column: usize,
-    /// What was found.
+    /// What stands there.
     pub found: String,
     /// What was expected, and how to mend it.
     pub expected: String,

@@ -12,7 +12,10 @@
 //! | [`write`] | files that appear whole or not at all |
 //! | [`words`] | the word that was probably meant |
 //!
-//! No format of the layers above lives here (records, models, configurations): only what they are made of.
+//! Private: `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
+//!
+//! What must not live here: the formats of the crates above (records, models, configurations), only what they are made
+//! of; engine, machine and law are unknown.
 
 pub mod csv;
 pub mod input;

@@ -12,7 +12,7 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// A parsed file.
+/// A parsed TOML file that still knows where each value stands.
 #[derive(Debug)]
 pub struct Document<'t> {
     file: &'t Path,
@@ -161,7 +161,7 @@ pub struct Entry<'d> {
 }
 
 impl<'d> Entry<'d> {
-    /// The key.
+    /// The key as the file has it.
     #[must_use]
     pub fn key(&self) -> &'d str {
         self.key
@@ -366,16 +366,16 @@ fn pair(value: &DeValue<'_>) -> Option<[f64; 2]> {
 
 /// A file whose every finding is collected.
 #[derive(Debug)]
-pub struct Source<'a> {
+pub struct SourceFile<'a> {
     /// The file, as the user named it.
     pub file: &'a Path,
-    /// Its text.
+    /// The file's whole text: findings take their line and column from it.
     pub text: &'a str,
     /// What was found wrong so far.
     pub findings: Vec<InputError>,
 }
 
-impl Source<'_> {
+impl SourceFile<'_> {
     /// Adds a finding at a byte of the text.
     pub fn finding(&mut self, offset: usize, found: impl Into<String>, expected: impl Into<String>) {
         self.findings.push(InputError::at_offset(self.file, self.text, offset, found, expected));
@@ -390,18 +390,18 @@ impl Source<'_> {
 /// A value and the byte of the text at which it stands.
 #[derive(Debug, Clone, Copy)]
 pub struct At<T> {
-    /// The value.
+    /// The value, checked.
     pub value: T,
-    /// Where it stands.
+    /// Where the value stands in the text, bytes from the start.
     pub offset: usize,
 }
 
 /// A table whose keys are asked for once each: what nobody asked for is a finding.
 #[derive(Debug)]
 pub struct Section<'a> {
-    /// As a person writes it: `[card]`.
+    /// The section as a person writes it: `[card]`.
     pub title: &'static str,
-    /// Where it begins.
+    /// Where the section begins in the text, bytes from the start.
     pub offset: usize,
     table: Option<Table<'a>>,
     asked: Vec<&'static str>,
@@ -431,14 +431,19 @@ impl<'a> Section<'a> {
 
     /// The table under a key, or an absent one.
     #[must_use]
-    pub fn table(&mut self, source: &mut Source<'_>, key: &'static str, title: &'static str) -> Self {
+    pub fn table(&mut self, source: &mut SourceFile<'_>, key: &'static str, title: &'static str) -> Self {
         let Some(entry) = self.take(key) else { return Self::of(title, self.offset, None) };
         let table = source.keep(entry.table(&format!("a table, written {title}")));
         Self::of(title, entry.offset(), table)
     }
 
     /// The tables of an array of tables.
-    pub fn tables(&mut self, source: &mut Source<'_>, key: &'static str, title: &'static str) -> Vec<Self> {
+    pub fn tables(
+        &mut self,
+        source: &mut SourceFile<'_>,
+        key: &'static str,
+        title: &'static str,
+    ) -> Vec<Self> {
         let Some(entry) = self.take(key) else { return Vec::new() };
         let tables = source.keep(entry.tables(&format!("{title}, one per {key}"))).unwrap_or_default();
         tables.into_iter().map(|table| Self::of(title, table.start, Some(table))).collect()
@@ -447,7 +452,7 @@ impl<'a> Section<'a> {
     /// The value of a key, if it is there and as `parse` wants it.
     pub fn value<T>(
         &mut self,
-        source: &mut Source<'_>,
+        source: &mut SourceFile<'_>,
         key: &'static str,
         expected: impl Display,
         parse: impl FnOnce(Entry<'a>) -> Option<T>,
@@ -460,7 +465,7 @@ impl<'a> Section<'a> {
     /// A text that is not empty.
     pub fn string(
         &mut self,
-        source: &mut Source<'_>,
+        source: &mut SourceFile<'_>,
         key: &'static str,
         expected: &str,
     ) -> Option<At<&'a str>> {
@@ -470,7 +475,7 @@ impl<'a> Section<'a> {
     /// One of several words; the first `offered` of them are those a person is told of.
     pub fn choice<T: Copy>(
         &mut self,
-        source: &mut Source<'_>,
+        source: &mut SourceFile<'_>,
         key: &'static str,
         offered: usize,
         choices: &[(&str, T)],
@@ -490,7 +495,7 @@ impl<'a> Section<'a> {
     /// A whole number within bounds.
     pub fn integer(
         &mut self,
-        source: &mut Source<'_>,
+        source: &mut SourceFile<'_>,
         key: &'static str,
         range: RangeInclusive<i64>,
     ) -> Option<At<i64>> {
@@ -499,21 +504,21 @@ impl<'a> Section<'a> {
     }
 
     /// A finite number above 0 and up to `high`.
-    pub fn positive(&mut self, source: &mut Source<'_>, key: &'static str, high: f64) -> Option<At<f64>> {
+    pub fn positive(&mut self, source: &mut SourceFile<'_>, key: &'static str, high: f64) -> Option<At<f64>> {
         self.value(source, key, format!("a number above 0, up to {high}"), |v| {
             v.as_number().filter(|n| *n > 0.0 && *n <= high)
         })
     }
 
     /// A finite number within ±`limit`.
-    pub fn signed(&mut self, source: &mut Source<'_>, key: &'static str, limit: f64) -> Option<At<f64>> {
+    pub fn signed(&mut self, source: &mut SourceFile<'_>, key: &'static str, limit: f64) -> Option<At<f64>> {
         self.value(source, key, format!("a number from -{limit} to {limit}"), |v| {
             v.as_number().filter(|n| n.abs() <= limit)
         })
     }
 
     /// Says that a key must be there.
-    pub fn missing(&self, source: &mut Source<'_>, key: &str, meaning: &str) {
+    pub fn missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
         let found = format!("no {key} in {}", self.title);
         source.finding(self.offset, found, format!("{key}: {meaning}"));
     }
@@ -521,7 +526,7 @@ impl<'a> Section<'a> {
     /// A key that must be there: reports it where it is missing.
     pub fn required<T>(
         &self,
-        source: &mut Source<'_>,
+        source: &mut SourceFile<'_>,
         key: &str,
         meaning: &str,
         value: Option<T>,
@@ -533,7 +538,7 @@ impl<'a> Section<'a> {
     }
 
     /// Reports every key that nobody asked for.
-    pub fn finish(self, source: &mut Source<'_>) {
+    pub fn finish(self, source: &mut SourceFile<'_>) {
         for entry in self.table.iter().flat_map(Table::entries) {
             if !self.asked.contains(&entry.key()) {
                 source.findings.push(entry.unknown(&self.title, &self.asked));

@@ -10,7 +10,7 @@ use crate::text::unreadable;
 use crate::vcd::Vcd;
 use crate::write::WholeFile;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{Request, TracePoint};
+use rtec_driver::replay::{RequestedTotal, TracePoint};
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -171,7 +171,7 @@ impl<R: Read> RequestReader<R> {
         Ok(Self { rows, last_ns: 0, done: false })
     }
 
-    fn row(&mut self) -> Result<Option<Request>, InputError> {
+    fn row(&mut self) -> Result<Option<RequestedTotal>, InputError> {
         let Some(row) = self.rows.row()? else { return Ok(None) };
         let [t, requested] = row.exactly(["t_ns", "requested"])?;
         let t_ns = t.number(TIME)?;
@@ -180,12 +180,12 @@ impl<R: Read> RequestReader<R> {
         }
         let requested = requested.number("a whole number of counts")?;
         self.last_ns = t_ns;
-        Ok(Some(Request { t_ns, requested }))
+        Ok(Some(RequestedTotal { t_ns, requested }))
     }
 }
 
 impl<R: Read> Iterator for RequestReader<R> {
-    type Item = Result<Request, InputError>;
+    type Item = Result<RequestedTotal, InputError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.done {

@@ -4,7 +4,7 @@
 
 use proptest::prelude::*;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{Request, TracePoint};
+use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_files::InputError;
 use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, TraceWriter};
 use std::io::Read;
@@ -199,7 +199,7 @@ fn requests_and_their_errors() {
         |text: &str| RequestReader::new(Path::new("r"), text.as_bytes())?.collect::<Result<Vec<_>, _>>();
     assert_eq!(
         read("t_ns,requested\n0,2\n5,-40 # back\n5,-42\n").unwrap(),
-        [(0, 2), (5, -40), (5, -42)].map(|(t_ns, requested)| Request { t_ns, requested })
+        [(0, 2), (5, -40), (5, -42)].map(|(t_ns, requested)| RequestedTotal { t_ns, requested })
     );
     assert_eq!(read("t_ns,requested\n").unwrap(), []);
     let table = [

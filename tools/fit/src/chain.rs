@@ -16,10 +16,10 @@ use toml_edit::{DocumentMut, Item, TableLike, Value, value};
 /// What one µm or µrad of a coefficient must make of a response at the least, µm.
 const SEEN_UM: f64 = 1e-4;
 
-/// A coefficient found.
+/// One fitted coefficient of a chain's component.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TermFound {
-    /// The joint's name.
+    /// Name of the joint.
     pub joint: String,
     /// The component, as `dx`.
     pub component: String,
@@ -28,16 +28,16 @@ pub struct TermFound {
     /// Power of the temperature difference, K.
     #[serde(rename = "dT")]
     pub dt: u8,
-    /// µm or µrad.
+    /// The coefficient: µm for a displacement, µrad for a tilt.
     pub value: f64,
-    /// 95 % interval.
+    /// Ends of its 95 % interval, in the same unit.
     pub interval: [f64; 2],
 }
 
 /// What a fit of a chain's components found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChainReport {
-    /// The coefficients.
+    /// The fitted coefficients.
     pub terms: Vec<TermFound>,
     /// RMS per record and response, its own zero taken off, µm: before, and after.
     pub rms_um: Vec<(PathBuf, String, [f64; 2])>,
@@ -48,8 +48,8 @@ pub struct ChainReport {
 
 /// A record with the point that it measured.
 #[derive(Debug, Clone, Copy)]
-pub struct Run<'r> {
-    /// The record.
+pub struct ChainRun<'r> {
+    /// The run that measured it.
     pub record: &'r Record,
     /// The point in the last frame of the tool branch, mm; the chain's own tool point where it is not given. The same
     /// path measured at two points tells a rotation from a displacement.
@@ -99,7 +99,7 @@ fn places(chain: &Chain, components: &[String]) -> Result<Vec<Place>, InputError
 pub fn fit(
     chain: &Chain,
     components: &[String],
-    runs: &[Run<'_>],
+    runs: &[ChainRun<'_>],
 ) -> Result<(Chain, ChainReport), InputError> {
     let places = places(chain, components)?;
     let mut now = chain.clone();
@@ -107,7 +107,7 @@ pub fn fit(
         chain.joints[j].components[c].terms[t].coefficient = v;
     };
     let get = |chain: &Chain, [j, c, t]: Place| chain.joints[j].components[c].terms[t].coefficient;
-    let says = |chain: &Chain, run: &Run<'_>, role: &Role| {
+    let says = |chain: &Chain, run: &ChainRun<'_>, role: &Role| {
         let mut out = vec![0.0; run.record.rows()];
         let mut chain = chain.clone();
         chain.tool_mm = run.tool_mm.unwrap_or(chain.tool_mm);

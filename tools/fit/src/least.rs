@@ -18,7 +18,7 @@ const BLOCKS: usize = 10;
 /// Two columns are one when what sets one apart from the others is smaller than this share of it.
 const DEPENDENT: f64 = 1e-5;
 
-/// A parameter found.
+/// One parameter of an effect, fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Found {
     pub(crate) value: f64,
@@ -125,7 +125,7 @@ impl Problem {
 /// What a fit of named effects found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NamedReport {
-    /// The effects.
+    /// The fitted effects with their intervals.
     pub effects: Vec<Fitted>,
     /// RMS per response over all records, each record's own zero taken off, µm: before, and after.
     pub rms_um: Vec<(String, [f64; 2])>,

@@ -108,10 +108,10 @@ fn of_axis(
         .enumerate()
         .map(|(n, tool)| measure(truth, *tool, &path, noise_um, 7 + n as u64))
         .collect();
-    let runs: Vec<chain_fit::Run<'_>> = records
+    let runs: Vec<chain_fit::ChainRun<'_>> = records
         .iter()
         .zip(offsets)
-        .map(|(record, tool)| chain_fit::Run { record, tool_mm: Some(tool) })
+        .map(|(record, tool)| chain_fit::ChainRun { record, tool_mm: Some(tool) })
         .collect();
     chain_fit::fit(chain, names, &runs).unwrap()
 }
@@ -150,7 +150,7 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::TermFound>, PathBuf, temp
     let runs: Vec<_> = records
         .iter()
         .zip(tools)
-        .map(|(record, tool)| chain_fit::Run { record, tool_mm: Some(tool) })
+        .map(|(record, tool)| chain_fit::ChainRun { record, tool_mm: Some(tool) })
         .collect();
     let names: Vec<String> = ["dx", "dy", "dz", "ex", "ey"].iter().map(|c| format!("spindle.{c}")).collect();
     let (fitted, report) = chain_fit::fit(&chain, &names, &runs).unwrap();
@@ -233,7 +233,7 @@ fn turning_centre_component_by_component() {
         let runs: Vec<_> = records
             .iter()
             .zip(tools)
-            .map(|(record, tool)| chain_fit::Run { record, tool_mm: Some(tool) })
+            .map(|(record, tool)| chain_fit::ChainRun { record, tool_mm: Some(tool) })
             .collect();
         let names: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
         chain_fit::fit(chain, &names, &runs).unwrap().0
@@ -276,7 +276,7 @@ fn turning_centre_component_by_component() {
 fn what_a_record_does_not_determine_is_refused() {
     let truth = Chain::read(&data("three_axis.toml")).unwrap();
     let record = measure(&truth, truth.tool_mm, &stroke(0, 200.0, COLD), 0.0, 1);
-    let run = [chain_fit::Run { record: &record, tool_mm: None }];
+    let run = [chain_fit::ChainRun { record: &record, tool_mm: None }];
     for (component, found) in [
         ("z slide.dz", "do not determine z slide.dz"),
         // Nothing warms.

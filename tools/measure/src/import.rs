@@ -141,10 +141,10 @@ pub fn linuxcnc_comp(
 
 /// A column of a CSV that is to be imported.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Wanted {
-    /// Its name in the header.
+pub struct ImportColumn {
+    /// The column's name in the header.
     pub column: String,
-    /// What it is.
+    /// The role it takes in the record.
     pub role: Role,
     /// What the file has it in: factor to the role's own unit, and what to add then.
     pub scale: [f64; 2],
@@ -173,7 +173,7 @@ const UNITS: [(&str, &[Unit]); 8] = [
     ("N", &[("kN", 1e3, 0.0), ("lbf", 4.448_221_615_260_5, 0.0)]),
 ];
 
-impl Wanted {
+impl ImportColumn {
     /// `NAME=ROLE` or `NAME=ROLE:UNIT`, as `gauge=error.z:mm`.
     ///
     /// # Errors
@@ -209,7 +209,13 @@ impl Wanted {
 /// # Errors
 /// A wanted column that is not there or there twice, a row that is too short or too long, a field that is no number; and
 /// what [`Record::new`] finds.
-pub fn csv(from: &Path, text: &str, wanted: &[Wanted], kind: Kind, to: &Path) -> Result<Record, InputError> {
+pub fn csv(
+    from: &Path,
+    text: &str,
+    wanted: &[ImportColumn],
+    kind: Kind,
+    to: &Path,
+) -> Result<Record, InputError> {
     let mut reader = Reader::new(from, text.as_bytes())?;
     let header = reader.header_by_any("a header line")?;
     let decimal_comma = reader.separator() == ';';

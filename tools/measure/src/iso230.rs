@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 /// One target of a positioning run. Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Target {
-    /// Target position.
+    /// Target position, mm.
     pub position_mm: f64,
     /// Mean deviation approaching upwards, x̄↑.
     pub mean_up: Option<f64>,
@@ -18,12 +18,12 @@ pub struct Target {
     pub mean_down: Option<f64>,
     /// Estimator of the standard uncertainty of positioning upwards, s↑.
     pub s_up: Option<f64>,
-    /// The same downwards, s↓.
+    /// Estimator of the standard uncertainty of positioning downwards, s↓.
     pub s_down: Option<f64>,
     /// Reversal value Bᵢ = x̄↑ − x̄↓.
     #[serde(rename = "B")]
     pub reversal: Option<f64>,
-    /// Bidirectional repeatability Rᵢ.
+    /// Bidirectional repeatability of positioning at this target, Rᵢ.
     #[serde(rename = "R")]
     pub repeatability: Option<f64>,
     /// Approaches upwards and downwards.
@@ -218,7 +218,7 @@ impl Positioning {
 /// Thermal drift of one response, ISO 230-3. Ranges in µm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Drift {
-    /// `error.z`
+    /// The response, as `error.z`.
     pub response: String,
     /// Range of displacement within the first 60 minutes, d₆₀.
     pub d_60: f64,
@@ -239,7 +239,7 @@ pub struct Drift {
 /// A sensor during a drift test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SensorDrift {
-    /// Range, K.
+    /// Highest minus lowest temperature of the test, K.
     #[serde(rename = "range_K")]
     pub range_k: f64,
     /// Correlation with the displacement.
@@ -344,7 +344,7 @@ pub struct Circular {
     /// circle.
     #[serde(rename = "G_ccw")]
     pub g_ccw: Option<f64>,
-    /// The same clockwise.
+    /// Circular deviation clockwise.
     #[serde(rename = "G_cw")]
     pub g_cw: Option<f64>,
     /// Bidirectional circular deviation: range over both contours about their common circle.
@@ -356,12 +356,12 @@ pub struct Circular {
     /// Largest and smallest radial deviation about the nominal radius, `F_max` and `F_min`.
     #[serde(rename = "F_max")]
     pub f_max: f64,
-    /// Smallest radial deviation.
+    /// Smallest radial deviation about the nominal radius, `F_min`.
     #[serde(rename = "F_min")]
     pub f_min: f64,
     /// Centre offsets of the set-up, taken out.
     pub centre_um: [f64; 2],
-    /// Mean radial deviation.
+    /// Mean radial deviation: the fitted minus the nominal radius.
     pub radius_um: f64,
     /// Reversal per axis (backlash as `reversal.A`), from both contours together.
     pub reversal: BTreeMap<String, f64>,

@@ -6,7 +6,7 @@ use serde::Serialize;
 /// A linear axis to be characterised.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanAxis {
-    /// Its name.
+    /// The axis's name, as records have it.
     pub name: String,
     /// Travel from its lowest to its highest position, mm.
     pub travel_mm: f64,
@@ -29,7 +29,7 @@ pub struct Step {
     pub run: String,
     /// The columns to record.
     pub columns: Vec<String>,
-    /// How it is evaluated.
+    /// How the record is evaluated.
     pub evaluate: &'static str,
     /// About how long it takes, min.
     pub minutes: f64,

@@ -15,17 +15,17 @@ pub const ALUMINIUM_PER_K: f64 = 23.1e-6;
 /// A plate's fit: measured = scale · R(rotation) · nominal + offset, then a quadrupole.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Plate {
-    /// Holes used.
+    /// Number of holes that the fit used.
     pub holes: usize,
     /// Offset of the measured holes, mm.
     pub offset_mm: [f64; 2],
     /// Scale, measured over nominal.
     pub scale: f64,
-    /// The same as an error, ppm.
+    /// The scale's difference from 1, ppm.
     pub scale_ppm: f64,
-    /// Rotation, degrees, counter-clockwise.
+    /// Rotation of the measured plate, degrees, counter-clockwise positive.
     pub rotation_deg: f64,
-    /// The same as `rotation.x.y`, µrad.
+    /// The rotation as the effect `rotation.x.y` has it, µrad.
     pub rotation_urad: f64,
     /// RMS of the residual's length after offset, scale and rotation, µm.
     pub rms_um: f64,

@@ -23,7 +23,7 @@ pub struct Series {
     pub label: String,
     /// (x, y), in the chart's units.
     pub points: Vec<(f64, f64)>,
-    /// How it is drawn.
+    /// Line, dots, bars or band.
     pub style: Style,
 }
 
@@ -45,7 +45,7 @@ impl Series {
 /// A chart with its axes' labels (with units).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Chart {
-    /// Title.
+    /// What stands above the plot.
     pub title: String,
     /// Label of the x axis, with its unit.
     pub x: String,

@@ -91,7 +91,7 @@ pub fn to_csv(record: &Record) -> String {
     out
 }
 
-/// The sidecar's text.
+/// The text of a record's sidecar (`NAME.run.toml`).
 #[must_use]
 pub fn to_sidecar(record: &Record) -> String {
     let mut doc = toml_edit::DocumentMut::new();

@@ -103,8 +103,9 @@ fn drift_ranges_and_rate() {
 fn a_csv_comes_in_with_its_own_names_units_and_commas() {
     let text = "\u{feff}Zeit;T1;\"Luft\";Weg\r\n0;20,0;68,0;0,0000\r\n1;20,5;69,8;-0,0010\r\n";
     let text = text.trim_start_matches('\u{feff}');
-    let wanted =
-        |columns: &[&str]| columns.iter().map(|c| import::Wanted::parse(c).unwrap()).collect::<Vec<_>>();
+    let wanted = |columns: &[&str]| {
+        columns.iter().map(|c| import::ImportColumn::parse(c).unwrap()).collect::<Vec<_>>()
+    };
     let read = |text: &str, columns: &[&str]| {
         import::csv(Path::new("g.csv"), text, &wanted(columns), Kind::Drift, Path::new("g.run.toml"))
     };
@@ -138,7 +139,7 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
         ("t=time:day", "s, ns, us, ms, min, h"),
         ("t=cycle:s", "a unit of cycle: 1"),
     ] {
-        let (_, wants) = import::Wanted::parse(text).unwrap_err();
+        let (_, wants) = import::ImportColumn::parse(text).unwrap_err();
         assert!(wants.contains(expected), "{text}: {wants}");
     }
 }

@@ -18,9 +18,9 @@ pub const COMPONENTS: [&str; 6] = ["dx", "dy", "dz", "ex", "ey", "ez"];
 /// Which end of the machine a joint carries.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Branch {
-    /// From the bed to the work.
+    /// The branch from the bed to the work.
     Work,
-    /// From the bed to the tool.
+    /// The branch from the bed to the tool.
     Tool,
 }
 
@@ -31,38 +31,38 @@ pub struct Term {
     pub position: u8,
     /// Power of the temperature difference, K.
     pub temperature: u8,
-    /// µm or µrad.
+    /// The coefficient, in µm (displacements) or µrad (tilts).
     pub coefficient: f64,
 }
 
 /// One component of a joint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Component {
-    /// Place among [`COMPONENTS`].
+    /// Which of the six motions it is: index into [`COMPONENTS`].
     pub kind: usize,
     /// The temperature difference of its terms; none where no term has a power of it.
     pub delta: Option<Difference>,
-    /// Its polynomial.
+    /// The polynomial that its error is the sum of.
     pub terms: Vec<Term>,
 }
 
 /// A joint: a frame fixed at an offset from the one before, moved along an axis, with its errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Joint {
-    /// Its name.
+    /// The joint's name.
     pub name: String,
-    /// Which end it carries.
+    /// The branch of the chain that it belongs to.
     pub branch: Branch,
     /// The axis whose position moves it, with the direction in the machine's frame; none for a joint at rest
     /// (spindle, tool post).
     pub axis: Option<(Axis, [f64; 3])>,
     /// Offset from the frame before, mm.
     pub offset_mm: [f64; 3],
-    /// Its components.
+    /// Its error motions; those not listed are zero.
     pub components: Vec<Component>,
 }
 
-/// A kinematic chain.
+/// A kinematic chain from the workpiece to the tool.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
     /// The joints of each branch in order from the bed.

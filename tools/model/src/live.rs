@@ -22,26 +22,26 @@ const DEFAULT_HALF_WIDTH_UM: f64 = 1.0;
 /// Where the values of a [`Frame`] stand: names of axes, sensors and channels, in the frame's order.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Layout {
-    /// Axes.
+    /// Names of the axes.
     pub axes: Vec<Axis>,
-    /// Temperature sensors.
+    /// Names of the temperature sensors.
     pub sensors: Vec<String>,
-    /// Other logged channels.
+    /// Names of the other logged channels.
     pub channels: Vec<String>,
 }
 
 /// One axis at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AxisNow {
-    /// Position, mm.
+    /// Position by the scale, mm.
     pub position_mm: f64,
-    /// Velocity, mm/s.
+    /// Velocity with its sign, mm/s.
     pub velocity_mm_s: f64,
-    /// Acceleration, mm/s².
+    /// Acceleration with its sign, mm/s².
     pub acceleration_mm_s2: f64,
     /// Direction of approach, −1, 0, +1. An axis at rest keeps that of its last motion.
     pub direction: f64,
-    /// Load, N.
+    /// Load on the axis, N.
     pub load_n: f64,
 }
 
@@ -56,15 +56,15 @@ impl AxisNow {
 /// The machine at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Frame<'a> {
-    /// Time, s.
+    /// Time on the caller's clock, s; never decreasing.
     pub t_s: f64,
-    /// Per axis of the layout.
+    /// State of every axis of the layout.
     pub axes: &'a [AxisNow],
-    /// Per sensor of the layout, °C.
+    /// Temperature of every sensor of the layout, °C.
     pub temperatures_degc: &'a [f64],
-    /// Per channel of the layout.
+    /// Value of every channel of the layout, in the unit it is logged in.
     pub channels: &'a [f64],
-    /// Spindle speed, rpm.
+    /// Speed of the spindle, rpm.
     pub rpm: f64,
     /// Coolant, on when above one half.
     pub coolant: f64,
@@ -110,7 +110,7 @@ struct Item {
 /// One effect at the last instant.
 #[derive(Debug, Clone, Copy)]
 pub struct Part<'l> {
-    /// The effect.
+    /// The effect that is evaluated.
     pub effect: &'l Effect,
     /// What it was worth (µm or N; the second value is a pair's second axis).
     pub value: [f64; 2],

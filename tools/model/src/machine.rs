@@ -34,7 +34,7 @@ pub fn unknown_um(
 /// A record that something was fitted on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Source {
-    /// The record's CSV.
+    /// Name of the record's CSV.
     pub file: String,
     /// SHA-256 of it, in hexadecimal.
     pub sha256: String,
@@ -89,7 +89,7 @@ fn named_from(folder: &Path, path: &Path) -> PathBuf {
 /// Where an effect comes from. All of it may be absent, as in what a person writes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Provenance {
-    /// Who or what added it.
+    /// The program or person that added the effect.
     pub added_by: Option<String>,
     /// The date, as ISO 8601.
     pub date: Option<String>,
@@ -102,9 +102,9 @@ pub struct Provenance {
 /// An effect of a machine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Listed {
-    /// The effect.
+    /// The effect with its parameters.
     pub effect: Effect,
-    /// Where it comes from.
+    /// Records, dates and intervals that the effect comes with.
     pub provenance: Provenance,
 }
 
@@ -130,7 +130,7 @@ impl Validity {
 /// What a fit says about itself: which response, when, on what, how good, how long it may be trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitNote {
-    /// `error.z`
+    /// The response that was fitted, as `error.z`.
     pub response: String,
     /// The date of the fit, as ISO 8601.
     pub date: String,
@@ -142,11 +142,11 @@ pub struct FitNote {
     pub half_width_um: f64,
     /// Where it is valid: outside of these, the interval is wider.
     pub valid: Vec<Validity>,
-    /// The records.
+    /// The records that it was fitted on.
     pub from: Vec<Source>,
 }
 
-/// A machine model.
+/// A machine model: the content of one `machine.toml`.
 #[derive(Debug, Clone)]
 pub struct Machine {
     /// The file, as the user named it.
@@ -262,7 +262,7 @@ impl Machine {
         &self.sha256
     }
 
-    /// The machine's name.
+    /// The machine's name, as `name` has it.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name

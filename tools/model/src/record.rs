@@ -196,7 +196,7 @@ impl Kind {
         Self::ALL.iter().find(|(name, _)| *name == text).map(|&(_, kind)| kind)
     }
 
-    /// Its name in a sidecar.
+    /// The kind's name in a sidecar.
     #[must_use]
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
@@ -208,9 +208,9 @@ impl Kind {
 pub struct Column {
     /// Name in the CSV's header; a temperature's or channel's name.
     pub name: String,
-    /// What it is.
+    /// What the column holds.
     pub role: Role,
-    /// Its unit, as written.
+    /// The column's unit, as the sidecar writes it.
     pub unit: String,
     /// One value per row.
     pub data: Vec<f64>,
@@ -311,7 +311,7 @@ impl Record {
         }
     }
 
-    /// Number of rows.
+    /// Number of rows, equal in every column.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.time_s.len()
@@ -329,7 +329,7 @@ impl Record {
         self.columns.iter().find(|c| c.role == *role)
     }
 
-    /// Its values.
+    /// The values of the column of a role that can stand only once, in the role's unit.
     #[must_use]
     pub fn data(&self, role: &Role) -> Option<&[f64]> {
         self.column(role).map(|c| c.data.as_slice())
@@ -410,7 +410,7 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
     }
 }
 
-/// Bytes in hexadecimal.
+/// Bytes as lower-case hexadecimal digits.
 #[must_use]
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut s, b| {

@@ -20,7 +20,7 @@ struct Series {
 /// What the batch's errors at a place are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Finding {
+pub enum BatchFinding {
     /// No error beyond chance and beyond the smallest that matters.
     Nothing,
     /// The same on every part, and probing on the machine saw it too (or was not given).
@@ -33,13 +33,13 @@ pub enum Finding {
 
 /// The statistics of one place.
 #[derive(Debug, Clone, Serialize)]
-pub struct Place {
-    /// Feature.
+pub struct PlaceStatistics {
+    /// Name of the feature, as the file has it.
     pub feature: String,
     /// Angle on it from the part's +Z, where the file gives one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub angle_rad: Option<f64>,
-    /// Parts measured.
+    /// Number of parts measured at this place.
     pub parts: usize,
     /// Mean error, in µm.
     pub mean_um: f64,
@@ -56,8 +56,8 @@ pub struct Place {
     /// What probing on the machine saw there, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on_machine_um: Option<f64>,
-    /// What it is.
-    pub finding: Finding,
+    /// What the statistics amount to.
+    pub finding: BatchFinding,
 }
 
 /// How strict the judgement is.
@@ -69,14 +69,14 @@ pub struct Judgement {
     pub least_um: f64,
 }
 
-/// The batch, judged.
+/// A batch of parts, judged place by place.
 #[derive(Debug, Clone, Serialize)]
 pub struct Batch {
     /// Every place, features and angles ascending.
-    pub places: Vec<Place>,
+    pub places: Vec<PlaceStatistics>,
     /// Systematic errors by angle: to be added to the table's errors, if the user decides so.
     pub offer_table: Vec<PointError>,
-    /// In words: what is offered, to whom.
+    /// What is offered and to whom, in words.
     pub offers: Vec<String>,
 }
 
@@ -100,7 +100,7 @@ pub fn evaluate_text(
     judgement: Judgement,
 ) -> Result<Batch, InputError> {
     let series = read(file, text)?;
-    let mut places: Vec<Place> = series.iter().map(|s| statistics(s, seen)).collect();
+    let mut places: Vec<PlaceStatistics> = series.iter().map(|s| statistics(s, seen)).collect();
     let means: Vec<f64> = places.iter().map(|p| p.p_value).collect();
     let trends: Vec<f64> = places.iter().map(|p| p.trend_p_value).collect();
     let (means, trends) = (holm(&means), holm(&trends));
@@ -108,20 +108,20 @@ pub fn evaluate_text(
         (p.p_value, p.trend_p_value) = (means[i], trends[i]);
         let drift_um = (p.trend_um_per_part * (p.parts - 1) as f64).abs();
         p.finding = if p.trend_p_value < judgement.alpha && drift_um > judgement.least_um {
-            Finding::Trend
+            BatchFinding::Trend
         } else if p.p_value < judgement.alpha && p.mean_um.abs() > judgement.least_um {
             // Seen: most of it, and with its sign.
             match p.seen_on_machine_um {
-                Some(on_machine) if on_machine / p.mean_um < 0.5 => Finding::NotObservable,
-                _ => Finding::Systematic,
+                Some(on_machine) if on_machine / p.mean_um < 0.5 => BatchFinding::NotObservable,
+                _ => BatchFinding::Systematic,
             }
         } else {
-            Finding::Nothing
+            BatchFinding::Nothing
         };
     }
     let offer_table: Vec<PointError> = places
         .iter()
-        .filter(|p| p.finding == Finding::Systematic)
+        .filter(|p| p.finding == BatchFinding::Systematic)
         .filter_map(|p| Some(PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None }))
         .collect();
     let offers = places.iter().filter_map(offer).collect();
@@ -173,7 +173,7 @@ fn two_sided(t: f64, freedom: usize) -> f64 {
     }
 }
 
-fn statistics(series: &Series, seen: Option<&[PointError]>) -> Place {
+fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let (e, n) = (&series.errors_um, series.errors_um.len());
     let mean = e.iter().sum::<f64>() / n as f64;
     let sd = crate::fit::sd(e, |_| true);
@@ -188,7 +188,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> Place {
         let at = |e: &&PointError| (e.angle_rad - angle).abs();
         seen.iter().min_by(|a, b| at(a).total_cmp(&at(b))).filter(|e| at(e) < 0.05).map(|e| e.error_um)
     });
-    Place {
+    PlaceStatistics {
         feature: series.feature.clone(),
         angle_rad: series.angle_rad,
         parts: n,
@@ -199,7 +199,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> Place {
         trend_um_per_part: slope,
         trend_p_value: two_sided(slope / slope_error, n - 2),
         seen_on_machine_um,
-        finding: Finding::Nothing,
+        finding: BatchFinding::Nothing,
     }
 }
 
@@ -216,25 +216,25 @@ fn holm(p: &[f64]) -> Vec<f64> {
     corrected
 }
 
-fn offer(p: &Place) -> Option<String> {
+fn offer(p: &PlaceStatistics) -> Option<String> {
     let at = p.angle_rad.map_or(String::new(), |a| format!(" at {a:.4} rad"));
     let (name, mean, [low, high]) = (&p.feature, p.mean_um, p.interval_um);
     Some(match p.finding {
-        Finding::Nothing => return None,
-        Finding::Systematic if p.angle_rad.is_some() => {
+        BatchFinding::Nothing => return None,
+        BatchFinding::Systematic if p.angle_rad.is_some() => {
             format!("{name}{at}: add {mean:+.1} µm ({low:+.1} to {high:+.1}) to the correction table")
         }
-        Finding::Systematic => {
+        BatchFinding::Systematic => {
             format!(
                 "{name}: {mean:+.1} µm ({low:+.1} to {high:+.1}) on every part: a tool or work offset of the table"
             )
         }
-        Finding::NotObservable => format!(
+        BatchFinding::NotObservable => format!(
             "{name}{at}: {mean:+.1} µm ({low:+.1} to {high:+.1}) not observable by probing on the machine, which saw \
              {:+.1} µm: tool and probe trace the same machine error; it belongs in the machine's model",
             p.seen_on_machine_um.unwrap_or(0.0)
         ),
-        Finding::Trend => format!(
+        BatchFinding::Trend => format!(
             "{name}{at}: {:+.2} µm from part to part: wear or temperature; look at the tool, the spindle's growth and \
              the model's temperatures before changing a table",
             p.trend_um_per_part

@@ -15,16 +15,16 @@ const MAX_CHORDS: usize = 4096;
 pub enum Segment {
     /// A straight line.
     Line {
-        /// Start.
+        /// Start of the line, mm.
         a: Zx,
-        /// End.
+        /// End of the line, mm.
         b: Zx,
     },
     /// An arc; a negative sweep runs clockwise.
     Arc {
-        /// Centre.
+        /// Centre, mm.
         centre: Zx,
-        /// Radius.
+        /// Radius of the arc.
         radius_mm: f64,
         /// Angle of the start from +Z.
         start_rad: f64,
@@ -33,7 +33,7 @@ pub enum Segment {
     },
     /// A piece of an ellipse.
     Ellipse {
-        /// Centre.
+        /// Centre, mm.
         centre: Zx,
         /// Semi-major axis, from the centre.
         major: Zx,
@@ -41,7 +41,7 @@ pub enum Segment {
         ratio: f64,
         /// Parameter of the start.
         start_rad: f64,
-        /// Signed parameter range.
+        /// Parameter of the end minus that of the start; negative runs clockwise.
         sweep_rad: f64,
     },
     /// A rational B-spline: parabola, hyperbola or any other conic exactly, and free curves.
@@ -55,7 +55,7 @@ pub struct Spline {
     pub degree: usize,
     /// `points + degree + 1` ascending knots.
     pub knots: Vec<f64>,
-    /// Control points.
+    /// Control points, mm.
     pub points: Vec<Zx>,
     /// One positive weight per control point.
     pub weights: Vec<f64>,
@@ -196,7 +196,7 @@ pub fn chords_of_arc(radius_mm: f64, sweep_rad: f64, off_mm: f64) -> usize {
 /// What a feature is to a machinist.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
-pub enum Kind {
+pub enum FeatureKind {
     /// Parallel to the part's axis.
     Cylinder {
         /// Distance from the axis.
@@ -204,21 +204,21 @@ pub enum Kind {
     },
     /// A face, square to the axis.
     Step {
-        /// Where on the axis.
+        /// Position along the part's axis.
         z_mm: f64,
     },
-    /// A cone.
+    /// A cone about the part's axis.
     Taper {
         /// Inclination to the axis.
         angle_deg: f64,
     },
     /// A sphere where its centre is on the axis, else a torus or a fillet.
     Arc {
-        /// Centre, z.
+        /// Position of the centre along the part's axis.
         centre_z_mm: f64,
-        /// Centre, x.
+        /// Distance of the centre from the part's axis.
         centre_x_mm: f64,
-        /// Radius.
+        /// Radius of the arc.
         radius_mm: f64,
     },
     /// An ellipse, a parabola or a free curve.
@@ -230,9 +230,9 @@ pub enum Kind {
 pub struct Feature {
     /// `F1`, `F2`, … in probing order.
     pub name: String,
-    /// What it is.
-    pub kind: Kind,
-    /// Its geometry, run in probing order.
+    /// What it is to a machinist.
+    pub kind: FeatureKind,
+    /// The feature's geometry, run in probing order.
     pub segment: Segment,
     /// The drawing's entity it came from.
     pub entity: String,
@@ -240,18 +240,18 @@ pub struct Feature {
 
 /// A place on the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
-    /// Feature, from 0.
+pub struct SurfacePlace {
+    /// Index of the feature in [`Contour::features`], from 0.
     pub feature: usize,
-    /// From the feature's start.
+    /// Distance along the feature from its start.
     pub along_mm: f64,
-    /// The point.
+    /// The point itself, mm.
     pub at: Zx,
     /// Unit normal, out of the material.
     pub normal: Zx,
 }
 
-/// The whole contour.
+/// The turned part's outline: its features joined end to end.
 #[derive(Debug, Clone)]
 pub struct Contour {
     /// Features in probing order: from the free end (largest Z) towards the chuck.
@@ -263,7 +263,7 @@ pub struct Contour {
     chords: Vec<(usize, Vec<Zx>)>,
 }
 
-impl Kind {
+impl FeatureKind {
     fn of(segment: &Segment) -> Self {
         match segment {
             Segment::Line { a, b } => {
@@ -345,7 +345,7 @@ impl Contour {
             .enumerate()
             .map(|(i, (segment, entity))| Feature {
                 name: format!("F{}", i + 1),
-                kind: Kind::of(&segment),
+                kind: FeatureKind::of(&segment),
                 segment,
                 entity,
             })
@@ -356,20 +356,20 @@ impl Contour {
 
     /// The place at a length along a feature.
     #[must_use]
-    pub fn place(&self, feature: usize, along_mm: f64) -> Place {
+    pub fn place(&self, feature: usize, along_mm: f64) -> SurfacePlace {
         let segment = &self.features[feature].segment;
         let t = segment.parameter(along_mm);
         let d = segment.direction(t);
         let right = Zx::new(d.x, -d.z);
         let normal = if self.material_left { right } else { right * -1.0 };
-        Place { feature, along_mm, at: segment.at(t), normal }
+        SurfacePlace { feature, along_mm, at: segment.at(t), normal }
     }
 
     /// The place of the contour nearest to a point.
     ///
     /// `None` for a contour without features.
     #[must_use]
-    pub fn nearest(&self, p: Zx) -> Option<Place> {
+    pub fn nearest(&self, p: Zx) -> Option<SurfacePlace> {
         let mut best: Option<(f64, usize, f64)> = None;
         for (feature, chords) in &self.chords {
             let mut passed = 0.0;

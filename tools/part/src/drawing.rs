@@ -4,7 +4,7 @@
 //! the axis (X of the machine), as in NISTIR 4854, figures 4 and 7.
 
 use crate::contour::{Contour, Segment, Spline};
-use crate::errors::Report;
+use crate::errors::ErrorReport;
 use crate::fit::Zx;
 use crate::unit::Unit;
 use dxf::entities::{Entity, EntityType};
@@ -58,7 +58,7 @@ pub fn new_dxf() -> Drawing {
     drawing
 }
 
-impl Report {
+impl ErrorReport {
     /// Outline and error bars as DXF (R2000, mm): layers `OUTLINE` and `WHISKER`.
     ///
     /// # Errors

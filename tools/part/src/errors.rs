@@ -1,7 +1,7 @@
 //! Part errors from probed points: probe tip, geometric-thermal correction, fit, `error.cor` and whiskers
 //! (NISTIR 4854, section 3).
 
-use crate::fit::{self, FitError, Fitted, Shape, Zx, sequence};
+use crate::fit::{self, FitError, FitShape, FittedShape, Zx, sequence};
 use crate::svg::Svg;
 use rtec_files::InputError;
 use rtec_files::Sheet;
@@ -70,10 +70,10 @@ pub struct RobustSummary {
 
 /// What the fit found. SDs are sample standard deviations (divisor n − 1).
 #[derive(Debug, Clone, Serialize)]
-pub struct Report {
-    /// `circle` or `line`.
+pub struct ErrorReport {
+    /// What was fitted: `circle` or `line`.
     pub feature: &'static str,
-    /// Points given.
+    /// Number of probed points.
     pub points: usize,
     /// Centre of the circle `[z, x]`, or centroid of the line, in mm.
     pub centre_mm: [f64; 2],
@@ -99,12 +99,12 @@ pub struct Report {
     pub rejected: Vec<usize>,
     /// Largest minus smallest error, in µm.
     pub form_um: f64,
-    /// The robust fit.
+    /// A robust fit beside it, as a check.
     pub robust: RobustSummary,
     /// Errors of all points about the second fit, in the order of the rows.
     pub errors: Vec<PointError>,
     #[serde(skip)]
-    outline: Fitted,
+    outline: FittedShape,
 }
 
 impl Probed {
@@ -218,10 +218,10 @@ impl Probed {
     ///
     /// # Errors
     /// Too few or degenerate points; approaches from both sides of the surface or along it.
-    pub fn errors(&self, nominal: Nominal, tip_mm: f64) -> Result<Report, InputError> {
+    pub fn errors(&self, nominal: Nominal, tip_mm: f64) -> Result<ErrorReport, InputError> {
         let shape = match nominal {
-            Nominal::Circle { .. } => Shape::Circle,
-            Nominal::Line { .. } => Shape::Line,
+            Nominal::Circle { .. } => FitShape::Circle,
+            Nominal::Line { .. } => FitShape::Line,
         };
         let as_input = |e: FitError| {
             InputError::whole(self.sheet.file(), e.to_string(), "points that determine the feature")
@@ -230,19 +230,19 @@ impl Probed {
         let mut two = fit::two_step(shape, points).map_err(as_input)?;
         let robust = fit::robust(shape, points).map_err(as_input)?;
         let side = self.side(&two.fitted)?;
-        if shape == Shape::Line && side < 0.0 {
+        if shape == FitShape::Line && side < 0.0 {
             // A straight feature faces the probe.
             two.fitted = two.fitted.turned();
             two.errors_um.iter_mut().for_each(|e| *e = -*e);
         }
-        let tip = if shape == Shape::Line { tip_mm } else { side * tip_mm };
+        let tip = if shape == FitShape::Line { tip_mm } else { side * tip_mm };
         let surface = moved(&two.fitted, -tip);
         let (centre_mm, radius_mm) = place(&surface);
         let robust_surface = moved(
-            &if shape == Shape::Line && side < 0.0 { robust.fitted.turned() } else { robust.fitted },
+            &if shape == FitShape::Line && side < 0.0 { robust.fitted.turned() } else { robust.fitted },
             -tip,
         );
-        let sign = if shape == Shape::Line { side } else { 1.0 };
+        let sign = if shape == FitShape::Line { side } else { 1.0 };
         let errors: Vec<PointError> = points
             .iter()
             .zip(&two.errors_um)
@@ -252,15 +252,15 @@ impl Probed {
                     angle_rad: two.fitted.normal_at(p).angle_rad(),
                     error_um,
                     along_mm: match two.fitted {
-                        Fitted::Line { through, normal } => Some(along(through, normal)),
-                        Fitted::Circle { .. } => None,
+                        FittedShape::Line { through, normal } => Some(along(through, normal)),
+                        FittedShape::Circle { .. } => None,
                     },
                 }
             })
             .collect();
         let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
         let inclination_deg = match surface {
-            Fitted::Line { normal, .. } => {
+            FittedShape::Line { normal, .. } => {
                 let deg = (-normal.z).atan2(normal.x).to_degrees();
                 Some(if deg > 90.0 {
                     deg - 180.0
@@ -270,7 +270,7 @@ impl Probed {
                     deg
                 })
             }
-            Fitted::Circle { .. } => None,
+            FittedShape::Circle { .. } => None,
         };
         let (size_error_um, inclination_error_deg) = match nominal {
             Nominal::Circle { radius_mm: r } => (radius_mm.map(|f| (f - r) * 1e3), None),
@@ -279,8 +279,8 @@ impl Probed {
             }
         };
         let (robust_centre, robust_radius) = place(&robust_surface);
-        Ok(Report {
-            feature: if shape == Shape::Circle { "circle" } else { "line" },
+        Ok(ErrorReport {
+            feature: if shape == FitShape::Circle { "circle" } else { "line" },
             points: points.len(),
             centre_mm,
             radius_mm,
@@ -305,7 +305,7 @@ impl Probed {
     }
 
     /// +1: probed from outside (against the normal), −1: from inside.
-    fn side(&self, fitted: &Fitted) -> Result<f64, InputError> {
+    fn side(&self, fitted: &FittedShape) -> Result<f64, InputError> {
         let Some(approach) = &self.approach else { return Ok(1.0) };
         let mut side = 0.0;
         for (row, (&d, &p)) in approach.iter().zip(&self.tip_centre).enumerate() {
@@ -340,17 +340,21 @@ fn is_numbered(name: &str) -> bool {
 }
 
 /// The shape moved outward.
-fn moved(fitted: &Fitted, by_mm: f64) -> Fitted {
+fn moved(fitted: &FittedShape, by_mm: f64) -> FittedShape {
     match *fitted {
-        Fitted::Circle { centre, radius_mm } => Fitted::Circle { centre, radius_mm: radius_mm + by_mm },
-        Fitted::Line { through, normal } => Fitted::Line { through: through + normal * by_mm, normal },
+        FittedShape::Circle { centre, radius_mm } => {
+            FittedShape::Circle { centre, radius_mm: radius_mm + by_mm }
+        }
+        FittedShape::Line { through, normal } => {
+            FittedShape::Line { through: through + normal * by_mm, normal }
+        }
     }
 }
 
-fn place(fitted: &Fitted) -> ([f64; 2], Option<f64>) {
+fn place(fitted: &FittedShape) -> ([f64; 2], Option<f64>) {
     match *fitted {
-        Fitted::Circle { centre, radius_mm } => ([centre.z, centre.x], Some(radius_mm)),
-        Fitted::Line { through, .. } => ([through.z, through.x], None),
+        FittedShape::Circle { centre, radius_mm } => ([centre.z, centre.x], Some(radius_mm)),
+        FittedShape::Line { through, .. } => ([through.z, through.x], None),
     }
 }
 
@@ -404,17 +408,17 @@ pub(crate) struct Whiskers {
     size_mm: f64,
 }
 
-impl Report {
+impl ErrorReport {
     pub(crate) fn whiskers(&self) -> Whiskers {
         let feet: Vec<(Zx, Zx)> = self
             .errors
             .iter()
             .map(|e| match self.outline {
-                Fitted::Circle { centre, radius_mm } => {
+                FittedShape::Circle { centre, radius_mm } => {
                     let n = Zx::at_angle(e.angle_rad);
                     (centre + n * radius_mm, n)
                 }
-                Fitted::Line { through, normal } => {
+                FittedShape::Line { through, normal } => {
                     let along = Zx::new(normal.x, -normal.z) * e.along_mm.unwrap_or(0.0);
                     (through + along, normal)
                 }
@@ -423,14 +427,14 @@ impl Report {
         let places: Vec<Zx> = feet.iter().map(|f| f.0).collect();
         let order = sequence(&self.outline, &places);
         let outline: Vec<Zx> = match self.outline {
-            Fitted::Circle { centre, radius_mm } => {
+            FittedShape::Circle { centre, radius_mm } => {
                 let angle = |k: usize| self.errors[order[k]].angle_rad;
                 let sweep = (angle(order.len() - 1) - angle(0)).rem_euclid(std::f64::consts::TAU);
                 (0..=180)
                     .map(|k| centre + Zx::at_angle(angle(0) + sweep * f64::from(k) / 180.0) * radius_mm)
                     .collect()
             }
-            Fitted::Line { .. } => order.iter().map(|&i| places[i]).collect(),
+            FittedShape::Line { .. } => order.iter().map(|&i| places[i]).collect(),
         };
         let bars = order
             .iter()

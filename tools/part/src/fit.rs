@@ -31,7 +31,7 @@ impl Zx {
         self.z.hypot(self.x)
     }
 
-    /// Scalar product.
+    /// Scalar product with another vector.
     #[must_use]
     pub fn dot(self, other: Self) -> f64 {
         self.z * other.z + self.x * other.x
@@ -72,17 +72,17 @@ impl std::ops::Mul<f64> for Zx {
     }
 }
 
-/// What is fitted.
+/// Which shape is fitted to the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Shape {
+pub enum FitShape {
     /// A circle with free centre and radius.
     Circle,
     /// A straight line in any direction: cylinder, taper or face.
     Line,
 }
 
-impl Shape {
-    /// Free parameters.
+impl FitShape {
+    /// Number of free parameters.
     #[must_use]
     pub const fn parameters(self) -> usize {
         match self {
@@ -92,26 +92,26 @@ impl Shape {
     }
 }
 
-/// A fitted shape.
+/// A shape with its fitted parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Fitted {
+pub enum FittedShape {
     /// Centre and radius, in mm.
     Circle {
-        /// Centre.
+        /// Centre, mm.
         centre: Zx,
-        /// Radius.
+        /// Radius of the circle.
         radius_mm: f64,
     },
     /// A point of the line (the points' centroid) and its unit normal.
     Line {
-        /// Centroid.
+        /// The points' centroid, mm.
         through: Zx,
         /// Unit normal; deviations are positive on its side.
         normal: Zx,
     },
 }
 
-impl Fitted {
+impl FittedShape {
     /// Deviation of a point, in mm, positive outside the circle or on the normal's side of the line.
     #[must_use]
     pub fn deviation_mm(&self, p: Zx) -> f64 {
@@ -146,9 +146,9 @@ pub enum FitError {
     /// Fewer points than free parameters and one for the error.
     #[error("{found} points, {needed} are needed")]
     TooFew {
-        /// Points given.
+        /// Number of points given.
         found: usize,
-        /// Points needed.
+        /// Fewest points that the shape needs.
         needed: usize,
     },
     /// The points do not determine the shape: on one line, or all in one place.
@@ -157,7 +157,7 @@ pub enum FitError {
     /// The iteration did not settle.
     #[error("the fit did not settle in {iterations} iterations")]
     NoConvergence {
-        /// Iterations done.
+        /// Number of iterations done.
         iterations: usize,
     },
 }
@@ -168,7 +168,11 @@ const MAX_ITERATIONS: usize = 200;
 ///
 /// # Errors
 /// [`FitError`]: too few points, points that do not determine the shape, no convergence.
-pub fn least_squares(shape: Shape, points: &[Zx], weights: Option<&[f64]>) -> Result<Fitted, FitError> {
+pub fn least_squares(
+    shape: FitShape,
+    points: &[Zx],
+    weights: Option<&[f64]>,
+) -> Result<FittedShape, FitError> {
     let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
     let counted = (0..points.len()).filter(|&i| weight(i) > 0.0).count();
     if counted < shape.parameters() {
@@ -186,7 +190,7 @@ pub fn least_squares(shape: Shape, points: &[Zx], weights: Option<&[f64]>) -> Re
         return Err(FitError::Degenerate);
     }
     match shape {
-        Shape::Line => {
+        FitShape::Line => {
             if (zz - xx).hypot(2.0 * zx) < 1e-9 * spread {
                 return Err(FitError::Degenerate); // a round cloud has no direction
             }
@@ -194,9 +198,9 @@ pub fn least_squares(shape: Shape, points: &[Zx], weights: Option<&[f64]>) -> Re
             let normal = Zx::new(-along.sin(), along.cos());
             // Away from the part's axis; a face looks towards +Z.
             let outward = if normal.x.abs() > 1e-9 { normal.x > 0.0 } else { normal.z > 0.0 };
-            Ok(Fitted::Line { through: centroid, normal: if outward { normal } else { normal * -1.0 } })
+            Ok(FittedShape::Line { through: centroid, normal: if outward { normal } else { normal * -1.0 } })
         }
-        Shape::Circle => {
+        FitShape::Circle => {
             let det = zz * xx - zx * zx;
             if det <= 1e-14 * spread * spread {
                 return Err(FitError::Degenerate);
@@ -217,7 +221,7 @@ fn circle_from(
     total: f64,
     centroid: Zx,
     start: Zx,
-) -> Result<Fitted, FitError> {
+) -> Result<FittedShape, FitError> {
     let radius_at = |c: Zx| -> f64 {
         points.iter().enumerate().map(|(i, &p)| weight(i) * (p - centroid - c).norm()).sum::<f64>() / total
     };
@@ -259,7 +263,7 @@ fn circle_from(
             damping *= 10.0;
         }
         if settled {
-            return Ok(Fitted::Circle { centre: c + centroid, radius_mm: r });
+            return Ok(FittedShape::Circle { centre: c + centroid, radius_mm: r });
         }
     }
     Err(FitError::NoConvergence { iterations: MAX_ITERATIONS })
@@ -267,7 +271,7 @@ fn circle_from(
 
 /// Deviations of all points from a shape, in µm.
 #[must_use]
-pub fn deviations_um(fitted: &Fitted, points: &[Zx]) -> Vec<f64> {
+pub fn deviations_um(fitted: &FittedShape, points: &[Zx]) -> Vec<f64> {
     points.iter().map(|&p| fitted.deviation_mm(p) * 1e3).collect()
 }
 
@@ -286,9 +290,9 @@ pub fn sd(values: &[f64], keep: impl Fn(usize) -> bool) -> f64 {
 #[derive(Debug, Clone)]
 pub struct TwoStep {
     /// Least squares through all points.
-    pub plain: Fitted,
+    pub plain: FittedShape,
     /// Least squares through the points that were kept.
-    pub fitted: Fitted,
+    pub fitted: FittedShape,
     /// Indices of the points that were dropped, ascending.
     pub rejected: Vec<usize>,
     /// SD of all points about `plain`, in µm.
@@ -307,7 +311,7 @@ pub struct TwoStep {
 ///
 /// # Errors
 /// As [`least_squares`].
-pub fn two_step(shape: Shape, points: &[Zx]) -> Result<TwoStep, FitError> {
+pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
     let needed = shape.parameters() + 1;
     if points.len() < needed {
         return Err(FitError::TooFew { found: points.len(), needed });
@@ -341,16 +345,16 @@ pub fn two_step(shape: Shape, points: &[Zx]) -> Result<TwoStep, FitError> {
 
 /// Indices of the points in sequence along a shape: round the circle starting after the widest gap, or along the line.
 #[must_use]
-pub fn sequence(fitted: &Fitted, points: &[Zx]) -> Vec<usize> {
+pub fn sequence(fitted: &FittedShape, points: &[Zx]) -> Vec<usize> {
     let key: Vec<f64> = match *fitted {
-        Fitted::Circle { centre, .. } => points.iter().map(|&p| (p - centre).angle_rad()).collect(),
-        Fitted::Line { through, normal } => {
+        FittedShape::Circle { centre, .. } => points.iter().map(|&p| (p - centre).angle_rad()).collect(),
+        FittedShape::Line { through, normal } => {
             points.iter().map(|&p| (p - through).dot(Zx::new(normal.x, -normal.z))).collect()
         }
     };
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|&a, &b| key[a].total_cmp(&key[b]));
-    if let (Fitted::Circle { .. }, Some(&last)) = (fitted, order.last()) {
+    if let (FittedShape::Circle { .. }, Some(&last)) = (fitted, order.last()) {
         let gap = |k: usize| match k {
             0 => key[order[0]] + std::f64::consts::TAU - key[last],
             k => key[order[k]] - key[order[k - 1]],
@@ -361,17 +365,17 @@ pub fn sequence(fitted: &Fitted, points: &[Zx]) -> Vec<usize> {
     order
 }
 
-fn ends(fitted: &Fitted, points: &[Zx]) -> [usize; 2] {
+fn ends(fitted: &FittedShape, points: &[Zx]) -> [usize; 2] {
     let order = sequence(fitted, points);
     // `two_step` has refused an empty set of points already; 0 stands for both ends of nothing.
     [order.first().copied().unwrap_or(0), order.last().copied().unwrap_or(0)]
 }
 
-/// A robust fit.
+/// A robust fit (MM-estimate): points that do not belong to the shape have no weight.
 #[derive(Debug, Clone)]
 pub struct Robust {
-    /// The shape.
-    pub fitted: Fitted,
+    /// The shape that most of the points agree on.
+    pub fitted: FittedShape,
     /// Robust scale of the deviations that belong to the shape, in µm.
     pub scale_um: f64,
     /// Weight of each point, 0 (does not belong) to 1.
@@ -391,14 +395,14 @@ const CANDIDATE_POINTS: usize = 24;
 ///
 /// # Errors
 /// As [`least_squares`].
-pub fn robust(shape: Shape, points: &[Zx]) -> Result<Robust, FitError> {
+pub fn robust(shape: FitShape, points: &[Zx]) -> Result<Robust, FitError> {
     let (n, p) = (points.len(), shape.parameters());
     if n < p + 1 {
         return Err(FitError::TooFew { found: n, needed: p + 1 });
     }
     let m = n.min(CANDIDATE_POINTS);
     let picked: Vec<usize> = (0..m).map(|k| k * (n - 1) / (m - 1)).collect();
-    let mut best: Option<(f64, Fitted)> = None;
+    let mut best: Option<(f64, FittedShape)> = None;
     let mut consider = |chosen: &[Zx]| {
         // A candidate that its points do not determine is no candidate.
         let Ok(candidate) = least_squares(shape, chosen, None) else { return };
@@ -413,8 +417,8 @@ pub fn robust(shape: Shape, points: &[Zx]) -> Result<Robust, FitError> {
     for (a, &i) in picked.iter().enumerate() {
         for (b, &j) in picked.iter().enumerate().skip(a + 1) {
             match shape {
-                Shape::Line => consider(&[points[i], points[j]]),
-                Shape::Circle => {
+                FitShape::Line => consider(&[points[i], points[j]]),
+                FitShape::Circle => {
                     for &k in &picked[b + 1..] {
                         consider(&[points[i], points[j], points[k]]);
                     }

@@ -12,7 +12,7 @@
 //! | [`svg`] | drawings as SVG |
 //! | [`page`] | two probing sessions side by side |
 //!
-//! Geometry only: no machine, no engine, no server.
+//! What must not live here: a machine that moves (`rtec-sim`), the engine, the control law, a server: geometry only.
 //!
 //! All lengths are in mm, all errors in µm. `z` runs along the part's axis, `x` is the distance from it (a radius).
 

@@ -1,13 +1,13 @@
 //! Two probing sessions side by side, as a self-contained page.
 
-use crate::errors::Report;
+use crate::errors::ErrorReport;
 use crate::svg::escaped;
 use std::fmt::Write as _;
 
 /// Two sessions side by side: the head of a page and its first part.
 #[must_use]
-pub fn side_by_side(before: &Report, after: &Report) -> String {
-    let row = |name: &str, r: &Report| {
+pub fn side_by_side(before: &ErrorReport, after: &ErrorReport) -> String {
+    let row = |name: &str, r: &ErrorReport| {
         let largest = r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
         let (form, first, second) = (r.form_um, r.sd_before_um, r.sd_after_um);
         format!(
@@ -42,6 +42,6 @@ pub fn logged(decisions: &[String]) -> String {
 
 /// Before and after in one self-contained page.
 #[must_use]
-pub fn inspection_page(before: &Report, after: &Report, decisions: &[String]) -> String {
+pub fn inspection_page(before: &ErrorReport, after: &ErrorReport, decisions: &[String]) -> String {
     side_by_side(before, after) + &logged(decisions)
 }

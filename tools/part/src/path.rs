@@ -1,7 +1,7 @@
 //! Probing points and the probe's path between them: `pathfin.cdl` and the expected trip points (NISTIR 4854,
 //! sections 3 and 4).
 
-use crate::contour::{Contour, Place};
+use crate::contour::{Contour, SurfacePlace};
 use crate::fit::Zx;
 use crate::svg::Svg;
 use crate::unit::Unit;
@@ -13,24 +13,24 @@ use std::path::Path;
 
 /// How the machine moves while probing.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Motion {
+pub struct ProbingMotion {
     /// Probing feed along the path.
     pub feed_mm_min: f64,
     /// Acceleration to that feed.
     pub accel_mm_s2: f64,
-    /// Deceleration from it.
+    /// Deceleration from that feed.
     pub decel_mm_s2: f64,
     /// Travel at constant velocity wanted on each side of the expected trip.
     pub window_mm: f64,
 }
 
-impl Motion {
+impl ProbingMotion {
     /// The turning centre of NISTIR 4854: at 2.5 m/min 5 mm of stand-off and 2.5 mm of over-travel leave about 2 mm
     /// of constant velocity. Of the 5.5 mm that remain, 4 mm are acceleration and 1.5 mm deceleration.
     pub const REPORT: Self =
         Self { feed_mm_min: 2500.0, accel_mm_s2: 217.0, decel_mm_s2: 578.7, window_mm: 1.0 };
 
-    /// Feed in mm/s.
+    /// The probing feed in mm/s.
     #[must_use]
     pub fn velocity_mm_s(&self) -> f64 {
         self.feed_mm_min / 60.0
@@ -86,8 +86,8 @@ pub struct Probe {
 /// A gauging point and how the probe gets there.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GaugingPoint {
-    /// Where the surface is touched.
-    pub place: Place,
+    /// Place on the nominal surface that is touched.
+    pub place: SurfacePlace,
     /// Points in space to go through from the point before.
     pub bypass: Vec<Zx>,
 }
@@ -95,7 +95,7 @@ pub struct GaugingPoint {
 /// What a record of the path file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Role {
+pub enum PathRole {
     /// Start of a touch.
     Start,
     /// End of the touch of this gauging point (from 1).
@@ -108,10 +108,10 @@ pub enum Role {
 
 /// One record of the path file: where the tip's centre goes, in mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Record {
-    /// What it is.
-    pub role: Role,
-    /// Where to.
+pub struct PathPoint {
+    /// What the probe does there.
+    pub role: PathRole,
+    /// Target of the tip's centre, mm.
     pub at: Zx,
 }
 
@@ -122,18 +122,18 @@ pub struct Hit {
     pub point: usize,
     /// During the touch itself, not on the way to it.
     pub touching: bool,
-    /// Where the tip's centre is then.
+    /// The tip's centre at the collision, mm.
     pub at: Zx,
     /// The feature that is hit.
     pub feature: String,
-    /// What hits it.
+    /// What of the probe hits it: its tip or its stem.
     pub by: &'static str,
 }
 
 /// The plan of a probing session.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The probe.
+    /// The probe that the path is made for.
     pub probe: Probe,
     /// Gauging points in probing order.
     pub points: Vec<GaugingPoint>,
@@ -187,8 +187,8 @@ impl Plan {
     }
 
     /// Add one place; the points stay in probing order.
-    pub fn add(&mut self, place: Place) {
-        let key = |p: &Place| (p.feature, p.along_mm);
+    pub fn add(&mut self, place: SurfacePlace) {
+        let key = |p: &SurfacePlace| (p.feature, p.along_mm);
         let at = self.points.partition_point(|q| key(&q.place) <= key(&place));
         if let Some(next) = self.points.get_mut(at) {
             next.bypass.clear(); // it led from another point
@@ -216,15 +216,15 @@ impl Plan {
 
     /// The whole path: for each point by-passes, start, touch (through the surface by the over-travel), finish.
     #[must_use]
-    pub fn records(&self) -> Vec<Record> {
+    pub fn records(&self) -> Vec<PathPoint> {
         let mut records = Vec::new();
         for (i, p) in self.points.iter().enumerate() {
-            records.extend(p.bypass.iter().map(|&at| Record { role: Role::Bypass, at }));
+            records.extend(p.bypass.iter().map(|&at| PathPoint { role: PathRole::Bypass, at }));
             let start = self.start(p);
             let end = p.place.at + p.place.normal * (self.probe.tip_mm - self.probe.over_travel_mm);
-            records.push(Record { role: Role::Start, at: start });
-            records.push(Record { role: Role::Touch(i + 1), at: end });
-            records.push(Record { role: Role::Finish, at: start });
+            records.push(PathPoint { role: PathRole::Start, at: start });
+            records.push(PathPoint { role: PathRole::Touch(i + 1), at: end });
+            records.push(PathPoint { role: PathRole::Finish, at: start });
         }
         records
     }
@@ -316,8 +316,11 @@ impl Plan {
     #[must_use]
     pub fn files(&self, contour: &Contour, unit: Unit) -> [(&'static str, String); 3] {
         let expected = self.expected();
-        let trips: Vec<Record> =
-            expected.iter().enumerate().map(|(i, &at)| Record { role: Role::Touch(i + 1), at }).collect();
+        let trips: Vec<PathPoint> = expected
+            .iter()
+            .enumerate()
+            .map(|(i, &at)| PathPoint { role: PathRole::Touch(i + 1), at })
+            .collect();
         [
             ("pathfin.cdl", pathfin(&self.records(), unit)),
             ("probpath.cdl", pathfin(&trips, unit)),
@@ -347,13 +350,13 @@ impl Plan {
 /// The path file: one `POINT` record per place, coordinates in the drawing's unit, the third always 0
 /// (NISTIR 4854, figure 7).
 #[must_use]
-pub fn pathfin(records: &[Record], unit: Unit) -> String {
+pub fn pathfin(records: &[PathPoint], unit: Unit) -> String {
     records.iter().fold(String::new(), |mut text, r| {
         let role = match r.role {
-            Role::Start => "start".to_owned(),
-            Role::Touch(n) => format!("touch {n},"),
-            Role::Finish => "finish".to_owned(),
-            Role::Bypass => "bypass".to_owned(),
+            PathRole::Start => "start".to_owned(),
+            PathRole::Touch(n) => format!("touch {n},"),
+            PathRole::Finish => "finish".to_owned(),
+            PathRole::Bypass => "bypass".to_owned(),
         };
         // A tiny negative number would be printed as -0.000000.
         let value = |mm: f64| (mm / unit.0 * 1e6).round() / 1e6 + 0.0;
@@ -368,7 +371,7 @@ pub fn pathfin(records: &[Record], unit: Unit) -> String {
 /// A line that is no touch record, gauging points out of sequence, or none at all.
 pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
     let records = read_records(file, unit)?;
-    if let Some(i) = records.iter().position(|r| !matches!(r.role, Role::Touch(_))) {
+    if let Some(i) = records.iter().position(|r| !matches!(r.role, PathRole::Touch(_))) {
         return Err(InputError::at(
             file,
             i + 1,
@@ -384,12 +387,12 @@ pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
 ///
 /// # Errors
 /// A line that is no record, gauging points out of sequence, or no record at all.
-pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
+pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputError> {
     let records = read_records(file, unit)?;
-    let order = |i: usize| records.get(i).map(|r: &Record| r.role);
+    let order = |i: usize| records.get(i).map(|r: &PathPoint| r.role);
     for (i, r) in records.iter().enumerate() {
-        let touch_is_embraced = !matches!(r.role, Role::Touch(_))
-            || i > 0 && order(i - 1) == Some(Role::Start) && order(i + 1) == Some(Role::Finish);
+        let touch_is_embraced = !matches!(r.role, PathRole::Touch(_))
+            || i > 0 && order(i - 1) == Some(PathRole::Start) && order(i + 1) == Some(PathRole::Finish);
         if !touch_is_embraced {
             return Err(InputError::at(file, i + 1, 0, "a touch", "start, touch and finish in this order"));
         }
@@ -397,7 +400,7 @@ pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> 
     Ok(records)
 }
 
-fn read_records(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
+fn read_records(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputError> {
     let mut records = Vec::new();
     let mut touches = 0;
     for (i, line) in rtec_files::text::read(file)?.lines().enumerate() {
@@ -412,22 +415,22 @@ fn read_records(file: &Path, unit: Unit) -> Result<Vec<Record>, InputError> {
             return bad(line.trim(), form);
         }
         let (role, rest) = match words[1].to_ascii_lowercase().as_str() {
-            "start" => (Role::Start, &words[2..]),
-            "finish" => (Role::Finish, &words[2..]),
-            "bypass" => (Role::Bypass, &words[2..]),
+            "start" => (PathRole::Start, &words[2..]),
+            "finish" => (PathRole::Finish, &words[2..]),
+            "bypass" => (PathRole::Bypass, &words[2..]),
             "touch" => {
                 touches += 1;
                 if words.get(2).and_then(|n| n.parse().ok()) != Some(touches) {
                     return bad(line.trim(), &format!("gauging point {touches}"));
                 }
-                (Role::Touch(touches), &words[3..])
+                (PathRole::Touch(touches), &words[3..])
             }
             other => return bad(other, "start, touch, finish or bypass"),
         };
         let numbers: Option<Vec<f64>> =
             rest.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         let Some([z, x, _]) = numbers.as_deref() else { return bad(line.trim(), form) };
-        records.push(Record { role, at: Zx::new(*z, *x) * unit.0 });
+        records.push(PathPoint { role, at: Zx::new(*z, *x) * unit.0 });
     }
     if touches == 0 {
         return Err(InputError::whole(file, "no gauging point", "start, touch, finish for each point"));

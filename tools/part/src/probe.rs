@@ -17,7 +17,7 @@ pub struct Trip {
     /// Half the width of what the position may be, in µm: time between two looks times speed, or a count where an
     /// axis stood still.
     pub uncertainty_um: f64,
-    /// When, on the corrector's clock.
+    /// Time of the trip on the corrector's clock.
     pub t_s: f64,
 }
 
@@ -27,7 +27,7 @@ pub enum TripFault {
     /// No trip where one was due.
     #[error("point {point}: missed, no trip within {window_mm} mm of its place")]
     Missed {
-        /// Gauging point.
+        /// Number of the gauging point, from 1.
         point: usize,
         /// How near a trip must be.
         window_mm: f64,
@@ -35,13 +35,13 @@ pub enum TripFault {
     /// A second trip at the same point.
     #[error("point {point}: tripped twice")]
     Double {
-        /// Gauging point.
+        /// Number of the gauging point, from 1.
         point: usize,
     },
     /// The probe's contact bounced.
     #[error("point {point}: the probe bounced")]
     Bounce {
-        /// Gauging point.
+        /// Number of the gauging point, from 1.
         point: usize,
     },
     /// A trip somewhere else.
@@ -49,7 +49,7 @@ pub enum TripFault {
     Outside {
         /// The gauging point that was due.
         point: usize,
-        /// How far off.
+        /// Distance of the trip from the expected place.
         off_mm: f64,
         /// How near a trip must be.
         window_mm: f64,

@@ -1,7 +1,7 @@
 //! The NC probing program: a template, named parameters and the probe's moves (NISTIR 4854, section 4 and figure 8).
 
 use crate::fit::Zx;
-use crate::path::{Record, Role};
+use crate::path::{PathPoint, PathRole};
 use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::toml::Document;
@@ -14,19 +14,19 @@ use std::path::Path;
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dialect {
-    /// Its name.
+    /// The controller's name, as reports show it.
     pub name: String,
     /// What opens and closes a comment.
     pub comment: [String; 2],
-    /// Rapid positioning.
+    /// Word of rapid positioning, as `G00`.
     pub rapid: String,
     /// The move that touches.
     pub touch: String,
     /// The move back off the surface.
     pub retract: String,
-    /// Inch mode.
+    /// Word that sets inches, as `G20`.
     pub inch: String,
-    /// Millimetre mode.
+    /// Word that sets millimetres, as `G21`.
     pub mm: String,
     /// Decimals of a coordinate in inches.
     pub decimals_inch: usize,
@@ -36,7 +36,7 @@ pub struct Dialect {
     pub x_is_diameter: bool,
     /// Digits of a block number.
     pub block_digits: usize,
-    /// From one block number to the next.
+    /// Step from one block number to the next.
     pub block_step: u32,
     /// The first block number that is not available to moves.
     pub program_end: u32,
@@ -45,7 +45,7 @@ pub struct Dialect {
 /// A dialect with its template.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    /// How it writes.
+    /// How its programs are written.
     pub dialect: Dialect,
     /// `template.prb`, copied character by character but for `$n` and `@n`.
     pub template: String,
@@ -69,13 +69,13 @@ pub const BUILT_IN: [(&str, &str, &str); 3] = [
 /// One program parameter: the `n` of its `$n`, its name, its default, its meaning.
 #[derive(Debug, Clone, Copy)]
 pub struct Parameter {
-    /// `$n`.
+    /// The `n` of its `$n` in a template.
     pub number: u32,
     /// Key in a parameter file.
     pub name: &'static str,
     /// Value where none is given.
     pub default: &'static str,
-    /// What it is.
+    /// What it means, for the help text.
     pub meaning: &'static str,
 }
 
@@ -191,7 +191,7 @@ impl Parameters {
     }
 
     /// Machine positions of a template that nobody has set: a program that moves to them is not ready for a machine.
-    pub fn untold(&self, template: &str) -> impl Iterator<Item = &'static str> {
+    pub fn unset(&self, template: &str) -> impl Iterator<Item = &'static str> {
         let asked = |n: u32| {
             let symbol = format!("${n}");
             let ends = |(at, _): (usize, &str)| {
@@ -243,15 +243,15 @@ impl Controller {
     }
 }
 
-/// Everything a program is made of.
+/// What an NC probing program is made of.
 #[derive(Debug, Clone)]
-pub struct Job<'a> {
+pub struct ProbingProgram<'a> {
     /// The controller it is for.
     pub controller: &'a Controller,
-    /// Values of `$n`.
+    /// Values of the template's `$n`.
     pub parameters: &'a Parameters,
-    /// The probe's path.
-    pub records: &'a [Record],
+    /// The probe's path, record by record.
+    pub records: &'a [PathPoint],
     /// The program's unit: inches or mm.
     pub unit: Unit,
     /// Explain every move; else the moves and the template's code go without comments.
@@ -260,7 +260,7 @@ pub struct Job<'a> {
     pub made: &'a str,
 }
 
-impl Job<'_> {
+impl ProbingProgram<'_> {
     /// The program.
     ///
     /// # Errors
@@ -384,16 +384,20 @@ impl Job<'_> {
                 continue;
             }
             match r.role {
-                Role::Start => put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1)),
-                Role::Touch(n) => {
+                PathRole::Start => {
+                    put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1));
+                }
+                PathRole::Touch(n) => {
                     point = n;
                     put(
                         format!("{} {both} F{}", d.touch, self.parameters.get(12)),
                         &format!("TOUCH POINT {n}"),
                     );
                 }
-                Role::Finish => put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}")),
-                Role::Bypass => put(format!("{} {both}", d.rapid), "BY-PASS"),
+                PathRole::Finish => {
+                    put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}"));
+                }
+                PathRole::Bypass => put(format!("{} {both}", d.rapid), "BY-PASS"),
             }
         }
         text.truncate(text.trim_end().len());

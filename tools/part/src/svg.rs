@@ -63,7 +63,7 @@ impl Svg {
         (self.low.unwrap_or(origin), self.high.unwrap_or(origin))
     }
 
-    /// The document.
+    /// The whole SVG document, under a title.
     #[must_use]
     pub fn finish(&self, title: &str) -> String {
         let (low, high) = self.frame();

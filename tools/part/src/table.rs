@@ -39,7 +39,7 @@ impl AxisCounts {
 
 /// The arc that the finish cut runs along and where the machine is while it does.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cut {
+pub struct FinishCut {
     /// Centre of the arc in part coordinates.
     pub centre: Zx,
     /// Radius of the finished surface.
@@ -50,7 +50,7 @@ pub struct Cut {
     pub origin: Zx,
 }
 
-impl Cut {
+impl FinishCut {
     /// Machine position while the surface at this angle is cut.
     #[must_use]
     pub fn machine_at(&self, angle_rad: f64) -> Zx {
@@ -72,14 +72,14 @@ impl Cut {
 
 /// One line of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Row {
+pub struct FinishRow {
     /// Angle of the surface that is cut.
     pub angle_rad: f64,
     /// Error to take out, interpolated between the probed points.
     pub error_um: f64,
     /// The tool's nose in part coordinates.
     pub part_mm: Zx,
-    /// The machine then.
+    /// Machine position at that moment.
     pub machine_mm: Zx,
     /// Requested totals `[z, x]`, in counts.
     pub requested: [i64; 2],
@@ -89,19 +89,19 @@ pub struct Row {
 
 /// Errors by angle, ready for the finish cut.
 #[derive(Debug, Clone)]
-pub struct Table {
-    /// The cut.
-    pub cut: Cut,
-    /// Z and X.
+pub struct FinishTable {
+    /// The arc that is cut.
+    pub cut: FinishCut,
+    /// Counts of Z and of X.
     pub axes: [AxisCounts; 2],
     errors: Vec<PointError>,
 }
 
-impl Table {
+impl FinishTable {
     /// A table from the errors of the semi-finish cut, angles ascending as [`crate::errors::read_error_cor`] reads
     /// them.
     #[must_use]
-    pub fn new(cut: Cut, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
+    pub fn new(cut: FinishCut, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
         errors.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
         Self { cut, axes, errors }
     }
@@ -112,7 +112,7 @@ impl Table {
         &self.errors
     }
 
-    /// How many points it came from.
+    /// Number of probed points that the table came from.
     #[must_use]
     pub fn points(&self) -> usize {
         self.errors.len()
@@ -150,7 +150,7 @@ impl Table {
 
     /// The table: at each probed point and `between` steps between each two.
     #[must_use]
-    pub fn rows(&self, between: usize) -> Vec<Row> {
+    pub fn rows(&self, between: usize) -> Vec<FinishRow> {
         let steps = between + 1;
         let mut angles: Vec<f64> = Vec::new();
         for pair in self.errors.windows(2) {
@@ -164,7 +164,7 @@ impl Table {
                 let (n, error_um) = (Zx::at_angle(angle_rad), self.error_um(angle_rad));
                 let requested = self.requested(n * error_um);
                 let taken = Zx::new(self.axes[0].taken_um(requested[0]), self.axes[1].taken_um(requested[1]));
-                Row {
+                FinishRow {
                     angle_rad,
                     error_um,
                     part_mm: self.cut.part_at(angle_rad),
@@ -233,7 +233,7 @@ const MAX_MOVES: usize = 100_000;
 /// The table as CSV. `lead_mm` is how far before each position its totals are to be sent along the cut, which runs
 /// towards larger angles, or with `backwards` towards smaller ones.
 #[must_use]
-pub fn csv(table: &Table, rows: &[Row], lead_mm: f64, backwards: bool) -> String {
+pub fn csv(table: &FinishTable, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
     let mut text = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machine_x_mm,send_z_mm,send_x_mm,\
                     requested_z,requested_x,left_um\n"
         .to_owned();

@@ -5,8 +5,8 @@
 pub struct Unit(pub f64);
 
 impl Unit {
-    /// Millimetres.
+    /// Lengths in mm.
     pub const MM: Self = Self(1.0);
-    /// Inches.
+    /// Lengths in inches of 25.4 mm.
     pub const INCH: Self = Self(25.4);
 }

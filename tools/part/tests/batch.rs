@@ -4,7 +4,7 @@
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::InputError;
-use rtec_part::batch::{Batch, Finding, Judgement, evaluate};
+use rtec_part::batch::{Batch, BatchFinding, Judgement, evaluate};
 use rtec_part::errors::PointError;
 use std::fmt::Write as _;
 
@@ -23,7 +23,7 @@ fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-fn finding(batch: &Batch, feature: &str) -> Finding {
+fn finding(batch: &Batch, feature: &str) -> BatchFinding {
     batch.places.iter().find(|p| p.feature == feature).unwrap().finding
 }
 
@@ -53,9 +53,9 @@ fn system_trend_and_chance_are_told_apart() {
         }
     }
     let batch = judged(&text, None).unwrap();
-    assert_eq!(finding(&batch, "bore"), Finding::Systematic);
-    assert_eq!(finding(&batch, "face"), Finding::Nothing);
-    assert_eq!(finding(&batch, "length"), Finding::Trend);
+    assert_eq!(finding(&batch, "bore"), BatchFinding::Systematic);
+    assert_eq!(finding(&batch, "face"), BatchFinding::Nothing);
+    assert_eq!(finding(&batch, "length"), BatchFinding::Trend);
     assert_eq!(batch.offers.len(), 2);
     let bore = batch.places.iter().find(|p| p.feature == "bore").unwrap();
     assert!(bore.interval_um[0] < 6.0 && bore.interval_um[1] > 6.0, "{bore:?}");
@@ -72,8 +72,9 @@ fn chance_alone_raises_few_alarms() {
                 let _ = writeln!(text, "{part},nose,{:.6},{}", 5.0 * normal(&mut rng), f64::from(k) * 0.1);
             }
         }
-        alarms +=
-            usize::from(judged(&text, None).unwrap().places.iter().any(|p| p.finding != Finding::Nothing));
+        alarms += usize::from(
+            judged(&text, None).unwrap().places.iter().any(|p| p.finding != BatchFinding::Nothing),
+        );
     }
     // Two families of tests at 1 % each: 8 of 400 on average.
     assert!(alarms <= 20, "{alarms}");
@@ -100,9 +101,9 @@ fn a_lobe_that_tool_and_probe_trace_alike_is_not_observable() {
     for p in &batch.places {
         let a = p.angle_rad.unwrap();
         let expected = if bump(a) > 0.0 {
-            Finding::Systematic
+            BatchFinding::Systematic
         } else if lobe(a).abs() > 4.0 {
-            Finding::NotObservable
+            BatchFinding::NotObservable
         } else {
             continue; // too little to say
         };
@@ -125,6 +126,6 @@ fn bad_batches_are_named() {
     assert_eq!(line("part,feature,error_um\n"), 0);
     // No scatter at all.
     let same = judged("part,feature,error_um\n1,d,4\n2,d,4\n3,d,4\n1,e,0\n2,e,0\n3,e,0\n", None).unwrap();
-    assert_eq!(finding(&same, "d"), Finding::Systematic);
-    assert_eq!(finding(&same, "e"), Finding::Nothing);
+    assert_eq!(finding(&same, "d"), BatchFinding::Systematic);
+    assert_eq!(finding(&same, "e"), BatchFinding::Nothing);
 }

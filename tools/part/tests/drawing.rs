@@ -5,7 +5,7 @@ use dxf::entities::{Arc, Ellipse, Entity, EntityType, Line, LwPolyline, Spline};
 use dxf::enums::Units;
 use dxf::{LwPolylineVertex, Point, Vector};
 use rtec_files::InputError;
-use rtec_part::contour::{Contour, Kind};
+use rtec_part::contour::{Contour, FeatureKind};
 use rtec_part::drawing::{Options, new_dxf, read};
 use rtec_part::fit::Zx;
 use rtec_part::unit::Unit;
@@ -53,11 +53,17 @@ fn finding(entities: Vec<EntityType>) -> InputError {
 fn features_stand_in_probing_order() {
     let (part, unit) = contour(Units::Inches, nose_part(), &Options::default()).unwrap();
     assert_eq!(unit, Unit::INCH);
-    let kinds: Vec<Kind> = part.features.iter().map(|f| f.kind).collect();
-    assert!(matches!(kinds[0], Kind::Arc { radius_mm, .. } if (radius_mm - 38.1).abs() < 1e-9), "{kinds:?}");
-    assert!(matches!(kinds[1], Kind::Cylinder { radius_mm } if (radius_mm - 38.1).abs() < 1e-9));
-    assert!(matches!(kinds[2], Kind::Step { .. }) && matches!(kinds[3], Kind::Cylinder { .. }));
-    assert!(matches!(kinds[4], Kind::Taper { angle_deg } if (angle_deg + 6.8428).abs() < 1e-3), "{kinds:?}");
+    let kinds: Vec<FeatureKind> = part.features.iter().map(|f| f.kind).collect();
+    assert!(
+        matches!(kinds[0], FeatureKind::Arc { radius_mm, .. } if (radius_mm - 38.1).abs() < 1e-9),
+        "{kinds:?}"
+    );
+    assert!(matches!(kinds[1], FeatureKind::Cylinder { radius_mm } if (radius_mm - 38.1).abs() < 1e-9));
+    assert!(matches!(kinds[2], FeatureKind::Step { .. }) && matches!(kinds[3], FeatureKind::Cylinder { .. }));
+    assert!(
+        matches!(kinds[4], FeatureKind::Taper { angle_deg } if (angle_deg + 6.8428).abs() < 1e-3),
+        "{kinds:?}"
+    );
     assert!(
         (part.features[0].segment.at(0.0) - Zx::new(6.5 * 25.4, 0.0)).norm() < 1e-9,
         "starts on the axis"

@@ -3,7 +3,9 @@
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::Sheet;
-use rtec_part::fit::{FitError, Fitted, Shape, Zx, deviations_um, least_squares, robust, sd, two_step};
+use rtec_part::fit::{
+    FitError, FitShape, FittedShape, Zx, deviations_um, least_squares, robust, sd, two_step,
+};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::path::{Path, PathBuf};
 
@@ -50,10 +52,10 @@ fn flat_um(angle: f64, middle: f64) -> f64 {
     }
 }
 
-fn centre(fitted: &Fitted) -> Zx {
+fn centre(fitted: &FittedShape) -> Zx {
     match *fitted {
-        Fitted::Circle { centre, .. } => centre,
-        Fitted::Line { through, .. } => through,
+        FittedShape::Circle { centre, .. } => centre,
+        FittedShape::Line { through, .. } => through,
     }
 }
 
@@ -76,11 +78,11 @@ fn scipy_finds_the_same_circles_and_lines() {
             .filter(|&i| (sets[i] - expected("set")).abs() < 0.5)
             .map(|i| Zx::new(z[i], x[i]))
             .collect();
-        let shape = if kind == "circle" { Shape::Circle } else { Shape::Line };
+        let shape = if kind == "circle" { FitShape::Circle } else { FitShape::Line };
         let fitted = least_squares(shape, &points, None).unwrap();
         let size = match fitted {
-            Fitted::Circle { radius_mm, .. } => radius_mm,
-            Fitted::Line { normal, .. } => normal.angle_rad(),
+            FittedShape::Circle { radius_mm, .. } => radius_mm,
+            FittedShape::Line { normal, .. } => normal.angle_rad(),
         };
         let off = centre(&fitted) - Zx::new(expected("z_mm"), expected("x_mm"));
         assert!(off.norm() < 3e-7, "set {row}: centre off by {} mm", off.norm());
@@ -94,7 +96,7 @@ fn scipy_finds_the_same_circles_and_lines() {
 fn data_like_the_report_give_its_standard_deviations() {
     // NISTIR 4854: 20 points on a quadrant of the semi-finish radius, a flat of 20-25 µm, 5.6 → 1.7 µm, bump 23 µm.
     let points = quadrant(Zx::new(10.0, 0.0), 38.354, |a| flat_um(a, 0.26), &mut Rng::new(1992), 0.7);
-    let two = two_step(Shape::Circle, &points).unwrap();
+    let two = two_step(FitShape::Circle, &points).unwrap();
     assert!((two.sd_before_um - 5.6).abs() < 0.3, "{}", two.sd_before_um);
     assert!((two.sd_after_um - 1.7).abs() < 0.4, "{}", two.sd_after_um);
     let bump_um = two.errors_um.iter().copied().fold(f64::MIN, f64::max) - two.errors_um[0];
@@ -116,9 +118,9 @@ fn two_steps_come_closer_to_the_truth_than_one_over_a_thousand_random_bumps() {
         };
         let truth = Zx::new(rng.uniform(-5.0, 5.0), rng.uniform(-1.0, 1.0));
         let points = quadrant(truth, rng.uniform(5.0, 60.0), bump, &mut rng, 0.7);
-        let two = two_step(Shape::Circle, &points).unwrap();
-        let free = robust(Shape::Circle, &points).unwrap();
-        let off = |f: &Fitted| (centre(f) - truth).norm() * 1e3;
+        let two = two_step(FitShape::Circle, &points).unwrap();
+        let free = robust(FitShape::Circle, &points).unwrap();
+        let off = |f: &FittedShape| (centre(f) - truth).norm() * 1e3;
         closer += u32::from(off(&two.fitted) < off(&two.plain));
         robust_closer += u32::from(off(&free.fitted) < off(&two.plain));
         plain_um += off(&two.plain) / 1000.0;
@@ -137,18 +139,18 @@ fn two_steps_come_closer_to_the_truth_than_one_over_a_thousand_random_bumps() {
 #[test]
 fn a_perfect_circle_loses_no_point() {
     let points: Vec<Zx> = (0..20).map(|k| Zx::at_angle(f64::from(k) * 0.08) * 38.1).collect();
-    let two = two_step(Shape::Circle, &points).unwrap();
+    let two = two_step(FitShape::Circle, &points).unwrap();
     assert!(two.rejected.is_empty(), "{:?}", two.rejected);
     assert!(centre(&two.fitted).norm() < 1e-10);
-    robust(Shape::Circle, &points).unwrap();
+    robust(FitShape::Circle, &points).unwrap();
 }
 
 #[test]
 fn points_that_give_no_shape_are_refused() {
     let line: Vec<Zx> = (0..9).map(|k| Zx::new(f64::from(k), 2.0 * f64::from(k))).collect();
-    assert_eq!(least_squares(Shape::Circle, &line, None), Err(FitError::Degenerate));
-    assert_eq!(least_squares(Shape::Line, &[Zx::new(1.0, 1.0); 5], None), Err(FitError::Degenerate));
-    assert!(matches!(two_step(Shape::Circle, &line[..3]), Err(FitError::TooFew { found: 3, needed: 4 })));
-    assert!(robust(Shape::Circle, &line[..3]).is_err());
-    assert!(least_squares(Shape::Line, &[], None).is_err());
+    assert_eq!(least_squares(FitShape::Circle, &line, None), Err(FitError::Degenerate));
+    assert_eq!(least_squares(FitShape::Line, &[Zx::new(1.0, 1.0); 5], None), Err(FitError::Degenerate));
+    assert!(matches!(two_step(FitShape::Circle, &line[..3]), Err(FitError::TooFew { found: 3, needed: 4 })));
+    assert!(robust(FitShape::Circle, &line[..3]).is_err());
+    assert!(least_squares(FitShape::Line, &[], None).is_err());
 }

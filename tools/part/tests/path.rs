@@ -3,7 +3,7 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::fit::Zx;
-use rtec_part::path::{Motion, Plan, Probe, Role, Stem, pathfin, read_pathfin};
+use rtec_part::path::{PathRole, Plan, Probe, ProbingMotion, Stem, pathfin, read_pathfin};
 use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
 
@@ -28,10 +28,10 @@ const PROBE: Probe = Probe { tip_mm: 2.5, stand_off_mm: 5.12, over_travel_mm: 2.
 
 #[test]
 fn the_reports_stand_off_and_over_travel() {
-    let m = Motion::REPORT;
+    let m = ProbingMotion::REPORT;
     assert!((m.stand_off_mm() - 5.0).abs() < 0.01, "{}", m.stand_off_mm());
     assert!((m.over_travel_mm() - 2.5).abs() < 0.01, "{}", m.over_travel_mm());
-    let slow = Motion { feed_mm_min: 125.0, ..m };
+    let slow = ProbingMotion { feed_mm_min: 125.0, ..m };
     assert!(slow.stand_off_mm() < 1.02 && slow.over_travel_mm() < 1.01);
     // The same touch takes nearly twenty times as long at a twentieth of the feed.
     let ratio = slow.touch_s(5.0, 2.5) / m.touch_s(5.0, 2.5);
@@ -102,7 +102,7 @@ fn collisions_are_found_and_gone_round() {
     assert!(hits.iter().any(|h| h.point == 2 && !h.touching && h.by == "tip"), "{hits:?}");
     plan.add_bypasses(&part, 2.0);
     assert!(plan.hits(&part).is_empty());
-    assert!(plan.records().iter().any(|r| r.role == Role::Bypass));
+    assert!(plan.records().iter().any(|r| r.role == PathRole::Bypass));
     // Half a millimetre from the step's face a tip of 2.5 mm touches the face first.
     let mut corner = Plan::new(PROBE);
     corner.add(part.place(1, part.features[1].segment.length_mm() - 0.5));

@@ -3,13 +3,13 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::fit::Zx;
-use rtec_part::path::{Plan, Probe, Record, Role};
-use rtec_part::program::{BUILT_IN, Controller, Job, Parameters};
+use rtec_part::path::{PathPoint, PathRole, Plan, Probe};
+use rtec_part::program::{BUILT_IN, Controller, Parameters, ProbingProgram};
 use rtec_part::unit::Unit;
 use std::path::Path;
 use std::process::Command;
 
-fn records() -> Vec<Record> {
+fn records() -> Vec<PathPoint> {
     let nose = Segment::Arc {
         centre: Zx::new(127.0, 0.0),
         radius_mm: 38.1,
@@ -31,9 +31,16 @@ fn text(name: &str, unit: Unit, comments: bool, set: &[(&str, &str)]) -> String 
     }
     let records = records();
     let made = "2026-11-21 10:00 UTC";
-    Job { controller: &controller, parameters: &parameters, records: &records, unit, comments, made }
-        .text(Path::new(name))
-        .unwrap()
+    ProbingProgram {
+        controller: &controller,
+        parameters: &parameters,
+        records: &records,
+        unit,
+        comments,
+        made,
+    }
+    .text(Path::new(name))
+    .unwrap()
 }
 
 /// Words of a block, as letter and value.
@@ -72,20 +79,20 @@ fn the_segment_is_named_and_labelled_as_the_report_does() {
 
 #[test]
 fn lengths_nobody_gave_are_in_the_programs_unit_and_positions_are_asked_for_by_template() {
-    let untold = |name: &str, set: &[(&str, &str)]| {
+    let unset = |name: &str, set: &[(&str, &str)]| {
         let mut parameters = Parameters::in_unit(Unit::INCH);
         for (name, value) in set {
             parameters.set(name, value).unwrap();
         }
-        parameters.untold(&Controller::built_in(name).unwrap().unwrap().template).collect::<Vec<_>>()
+        parameters.unset(&Controller::built_in(name).unwrap().unwrap().template).collect::<Vec<_>>()
     };
-    assert_eq!(untold("report", &[]), ["probing_start_z", "reference_z", "reference_x", "clear_z"]);
-    assert_eq!(untold("linuxcnc", &[]), ["probing_start_z"], "its template asks for no other");
-    assert!(untold("fanuc", &[("probing_start_z", "3")]).is_empty());
+    assert_eq!(unset("report", &[]), ["probing_start_z", "reference_z", "reference_x", "clear_z"]);
+    assert_eq!(unset("linuxcnc", &[]), ["probing_start_z"], "its template asks for no other");
+    assert!(unset("fanuc", &[("probing_start_z", "3")]).is_empty());
     let controller = Controller::built_in("report").unwrap().unwrap();
     let (parameters, records) = (Parameters::in_unit(Unit::INCH), records());
     let (unit, made) = (Unit::INCH, "");
-    let job = Job {
+    let job = ProbingProgram {
         controller: &controller,
         parameters: &parameters,
         records: &records,
@@ -117,7 +124,7 @@ fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
             let touches: Vec<&str> = program.lines().filter(|l| l.contains("TOUCH POINT")).collect();
             assert_eq!(touches.len(), 20, "{name}");
             assert!(touches.iter().all(|l| word(l, 'F') == Some(2500.0)), "{name}");
-            let targets = records().into_iter().filter(|r| matches!(r.role, Role::Touch(_)));
+            let targets = records().into_iter().filter(|r| matches!(r.role, PathRole::Touch(_)));
             for (line, r) in touches.iter().zip(targets) {
                 assert!(near(word(line, 'X').unwrap(), r.at.x * diameter / unit.0), "{name} {line}");
             }
@@ -154,7 +161,7 @@ fn a_template_that_asks_for_the_unknown_is_named() {
         ("N0010\n", 0, 0),
     ] {
         controller.template = template.to_owned();
-        let job = Job {
+        let job = ProbingProgram {
             controller: &controller,
             parameters: &parameters,
             records: &records,
@@ -210,9 +217,9 @@ fn linuxcnc_runs_its_dialect() {
                 Some((kind, Zx::new(*values.get(2)?, *values.first()?) * unit.0))
             })
             .collect();
-        for (kind, role) in [("PROBE", Role::Touch(0)), ("FEED", Role::Finish)] {
+        for (kind, role) in [("PROBE", PathRole::Touch(0)), ("FEED", PathRole::Finish)] {
             let got: Vec<Zx> = moves.iter().filter(|m| m.0 == kind).map(|m| m.1).collect();
-            let same = |r: &&Record| std::mem::discriminant(&r.role) == std::mem::discriminant(&role);
+            let same = |r: &&PathPoint| std::mem::discriminant(&r.role) == std::mem::discriminant(&role);
             let records = records();
             let wanted: Vec<Zx> = records.iter().filter(same).map(|r| r.at).collect();
             assert_eq!((got.len(), wanted.len()), (20, 20), "{kind}:\n{canon}");

@@ -3,11 +3,11 @@
 
 use rtec_part::errors::PointError;
 use rtec_part::fit::Zx;
-use rtec_part::table::{AxisCounts, Cut, Table, csv};
+use rtec_part::table::{AxisCounts, FinishCut, FinishTable, csv};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-const CUT: Cut =
-    Cut { centre: Zx::new(127.0, 0.0), radius_mm: 38.1, nose_mm: 0.794, origin: Zx::new(-400.0, 55.5) };
+const CUT: FinishCut =
+    FinishCut { centre: Zx::new(127.0, 0.0), radius_mm: 38.1, nose_mm: 0.794, origin: Zx::new(-400.0, 55.5) };
 /// The Original RTEC on 1 µm counts: 4 µm a correction.
 const ORIGINAL: AxisCounts = AxisCounts { count_um: 1.0, increment: 4, sign: 1.0 };
 const DESIGN_C: AxisCounts = AxisCounts { count_um: 1.0, increment: 2, sign: 1.0 };
@@ -17,14 +17,14 @@ fn bump(angle: f64) -> f64 {
     if off < 0.5 { 21.4 * (1.0 + (TAU * off).cos()) / 2.0 } else { 0.0 }
 }
 
-fn table(axis: AxisCounts) -> Table {
+fn table(axis: AxisCounts) -> FinishTable {
     let errors = (0..20)
         .map(|k| {
             let angle_rad = FRAC_PI_2 * f64::from(k) / 19.0;
             PointError { angle_rad, error_um: bump(angle_rad), along_mm: None }
         })
         .collect();
-    Table::new(CUT, [axis; 2], errors)
+    FinishTable::new(CUT, [axis; 2], errors)
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn the_program_instead_takes_ninety_odd_lines_within_a_micrometre_and_a_half() {
     // Coarser than the rounding there is no chord that fits, but an end.
     let coarse = table.straight_moves(0.0015, 2);
     assert!(coarse.len() > 100 && (*coarse.last().unwrap() - points[lines]).norm() < 0.01);
-    let plain = Table::new(
+    let plain = FinishTable::new(
         CUT,
         [ORIGINAL; 2],
         [0.0, FRAC_PI_2].map(|angle_rad| PointError { angle_rad, error_um: 0.0, along_mm: None }).to_vec(),

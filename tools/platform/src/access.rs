@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 /// The daemon's user, and the group whose members may speak to it.
 const USER: &str = "rtec";
-/// Where additions to the service are put.
+/// Folder of drop-ins: additions to the service's unit file.
 const DROP_INS: &str = "etc/systemd/system/rtecd.service.d";
 
 /// A device that a card's backend opens.
@@ -32,7 +32,7 @@ pub enum Device {
     Bar(PciId, u8),
     /// x86 I/O ports, of a PCI card or at fixed addresses.
     Ports(Option<PciId>),
-    /// Any other file.
+    /// A file that is no device: shared memory, a resource in sysfs.
     File(PathBuf),
 }
 
@@ -241,7 +241,7 @@ impl Tree<'_> {
         .remedy(format!("install -Dt /{DROP_INS} /usr/share/rtec/port.conf && systemctl daemon-reload"))
     }
 
-    /// Where the card's interrupts land.
+    /// Do the card's interrupts land on the CPUs that they should?
     fn card_irq(&self, devices: &[Device], events: bool, cpu: usize) -> Finding {
         let wanted = format!("{} CPU {cpu}", if events { "on" } else { "not on" });
         let mut numbers: Vec<u32> = devices.iter().flat_map(|device| self.interrupts(device)).collect();

@@ -34,7 +34,7 @@ const WITHOUT_END: Request = Request::Correct { axis: 0, total_counts: i64::MAX 
 /// What the other end of the wires saw.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct FarSide {
-    /// Edges given.
+    /// Number of edges given to the scale's lines.
     pub edges: u64,
     /// Edges that no insertion followed: the first one, and those that were seen too late.
     pub without_insertion: u64,
@@ -99,7 +99,7 @@ enum Homed {
     Never,
     /// Asked for at this look of the engine, ns.
     Asked { at_ns: u64 },
-    /// Correcting.
+    /// Homed and correcting.
     Done,
 }
 

@@ -4,8 +4,9 @@
 //! |---|---|
 //! | [`selftest`] | the latencies that the speed gate stands on, measured with the real engine |
 //! | [`access`] | may the service open the card's devices, and where do their interrupts land? |
+//! | `far` | the far side of the self-test's wires: gives the edges, times the insertions, is the MTC |
 //!
-//! Never known here: a machine's errors, corrections or parts; and nothing here runs while a machine is corrected.
+//! What must not live here: a machine's errors, its corrections or parts; anything that runs while a machine is corrected.
 
 pub mod access;
 mod far;

@@ -35,7 +35,7 @@ pub const WAKEUP_INTERVAL_NS: u64 = 500_000;
 const WATCH_INTERVAL: Duration = Duration::from_millis(2);
 const SECOND: Duration = Duration::from_secs(1);
 
-/// Which card to measure with.
+/// The card that the test measures with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
@@ -50,11 +50,11 @@ pub enum Backend {
 pub struct SelftestOptions {
     /// The CPU of the real-time thread.
     pub cpu: usize,
-    /// Its `SCHED_FIFO` priority.
+    /// The thread's `SCHED_FIFO` priority, 1 to 99.
     pub priority: u8,
     /// How long, all in all: a third each for the wake-ups, the polling loop, and the polling loop with requests.
     pub run: Duration,
-    /// The card.
+    /// The card that is polled.
     pub backend: Backend,
     /// Seed of the far side's dwell times.
     pub seed: u64,
@@ -72,16 +72,16 @@ pub enum SelftestError {
     /// A file or thread that the test needs.
     #[error("{0}: {1}")]
     Io(&'static str, #[source] io::Error),
-    /// The card's registers.
+    /// The card's registers cannot be mapped.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// The card failed.
+    /// The card failed while the test ran.
     #[error(transparent)]
     Card(#[from] CardError),
     /// The engine did not start.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// Its thread did not.
+    /// The engine's thread did not start.
     #[error(transparent)]
     Spawn(#[from] SpawnError),
     /// The wake-up thread ended by a panic: a bug.
@@ -92,7 +92,7 @@ pub enum SelftestError {
 /// One of the three latencies.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Latency {
-    /// Its distribution, ns.
+    /// Distribution of the measured times, ns.
     #[serde(flatten)]
     pub ns: Snapshot,
     /// The last value, ns; of the poll gap, of which none is kept, the median.
@@ -106,7 +106,7 @@ pub struct Latency {
 /// What the polling loop did, while the far side gave edges and was the MTC.
 #[derive(Debug, Clone, Default)]
 pub struct Polling {
-    /// How long the loop does not look.
+    /// Time between two looks of the loop.
     pub poll_gap: Latency,
     /// The engine's own part of edge to done: from the look that saw the edge to the look that ordered the second
     /// inversion.
@@ -130,7 +130,7 @@ impl Polling {
     }
 }
 
-/// Everything that was measured.
+/// The three latencies and what they were measured with.
 #[derive(Debug, Clone)]
 pub struct Measured {
     /// The set-up under which it was measured.

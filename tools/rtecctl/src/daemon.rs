@@ -3,7 +3,7 @@
 use crate::Outcome;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::config::{Config, INSTALLED, default_directory};
-use rtec_control::protocol::{Jump, Request, Response};
+use rtec_control::protocol::{ClientRequest, Jump, Response};
 use std::path::{Path, PathBuf};
 
 /// Which daemon, and in which form its answer is printed.
@@ -43,7 +43,7 @@ impl Daemon {
     }
 
     /// Asks, and prints the answer where JSON is wanted. Anything but "done" is an error with its exit code.
-    pub(crate) fn ask(&self, request: &Request) -> anyhow::Result<Response> {
+    pub(crate) fn ask(&self, request: &ClientRequest) -> anyhow::Result<Response> {
         let mut client = self.connect()?;
         let response = client.ask(request).map_err(unreachable)?;
         if self.json {
@@ -58,7 +58,7 @@ impl Daemon {
     }
 
     /// Asks for something to be done and says so.
-    pub(crate) fn order(&self, request: &Request, done: &str) -> anyhow::Result<()> {
+    pub(crate) fn order(&self, request: &ClientRequest, done: &str) -> anyhow::Result<()> {
         self.ask(request)?;
         if !self.json {
             println!("{done}");

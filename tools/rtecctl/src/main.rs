@@ -1,4 +1,11 @@
-//! `rtecctl`: the command line of the real-time error corrector. One file per verb.
+//! `rtecctl`: the command line of the real-time error corrector.
+//!
+//! | file | what |
+//! |---|---|
+//! | `verbs/` | one file per verb: its arguments, what it calls, what it prints |
+//! | `daemon` | the running daemon: where its socket is, its answers as exit codes |
+//!
+//! What must not live here: a formula, a file format, a decision: verbs connect the crates below and print.
 
 mod daemon;
 mod verbs;
@@ -101,7 +108,7 @@ fn main() -> ExitCode {
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
 pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<InputError>() || cause.is::<rtec_control::config::Findings>() {
+        if cause.is::<InputError>() || cause.is::<rtec_control::config::ConfigFindings>() {
             return 2;
         }
         if let Some(outcome) = cause.downcast_ref::<Outcome>() {

@@ -12,7 +12,7 @@ use rtec_files::trace::TraceReader;
 use rtec_part::fit::Zx;
 use rtec_sim::duty::{Cuts, Duty};
 use rtec_sim::lathe::Lathe;
-use rtec_sim::strokes::{Motion, MovingAxes, Truth, moving_axes};
+use rtec_sim::strokes::{MovingAxes, StrokeMotion, Truth, moving_axes};
 use rtec_sim::wires::MachineWires;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -51,7 +51,7 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) 
         .axes
         .iter()
         .map(|axis| {
-            let motion = Motion {
+            let motion = StrokeMotion {
                 stroke_counts: (axis.travel_mm / 4.0 * 1000.0 / axis.count_um).max(1.0),
                 feed_counts_s: (FEED_MM_S * 1000.0 / axis.count_um).min(FEED_COUNTS_S),
                 dwell_s: 0.2,
@@ -88,7 +88,7 @@ pub(crate) fn lathe(
     Ok((MockCard::new(wires, Monotonic), cuts))
 }
 
-/// One recorded axis.
+/// The recording that stands for one axis's scale.
 struct Recorded {
     lines: AxisLines,
     points: Vec<TracePoint>,

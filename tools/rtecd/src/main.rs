@@ -8,6 +8,8 @@
 //! | `server` | the control socket and its clients |
 //! | `manager` | the service manager: ready, watchdog, the store for file descriptors |
 //! | `log` | standard error, fit for the journal |
+//!
+//! What must not live here: the control law (`rtec-correct`), effects (`rtec-model`), the step between two edges (`rtec-rt`).
 
 mod cards;
 mod log;
@@ -23,7 +25,7 @@ use manager::Manager;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use rtec_control::card::{self, OpenError};
-use rtec_control::config::{CardConfig, Config, Findings, PortPlace};
+use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
 use rtec_driver::card::Card;
 use rtec_files::InputError;
@@ -39,7 +41,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use temperatures::Temperatures;
 
-/// Where an installed machine's configuration is.
+/// Path of an installed machine's configuration.
 const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
 /// Real-time error corrector: the daemon
@@ -95,7 +97,7 @@ fn main() -> ExitCode {
 }
 
 fn exit_code(error: &anyhow::Error) -> u8 {
-    if error.is::<InputError>() || error.is::<Findings>() {
+    if error.is::<InputError>() || error.is::<ConfigFindings>() {
         return 2;
     }
     if error.is::<OpenError>() {
@@ -194,7 +196,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
 
 /// What hangs on a card.
 enum Kind {
-    /// A machine.
+    /// A machine tool.
     Real,
     /// Another program, or a recording.
     Harmless,
@@ -202,7 +204,7 @@ enum Kind {
     Simulated(cards::Stand),
 }
 
-/// Whom the daemon listens to and tells: clients, signals, the service manager.
+/// Whom the daemon listens to and reports to: clients, signals, the service manager.
 struct Outside<'a> {
     listener: &'a UnixListener,
     signals: &'a SignalFd,
@@ -256,7 +258,7 @@ fn work<C: Card + Send + 'static>(
             Level::Error,
             &format!("axis {}: the inverters are not where the state file left them", config.axes[n].name),
         );
-        // What is latched now stands in the status from the first one on; there is no one yet to be told.
+        // What is latched now stands in the status from the first one on; there is no one yet to report it to.
         engine.latch(Some(n as u8), Fault::InvertersMoved, &mut card, &mut |_| true)?;
     }
     if let Some((journal, _)) = journal {

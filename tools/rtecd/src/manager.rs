@@ -1,4 +1,4 @@
-//! The service manager: what it is told (`sd_notify(3)`), and the store in which file descriptors outlive this process.
+//! The service manager: what is reported to it (`sd_notify(3)`), and the store in which file descriptors outlive this process.
 //!
 //! | message | when |
 //! |---|---|
@@ -8,7 +8,7 @@
 //! | `STOPPING=1` | a signal has come: parking |
 //! | `FDSTORE=1` | a descriptor whose closing would let output lines go; it comes back at the next start |
 //!
-//! Without a service manager nothing is told and nothing comes back.
+//! Without a service manager nothing is reported and nothing comes back.
 
 use anyhow::Context;
 use nix::sys::socket::{ControlMessage, MsgFlags, UnixAddr, sendmsg};
@@ -29,12 +29,12 @@ const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// The service manager, or nobody.
 pub(crate) struct Manager {
     socket: Option<UnixDatagram>,
-    /// How often it wants to hear of us.
+    /// Time between two watchdog messages that the manager expects; none without a watchdog.
     watchdog_every: Option<Duration>,
     fed: Instant,
     /// Looks at the card when the watchdog was fed last.
     polls: u64,
-    told: Instant,
+    reported: Instant,
     status: String,
     /// What came back from the store and was not taken yet, by name.
     stored: BTreeMap<String, OwnedFd>,
@@ -72,7 +72,7 @@ impl Manager {
             watchdog_every: watchdog.map(|us| Duration::from_micros(us / 2)),
             fed: now,
             polls: 0,
-            told: now,
+            reported: now,
             status: String::new(),
             in_store: stored.keys().cloned().collect(),
             stored,
@@ -108,7 +108,7 @@ impl Manager {
     /// The engine runs, and what its set-up lacks has been reported.
     ///
     /// # Errors
-    /// When it could not be told.
+    /// When the message could not be sent.
     pub(crate) fn ready(&self) -> anyhow::Result<()> {
         self.send("READY=1\n", None, MsgFlags::empty()).context("telling the service manager")?;
         Ok(())
@@ -133,8 +133,8 @@ impl Manager {
             }
             self.polls = polls;
         }
-        if now - self.told >= STATUS_EVERY || self.status.is_empty() {
-            self.told = now;
+        if now - self.reported >= STATUS_EVERY || self.status.is_empty() {
+            self.reported = now;
             let status = status();
             if status != self.status
                 && matches!(self.send(&format!("STATUS={status}\n"), None, MsgFlags::MSG_DONTWAIT), Ok(true))
@@ -196,7 +196,7 @@ mod tests {
             watchdog_every,
             fed: now,
             polls: 0,
-            told: now,
+            reported: now,
             status: "as before".to_owned(),
             stored: BTreeMap::new(),
             in_store: BTreeSet::new(),
@@ -204,7 +204,7 @@ mod tests {
         (manager, theirs)
     }
 
-    fn heard(socket: &UnixDatagram) -> Vec<String> {
+    fn received(socket: &UnixDatagram) -> Vec<String> {
         let mut buffer = [0; 256];
         let mut all = Vec::new();
         while let Ok(n) = socket.recv(&mut buffer) {
@@ -217,11 +217,11 @@ mod tests {
     fn the_watchdog_is_fed_only_while_the_real_time_thread_gets_on() {
         let (mut manager, theirs) = manager(Some(Duration::ZERO));
         manager.turn(7, String::new);
-        assert_eq!(heard(&theirs), ["WATCHDOG=1\n"]);
+        assert_eq!(received(&theirs), ["WATCHDOG=1\n"]);
         manager.turn(7, String::new);
-        assert_eq!(heard(&theirs), [""; 0], "it stands still");
+        assert_eq!(received(&theirs), [""; 0], "it stands still");
         manager.turn(8, String::new);
-        assert_eq!(heard(&theirs), ["WATCHDOG=1\n"]);
+        assert_eq!(received(&theirs), ["WATCHDOG=1\n"]);
     }
 
     #[test]
@@ -230,10 +230,10 @@ mod tests {
         for polls in 1..10_000 {
             manager.turn(polls, String::new);
         }
-        let waiting = heard(&theirs).len();
+        let waiting = received(&theirs).len();
         assert!(waiting > 0 && waiting < 9_999, "{waiting}: the queue was never full");
         manager.turn(10_000, String::new);
-        assert_eq!(heard(&theirs), ["WATCHDOG=1\n"]);
+        assert_eq!(received(&theirs), ["WATCHDOG=1\n"]);
     }
 
     #[test]
@@ -241,7 +241,7 @@ mod tests {
         let (mut manager, theirs) = manager(None);
         let file = std::fs::File::open("/dev/null").unwrap();
         assert!(manager.keep("outputs-chip", file.as_fd()).unwrap());
-        assert_eq!(heard(&theirs), ["FDSTORE=1\nFDNAME=outputs-chip\n"]);
+        assert_eq!(received(&theirs), ["FDSTORE=1\nFDNAME=outputs-chip\n"]);
         for name in ["outputs-chip", "other"] {
             manager.stored.insert(name.to_owned(), file.try_clone().unwrap().into());
             manager.in_store.insert(name.to_owned());
@@ -250,7 +250,7 @@ mod tests {
         assert_eq!(manager.take_back("outputs-").len(), 0);
         assert_eq!(manager.left_over().collect::<Vec<_>>(), ["other"]);
         assert!(manager.keep("outputs-chip", file.as_fd()).unwrap());
-        assert_eq!(heard(&theirs), [""; 0]);
+        assert_eq!(received(&theirs), [""; 0]);
         manager.socket = None;
         manager.in_store.clear();
         assert!(!manager.keep("outputs-chip", file.as_fd()).unwrap(), "nobody keeps it");

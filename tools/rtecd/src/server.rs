@@ -9,7 +9,7 @@ use nix::sys::stat::{Mode, umask};
 use nix::unistd::{Group, chown};
 use rtec_control::config::ControlConfig;
 use rtec_control::lock;
-use rtec_control::protocol::{MAX_LINE, Request, Response};
+use rtec_control::protocol::{ClientRequest, MAX_LINE, Response};
 use rtec_rt::link::ControlEnd;
 use std::fs::{DirBuilder, Permissions};
 use std::io::{ErrorKind, Read, Write};
@@ -90,7 +90,7 @@ struct Client {
     inbox: Vec<u8>,
     outbox: Vec<u8>,
     watching: bool,
-    heard: Instant,
+    last_line: Instant,
     /// Nothing more is read; it goes when the outbox is empty.
     closing: bool,
     gone: bool,
@@ -103,7 +103,7 @@ impl Client {
             inbox: Vec::new(),
             outbox: Vec::new(),
             watching: false,
-            heard: Instant::now(),
+            last_line: Instant::now(),
             closing: false,
             gone: false,
         }
@@ -157,7 +157,7 @@ impl Client {
         };
         let mut line: Vec<u8> = self.inbox.drain(..=end).collect();
         line.pop();
-        self.heard = Instant::now();
+        self.last_line = Instant::now();
         Some(line)
     }
 
@@ -178,7 +178,7 @@ impl Client {
     }
 
     fn over(&self) -> bool {
-        let dumb = !self.watching && self.heard.elapsed() > IDLE;
+        let dumb = !self.watching && self.last_line.elapsed() > IDLE;
         let deaf = self.watching && self.outbox.len() > MAX_UNREAD;
         self.gone || dumb || deaf || self.closing && self.outbox.is_empty() && !self.inbox.contains(&b'\n')
     }
@@ -195,7 +195,7 @@ pub(crate) fn serve(
     let mut clients: Vec<Client> = Vec::new();
     let every = session.beat_every();
     let timeout = PollTimeout::try_from(every).unwrap_or(PollTimeout::from(10_u8));
-    let mut told_end = false;
+    let mut end_reported = false;
     loop {
         control.beat();
         let status = control.status();
@@ -240,8 +240,8 @@ pub(crate) fn serve(
         }
         session.drain(control, log);
         session.tick(control, log);
-        if control.ended() && !told_end {
-            told_end = true;
+        if control.ended() && !end_reported {
+            end_reported = true;
             log.say(
                 Level::Error,
                 "the real-time thread has ended; corrections are frozen, status is still served",
@@ -262,10 +262,10 @@ fn obey(client: &mut Client, line: &[u8], session: &mut Session, control: &mut C
         Ok(line) => line.trim(),
         Err(_) => return client.bad("found bytes that are no UTF-8; expected one JSON object a line"),
     };
-    match Request::parse(line) {
+    match ClientRequest::parse(line) {
         Err(text) => client.bad(text),
         Ok(request) => {
-            client.watching |= request == Request::Watch {};
+            client.watching |= request == ClientRequest::Watch {};
             let response = session.answer(&request, control, log);
             client.put(&response);
         }

@@ -3,10 +3,10 @@
 use crate::cards::Stand;
 use crate::log::{Level, Log};
 use crate::temperatures::{Temperatures, history};
-use rtec_control::config::{Axis as AxisConfig, Config};
+use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_control::protocol::{
-    Axis, Distribution, Happened, Jump, ModelPreview, PartTable, Request, Response, Rt, Status,
-    explain_fault, explain_refusal, word,
+    AxisReport, ClientRequest, DaemonStatus, Distribution, Happened, Jump, ModelPreview, PartTable, Response,
+    Rt, explain_fault, explain_refusal, word,
 };
 use rtec_correct::Corrector;
 use rtec_correct::explain::Reading;
@@ -17,7 +17,7 @@ use rtec_model::machine::Machine;
 use rtec_model::record::Role;
 use rtec_part::errors::read_error_cor;
 use rtec_rt::engine::Timing;
-use rtec_rt::event::{self, Event, EventKind, Mode, Refusal};
+use rtec_rt::event::{Event, EventKind, Mode, Refusal, Request, Status};
 use rtec_rt::histogram::Reader;
 use rtec_rt::link::{ControlEnd, REQUESTS};
 use rtec_rt::setup::{Report, Wanted};
@@ -45,7 +45,7 @@ pub(crate) struct Session {
     patience: Duration,
     temperatures: Temperatures,
     corrector: Corrector,
-    /// When the corrector looks again.
+    /// Time of the corrector's next look.
     due: Instant,
     /// Who stands at the machine, where it is a simulated one.
     stand: Option<Stand>,
@@ -67,7 +67,7 @@ const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record and fit ag
 
 impl Session {
     pub(crate) fn new(config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
-        let setups = config.axes.iter().map(AxisConfig::law).collect();
+        let setups = config.axes.iter().map(ConfiguredAxis::law).collect();
         let model = &config.model;
         let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
         Self {
@@ -85,11 +85,11 @@ impl Session {
         }
     }
 
-    pub(crate) fn axes(&self) -> &[AxisConfig] {
+    pub(crate) fn axes(&self) -> &[ConfiguredAxis] {
         &self.config.axes
     }
 
-    /// How often the real-time thread must hear from us.
+    /// How often the real-time thread must see a sign of life.
     pub(crate) fn beat_every(&self) -> Duration {
         let stale = Duration::from_millis((self.config.control.stale_ms / 4).clamp(1, 20));
         stale.min(Duration::from_millis(self.config.model.period_ms))
@@ -170,7 +170,7 @@ impl Session {
         let totals = self.corrector.tick(now_s, &status, sensors);
         for (axis, total) in totals.into_iter().enumerate() {
             let Some(total_counts) = total else { continue };
-            let request = event::Request::Correct { axis: axis as u8, total_counts, large: false };
+            let request = Request::Correct { axis: axis as u8, total_counts, large: false };
             if let Err(full) = control.send(request) {
                 // It is a total: the next one makes it good.
                 return log.event(Level::Warning, "ring_full", &full.to_string());
@@ -183,7 +183,7 @@ impl Session {
         std::mem::take(&mut self.happened)
     }
 
-    /// Logs what the real-time thread has told.
+    /// Logs what the real-time thread has reported.
     pub(crate) fn drain(&mut self, control: &mut ControlEnd, log: &mut Log) {
         while let Some(event) = control.event() {
             self.note(&event, log);
@@ -221,10 +221,10 @@ impl Session {
         self.happened.push(happened);
     }
 
-    /// Sends a request and waits until it has been worked off; returns what was told in the meantime.
+    /// Sends a request and waits until it has been worked off; returns what was reported in the meantime.
     fn send(
         &mut self,
-        request: event::Request,
+        request: Request,
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Result<Vec<Event>, Response> {
@@ -276,10 +276,10 @@ impl Session {
         }
     }
 
-    /// Sends a request and turns what was told into an answer; an insertion under way is waited for.
+    /// Sends a request and turns what was reported into an answer; an insertion under way is waited for.
     fn carry_out(
         &mut self,
-        request: event::Request,
+        request: Request,
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Result<Vec<Event>, Response> {
@@ -311,42 +311,49 @@ impl Session {
     }
 
     /// Carries out a request. `watch` is the server's.
-    pub(crate) fn answer(&mut self, request: &Request, control: &mut ControlEnd, log: &mut Log) -> Response {
+    pub(crate) fn answer(
+        &mut self,
+        request: &ClientRequest,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Response {
         let done = Response::Done { jumps: Vec::new() };
         let plain = |request| (request, done.clone());
         let (request, done) = match request {
-            Request::Status {} => return Response::Status(Box::new(self.status(control))),
-            Request::Home { axis } => return self.home(axis.as_deref(), control, log).unwrap_or_else(|e| e),
-            Request::Enable { accept_jump } => {
+            ClientRequest::Status {} => return Response::Status(Box::new(self.status(control))),
+            ClientRequest::Home { axis } => {
+                return self.home(axis.as_deref(), control, log).unwrap_or_else(|e| e);
+            }
+            ClientRequest::Enable { accept_jump } => {
                 let jumps = self.jumps(&control.status());
                 if let Some(refusal) = self.forbidden(&jumps, *accept_jump) {
                     return refusal;
                 }
-                (event::Request::Enable, Response::Done { jumps })
+                (Request::Enable, Response::Done { jumps })
             }
-            Request::Correct { axis, total_counts, large } => {
+            ClientRequest::Correct { axis, total_counts, large } => {
                 let done = self.correct(axis, *total_counts, *large, control, log);
                 return done.unwrap_or_else(|e| e);
             }
-            Request::ModelLoad { file, take, expired } => {
+            ClientRequest::ModelLoad { file, take, expired } => {
                 let done = self.model_load(file.as_deref(), take.as_deref(), *expired, control, log);
                 return done.unwrap_or_else(|e| e);
             }
-            Request::Jog { axis, display_mm } => {
+            ClientRequest::Jog { axis, display_mm } => {
                 return self.jog(axis, *display_mm).unwrap_or_else(|e| e);
             }
-            Request::ModelUnload {} => return self.model_unload(log),
-            Request::Explain { axis } => {
+            ClientRequest::ModelUnload {} => return self.model_unload(log),
+            ClientRequest::Explain { axis } => {
                 return self.explain(axis.as_deref(), control).unwrap_or_else(|e| e);
             }
-            Request::TableLoad(table) => return self.table_load(table, log),
-            Request::TableUnload {} => return self.table_unload(log),
-            Request::Disable {} => plain(event::Request::Disable),
-            Request::Shadow {} => plain(event::Request::Shadow),
-            Request::Probe { on } => plain(event::Request::Probe(*on)),
-            Request::Hold { on } => plain(event::Request::Hold(*on)),
-            Request::Clear {} => plain(event::Request::Clear),
-            Request::Watch {} => return done,
+            ClientRequest::TableLoad(table) => return self.table_load(table, log),
+            ClientRequest::TableUnload {} => return self.table_unload(log),
+            ClientRequest::Disable {} => plain(Request::Disable),
+            ClientRequest::Shadow {} => plain(Request::Shadow),
+            ClientRequest::Probe { on } => plain(Request::Probe(*on)),
+            ClientRequest::Hold { on } => plain(Request::Hold(*on)),
+            ClientRequest::Clear {} => plain(Request::Clear),
+            ClientRequest::Watch {} => return done,
         };
         match self.carry_out(request, control, log) {
             Ok(_) => done,
@@ -378,7 +385,7 @@ impl Session {
         let on = matches!(control.status().mode, Mode::Run | Mode::Shadow);
         let total_counts =
             if on { self.corrector.with_operator(n, operator_counts) } else { operator_counts };
-        self.carry_out(event::Request::Correct { axis: n as u8, total_counts, large }, control, log)?;
+        self.carry_out(Request::Correct { axis: n as u8, total_counts, large }, control, log)?;
         if on {
             self.corrector.operator_is(n, operator_counts);
         }
@@ -448,7 +455,7 @@ impl Session {
         Response::Done { jumps: Vec::new() }
     }
 
-    /// Jogs a simulated axis, and tells what display and indicator show.
+    /// Jogs a simulated axis, and reports what display and indicator show.
     fn jog(&self, axis: &str, display_mm: Option<f64>) -> Result<Response, Response> {
         let n = self.number(axis)?;
         let Some(stand) = &self.stand else {
@@ -512,8 +519,8 @@ impl Session {
         };
         for n in axes {
             let (axis, position_counts) = (n as u8, self.config.axes[n].home_counts);
-            let told = self.carry_out(event::Request::Home { axis, position_counts }, control, log)?;
-            let read_back = told.iter().find_map(|e| match e.kind {
+            let events = self.carry_out(Request::Home { axis, position_counts }, control, log)?;
+            let read_back = events.iter().find_map(|e| match e.kind {
                 EventKind::HomeSet { position_counts } if e.axis == Some(axis) => Some(position_counts),
                 _ => None,
             });
@@ -524,13 +531,13 @@ impl Session {
                 );
                 return Err(Response::Refused { why: "home_read_back".to_owned(), text, jumps: Vec::new() });
             }
-            self.carry_out(event::Request::ConfirmHome { axis, position_counts }, control, log)?;
+            self.carry_out(Request::ConfirmHome { axis, position_counts }, control, log)?;
         }
         Ok(Response::Done { jumps: Vec::new() })
     }
 
     /// What enabling would insert, axis by axis.
-    fn jumps(&self, status: &event::Status) -> Vec<Jump> {
+    fn jumps(&self, status: &Status) -> Vec<Jump> {
         let all = self.config.axes.iter().zip(status.axes()).enumerate();
         all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect))
             .filter(|(_, counts)| *counts != 0)
@@ -563,7 +570,7 @@ impl Session {
     }
 
     /// The state in a line, for the service manager.
-    pub(crate) fn in_short(&self, now: &event::Status) -> String {
+    pub(crate) fn in_short(&self, now: &Status) -> String {
         let mut text = format!("mode {}", word(now.mode));
         for fault in now.faults.iter() {
             text = format!("{text}, {}", word(fault));
@@ -577,7 +584,7 @@ impl Session {
         text
     }
 
-    fn status(&self, control: &mut ControlEnd) -> Status {
+    fn status(&self, control: &mut ControlEnd) -> DaemonStatus {
         let now = control.status();
         let alive = !control.ended();
         let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
@@ -599,7 +606,7 @@ impl Session {
             poll_gap_ns: distribution(&self.set_up.timing.poll_gap_ns),
             edge_to_done_ns: distribution(&self.set_up.timing.edge_to_done_ns),
         };
-        let axes = self.config.axes.iter().zip(now.axes()).map(|(axis, s)| Axis {
+        let axes = self.config.axes.iter().zip(now.axes()).map(|(axis, s)| AxisReport {
             name: axis.name.clone(),
             position_counts: s.position_counts,
             position_mm: s.position_counts as f64 * axis.count_um / 1000.0,
@@ -620,7 +627,7 @@ impl Session {
             late: s.late,
             illegal: s.illegal,
         });
-        Status {
+        DaemonStatus {
             machine: self.config.machine.clone(),
             mode: word(now.mode),
             homed: now.axes().iter().all(|a| a.homed),
@@ -643,7 +650,7 @@ impl Session {
     }
 
     /// Why nothing is corrected now, each with its remedy.
-    fn why_not(&self, now: &event::Status, alive: bool, may_arm: bool) -> Vec<String> {
+    fn why_not(&self, now: &Status, alive: bool, may_arm: bool) -> Vec<String> {
         let mut why = Vec::new();
         if !alive {
             why.push("the real-time thread has ended: see the log, then restart the daemon".to_owned());
@@ -750,7 +757,7 @@ mod tests {
         let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
         let mut session = Session::new(config, set_up, played);
         session.load(Machine::read(&folder.join("machine.toml")).unwrap()).unwrap();
-        let mut status = event::Status { mode: Mode::Run, axes_used: 3, ..event::Status::default() };
+        let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
         status.axes.iter_mut().for_each(|a| a.homed = true);
         let (mut control, mut rt) = link(status);
         let mut log = Log::new();
@@ -769,7 +776,7 @@ mod tests {
             session.due = Instant::now();
             session.tick(&mut control, &mut log);
             while let Some(request) = rt.request() {
-                let event::Request::Correct { axis, total_counts, large: false } = request else {
+                let Request::Correct { axis, total_counts, large: false } = request else {
                     panic!("{request:?} from the corrector")
                 };
                 let axis = &mut status.axes[usize::from(axis)];
@@ -791,7 +798,7 @@ mod tests {
         session.patience = Duration::from_millis(1);
         let (mut control, _rt) = link(engine.status());
         let mut log = Log::new();
-        let hold = Request::Hold { on: true };
+        let hold = ClientRequest::Hold { on: true };
         for _ in 0..REQUESTS {
             let Response::Refused { why, .. } = session.answer(&hold, &mut control, &mut log) else {
                 panic!("an answer from nobody")
@@ -803,7 +810,10 @@ mod tests {
         };
         assert!(why == "ring_full" && text.contains("256 requests"), "{why}: {text}");
         // A status never waits for the real-time thread.
-        assert!(matches!(session.answer(&Request::Status {}, &mut control, &mut log), Response::Status(_)));
+        assert!(matches!(
+            session.answer(&ClientRequest::Status {}, &mut control, &mut log),
+            Response::Status(_)
+        ));
     }
 
     /// A model that ends while it runs goes on with what is being cut; it is not armed again before somebody has meant it.
@@ -824,26 +834,27 @@ mod tests {
                     rms_um = 0.1\nhalf_width_um = 0.2\n";
         std::fs::write(&file, text).unwrap();
         let sha256 = Machine::read(&file).unwrap().sha256().to_owned();
-        let load = |expired| Request::ModelLoad {
+        let load = |expired| ClientRequest::ModelLoad {
             file: Some(file.display().to_string()),
             take: Some(sha256.clone()),
             expired,
         };
-        let (enable, done) = (Request::Enable { accept_jump: false }, Response::Done { jumps: Vec::new() });
+        let (enable, done) =
+            (ClientRequest::Enable { accept_jump: false }, Response::Done { jumps: Vec::new() });
         let refused = |response: Response| match response {
             Response::Refused { why, text, .. } => (why, text),
             other => panic!("{other:?}"),
         };
         session.today = || 10;
         assert_eq!(session.answer(&load(false), control, &mut log), done);
-        assert_eq!(session.answer(&Request::Home { axis: None }, control, &mut log), done);
+        assert_eq!(session.answer(&ClientRequest::Home { axis: None }, control, &mut log), done);
         assert_eq!(session.answer(&enable, control, &mut log), done);
         session.today = || 11;
         session.tick(control, &mut log);
         let status = session.status(control);
         assert!(status.why_not.is_empty(), "what is cut goes on: {:?}", status.why_not);
         assert_eq!(status.model.unwrap().expired.len(), 1);
-        assert_eq!(session.answer(&Request::Disable {}, control, &mut log), done);
+        assert_eq!(session.answer(&ClientRequest::Disable {}, control, &mut log), done);
         assert!(session.status(control).why_not.iter().any(|w| w.contains("validity ended on 1970-01-11")));
         let (why, text) = refused(session.answer(&enable, control, &mut log));
         assert!(why == "expired" && text.contains("load --expired"), "{why}: {text}");
@@ -860,7 +871,7 @@ mod tests {
         running.stop();
     }
 
-    /// A control side that falls silent: corrections freeze, the status says so; heard again, they go on.
+    /// A control side that falls silent: corrections freeze, the status says so; back again, they go on.
     #[test]
     fn a_stale_control_side_freezes_corrections_and_is_named() {
         let config = Config::embedded();
@@ -871,8 +882,8 @@ mod tests {
         let control = &mut running.control;
         let mut log = Log::new();
         let done = Response::Done { jumps: Vec::new() };
-        assert_eq!(session.answer(&Request::Home { axis: None }, control, &mut log), done);
-        assert_eq!(session.answer(&Request::Enable { accept_jump: false }, control, &mut log), done);
+        assert_eq!(session.answer(&ClientRequest::Home { axis: None }, control, &mut log), done);
+        assert_eq!(session.answer(&ClientRequest::Enable { accept_jump: false }, control, &mut log), done);
         while !control.status().control_stale {
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -887,7 +898,8 @@ mod tests {
         let (ended, mut control) = running.stop();
         assert!(ended.status.balanced());
         // A thread that has ended says so.
-        let Response::Refused { why, .. } = session.answer(&Request::Clear {}, &mut control, &mut log) else {
+        let Response::Refused { why, .. } = session.answer(&ClientRequest::Clear {}, &mut control, &mut log)
+        else {
             panic!("an answer from nobody")
         };
         assert_eq!(why, "ended");

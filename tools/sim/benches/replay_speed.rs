@@ -4,7 +4,7 @@
 //! The axis goes 1000 counts forth and back at 2 µs a count; a correction of ±2 counts is requested every 500 edges.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::Request;
+use rtec_driver::replay::RequestedTotal;
 use rtec_files::trace::TraceReader;
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::replay;
@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     out.into_inner()?.sync_all()?;
     let totals = (1..edges / 500)
-        .map(|n| Ok(Request { t_ns: n * 1_000_000, requested: if n % 2 == 0 { 2 } else { -2 } }));
+        .map(|n| Ok(RequestedTotal { t_ns: n * 1_000_000, requested: if n % 2 == 0 { 2 } else { -2 } }));
     let config = AxisConfig { max_accel_counts_s2: 1e6, ..AxisConfig::default() };
     let begun = Instant::now();
     let (outcome, _) = replay(config, TraceReader::open(&file)?, totals, true, |_, _| ())?;

@@ -1,6 +1,6 @@
 //! Prints how fast the simulation is: `cargo bench -p rtec-sim --bench sim_speed`.
 
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_sim::gcode::parse;
 use rtec_sim::sim::{Sim, Spec};
 use std::path::Path;
@@ -9,7 +9,7 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let text =
         "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 50\n[[effect]]\nname = \"scale.y\"\nppm = -80\n";
-    let model = Model::parse(Path::new("speed.toml"), text)?;
+    let model = Machine::parse(Path::new("speed.toml"), text)?;
     let mut spec = Spec::machining_centre();
     spec.axes.truncate(2);
     let mut sim = Sim::new(&spec, &model, Some(&model), [-250.0, -250.0, 0.0], 1)?;

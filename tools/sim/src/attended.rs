@@ -1,15 +1,15 @@
 //! A machine that somebody, or something, attends to once in every period of its controller: errors move its tool, the
 //! tool cuts, an operator presses a button.
 
-use crate::machine::{Machine, SERVO_NS};
+use crate::machine::{SERVO_NS, SimMachine};
 
 /// The machine and what goes on at it.
 pub trait Attended {
-    /// The machine.
-    fn machine(&self) -> &Machine;
+    /// The machine that is attended.
+    fn machine(&self) -> &SimMachine;
 
     /// The machine, to be attended to.
-    fn machine_mut(&mut self) -> &mut Machine;
+    fn machine_mut(&mut self) -> &mut SimMachine;
 
     /// A period of the controller is over; it has not commanded the next one yet.
     fn tick(&mut self);
@@ -17,7 +17,7 @@ pub trait Attended {
     /// Lines may have changed.
     fn changed(&mut self) {}
 
-    /// Lets time pass.
+    /// Lets the machine run until `t_ns`, ns of its own clock, doing what is due on the way.
     fn run_to(&mut self, t_ns: u64) {
         let mut now_ns = self.machine().now_ns();
         while now_ns / SERVO_NS < t_ns / SERVO_NS {

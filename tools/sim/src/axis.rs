@@ -83,7 +83,7 @@ pub(crate) struct AxisSim {
     /// Motor side of the screw and table, counts (edges of the scale lie at whole numbers).
     motor: f64,
     table: f64,
-    /// Counts/s.
+    /// Speed of the motor side, counts/s.
     speed: f64,
     /// Integral of the speed loop, counts/s².
     integral: f64,
@@ -123,7 +123,7 @@ pub(crate) struct Friction {
     pub viscous_n_s_per_m: Option<f64>,
     /// N per m/s of |v|.
     pub asymmetric_n_s_per_m: f64,
-    /// N.
+    /// Constant force, N.
     pub offset_n: f64,
 }
 
@@ -257,7 +257,7 @@ impl AxisSim {
         self.find_edge(from_ns, step_ns);
     }
 
-    /// Nothing moves and nothing is asked to.
+    /// The axis stands still and is not commanded to move.
     pub(crate) fn rests(&self) -> bool {
         self.speed == 0.0 && self.wanted == (0.0, 0.0)
     }

@@ -3,12 +3,12 @@
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
 use crate::noise::Noise;
-use crate::replay::{Corrector, ReplayError, ReplayOutcome, homed_engine, replay, replay_with};
+use crate::replay::{CorrectedAxis, ReplayError, ReplayOutcome, homed_engine, replay, replay_with};
 use crate::through::DesignB;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_driver::replay::{Gates, Listener, Through, Xor};
-use rtec_driver::replay::{Request, TracePoint};
+use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind};
@@ -31,10 +31,10 @@ pub enum AnyDesign {
 }
 
 impl AnyDesign {
-    /// All of them.
+    /// All designs, the oldest first.
     pub const ALL: [Self; 5] = [Self::Original, Self::A, Self::B, Self::C, Self::Ecc];
 
-    /// Its name on the command line.
+    /// The design's name on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -92,7 +92,7 @@ pub fn replay_any<T, R, L, E>(
 ) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     T: Iterator<Item = Result<TracePoint, E>>,
-    R: Iterator<Item = Result<Request, E>>,
+    R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
     let config = AxisConfig { lines: AxisLines::standard(0, false), design: design.engine(), ..config };
@@ -293,8 +293,8 @@ impl<G: Gates> Card for Rig<'_, G> {
 
 /// A run on the bench.
 #[derive(Debug, Clone)]
-pub struct Run<'a> {
-    /// Which design.
+pub struct BenchRun<'a> {
+    /// The insertion design that is run.
     pub design: AnyDesign,
     /// On which computer. The ECC is a circuit and needs none.
     pub computer: &'a Computer,
@@ -302,7 +302,7 @@ pub struct Run<'a> {
     pub config: AxisConfig,
     /// The scale's state before the first edge.
     pub start: State,
-    /// The motion.
+    /// The scale's edges: the motion.
     pub edges: &'a [Edge],
     /// Requested totals and when, ns.
     pub totals: &'a [(u64, i64)],
@@ -316,9 +316,9 @@ pub struct Run<'a> {
     pub keep_log: bool,
 }
 
-/// What came of it.
+/// What came of a run on the bench.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Seen {
+pub struct BenchResult {
     /// Counts of the scale.
     pub scale: i64,
     /// Counts of the MTC.
@@ -327,9 +327,9 @@ pub struct Seen {
     pub completed: i64,
     /// What was asked of it.
     pub requested: i64,
-    /// Insertions made.
+    /// Number of insertions made.
     pub insertions: u64,
-    /// Both signals at once, at the MTC.
+    /// Illegal transitions at the MTC: A and B at once.
     pub illegal: u64,
     /// Shortest time between two edges at the MTC, ns.
     pub min_separation_ns: u64,
@@ -337,7 +337,7 @@ pub struct Seen {
     pub overlaps: u64,
     /// Edges at which an insertion was due and the axis too fast.
     pub waited_for_gate: u64,
-    /// Latched faults.
+    /// Number of latched faults.
     pub faults: usize,
     /// Shortest and longest time from an edge to the end of the insertion it opened, ns.
     pub edge_to_done_ns: Option<(u64, u64)>,
@@ -349,7 +349,7 @@ pub struct Seen {
     pub log: Vec<(u64, State, State, i64)>,
 }
 
-impl Seen {
+impl BenchResult {
     /// What the MTC has beyond scale and completed: zero, or a mistake.
     #[must_use]
     pub const fn error_counts(&self) -> i64 {
@@ -357,11 +357,11 @@ impl Seen {
     }
 }
 
-impl Run<'_> {
+impl BenchRun<'_> {
     /// An axis at rest at A = B = low, no requests, no death, gated.
     #[must_use]
-    pub fn new(design: AnyDesign, computer: &Computer) -> Run<'_> {
-        Run {
+    pub fn new(design: AnyDesign, computer: &Computer) -> BenchRun<'_> {
+        BenchRun {
             design,
             computer,
             config: AxisConfig::default(),
@@ -396,7 +396,7 @@ impl Run<'_> {
 
     /// Runs it. `None` where the computer is too slow for this axis at any speed.
     #[must_use]
-    pub fn run(&self) -> Option<Seen> {
+    pub fn run(&self) -> Option<BenchResult> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
             AnyDesign::Original => {
@@ -416,12 +416,12 @@ impl Run<'_> {
         }
     }
 
-    fn go<'s, G: Gates, M: Corrector>(
+    fn go<'s, G: Gates, M: CorrectedAxis>(
         &'s self,
         gates: G,
         start: impl FnOnce(&mut Rig<'s, G>) -> Option<M>,
         circuit: impl FnOnce(&M) -> (f64, Option<(u64, u64)>),
-    ) -> Option<Seen> {
+    ) -> Option<BenchResult> {
         let is_circuit = self.design == AnyDesign::Ecc;
         let last_ns = self.edges.last().map_or(0, |e| e.0).max(self.totals.last().map_or(0, |t| t.0));
         let mut rig = Rig {
@@ -450,7 +450,7 @@ impl Run<'_> {
         rig.out(0);
         let mut corrector = start(&mut rig)?;
         let mut faults = 0;
-        let mut tell = |e: Event| {
+        let mut report = |e: Event| {
             faults += usize::from(matches!(e.kind, EventKind::Fault(_)));
             true
         };
@@ -459,11 +459,11 @@ impl Run<'_> {
         let (mut insertions, mut last_edge_ns) = (0, 0);
         loop {
             while let Some((_, total)) = totals.next_if(|t| t.0 <= corrector.now_ns()) {
-                corrector.correct(total, true, &mut rig, &mut tell).ok()?;
+                corrector.correct(total, true, &mut rig, &mut report).ok()?;
             }
             let by_ns = totals.peek().map_or(u64::MAX, |t| t.0);
             let seen = rig.seen;
-            match corrector.poll(&mut rig, by_ns, &mut tell) {
+            match corrector.poll(&mut rig, by_ns, &mut report) {
                 Ok(()) => {}
                 Err(CardError::Ended) => break,
                 Err(CardError::Io { .. }) => return None,
@@ -484,7 +484,7 @@ impl Run<'_> {
         }
         let axis = corrector.axis();
         let (worst_phase_deg, pulse_ns) = circuit(&corrector);
-        Some(Seen {
+        Some(BenchResult {
             scale: rig.scale.count(),
             mtc: rig.mtc.count(),
             completed: axis.completed,

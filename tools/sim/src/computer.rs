@@ -9,7 +9,7 @@ use std::path::Path;
 /// A computer that corrects one axis. All times in ns.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Computer {
-    /// What it is.
+    /// What hardware it is, in words.
     pub name: String,
     /// From recognising an edge until the first output can change.
     pub react_ns: u64,

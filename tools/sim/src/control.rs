@@ -7,7 +7,7 @@ use rtec_correct::part_table::PartTable;
 use rtec_correct::sensors::{Config, Watch};
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
 use rtec_part::errors::PointError;
 use rtec_rt::event::{Request, Status};
@@ -20,9 +20,9 @@ pub(crate) const WINDOW_COUNTS: i64 = 64;
 /// What the machine's sensors read at one moment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Readings<'a> {
-    /// In the order of [`SENSORS`], °C.
+    /// Readings in the order of [`SENSORS`], °C.
     pub degc: &'a [f64],
-    /// The logged channels.
+    /// Values of the logged channels, in the layout's order.
     pub channels: &'a [f64],
     pub rpm: f64,
     pub coolant: bool,
@@ -30,7 +30,7 @@ pub(crate) struct Readings<'a> {
     pub load_n: [f64; AXES],
 }
 
-/// Sensors and law.
+/// The control side of a simulation: watched sensors and the control law.
 #[derive(Debug)]
 pub(crate) struct Control {
     law: Corrector,
@@ -55,7 +55,7 @@ impl Control {
     ///
     /// # Errors
     /// An effect reads what the machine does not have.
-    pub(crate) fn load(&mut self, model: &Model, past: &[(f64, Vec<f64>)]) -> Result<(), InputError> {
+    pub(crate) fn load(&mut self, model: &Machine, past: &[(f64, Vec<f64>)]) -> Result<(), InputError> {
         let of = |names: &[String]| {
             let place = |n: &String| SENSORS.iter().position(|s| s.0 == n);
             let places: Vec<usize> = names.iter().filter_map(place).collect();
@@ -115,7 +115,7 @@ mod tests {
             max_counts: 1000,
         };
         let mut control = Control::new(["x", "y", "z"].map(axis).to_vec(), &[], 0.02);
-        control.load(&Model::read(&folder.join("machine.toml")).unwrap(), &[]).unwrap();
+        control.load(&Machine::read(&folder.join("machine.toml")).unwrap(), &[]).unwrap();
         let place = |name: &str| SENSORS.iter().position(|s| s.0 == name).unwrap();
         let mut degc = vec![20.0; SENSORS.len()];
         let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };

@@ -1,6 +1,6 @@
 //! The designs compared on the same motion, and their waveforms.
 
-use crate::bench::{AnyDesign, Edge, Run, Seen, constant, insert_at_rest, there_and_back};
+use crate::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant, insert_at_rest, there_and_back};
 use crate::computer::Computer;
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 /// The motion that all designs are put through: from rest up to speed and back to rest, both ways, with corrections
 /// of both signs asked for throughout.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Motion {
+pub struct TestMotion {
     /// Encoder frequency at speed (a quarter of the count rate), Hz.
     pub encoder_hz: f64,
     /// Acceleration, counts/s².
@@ -23,7 +23,7 @@ pub struct Motion {
     pub correction_counts: i64,
 }
 
-impl Default for Motion {
+impl Default for TestMotion {
     /// The report's turning centre: 1 µm counts, rapid traverse at 7 m/min, "about 30 kHz" (NISTIR 4832, Altering the
     /// Position Signal).
     fn default() -> Self {
@@ -37,8 +37,8 @@ impl Default for Motion {
     }
 }
 
-impl Motion {
-    /// The scale's edges.
+impl TestMotion {
+    /// The scale's edges during this motion.
     #[must_use]
     pub fn edges(&self) -> Vec<Edge> {
         there_and_back(self.encoder_hz, self.accel_counts_s2, self.counts, self.rest_ns)
@@ -75,10 +75,10 @@ pub struct Death {
     pub share_harmless: f64,
 }
 
-/// One design's row.
+/// What one design can do: a row of the comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
-    /// Which.
+pub struct DesignRow {
+    /// The design of this row.
     pub design: AnyDesign,
     /// Counts of one insertion.
     pub increment_counts: i64,
@@ -102,7 +102,7 @@ pub struct Row {
     pub served: bool,
     /// What happens when the computer dies, in words, from what was run.
     pub when_computer_dies: String,
-    /// The same in figures.
+    /// What happens when the computer dies, in figures.
     pub death: Death,
 }
 
@@ -110,29 +110,29 @@ pub struct Row {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     /// One row per design.
-    pub designs: Vec<Row>,
-    /// The motion.
-    pub motion: Motion,
-    /// The computer.
+    pub designs: Vec<DesignRow>,
+    /// The motion on which they were compared.
+    pub motion: TestMotion,
+    /// The computer that they ran on.
     pub timing: Computer,
 }
 
 /// Runs every design on the same motion and computer.
 #[must_use]
-pub fn compare(computer: &Computer, motion: Motion, seed: u64) -> Comparison {
+pub fn compare(computer: &Computer, motion: TestMotion, seed: u64) -> Comparison {
     let designs = AnyDesign::ALL.map(|d| row(d, computer, &motion, seed)).into();
     Comparison { designs, motion, timing: computer.clone() }
 }
 
-fn row(design: AnyDesign, computer: &Computer, motion: &Motion, seed: u64) -> Row {
+fn row(design: AnyDesign, computer: &Computer, motion: &TestMotion, seed: u64) -> DesignRow {
     let edges = motion.edges();
     let totals = motion.totals(&edges);
     let config = AxisConfig { max_accel_counts_s2: motion.accel_counts_s2, ..AxisConfig::default() };
-    let run = Run { config, edges: &edges, totals: &totals, seed, ..Run::new(design, computer) };
+    let run = BenchRun { config, edges: &edges, totals: &totals, seed, ..BenchRun::new(design, computer) };
     let (mut illegal, mut worst, mut served) = (0, 0_i64, true);
     let mut insertion_ns: Option<u64> = None;
     for start in 0..4 {
-        let run = Run { start: State::from_bits(start), seed: seed + u64::from(start), ..run.clone() };
+        let run = BenchRun { start: State::from_bits(start), seed: seed + u64::from(start), ..run.clone() };
         let Some(seen) = run.run() else {
             served = false;
             continue;
@@ -149,7 +149,7 @@ fn row(design: AnyDesign, computer: &Computer, motion: &Motion, seed: u64) -> Ro
     let states =
         (0..4).filter(|&s| served_at_rest(design, computer, config, State::from_bits(s))).count() as u8;
     let death = death(&run);
-    Row {
+    DesignRow {
         design,
         increment_counts: design.increment_counts(),
         insertion_time_ns: insertion_ns,
@@ -182,20 +182,20 @@ pub fn safe_at(
             let edges = constant(1_000_000 + 137 * u64::from(phase), encoder_hz, counts, direction);
             let at = |share: u64| edges[(counts * share / 100) as usize].0;
             let totals = [(at(20), 12), (at(60), -12)];
-            let run = Run {
+            let run = BenchRun {
                 config,
                 start: State::from_bits(phase),
                 edges: &edges,
                 totals: &totals,
                 seed: seed + u64::from(phase),
-                ..Run::new(design, computer)
+                ..BenchRun::new(design, computer)
             };
             run.run().is_some_and(|seen| clean(&seen, run.config().min_separation_ns))
         })
     })
 }
 
-fn clean(seen: &Seen, separation_ns: u64) -> bool {
+fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
     seen.completed == seen.requested
         && seen.error_counts() == 0
         && seen.illegal == 0
@@ -227,13 +227,13 @@ pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, se
 fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig, state: State) -> bool {
     let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
     let config = insert_at_rest(config);
-    let run = Run { config, start: state, totals: &totals, ..Run::new(design, computer) };
+    let run = BenchRun { config, start: state, totals: &totals, ..BenchRun::new(design, computer) };
     run.run().is_some_and(|s| s.completed == -12 && s.error_counts() == 0 && s.illegal == 0)
 }
 
 /// Stops the computer at many moments, among them every stage of the insertions.
-fn death(run: &Run<'_>) -> Death {
-    let Some(whole) = (Run { keep_log: true, ..run.clone() }).run() else {
+fn death(run: &BenchRun<'_>) -> Death {
+    let Some(whole) = (BenchRun { keep_log: true, ..run.clone() }).run() else {
         return Death { best_follows: 0.0, worst_follows: 0.0, worst_count_error: 0, share_harmless: 0.0 };
     };
     // Just after changes of A' and B', and moments spread over the motion.
@@ -254,10 +254,10 @@ fn death(run: &Run<'_>) -> Death {
                 (longest, upto) = (travel.abs(), n + 1);
             }
         }
-        let seen = Run { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
+        let seen = BenchRun { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
         let (scale, mtc) = seen.at_death?;
-        let (moved, heard) = (seen.scale - scale, seen.mtc - mtc);
-        (moved != 0).then(|| (heard as f64 / moved as f64, heard - moved))
+        let (moved, counted) = (seen.scale - scale, seen.mtc - mtc);
+        (moved != 0).then(|| (counted as f64 / moved as f64, counted - moved))
     };
     for die_ns in spread.iter().copied() {
         let Some((follows, error)) = stop(die_ns) else { continue };
@@ -277,7 +277,7 @@ fn death(run: &Run<'_>) -> Death {
 }
 
 impl Death {
-    /// In words.
+    /// The same in words, as the table prints it.
     #[must_use]
     pub fn in_words(&self) -> String {
         let after = |follows: f64| {
@@ -351,7 +351,7 @@ pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String 
     let edges = constant(100_000, 5000.0, counts, 1);
     let at = |share: u64| edges[(counts * share / 100) as usize].0 - 1;
     let totals = [(at(12), increments), (at(55), 0)];
-    let run = Run { edges: &edges, totals: &totals, keep_log: true, ..Run::new(design, computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, keep_log: true, ..BenchRun::new(design, computer) };
     let Some(seen) = run.run() else { return String::new() };
     draw(design, &seen.log, &totals)
 }

@@ -6,7 +6,7 @@ use crate::wires::MachineWires;
 use crate::workpiece::Workpiece;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_files::InputError;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
 use rtec_part::fit::Zx;
 use rtec_part::unit::Unit;
@@ -146,8 +146,8 @@ impl Duty {
             .collect();
         moves.extend(program);
         let machine = match &self.machine {
-            Some(file) => Model::read(file)?,
-            None => Model::ideal("ideal lathe"),
+            Some(file) => Machine::read(file)?,
+            None => Machine::ideal("ideal lathe"),
         };
         let stand = Stand {
             bench: &self.bench,

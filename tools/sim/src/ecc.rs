@@ -13,7 +13,7 @@
 //! The PLL is a behavioural model of what the paper measured of it, not of its parts.
 
 use crate::noise::Noise;
-use crate::replay::Corrector;
+use crate::replay::CorrectedAxis;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
@@ -22,13 +22,13 @@ use serde::Serialize;
 /// What the paper measured of its PLL: frequencies of the XOR of A and B, which is twice the encoder's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Pll {
-    /// It begins to double, Hz.
+    /// Lowest input frequency at which the PLL doubles at all, Hz.
     pub lock_from_hz: f64,
-    /// It doubles cleanly from here, Hz.
+    /// Lowest input frequency at which it doubles cleanly, Hz.
     pub clean_from_hz: f64,
-    /// It doubles cleanly up to here, Hz.
+    /// Highest input frequency at which it doubles cleanly, Hz.
     pub clean_to_hz: f64,
-    /// It doubles up to here, Hz.
+    /// Highest input frequency at which it doubles at all, Hz.
     pub lock_to_hz: f64,
     /// Time constant with which the VCO follows a changing input, ns.
     pub follow_ns: f64,
@@ -80,7 +80,7 @@ pub struct Ecc {
     insertions: u64,
     look_ns: u64,
     last_edge_ns: Option<u64>,
-    /// Direction detector.
+    /// Output of the direction detector: the axis moves in the positive direction.
     positive: bool,
     /// Time between two scale counts that the VCO stands for, ns.
     vco_ns: f64,
@@ -268,12 +268,12 @@ impl Ecc {
     }
 }
 
-impl Corrector for Ecc {
+impl CorrectedAxis for Ecc {
     fn poll<C: Card>(
         &mut self,
         card: &mut C,
         by_ns: u64,
-        _tell: &mut impl FnMut(Event) -> bool,
+        _report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let splitting = matches!(self.passing, Passing::Split { .. });
         // An input that has fallen below the lock range leaves the VCO running at its lowest frequency.
@@ -306,11 +306,11 @@ impl Corrector for Ecc {
         total_counts: i64,
         _large: bool,
         _card: &mut C,
-        tell: &mut impl FnMut(Event) -> bool,
+        report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         if total_counts.abs() > 1000 {
             let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
-            tell(Event { t_ns: self.look_ns, axis: Some(0), kind });
+            report(Event { t_ns: self.look_ns, axis: Some(0), kind });
         } else {
             self.requested = total_counts;
         }

@@ -3,7 +3,7 @@
 
 use crate::axis::Friction;
 use crate::heat::{Heat, SENSORS};
-use crate::machine::Machine;
+use crate::machine::SimMachine;
 use crate::noise::Noise;
 use crate::path::AXES;
 use rtec_model::effect::{Effect, Mechanism, Owner};
@@ -35,7 +35,7 @@ pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) 
 }
 
 /// The forces that a true machine's effects stand for, on all its axes.
-pub(crate) fn set_friction(machine: &mut Machine, effects: &[&Effect]) {
+pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
     for n in 0..machine.axis_count() {
         let axis = NAMES[machine.place(n)];
         let mut friction = Friction::default();
@@ -58,7 +58,7 @@ pub(crate) fn set_friction(machine: &mut Machine, effects: &[&Effect]) {
 /// What a model reads of the machine at a time; `axes` are X, Y, Z.
 pub(crate) fn frame<'a>(
     t_s: f64,
-    machine: &Machine,
+    machine: &SimMachine,
     heat: &'a Heat,
     channels: &'a [f64],
     axes: &'a [AxisNow; AXES],
@@ -105,7 +105,7 @@ impl Errors {
     }
 
     /// Evaluates the errors where the machine is and moves its tool by them.
-    pub(crate) fn act(&mut self, t_s: f64, machine: &mut Machine, load_n: &[f64; AXES], angle_rad: f64) {
+    pub(crate) fn act(&mut self, t_s: f64, machine: &mut SimMachine, load_n: &[f64; AXES], angle_rad: f64) {
         let mut axes = [AxisNow::default(); AXES];
         for n in 0..machine.axis_count() {
             let p = machine.place(n);

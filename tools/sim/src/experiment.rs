@@ -13,7 +13,7 @@ use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Effect;
 use rtec_model::effect::laws::scale;
-use rtec_model::machine::{Machine as Model, Provenance};
+use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::axis::{Design, RestPolicy};
 use serde_json::{Map, Value, json};
@@ -22,13 +22,13 @@ use std::path::Path;
 /// What an experiment is run with.
 #[derive(Debug, Clone, Copy)]
 pub struct Setting<'a> {
-    /// The true machine.
-    pub truth: &'a Model,
+    /// The machine as it really is.
+    pub truth: &'a Machine,
     /// What the corrector knows of it.
-    pub known: &'a Model,
+    pub known: &'a Machine,
     /// Seed of all noise.
     pub seed: u64,
-    /// Where records are to lie.
+    /// Folder that records are to be written to.
     pub out: &'a Path,
 }
 
@@ -39,35 +39,35 @@ pub struct Findings {
     pub records: Vec<Record>,
     /// Plots: file name and SVG.
     pub plots: Vec<(String, String)>,
-    /// Figures.
+    /// The figures that the experiment is run for, by name with unit.
     pub summary: Map<String, Value>,
 }
 
 /// Why an experiment failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExperimentError {
-    /// The simulation.
+    /// The simulation could not go on.
     #[error(transparent)]
     Sim(#[from] SimError),
     /// The turning of a nose.
     #[error(transparent)]
     Turning(#[from] TurningError),
-    /// The record.
+    /// A record or a model is not as it must be.
     #[error(transparent)]
     Record(#[from] InputError),
-    /// The plot.
+    /// A plot could not be drawn.
     #[error(transparent)]
     Plot(#[from] rtec_measure::plot::PlotError),
 }
 
 type Run = fn(&Setting<'_>) -> Result<Findings, ExperimentError>;
 
-/// One experiment.
+/// An experiment that characterises a machine.
 #[derive(Debug, Clone, Copy)]
 pub struct Experiment {
-    /// Its name on the command line.
+    /// The experiment's name on the command line.
     pub name: &'static str,
-    /// What it does.
+    /// What it does, in one line.
     pub what: &'static str,
     run: Run,
 }
@@ -88,7 +88,7 @@ impl Experiment {
     }
 }
 
-/// All of them.
+/// Every experiment, as `simulate --list` shows them.
 pub const EXPERIMENTS: [Experiment; 13] = [
     Experiment {
         name: "linear-displacement",
@@ -167,7 +167,7 @@ struct Row {
     requested_um: [f64; AXES],
 }
 
-/// Measured rows.
+/// Rows measured so far, and how they become a record.
 #[derive(Debug, Default)]
 struct Log {
     rows: Vec<Row>,
@@ -273,7 +273,7 @@ struct Both {
 }
 
 /// A model with further effects, those left out that it has already.
-fn with(model: &Model, extra: &[Effect]) -> Model {
+fn with(model: &Machine, extra: &[Effect]) -> Machine {
     let mut model = model.clone();
     for effect in extra {
         // Refused only where the model has such an effect.
@@ -748,7 +748,7 @@ fn one_metre(setting: &Setting<'_>) -> (Spec, Vec<Effect>) {
     spec.rest = RestPolicy::Wait;
     let mut extra = Vec::new();
     let name = format!("{}.x", scale::NAME);
-    let names_one = |m: &Model| m.effects().any(|e| e.name() == name);
+    let names_one = |m: &Machine| m.effects().any(|e| e.name() == name);
     if !names_one(setting.truth)
         && !names_one(setting.known)
         && let Ok(mut effect) = setting.truth.dictionary().effect(&name)

@@ -7,44 +7,44 @@ use std::path::Path;
 /// One block, all positions absolute, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Block {
-    /// G00.
+    /// G00: rapid positioning.
     Rapid {
-        /// End, mm.
+        /// End point, mm.
         to: [f64; AXES],
     },
-    /// G01.
+    /// G01: a straight line at a feed.
     Feed {
-        /// End, mm.
+        /// End point, mm.
         to: [f64; AXES],
-        /// mm/s.
+        /// Feed along the path, mm/s.
         feed_mm_s: f64,
     },
-    /// G02, G03.
+    /// G02, G03: an arc at a feed.
     Arc {
-        /// End, mm.
+        /// End point, mm.
         to: [f64; AXES],
         /// The plane's first and second axis.
         plane: (usize, usize),
         /// Centre in the plane, mm.
         centre: (f64, f64),
-        /// G02.
+        /// Clockwise (G02), else counter-clockwise (G03).
         clockwise: bool,
-        /// mm/s.
+        /// Feed along the path, mm/s.
         feed_mm_s: f64,
     },
-    /// G04.
+    /// G04: stand still.
     Dwell {
-        /// s.
+        /// Duration, s.
         seconds: f64,
     },
-    /// M03 S…, M05.
+    /// M03 S…, M05: spindle on at a speed, or off.
     Spindle {
-        /// rpm; 0 stops it.
+        /// Speed, rpm; 0 stops it.
         rpm: f64,
     },
-    /// M08, M09.
+    /// M08, M09: coolant on or off.
     Coolant {
-        /// On.
+        /// The coolant flows (M08).
         on: bool,
     },
 }

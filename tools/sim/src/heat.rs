@@ -6,7 +6,7 @@
 
 use crate::noise::Noise;
 
-/// A thermal mass.
+/// A thermal mass of the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Node {
@@ -30,7 +30,7 @@ const NODES: usize = 12;
 const CAPACITY: [f64; NODES] =
     [2.5e3, 2.5e3, 9.0e3, 1.4e4, 1.6e4, 1.4e4, 6.0e4, 3.0e5, 5.0e5, 1.5e5, 2.5e5, f64::INFINITY];
 
-/// Conductances, W/K.
+/// Thermal conductances between two masses, W/K.
 const CONDUCTANCE: [(Node, Node, f64); 21] = [
     (Node::FrontBearing, Node::HousingFront, 45.0),
     (Node::RearBearing, Node::HousingRear, 40.0),
@@ -94,7 +94,7 @@ pub const SENSORS: [(&str, Node, Node, f64); 20] = [
     ("T20", Node::Ambient, Node::Column, 0.05),
 ];
 
-/// The network.
+/// The thermal network of the machine and the sensors in it.
 #[derive(Debug, Clone)]
 pub struct Heat {
     /// °C, in the order of [`Node`].

@@ -12,10 +12,10 @@ use rtec_correct::part_table::PartTable;
 use rtec_driver::card::{AxisLines, CardError, MachineLines};
 use rtec_files::InputError;
 use rtec_model::effect::Missing;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_part::fit::Zx;
 use rtec_part::probe::Captured;
-use rtec_part::table::{AxisCounts, Cut, Table};
+use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Event, EventKind, Request, Status};
@@ -26,7 +26,7 @@ pub enum Job<'a> {
     /// Cut without corrections.
     Cut,
     /// Cut with the corrections of a table, of a machine model, or of both: totals asked this long ahead, s.
-    Corrected(Option<&'a Table>, Option<&'a Model>, f64),
+    Corrected(Option<&'a FinishTable>, Option<&'a Machine>, f64),
     /// Probe with a tip of this radius, mm.
     Probe(f64),
 }
@@ -34,11 +34,11 @@ pub enum Job<'a> {
 /// What came of a program.
 #[derive(Debug, Clone)]
 pub struct Ran {
-    /// Everything the engine said.
+    /// Events that the engine reported, in order.
     pub events: Vec<Event>,
     /// The engine at the end.
     pub status: Status,
-    /// How long it took.
+    /// Time on the machine, s.
     pub seconds: f64,
     /// The controller's own count minus the scale's, Z and X, by the machine's decoders, not the engine's.
     pub mtc_minus_scale: [i64; 2],
@@ -77,8 +77,8 @@ pub enum RunError {
 /// The law with what it is told: switched on with the machine, its lags brought up from the heat since.
 fn control(
     stand: &Stand,
-    table: Option<(&Table, f64)>,
-    model: Option<&Model>,
+    table: Option<(&FinishTable, f64)>,
+    model: Option<&Machine>,
     lead_s: f64,
     past: &[(f64, Vec<f64>)],
 ) -> Result<Control, RunError> {
@@ -154,7 +154,7 @@ fn engine(
 /// The engine refuses the configuration, there is no move, or the controller gave up.
 pub fn run(
     stand: &Stand,
-    cut: &Cut,
+    cut: &FinishCut,
     moves: &[Move],
     job: Job,
     part: &mut Workpiece,

@@ -7,16 +7,16 @@ use crate::control::Readings;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::{Heat, SENSORS};
-use crate::machine::{ControllerSpec, Machine, SERVO_NS};
+use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
 use crate::noise::Noise;
 use crate::path::AXES;
 use crate::workpiece::{Nose, Workpiece};
 use rtec_model::effect::Missing;
 use rtec_model::live::Live;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
 use rtec_part::fit::Zx;
-use rtec_part::path::{Record, Role};
+use rtec_part::path::{PathPoint, PathRole};
 use rtec_part::table::AxisCounts;
 use rtec_rt::axis::Design;
 use serde::Deserialize;
@@ -149,10 +149,10 @@ pub struct Stand<'a> {
     /// Machine, tool and probe.
     pub bench: &'a Bench,
     /// What it does wrong: effects of Z and X by position and temperature, and of the probe.
-    pub machine: &'a Model,
+    pub machine: &'a Machine,
     /// The spindle has run for so long when the program starts.
     pub begin_s: f64,
-    /// The corrector's design.
+    /// Insertion design of the corrector.
     pub design: Design,
     /// Highest count rate of the controller's decoder, Hz.
     pub decoder_hz: f64,
@@ -165,21 +165,21 @@ pub struct Stand<'a> {
 pub struct Move {
     /// Where along, in part coordinates of the tool's nose centre or the probe's tip centre.
     pub segment: Segment,
-    /// At which feed.
+    /// Feed along it, mm/s.
     pub feed_mm_s: f64,
-    /// Material is cut.
+    /// The tool cuts material on this move.
     pub cutting: bool,
 }
 
 /// The probe's path as moves of the machine.
 #[must_use]
-pub fn probing_moves(records: &[Record], feed_mm_s: f64) -> Vec<Move> {
+pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
     records
         .windows(2)
         .filter(|w| (w[1].at - w[0].at).norm() > 1e-9)
         .map(|w| Move {
             segment: Segment::Line { a: w[0].at, b: w[1].at },
-            feed_mm_s: if matches!(w[1].role, Role::Touch(_) | Role::Finish) {
+            feed_mm_s: if matches!(w[1].role, PathRole::Touch(_) | PathRole::Finish) {
                 feed_mm_s
             } else {
                 RAPID_MM_S
@@ -251,7 +251,7 @@ pub(crate) type Cut = (Zx, f64);
 /// The machine at work on one program.
 #[derive(Debug)]
 pub struct Lathe {
-    machine: Machine,
+    machine: SimMachine,
     errors: Errors,
     bench: Bench,
     origin: Zx,
@@ -287,7 +287,7 @@ impl Lathe {
     ) -> Result<Self, Missing> {
         let bench = stand.bench;
         let controller = ControllerSpec { decoder_hz: stand.decoder_hz, ..ControllerSpec::default() };
-        let mut machine = Machine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
+        let mut machine = SimMachine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
         set_friction(&mut machine, &stand.machine.effects().collect::<Vec<_>>());
         if tip_mm.is_some() {
             let shape = part.clone();
@@ -367,7 +367,7 @@ impl Lathe {
         self.machine.set_probe_reach_mm(self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3);
     }
 
-    /// Cycle start.
+    /// Cycle start: the program runs from its first block.
     pub(crate) fn start(&mut self) {
         self.machine.load(self.waiting.take().into_iter().flatten());
     }
@@ -398,11 +398,11 @@ impl Lathe {
 }
 
 impl Attended for Lathe {
-    fn machine(&self) -> &Machine {
+    fn machine(&self) -> &SimMachine {
         &self.machine
     }
 
-    fn machine_mut(&mut self) -> &mut Machine {
+    fn machine_mut(&mut self) -> &mut SimMachine {
         &mut self.machine
     }
 
@@ -446,7 +446,7 @@ pub fn design(name: &str) -> Option<Design> {
     }
 }
 
-/// Both axes' counts on this bench.
+/// Counts of Z and of X on this bench, for a design's increment.
 #[must_use]
 pub fn axes(bench: &Bench, design: Design) -> [AxisCounts; 2] {
     [AxisCounts { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]

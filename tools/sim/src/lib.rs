@@ -1,8 +1,7 @@
 //! The one simulated machine, for the unchanged engine to run against, in virtual time and in real time; every
 //! experiment on it, and every insertion design side by side.
 //!
-//! What moves, counts, grows warm, cuts or touches is here, once. What a part looks like is `rtec-part`'s, what a machine
-//! does wrong `rtec-model`'s to say.
+//! What moves, counts, grows warm, cuts or touches is here, once.
 //!
 //! | module | what |
 //! |---|---|
@@ -15,13 +14,17 @@
 //! | [`path`], [`gcode`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
-//! | [`sim`] | machine, engine and corrector together: runs programs, probes, tells where the tool is |
+//! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports where the tool is |
 //! | [`attended`], `polled` | what goes on at the machine once in a period; the card that polls it |
 //! | [`wires`], [`strokes`], [`duty`] | machines at a mock card's wires in real time: axes to and fro, the lathe's duty |
 //! | [`workpiece`], [`lathe`], [`job`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
 //! | [`experiment`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
+//! | `control`, `errors` | the control side over the engine; the true machine's errors and friction, acting |
+//!
+//! What must not live here: what a part looks like (`rtec-part`), what a machine does wrong (`rtec-model`), a control law
+//! of its own (`rtec-correct`), the daemon.
 
 pub mod attended;
 pub mod axis;

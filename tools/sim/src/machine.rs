@@ -6,7 +6,7 @@
 
 use crate::axis::{AxisSim, AxisSpec, Friction};
 use crate::gcode::Block;
-use crate::path::{AXES, Along, Command, Limits, Profile, Shape};
+use crate::path::{AXES, Along, Command, FeedProfile, Limits, MoveShape};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 
 /// Time step of the axes, ns.
@@ -19,22 +19,22 @@ pub const SERVO_NS: u64 = 1_000_000;
 pub enum ServoFault {
     /// Both signals of an axis changed at once (NISTIR 4832, Design B: "typically a *servo fault* message").
     IllegalState {
-        /// Which axis.
+        /// Index of the axis.
         axis: usize,
     },
     /// Two edges closer together than its decoder can follow.
     TooFast {
-        /// Which axis.
+        /// Index of the axis.
         axis: usize,
     },
     /// The axis is further from where it should be than the controller allows: feedback lost or mirrored.
     FollowingError {
-        /// Which axis.
+        /// Index of the axis.
         axis: usize,
     },
 }
 
-/// The controller (MTC).
+/// What the controller (MTC) can follow and tolerates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerSpec {
     /// Highest count rate of its decoder: edges closer than the inverse are a servo fault, Hz.
@@ -57,12 +57,12 @@ pub type Surface = Box<dyn Fn([f64; AXES]) -> f64 + Send>;
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Job {
     Idle,
-    Move { shape: Shape, profile: Profile, t_s: f64 },
+    Move { shape: MoveShape, profile: FeedProfile, t_s: f64 },
     Dwell { left_s: f64 },
 }
 
-/// The simulated machine.
-pub struct Machine {
+/// The simulated machine: axes, scales, decoders and probe, behind the lines of a card.
+pub struct SimMachine {
     axes: Vec<AxisSim>,
     /// Axis of the controller (0 X, 1 Y, 2 Z) of each axis of the machine.
     place: Vec<usize>,
@@ -100,13 +100,16 @@ pub struct Machine {
     edges: u64,
 }
 
-impl std::fmt::Debug for Machine {
+impl std::fmt::Debug for SimMachine {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Machine").field("t_ns", &self.t_ns).field("axes", &self.axes).finish_non_exhaustive()
+        f.debug_struct("SimMachine")
+            .field("t_ns", &self.t_ns)
+            .field("axes", &self.axes)
+            .finish_non_exhaustive()
     }
 }
 
-impl Machine {
+impl SimMachine {
     /// A machine at rest at `at_mm` (X, Y, Z). Its axes are `x`, `y` or `z`, in any order.
     #[must_use]
     pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
@@ -210,7 +213,7 @@ impl Machine {
         self.axes[axis].spec.count_um
     }
 
-    /// Time, ns.
+    /// Time of the simulation, ns.
     #[must_use]
     pub const fn now_ns(&self) -> u64 {
         self.t_ns
@@ -252,13 +255,13 @@ impl Machine {
         self.axes[axis].position_mm(self.t_ns)
     }
 
-    /// Its speed, mm/s.
+    /// Velocity of the table of an axis, mm/s.
     #[must_use]
     pub fn velocity_mm_s(&self, axis: usize) -> f64 {
         self.axes[axis].velocity_mm_s()
     }
 
-    /// Its acceleration, mm/s².
+    /// Acceleration of the table of an axis, mm/s².
     #[must_use]
     pub fn acceleration_mm_s2(&self, axis: usize) -> f64 {
         self.axes[axis].accel_mm_s2
@@ -276,7 +279,7 @@ impl Machine {
         self.axes[axis].direction
     }
 
-    /// Where the controller believes it is, mm.
+    /// Position of an axis by the controller's count, mm.
     #[must_use]
     pub fn counted_mm(&self, axis: usize) -> f64 {
         self.axes[axis].counted_mm()
@@ -445,8 +448,8 @@ impl Machine {
                 return Job::Idle;
             }
             Block::Dwell { seconds } => return Job::Dwell { left_s: seconds },
-            Block::Rapid { to } => (Shape::Line { from, to }, f64::INFINITY),
-            Block::Feed { to, feed_mm_s } => (Shape::Line { from, to }, feed_mm_s),
+            Block::Rapid { to } => (MoveShape::Line { from, to }, f64::INFINITY),
+            Block::Feed { to, feed_mm_s } => (MoveShape::Line { from, to }, feed_mm_s),
             Block::Arc { to, plane: (i, j), centre, clockwise, feed_mm_s } => {
                 let start_rad = libm::atan2(from[j] - centre.1, from[i] - centre.0);
                 let end_rad = libm::atan2(to[j] - centre.1, to[i] - centre.0);
@@ -465,7 +468,7 @@ impl Machine {
                 let k = AXES - i - j;
                 let third_mm = to[k] - from[k];
                 let arc =
-                    Shape::Arc { from, plane: (i, j), centre, radius_mm, start_rad, sweep_rad, third_mm };
+                    MoveShape::Arc { from, plane: (i, j), centre, radius_mm, start_rad, sweep_rad, third_mm };
                 (arc, feed_mm_s)
             }
         };
@@ -475,8 +478,8 @@ impl Machine {
         }
         // Each axis within its own limits along the direction it takes.
         let share = |n: usize| match shape {
-            Shape::Line { from, to } => ((to[n] - from[n]) / length).abs(),
-            Shape::Arc { .. } => 1.0,
+            MoveShape::Line { from, to } => ((to[n] - from[n]) / length).abs(),
+            MoveShape::Arc { .. } => 1.0,
         };
         let least = |limit: fn(&AxisSpec) -> f64| {
             self.axes.iter().zip(&self.place).fold(f64::INFINITY, |least, (a, &p)| {
@@ -491,7 +494,7 @@ impl Machine {
             decel_mm_s2: least(|a| a.decel_mm_s2),
             jerk_mm_s3: least(|a| a.jerk_mm_s3),
         };
-        Job::Move { shape, profile: Profile::new(length, limits), t_s: 0.0 }
+        Job::Move { shape, profile: FeedProfile::new(length, limits), t_s: 0.0 }
     }
 
     /// Moves everything on by one step; a machine at rest, by as many servo periods as fit before `wake_ns`.
@@ -584,7 +587,7 @@ impl Machine {
         self.find_next();
     }
 
-    /// Lets time pass.
+    /// Lets the machine run until `t_ns`, ns of the simulation's time.
     pub fn run_to(&mut self, t_ns: u64) {
         loop {
             if self.next.0 <= t_ns.min(self.step_end_ns) {
@@ -637,7 +640,7 @@ impl Machine {
     }
 }
 
-impl Card for Machine {
+impl Card for SimMachine {
     #[inline]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         loop {

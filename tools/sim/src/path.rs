@@ -3,13 +3,13 @@
 /// Limits of the motion along a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Speed, mm/s.
+    /// Highest speed, mm/s.
     pub speed_mm_s: f64,
-    /// Acceleration, mm/s².
+    /// Highest acceleration, mm/s².
     pub accel_mm_s2: f64,
-    /// Deceleration, mm/s².
+    /// Highest deceleration, mm/s².
     pub decel_mm_s2: f64,
-    /// Jerk, mm/s³.
+    /// Highest jerk, mm/s³.
     pub jerk_mm_s3: f64,
 }
 
@@ -18,9 +18,9 @@ pub struct Limits {
 pub struct Along {
     /// mm from the start.
     pub s_mm: f64,
-    /// mm/s.
+    /// Speed along the path, mm/s.
     pub v_mm_s: f64,
-    /// mm/s².
+    /// Acceleration along the path, mm/s².
     pub a_mm_s2: f64,
 }
 
@@ -42,7 +42,7 @@ impl Ramp {
         }
     }
 
-    /// `t_s` after rest.
+    /// Where it is `t_s` after rest, at a jerk of `j_mm_s3`.
     fn at(&self, t_s: f64, j_mm_s3: f64) -> Along {
         let (j, tj, ta) = (j_mm_s3, self.rise_s, self.whole_s);
         let peak_a = j * tj;
@@ -71,7 +71,7 @@ impl Ramp {
 
 /// Jerk-limited motion from rest to rest over a length (seven phases).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Profile {
+pub struct FeedProfile {
     length_mm: f64,
     jerk_mm_s3: f64,
     speed_mm_s: f64,
@@ -80,7 +80,7 @@ pub struct Profile {
     down: Ramp,
 }
 
-impl Profile {
+impl FeedProfile {
     /// The fastest motion within the limits.
     #[must_use]
     pub fn new(length_mm: f64, limits: Limits) -> Self {
@@ -102,7 +102,7 @@ impl Profile {
         Self { length_mm, jerk_mm_s3, speed_mm_s, up, cruise_s, down }
     }
 
-    /// Duration, s.
+    /// Time from rest to rest, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.up.whole_s + self.cruise_s + self.down.whole_s
@@ -133,33 +133,33 @@ pub const AXES: usize = 3;
 /// Position, speed and acceleration of every axis, mm and s.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Command {
-    /// mm.
+    /// Position of X, Y, Z, mm.
     pub p_mm: [f64; AXES],
-    /// mm/s.
+    /// Velocity of X, Y, Z, mm/s.
     pub v_mm_s: [f64; AXES],
-    /// mm/s².
+    /// Acceleration of X, Y, Z, mm/s².
     pub a_mm_s2: [f64; AXES],
 }
 
 /// The shape of one move.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Shape {
+pub enum MoveShape {
     /// A straight line (G00, G01).
     Line {
-        /// Start, mm.
+        /// Start point, mm.
         from: [f64; AXES],
-        /// End, mm.
+        /// End point, mm.
         to: [f64; AXES],
     },
     /// An arc in the plane of two axes (G02, G03), the third moving along evenly.
     Arc {
-        /// Start, mm.
+        /// Start point, mm.
         from: [f64; AXES],
         /// The plane's first and second axis.
         plane: (usize, usize),
         /// Centre in the plane, mm.
         centre: (f64, f64),
-        /// Radius, mm.
+        /// Radius of the arc, mm.
         radius_mm: f64,
         /// Angle of the start, rad.
         start_rad: f64,
@@ -170,7 +170,7 @@ pub enum Shape {
     },
 }
 
-impl Shape {
+impl MoveShape {
     /// Length of the path, mm.
     #[must_use]
     pub fn length_mm(&self) -> f64 {
@@ -246,7 +246,7 @@ mod tests {
         for (length, limits) in
             [0.001, 0.5, 3.0, 14.9, 15.1, 50.0, 1000.0].iter().flat_map(|l| [(*l, even), (*l, lathe)])
         {
-            let p = Profile::new(length, limits);
+            let p = FeedProfile::new(length, limits);
             let n = 20_000;
             let dt = p.duration_s() / f64::from(n);
             let mut last = p.at(0.0);
@@ -271,7 +271,7 @@ mod tests {
 
     #[test]
     fn an_arc_keeps_its_radius_and_its_derivatives() {
-        let arc = Shape::Arc {
+        let arc = MoveShape::Arc {
             from: [10.0, 0.0, 5.0],
             plane: (0, 1),
             centre: (0.0, 0.0),

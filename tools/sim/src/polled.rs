@@ -8,7 +8,7 @@ use rtec_driver::card::{Card, CardError, Sample};
 #[derive(Debug)]
 pub(crate) struct Polled<A> {
     pub attended: A,
-    /// It ends when this says so.
+    /// Whether the attended machine has finished.
     ended: fn(&A) -> bool,
     poll_ns: u64,
     look_ns: u64,

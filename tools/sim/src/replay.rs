@@ -2,7 +2,7 @@
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_driver::replay::{Gates, Listener, ReplayCard, Request as Total, TracePoint, Xor};
+use rtec_driver::replay::{Gates, Listener, ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Refusal, Request};
@@ -19,7 +19,7 @@ pub struct ReplayOutcome {
     pub requested: i64,
     /// What was inserted, counts.
     pub completed: i64,
-    /// Insertions made.
+    /// Number of insertions made.
     pub insertions: u64,
     /// Illegal transitions of the scale.
     pub illegal_in: u64,
@@ -33,7 +33,7 @@ pub struct ReplayOutcome {
     pub overlaps: u64,
     /// Requests that were not accepted.
     pub refused: Vec<Refused>,
-    /// Latched faults.
+    /// Faults that the engine latched, in order.
     pub faults: Vec<Latched>,
     /// Rows of the trace after the first.
     pub edges: u64,
@@ -50,20 +50,20 @@ impl ReplayOutcome {
 /// A request that was not accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Refused {
-    /// When, ns.
+    /// When, ns on the trace's clock.
     pub t_ns: u64,
-    /// Its total, counts.
+    /// The total that was requested, counts.
     pub requested: i64,
-    /// Why.
+    /// Why the engine refused it.
     pub why: Refusal,
 }
 
-/// A latched fault.
+/// A fault that the engine latched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Latched {
-    /// When, ns.
+    /// When, ns on the trace's clock.
     pub t_ns: u64,
-    /// Which.
+    /// The fault.
     pub fault: Fault,
 }
 
@@ -107,7 +107,7 @@ impl<L: Listener> Listener for Mtc<L> {
 
 /// One corrected axis, homed: what a replay, or a comparison of designs, drives. [`Engine`] is one for the designs on XOR
 /// gates, [`crate::through::DesignB`] one for Design B.
-pub trait Corrector {
+pub trait CorrectedAxis {
     /// One look at the card and everything that follows from it; a card that can wait does so at most until `by_ns`.
     ///
     /// # Errors
@@ -138,7 +138,7 @@ pub trait Corrector {
     fn now_ns(&self) -> u64;
 }
 
-impl Corrector for Engine {
+impl CorrectedAxis for Engine {
     fn poll<C: Card>(
         &mut self,
         card: &mut C,
@@ -183,7 +183,7 @@ pub fn homed_engine<C: Card>(
     Ok(engine)
 }
 
-/// Plays `trace` with `totals` to the engine as one homed axis; `to` hears every change that the MTC sees.
+/// Plays `trace` with `totals` to the engine as one homed axis; `to` gets every change that the MTC sees.
 /// `large` flags every request as meant, whatever its size. Memory does not grow with the trace.
 ///
 /// # Errors
@@ -197,7 +197,7 @@ pub fn replay<T, R, L, E>(
 ) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     T: Iterator<Item = Result<TracePoint, E>>,
-    R: Iterator<Item = Result<Total, E>>,
+    R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
     let start = |card: &mut ReplayCard<T, Mtc<L>, E>| homed_engine(config, card, &mut |_| true);
@@ -218,9 +218,9 @@ pub fn replay_with<G, M, T, R, L, E>(
 ) -> Result<(ReplayOutcome, L), ReplayError<E>>
 where
     G: Gates,
-    M: Corrector,
+    M: CorrectedAxis,
     T: Iterator<Item = Result<TracePoint, E>>,
-    R: Iterator<Item = Result<Total, E>>,
+    R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
     let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };

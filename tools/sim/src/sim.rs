@@ -5,14 +5,14 @@ use crate::control::{Control, Readings, WINDOW_COUNTS};
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::Heat;
-use crate::machine::{ControllerSpec, Machine, ServoFault, Surface};
+use crate::machine::{ControllerSpec, ServoFault, SimMachine, Surface};
 use crate::path::{AXES, Command};
 use rtec_correct::AxisSetup;
 use rtec_driver::card::CardError;
 use rtec_files::InputError;
 use rtec_model::effect::Missing;
 use rtec_model::live::Live;
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
@@ -22,17 +22,17 @@ pub use crate::control::CONTROL_NS;
 /// A machine, as it is built.
 #[derive(Debug, Clone)]
 pub struct Spec {
-    /// Its axes.
+    /// The machine's axes.
     pub axes: Vec<AxisSpec>,
-    /// Its controller.
+    /// The machine's controller.
     pub controller: ControllerSpec,
-    /// The insertion design.
+    /// Insertion design of every axis.
     pub design: Design,
     /// What to do for an axis at rest.
     pub rest: RestPolicy,
     /// Time from an edge until the engine acts on it, at the worst, and of one write, ns: what the speed gate is told.
     pub detect_ns: u64,
-    /// See `detect_ns`.
+    /// Worst time that a write to the card takes, ns.
     pub write_ns: u64,
     /// Temperature of the hall, °C.
     pub ambient_degc: f64,
@@ -73,7 +73,7 @@ impl Spec {
     }
 
     /// The engine's configuration of one axis.
-    fn config(&self, n: usize, machine: &Machine) -> AxisConfig {
+    fn config(&self, n: usize, machine: &SimMachine) -> AxisConfig {
         let axis = &self.axes[n];
         AxisConfig {
             lines: machine.lines()[n],
@@ -110,24 +110,24 @@ pub enum SimError {
     /// The controller gave up.
     #[error("the controller stopped at {t_s:.3} s: {fault:?}")]
     Servo {
-        /// When, s.
+        /// When, s of the simulation's time.
         t_s: f64,
-        /// Why.
+        /// What stopped the controller.
         fault: ServoFault,
     },
     /// The engine latched a fault.
     #[error("the engine latched {fault:?} at {t_s:.3} s")]
     Engine {
-        /// When, s.
+        /// When, s of the simulation's time.
         t_s: f64,
-        /// Which.
+        /// The fault that the engine latched.
         fault: Fault,
     },
 }
 
 /// A probe's trip: what the engine captured.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Trip {
+pub struct CapturedPosition {
     /// Position of X, Y, Z by the scales, mm, interpolated between the edges before and after the trip.
     pub position_mm: [f64; AXES],
     /// Half the width of what it may be, mm.
@@ -137,17 +137,17 @@ pub struct Trip {
 /// The machine at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
-    /// s.
+    /// Time of the simulation, s.
     pub t_s: f64,
     /// What the controller commands.
     pub command: Command,
-    /// By the scales, mm.
+    /// Position by the scales, mm.
     pub position_mm: [f64; AXES],
-    /// By the controller's count, mm.
+    /// Position by the controller's count, mm.
     pub counted_mm: [f64; AXES],
-    /// mm/s.
+    /// Velocity of X, Y, Z, mm/s.
     pub velocity_mm_s: [f64; AXES],
-    /// mm/s².
+    /// Acceleration of X, Y, Z, mm/s².
     pub acceleration_mm_s2: [f64; AXES],
     /// Direction of the last motion.
     pub direction: [f64; AXES],
@@ -157,11 +157,11 @@ pub struct Moment {
     pub error_um: [f64; AXES],
     /// What has been inserted, µm.
     pub inserted_um: [f64; AXES],
-    /// Where the tool is, mm.
+    /// True position of the tool, mm.
     pub tool_mm: [f64; AXES],
-    /// rpm.
+    /// Speed of the spindle, rpm.
     pub rpm: f64,
-    /// Coolant on.
+    /// The coolant flows.
     pub coolant: bool,
 }
 
@@ -173,11 +173,11 @@ impl Moment {
     }
 }
 
-/// A running simulation.
+/// A running simulation: machine, engine and control law together.
 #[derive(Debug)]
 pub struct Sim {
-    /// The machine.
-    pub machine: Machine,
+    /// The machine under the engine.
+    pub machine: SimMachine,
     engine: Engine,
     errors: Errors,
     control: Option<Control>,
@@ -198,16 +198,16 @@ impl Sim {
     /// An effect reads what the machine does not have; a configuration that leaves no time for an insertion.
     pub fn new(
         spec: &Spec,
-        truth: &Model,
-        known: Option<&Model>,
+        truth: &Machine,
+        known: Option<&Machine>,
         at_mm: [f64; AXES],
         seed: u64,
     ) -> Result<Self, SimError> {
-        let effects = truth.effects().chain(known.into_iter().flat_map(Model::effects));
+        let effects = truth.effects().chain(known.into_iter().flat_map(Machine::effects));
         let mut channels: Vec<String> = effects.filter_map(|e| e.channel().map(str::to_owned)).collect();
         channels.sort();
         channels.dedup();
-        let mut machine = Machine::new(&spec.axes, spec.controller.clone(), at_mm);
+        let mut machine = SimMachine::new(&spec.axes, spec.controller.clone(), at_mm);
         set_friction(&mut machine, &truth.effects().collect::<Vec<_>>());
         machine.set_surface(None, probe_delay_ns(truth.effects()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
@@ -268,7 +268,7 @@ impl Sim {
         &self.errors.heat
     }
 
-    /// The engine's status.
+    /// The engine's status at this moment.
     #[must_use]
     pub fn status(&self) -> Status {
         self.engine.status()
@@ -292,12 +292,12 @@ impl Sim {
         loop {
             let by_ns = end_ns.min(self.next_control_ns);
             let (engine, machine, events) = (&mut self.engine, &mut self.machine, &mut self.events);
-            let mut tell = |e: Event| {
+            let mut report = |e: Event| {
                 events.push(e);
                 true
             };
             while engine.now_ns() < by_ns {
-                engine.poll(machine, by_ns, &mut tell)?;
+                engine.poll(machine, by_ns, &mut report)?;
             }
             if by_ns == self.next_control_ns {
                 self.control()?;
@@ -422,11 +422,11 @@ impl Sim {
     pub fn probe(&mut self, surface: Option<Surface>) -> Result<(), SimError> {
         self.probing = surface.is_some();
         let events = &mut self.events;
-        let mut tell = |e: Event| {
+        let mut report = |e: Event| {
             events.push(e);
             true
         };
-        self.engine.take(Request::Probe(self.probing), &mut self.machine, &mut tell)?;
+        self.engine.take(Request::Probe(self.probing), &mut self.machine, &mut report)?;
         let delay_ns = self.machine.probe_delay_ns();
         self.machine.set_surface(surface, delay_ns);
         self.trips = [None; AXES];
@@ -439,11 +439,11 @@ impl Sim {
     /// The simulated card failed.
     pub fn hold(&mut self, on: bool) -> Result<(), SimError> {
         let events = &mut self.events;
-        let mut tell = |e: Event| {
+        let mut report = |e: Event| {
             events.push(e);
             true
         };
-        self.engine.take(Request::Hold(on), &mut self.machine, &mut tell)?;
+        self.engine.take(Request::Hold(on), &mut self.machine, &mut report)?;
         Ok(())
     }
 
@@ -451,7 +451,10 @@ impl Sim {
     ///
     /// # Errors
     /// As [`Sim::advance`].
-    pub fn touch(&mut self, blocks: impl IntoIterator<Item = Block>) -> Result<Option<Trip>, SimError> {
+    pub fn touch(
+        &mut self,
+        blocks: impl IntoIterator<Item = Block>,
+    ) -> Result<Option<CapturedPosition>, SimError> {
         self.trips = [None; AXES];
         self.machine.load(blocks);
         while !self.machine.finished() {
@@ -459,7 +462,7 @@ impl Sim {
         }
         // A capture is complete with the next edge, or when the axis has stood still for a tenth of a second.
         self.advance_by_ns(12 * CONTROL_NS)?;
-        let mut trip = Trip { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
+        let mut trip = CapturedPosition { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
         for n in 0..self.machine.axis_count() {
             let (p, count_um) = (self.machine.place(n), self.machine.count_um(n));
             let Some(capture) = self.trips[p] else { return Ok(None) };

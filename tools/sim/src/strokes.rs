@@ -3,7 +3,7 @@
 use crate::attended::Attended;
 use crate::axis::AxisSpec;
 use crate::gcode::Block;
-use crate::machine::{ControllerSpec, Machine};
+use crate::machine::{ControllerSpec, SimMachine};
 use crate::path::AXES;
 use crate::wires::MachineWires;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -12,10 +12,10 @@ use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 
 /// How an axis moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Motion {
+pub struct StrokeMotion {
     /// Length of a stroke, counts.
     pub stroke_counts: f64,
-    /// Feed, counts/s.
+    /// Feed between the ends, counts/s.
     pub feed_counts_s: f64,
     /// Pause at either end, s.
     pub dwell_s: f64,
@@ -48,7 +48,7 @@ impl Default for Truth {
 }
 
 impl Truth {
-    /// Where the controller wants the axis, counts.
+    /// Position that the controller commands, counts.
     pub fn commanded_counts(&self) -> f64 {
         f64::from_bits(self.commanded.load(Ordering::Relaxed))
     }
@@ -82,7 +82,7 @@ impl Truth {
 /// Who stands at the machine: sees the axes as they are, and presses cycle start.
 #[derive(Debug)]
 pub struct Operator {
-    /// One per axis.
+    /// What each axis really does, in the order of the axes.
     pub truth: Vec<Arc<Truth>>,
     go: Arc<AtomicBool>,
 }
@@ -97,8 +97,8 @@ impl Operator {
 /// An axis and its operator.
 #[derive(Debug)]
 pub struct Stroking {
-    machine: Machine,
-    motion: Motion,
+    machine: SimMachine,
+    motion: StrokeMotion,
     truth: Arc<Truth>,
     /// Cycle start. Written by whoever has the machine's other end, read by the card's thread.
     go: Arc<AtomicBool>,
@@ -117,7 +117,7 @@ const GAIN_PER_S: f64 = 300.0;
 const RAMP_S: f64 = 0.03;
 const RISE_S: f64 = 0.006;
 
-impl Motion {
+impl StrokeMotion {
     fn axis(&self) -> AxisSpec {
         let feed_mm_s = self.feed_counts_s * MM_PER_COUNT;
         let accel_mm_s2 = feed_mm_s / (RAMP_S - RISE_S);
@@ -143,12 +143,12 @@ impl Motion {
 
 /// Axes on these lines, at rest at zero until cycle start, a probe in the middle of the first one's stroke.
 #[must_use]
-pub fn moving_axes(axes: &[(AxisLines, Motion)], lines: MachineLines) -> (MovingAxes, Operator) {
+pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (MovingAxes, Operator) {
     // Such a controller believes what it is sent, however fast it comes and wherever it leads.
     let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: f64::INFINITY };
     let (go, mut truth) = (Arc::<AtomicBool>::default(), Vec::new());
     let stroking = axes.iter().enumerate().map(|(n, &(lines, motion))| {
-        let mut machine = Machine::new(&[motion.axis()], controller.clone(), [0.0; AXES]);
+        let mut machine = SimMachine::new(&[motion.axis()], controller.clone(), [0.0; AXES]);
         if n == 0 {
             let middle_mm = motion.stroke_counts / 2.0 * MM_PER_COUNT;
             machine.set_surface(Some(Box::new(move |p| middle_mm - p[0])), 0);
@@ -163,11 +163,11 @@ pub fn moving_axes(axes: &[(AxisLines, Motion)], lines: MachineLines) -> (Moving
 }
 
 impl Attended for Stroking {
-    fn machine(&self) -> &Machine {
+    fn machine(&self) -> &SimMachine {
         &self.machine
     }
 
-    fn machine_mut(&mut self) -> &mut Machine {
+    fn machine_mut(&mut self) -> &mut SimMachine {
         &mut self.machine
     }
 
@@ -209,7 +209,7 @@ mod tests {
 
     const LINES: AxisLines = AxisLines::standard(0, true);
 
-    fn axes(motion: Motion) -> (MovingAxes, Operator) {
+    fn axes(motion: StrokeMotion) -> (MovingAxes, Operator) {
         moving_axes(&[(LINES, motion)], MachineLines::default())
     }
 
@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn an_inserted_pair_moves_the_axis_back_by_two_counts() {
         let motion =
-            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 10.0, on_feedback: true };
+            StrokeMotion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 10.0, on_feedback: true };
         let (mut axes, operator) = axes(motion);
         operator.cycle_start();
         let truth = &operator.truth;
@@ -247,8 +247,12 @@ mod tests {
 
     #[test]
     fn a_controller_with_an_encoder_of_its_own_does_not_care() {
-        let motion =
-            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 10.0, on_feedback: false };
+        let motion = StrokeMotion {
+            stroke_counts: 1000.0,
+            feed_counts_s: 10_000.0,
+            dwell_s: 10.0,
+            on_feedback: false,
+        };
         let (mut axes, operator) = axes(motion);
         operator.cycle_start();
         axes.levels(1, 0);
@@ -265,7 +269,7 @@ mod tests {
     #[test]
     fn a_jog_leaves_the_cycle_and_stays() {
         let motion =
-            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
+            StrokeMotion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
         let (mut axes, operator) = axes(motion);
         operator.cycle_start();
         axes.levels(1, 0);
@@ -282,7 +286,7 @@ mod tests {
     #[test]
     fn the_probe_is_in_the_middle_of_the_first_stroke() {
         let motion =
-            Motion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
+            StrokeMotion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
         let lines = [0, 1].map(|n| (AxisLines::standard(n, true), motion));
         let (mut axes, operator) =
             moving_axes(&lines, MachineLines { probe: Some(40), ..MachineLines::default() });
@@ -307,8 +311,12 @@ mod tests {
                 self.0
             }
         }
-        let motion =
-            Motion { stroke_counts: 2000.0, feed_counts_s: 30_000.0, dwell_s: 0.001, on_feedback: true };
+        let motion = StrokeMotion {
+            stroke_counts: 2000.0,
+            feed_counts_s: 30_000.0,
+            dwell_s: 0.001,
+            on_feedback: true,
+        };
         let (axes, operator) = axes(motion);
         let mut card = MockCard::new(axes, Away(0));
         let config =
@@ -336,7 +344,7 @@ mod tests {
 
     #[test]
     fn read_back_shows_what_the_controller_gets() {
-        let motion = Motion { stroke_counts: 1.0, feed_counts_s: 1.0, dwell_s: 1.0, on_feedback: true };
+        let motion = StrokeMotion { stroke_counts: 1.0, feed_counts_s: 1.0, dwell_s: 1.0, on_feedback: true };
         let (mut axes, _) = axes(motion);
         assert_eq!(axes.levels(1, 0) & 0b1100, 0);
         assert_eq!(axes.levels(1, 0b01) & 0b1100, 0b0100);

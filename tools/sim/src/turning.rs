@@ -12,17 +12,17 @@ use rtec_files::InputError;
 use rtec_model::effect::{Effect, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Live};
 use rtec_model::machine::Machine;
-use rtec_model::record::Record as RunRecord;
+use rtec_model::record::Record;
 use rtec_part::batch::{self, Batch, Judgement};
 use rtec_part::contour::{Segment, nose};
-use rtec_part::errors::{Nominal, PointError, Probed, Report, error_cor};
+use rtec_part::errors::{ErrorReport, Nominal, PointError, Probed, error_cor};
 use rtec_part::fit::{Zx, sd};
 use rtec_part::page::{logged, side_by_side};
-use rtec_part::path::{Motion, Plan, Probe, Record};
+use rtec_part::path::{PathPoint, Plan, Probe, ProbingMotion};
 use rtec_part::probe::{Trip, TripFault, assign, probed_csv, run_record};
 use rtec_part::program::{self, Controller, Parameters};
 use rtec_part::svg::escaped;
-use rtec_part::table::{Cut, Table, csv};
+use rtec_part::table::{FinishCut, FinishTable, csv};
 use rtec_part::unit::Unit;
 use rtec_rt::axis::Design;
 use serde::Serialize;
@@ -30,7 +30,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Everything that is chosen beforehand.
+/// What the experiment is run with.
 #[derive(Debug, Clone)]
 pub struct Setup {
     /// Machine, tool and probe.
@@ -54,7 +54,7 @@ pub struct Setup {
     /// Radius of the probe's tip.
     pub tip_mm: f64,
     /// How the machine probes.
-    pub motion: Motion,
+    pub motion: ProbingMotion,
     /// Feed of the cuts.
     pub cut_feed_mm_min: f64,
     /// Corrections are asked this long ahead: one control period and the lag of the position loop.
@@ -81,7 +81,7 @@ impl Default for Setup {
             allowance_mm: 0.254,
             points: 20,
             tip_mm: 2.5,
-            motion: Motion::REPORT,
+            motion: ProbingMotion::REPORT,
             cut_feed_mm_min: 120.0,
             window_mm: 1.0,
             seed: 1,
@@ -112,15 +112,15 @@ pub enum TurningError {
     Design(String),
 }
 
-/// A probing session.
+/// What one probing of the part brought.
 #[derive(Debug, Clone)]
-pub struct Session {
+pub struct ProbingSession {
     /// The trips as captured.
     pub trips: Vec<Trip>,
     /// The record `part errors` reads, with the temperatures at each trip.
     pub csv: String,
     /// The same as a run record of the machine.
-    pub record: Option<RunRecord>,
+    pub record: Option<Record>,
     /// Largest distance of a capture from the truth along the touch, in µm.
     pub worst_um: f64,
     /// Root mean square of it.
@@ -132,13 +132,13 @@ pub struct Session {
 /// How probing at one feed did.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Probing {
-    /// Feed.
+    /// Probing feed, mm/min.
     pub feed_mm_min: f64,
     /// Time on the machine for all points.
     pub seconds: f64,
     /// Captured minus true position of the tip: root mean square.
     pub capture_rms_um: f64,
-    /// The largest.
+    /// Captured minus true position of the tip: the largest.
     pub capture_worst_um: f64,
     /// The largest half width the corrector states for an axis in motion.
     pub stated_um: f64,
@@ -165,14 +165,14 @@ pub struct CutResult {
     pub true_sd_um: f64,
 }
 
-/// The whole experiment.
+/// What came of the whole experiment.
 #[derive(Debug, Serialize)]
-pub struct Outcome {
+pub struct TurningOutcome {
     /// Design of the corrector.
     pub design: String,
     /// One correction, in µm.
     pub increment_um: f64,
-    /// Seed.
+    /// Seed of all noise.
     pub seed: u64,
     /// After the semi-finish cut with the worn tool.
     pub semi_finish: CutResult,
@@ -201,10 +201,10 @@ pub struct Outcome {
     pub files: Vec<(String, Vec<u8>)>,
     /// What was probed, by the step whose files it is among.
     #[serde(skip)]
-    pub reports: [(&'static str, Report); 2],
+    pub reports: [(&'static str, ErrorReport); 2],
 }
 
-impl Outcome {
+impl TurningOutcome {
     /// What the controller counted beyond the scales is what the engine says it completed.
     #[must_use]
     pub fn balanced(&self) -> bool {
@@ -224,8 +224,8 @@ impl Setup {
 
     /// The cut to a radius.
     #[must_use]
-    pub fn cut(&self, radius_mm: f64) -> Cut {
-        Cut { centre: self.centre, radius_mm, nose_mm: self.bench.nose_mm, origin: ORIGIN }
+    pub fn cut(&self, radius_mm: f64) -> FinishCut {
+        FinishCut { centre: self.centre, radius_mm, nose_mm: self.bench.nose_mm, origin: ORIGIN }
     }
 
     /// A part ready for the semi-finish cut.
@@ -242,7 +242,7 @@ impl Setup {
         &self,
         part: &mut Workpiece,
         radius_mm: f64,
-        table: Option<&Table>,
+        table: Option<&FinishTable>,
         seed: u64,
     ) -> Result<Ran, TurningError> {
         let path_mm = radius_mm + self.bench.nose_mm;
@@ -256,7 +256,7 @@ impl Setup {
     }
 
     /// A cut with what is known of its errors.
-    fn job<'a>(&'a self, table: Option<&'a Table>) -> Job<'a> {
+    fn job<'a>(&'a self, table: Option<&'a FinishTable>) -> Job<'a> {
         match (table, &self.model) {
             (None, None) => Job::Cut,
             (table, model) => Job::Corrected(table, model.as_ref(), self.lead_s),
@@ -306,7 +306,7 @@ impl Setup {
         plan: &Plan,
         feed_mm_min: f64,
         seed: u64,
-    ) -> Result<Session, TurningError> {
+    ) -> Result<ProbingSession, TurningError> {
         let approach: Vec<Zx> = plan.points.iter().map(|p| p.place.normal * -1.0).collect();
         self.probe_path(part, &plan.records(), &plan.expected(), &approach, feed_mm_min, seed)
     }
@@ -318,12 +318,12 @@ impl Setup {
     pub fn probe_path(
         &self,
         part: &Workpiece,
-        records: &[Record],
+        records: &[PathPoint],
         expected: &[Zx],
         approach: &[Zx],
         feed_mm_min: f64,
         seed: u64,
-    ) -> Result<Session, TurningError> {
+    ) -> Result<ProbingSession, TurningError> {
         let moves = probing_moves(records, feed_mm_min / 60.0);
         let mut part = part.clone();
         let ran = self.go(&mut part, self.radius_mm, &moves, Job::Probe(self.tip_mm), seed)?;
@@ -339,7 +339,7 @@ impl Setup {
             .map(|((t, truth), along)| (t.tip_centre - *truth).dot(*along).abs() * 1e3)
             .collect();
         let sensors: Vec<&str> = lathe::sensors().collect();
-        Ok(Session {
+        Ok(ProbingSession {
             csv: probed_csv(&trips, approach, &sensors, &ran.degc),
             record: run_record(&trips, expected, approach, ORIGIN, &sensors, &ran.degc),
             worst_um: off.iter().copied().fold(0.0, f64::max),
@@ -353,7 +353,7 @@ impl Setup {
     ///
     /// # Errors
     /// The points give no circle.
-    pub fn errors(&self, session: &Session, radius_mm: f64) -> Result<Report, TurningError> {
+    pub fn errors(&self, session: &ProbingSession, radius_mm: f64) -> Result<ErrorReport, TurningError> {
         let mut probed = Probed::parse(Path::new("probed.csv"), &session.csv)?;
         if let Some(model) = &self.model {
             probed.correct_geometric_thermal(model, ORIGIN)?;
@@ -371,7 +371,7 @@ impl Setup {
     ///
     /// # Errors
     /// The points give no circle.
-    pub fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<Report, TurningError> {
+    pub fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<ErrorReport, TurningError> {
         let text = part.truth(radius_mm, self.points).iter().fold("z_mm,x_mm\n".to_owned(), |mut t, e| {
             let p = self.centre + Zx::at_angle(e.angle_rad) * (radius_mm + e.error_um * 1e-3);
             let _ = writeln!(t, "{:.9},{:.9}", p.z, p.x);
@@ -380,7 +380,12 @@ impl Setup {
         Ok(Probed::parse(Path::new("truth"), &text)?.errors(Nominal::Circle { radius_mm }, 0.0)?)
     }
 
-    fn result(&self, report: &Report, part: &Workpiece, radius_mm: f64) -> Result<CutResult, TurningError> {
+    fn result(
+        &self,
+        report: &ErrorReport,
+        part: &Workpiece,
+        radius_mm: f64,
+    ) -> Result<CutResult, TurningError> {
         let errors: Vec<f64> = report.errors.iter().map(|e| e.error_um).collect();
         let truth: Vec<f64> = self.measured(part, radius_mm)?.errors.iter().map(|e| e.error_um).collect();
         let range = |v: &[f64]| {
@@ -397,17 +402,17 @@ impl Setup {
     }
 
     /// The table of a finish cut: of what is known of the part's form, where the model knows any, or of probed errors.
-    fn table(&self, probed: &[PointError]) -> Result<Table, TurningError> {
+    fn table(&self, probed: &[PointError]) -> Result<FinishTable, TurningError> {
         let known = self.model.as_ref().map(|m| known_form(m, self.points)).transpose()?.flatten();
         let axes = lathe::axes(&self.bench, self.engine_design()?);
-        Ok(Table::new(self.cut(self.radius_mm), axes, known.unwrap_or_else(|| probed.to_vec())))
+        Ok(FinishTable::new(self.cut(self.radius_mm), axes, known.unwrap_or_else(|| probed.to_vec())))
     }
 
     /// The loop alone: semi-finish cut, probing, finish cut (corrected or not), and the session that inspects it.
     ///
     /// # Errors
     /// The first step that cannot be done.
-    pub fn turn_nose(&self, corrected: bool) -> Result<Session, TurningError> {
+    pub fn turn_nose(&self, corrected: bool) -> Result<ProbingSession, TurningError> {
         let semi_mm = self.radius_mm + self.allowance_mm;
         let (mut part, mut now) = (self.raw(), self.clone());
         let ran = now.turn(&mut part, semi_mm, None, self.seed)?;
@@ -424,7 +429,7 @@ impl Setup {
     ///
     /// # Errors
     /// The first step that cannot be done.
-    pub fn run(&self, progress: &mut dyn FnMut(&str)) -> Result<Outcome, TurningError> {
+    pub fn run(&self, progress: &mut dyn FnMut(&str)) -> Result<TurningOutcome, TurningError> {
         let design = self.engine_design()?;
         let mut files: Vec<(String, Vec<u8>)> = Vec::new();
         let mut decisions = Vec::new();
@@ -507,7 +512,7 @@ impl Setup {
         if let Some(batch) = &off_machine {
             decisions.extend(batch.offers.iter().map(|o| format!("offered, not applied: {o}")));
         }
-        let mut outcome = Outcome {
+        let mut outcome = TurningOutcome {
             design: self.design.clone(),
             increment_um: axes[0].increment_um(),
             seed: self.seed,
@@ -533,8 +538,8 @@ impl Setup {
     /// A batch measured off the machine against what probing saw on it.
     fn off_machine(
         &self,
-        table: &Table,
-        inspected: &Report,
+        table: &FinishTable,
+        inspected: &ErrorReport,
         progress: &mut dyn FnMut(&str),
     ) -> Result<(Batch, String), TurningError> {
         let mut text = "part,feature,angle_rad,error_um\n".to_owned();
@@ -558,8 +563,8 @@ impl Setup {
         files: &mut Vec<(String, Vec<u8>)>,
         step: &str,
         radius_mm: f64,
-        session: &Session,
-        report: &Report,
+        session: &ProbingSession,
+        report: &ErrorReport,
     ) -> Result<(), TurningError> {
         let (plan, unit) = (self.plan(radius_mm), Unit::MM);
         let mut push = |name: &str, content: Vec<u8>| files.push((format!("{step}/{name}"), content));
@@ -600,7 +605,7 @@ impl Setup {
             InputError::whole(template, "no dialect report", "a dialect that comes with the program")
         })?;
         let (records, made) = (plan.records(), "BY PART RUN");
-        let job = program::Job {
+        let job = program::ProbingProgram {
             controller: &controller,
             parameters: &parameters,
             records: &records,
@@ -634,7 +639,7 @@ fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>,
     Ok(Some(errors.collect()))
 }
 
-fn compare(feed_mm_min: f64, session: &Session) -> Probing {
+fn compare(feed_mm_min: f64, session: &ProbingSession) -> Probing {
     let um_per_us = feed_mm_min / 60.0 * 1e-3;
     Probing {
         feed_mm_min,
@@ -649,7 +654,7 @@ fn compare(feed_mm_min: f64, session: &Session) -> Probing {
 }
 
 /// The page of a whole experiment.
-fn page(o: &Outcome) -> String {
+fn page(o: &TurningOutcome) -> String {
     let [(_, before), (_, after)] = &o.reports;
     let mut text = side_by_side(before, after);
     let _ = write!(

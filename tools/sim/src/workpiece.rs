@@ -11,7 +11,7 @@ use std::path::Path;
 /// The tool's nose, ground or worn flat in one place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nose {
-    /// Radius.
+    /// Radius of the nose.
     pub radius_mm: f64,
     /// Depth of the flat.
     pub flat_um: f64,
@@ -33,7 +33,7 @@ const STEP_RAD: f64 = 5e-4;
 const STEPS: usize = 3263;
 
 impl Workpiece {
-    /// A raw part.
+    /// A raw part: round about `centre` (part coordinates), of this radius, mm.
     #[must_use]
     pub fn raw(centre: Zx, radius_mm: f64) -> Self {
         Self { centre, radius_mm: vec![radius_mm; STEPS] }

@@ -4,12 +4,12 @@
 
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, Run, Seen, constant, there_and_back};
+use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, constant, there_and_back};
 use rtec_sim::computer::Computer;
-use rtec_sim::designs::{Comparison, Motion, compare, safe_at, safe_range, waveforms};
+use rtec_sim::designs::{Comparison, TestMotion, compare, safe_at, safe_range, waveforms};
 
 fn comparison(computer: &Computer) -> Comparison {
-    compare(computer, Motion { counts: 4000, ..Motion::default() }, 1)
+    compare(computer, TestMotion { counts: 4000, ..TestMotion::default() }, 1)
 }
 
 /// NISTIR 4832, The "Original RTEC", Designs A to C; CMTI 2014: the whole table, on the 8051 and on a DSP.
@@ -52,7 +52,7 @@ fn at_30_khz_nine_microseconds_no_longer_fit() {
     let run = |design, hz: f64| {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
-        Run { edges: &edges, totals: &totals, ..Run::new(design, &computer) }.run().unwrap()
+        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) }.run().unwrap()
     };
     let slow = run(AnyDesign::Original, 10_000.0);
     assert_eq!((slow.completed, slow.edge_to_done_ns), (-40, Some((9000, 9000))));
@@ -76,12 +76,18 @@ fn without_the_speed_gate_it_runs_into_the_next_transition() {
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
-        Run { edges: &edges, totals: &totals, ungated: true, ..Run::new(AnyDesign::Original, &computer) }
-            .run()
-            .unwrap()
+        BenchRun {
+            edges: &edges,
+            totals: &totals,
+            ungated: true,
+            ..BenchRun::new(AnyDesign::Original, &computer)
+        }
+        .run()
+        .unwrap()
     };
-    let wrong =
-        |seen: &Seen| seen.overlaps > 0 || seen.illegal > 0 || seen.error_counts() != 0 || seen.faults > 0;
+    let wrong = |seen: &BenchResult| {
+        seen.overlaps > 0 || seen.illegal > 0 || seen.error_counts() != 0 || seen.faults > 0
+    };
     assert!(!wrong(&run(25_000.0)));
     assert!(wrong(&run(40_000.0)));
 }
@@ -96,7 +102,9 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
             let config = rtec_sim::bench::insert_at_rest(AxisConfig::default());
             let totals = [(1_000_000, 8), (60_000_000, 8)];
             let start = State::from_bits(bits);
-            let seen = Run { config, start, totals: &totals, ..Run::new(design, &computer) }.run().unwrap();
+            let seen = BenchRun { config, start, totals: &totals, ..BenchRun::new(design, &computer) }
+                .run()
+                .unwrap();
             assert_eq!(seen.completed, if served { 8 } else { 0 }, "{design:?} in {start:?}");
             assert_eq!(seen.mtc, seen.completed);
         }
@@ -113,20 +121,20 @@ fn design_b_needs_a_faster_computer_and_steps_by_one() {
     let computer = Computer::dsp();
     // "Current generation digital signal processors have the speed capability to handle these signals."
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let passed = Run { edges: &edges, ..Run::new(AnyDesign::B, &computer) }.run().unwrap();
+    let passed = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, &computer) }.run().unwrap();
     assert_eq!((passed.mtc, passed.illegal), (4000, 0));
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 7), (edges[2000].0, -3)];
-    let run = Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::B, &computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::B, &computer) };
     let seen = run.run().unwrap();
     assert_eq!((seen.completed, seen.error_counts(), seen.insertions, seen.illegal), (-3, 0, 17, 0));
-    let dead = Run { die_ns: edges[1000].0, ..run }.run().unwrap();
+    let dead = BenchRun { die_ns: edges[1000].0, ..run }.run().unwrap();
     let (scale, mtc) = dead.at_death.unwrap();
     assert_eq!((dead.mtc - mtc, dead.illegal), (0, 0));
     assert!(dead.scale - scale > 2900);
     // An 8051 that is asked to pass 100 kHz loses counts: it may tell the MTC of an illegal state, or of none at all.
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let lost = Run { edges: &edges, ..Run::new(AnyDesign::B, &Computer::i8051()) }.run().unwrap();
+    let lost = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, &Computer::i8051()) }.run().unwrap();
     assert!(lost.mtc < lost.scale / 2, "{lost:?}");
 }
 
@@ -138,8 +146,12 @@ fn three_pulses_added_and_three_subtracted() {
         let edges = constant(1_000_000, 10_000.0, 4000, direction);
         for total in [12, -12] {
             let totals = [(edges[500].0, total)];
-            let run =
-                Run { edges: &edges, totals: &totals, keep_log: true, ..Run::new(AnyDesign::Ecc, &computer) };
+            let run = BenchRun {
+                edges: &edges,
+                totals: &totals,
+                keep_log: true,
+                ..BenchRun::new(AnyDesign::Ecc, &computer)
+            };
             let seen = run.run().unwrap();
             assert_eq!((seen.mtc - seen.scale, seen.completed, seen.illegal), (total, total, 0));
             assert!(seen.worst_phase_deg < 1e-6);
@@ -158,8 +170,9 @@ fn more_than_fifteen_pulses_take_two_compensations() {
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     for (pulses, compensations) in [(15, 1), (16, 2), (45, 3)] {
         let totals = [(edges[500].0, 4 * pulses)];
-        let seen =
-            Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::Ecc, &computer) }.run().unwrap();
+        let seen = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) }
+            .run()
+            .unwrap();
         assert_eq!((seen.insertions, seen.completed, seen.error_counts()), (compensations, 4 * pulses, 0));
     }
 }
@@ -175,7 +188,7 @@ fn the_ecc_works_in_its_lock_range_only() {
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 8000, 1);
         let totals = [(edges[2000].0, 12)];
-        Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::Ecc, &computer) }.run().unwrap()
+        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) }.run().unwrap()
     };
     // It still doubles between 125 and 160 kHz, and between 700 Hz and 2.3 kHz, but 90° are not kept.
     for hz in [70_000.0, 500.0] {
@@ -198,8 +211,9 @@ fn the_ecc_goes_wrong_at_reversal() {
     let turn = edges[1999].0;
     let wrong = (0..40).filter(|n| {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
-        let seen =
-            Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::Ecc, &computer) }.run().unwrap();
+        let seen = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) }
+            .run()
+            .unwrap();
         seen.error_counts() != 0 || seen.illegal > 0
     });
     assert!(wrong.count() > 0);
@@ -207,9 +221,10 @@ fn the_ecc_goes_wrong_at_reversal() {
     for n in 0..40 {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
         let config = AxisConfig { max_accel_counts_s2: 2e6, ..AxisConfig::default() };
-        let seen = Run { config, edges: &edges, totals: &totals, ..Run::new(AnyDesign::C, &computer) }
-            .run()
-            .unwrap();
+        let seen =
+            BenchRun { config, edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::C, &computer) }
+                .run()
+                .unwrap();
         assert_eq!((seen.error_counts(), seen.illegal, seen.faults), (0, 0, 0));
     }
 }
@@ -221,9 +236,9 @@ fn when_the_computer_stops() {
     let computer = Computer::i8051();
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 2)];
-    let run = Run { edges: &edges, totals: &totals, ..Run::new(AnyDesign::C, &computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::C, &computer) };
     let after = |die_ns| {
-        let seen = Run { die_ns, ..run.clone() }.run().unwrap();
+        let seen = BenchRun { die_ns, ..run.clone() }.run().unwrap();
         let (scale, mtc) = seen.at_death.unwrap();
         (seen.mtc - mtc) as f64 / (seen.scale - scale) as f64
     };
@@ -236,7 +251,11 @@ fn when_the_computer_stops() {
 #[test]
 fn same_seed_same_bytes_and_every_design_draws() {
     let table = |seed| {
-        serde_json::to_string(&compare(&Computer::dsp(), Motion { counts: 400, ..Motion::default() }, seed))
+        serde_json::to_string(&compare(
+            &Computer::dsp(),
+            TestMotion { counts: 400, ..TestMotion::default() },
+            seed,
+        ))
     };
     assert_eq!(table(3).unwrap(), table(3).unwrap());
     for design in AnyDesign::ALL {

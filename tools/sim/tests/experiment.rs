@@ -2,21 +2,21 @@
 
 #![allow(clippy::unwrap_used)]
 
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, Findings, Setting};
 use rtec_sim::heat::FIGURE_9;
 use std::path::Path;
 
-fn model(text: &str) -> Model {
-    Model::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
+fn model(text: &str) -> Machine {
+    Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
 }
 
 fn effect(name: &str, rest: &str) -> String {
     format!("[[effect]]\nname = \"{name}\"\n{rest}\n")
 }
 
-fn run(name: &str, truth: &Model, known: &Model, seed: u64) -> Findings {
+fn run(name: &str, truth: &Machine, known: &Machine, seed: u64) -> Findings {
     let setting = Setting { truth, known, seed, out: Path::new("out") };
     Experiment::find(name).unwrap().run(&setting).unwrap()
 }
@@ -32,7 +32,7 @@ fn worst(record: &Record) -> f64 {
 }
 
 /// RMS of what a record shows beyond what a model says of it.
-fn beyond(record: &Record, model: &Model) -> f64 {
+fn beyond(record: &Record, model: &Machine) -> f64 {
     let predicted = model.predict(record).unwrap();
     let (mut sum, mut n) = (0.0, 0.0);
     for (column, (_, said)) in record.responses().zip(&predicted.columns) {
@@ -48,7 +48,7 @@ fn beyond(record: &Record, model: &Model) -> f64 {
 /// quarter of the travel needs 15.
 #[test]
 fn fifteen_corrections_over_a_quarter_of_the_travel() {
-    let ideal = Model::ideal("m");
+    let ideal = Machine::ideal("m");
     let findings = run("linear-error-240um", &ideal, &ideal, 1);
     assert_eq!(findings.summary["insertions"], 15);
     assert!((worst(record(&findings, "linear-error-240um")) - 60.0).abs() < 0.1);
@@ -65,7 +65,7 @@ fn fifteen_corrections_over_a_quarter_of_the_travel() {
 /// NISTIR 4832, The "Original RTEC": corrections that a rapid leaves undone are caught up before the tool enters the part.
 #[test]
 fn a_rapid_is_caught_up_before_the_part() {
-    let ideal = Model::ideal("m");
+    let ideal = Machine::ideal("m");
     let findings = run("rapid-catch-up", &ideal, &ideal, 1);
     assert!(findings.summary["edges_waited_for_gate"].as_u64().unwrap() > 1000);
     assert!(findings.summary["largest_backlog_um"].as_f64().unwrap() > 40.0);
@@ -76,7 +76,7 @@ fn a_rapid_is_caught_up_before_the_part() {
 /// correction no component is larger than the 4 µm correction resolution (here 2 µm).
 #[test]
 fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
-    let ideal = Model::ideal("m");
+    let ideal = Machine::ideal("m");
     let findings = run("hemisphere", &ideal, &ideal, 1);
     let bump = record(&findings, "hemisphere").responses().next().unwrap().data.clone();
     let height = bump.iter().fold(0.0_f64, |w, e| w.max(*e));
@@ -134,7 +134,7 @@ fn records_are_what_the_true_machine_says() {
             "sensor = \"T8\"\nminus = \"T18\"\num_per_K = 2\num_per_K2 = 0\ntau_s = 1200",
         ),
     ];
-    let ideal = Model::ideal("m");
+    let ideal = Machine::ideal("m");
     for (name, noise) in [("plate", 0.3), ("drift", 0.1), ("feed-sweep", 0.1), ("drilling", 0.5)] {
         let lag = usize::from(name != "drilling");
         let truth = model(&effects[..effects.len() - 1 + lag].concat());

@@ -2,17 +2,17 @@
 
 #![allow(clippy::unwrap_used)]
 
-use rtec_model::machine::Machine as Model;
+use rtec_model::machine::Machine;
 use rtec_sim::gcode::{Block, parse};
 use rtec_sim::machine::ServoFault;
 use rtec_sim::sim::{Moment, Sim, Spec};
 use std::path::Path;
 
-fn model(text: &str) -> Model {
-    Model::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
+fn model(text: &str) -> Machine {
+    Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
 }
 
-fn sim(truth: &Model, known: Option<&Model>) -> Sim {
+fn sim(truth: &Machine, known: Option<&Machine>) -> Sim {
     Sim::new(&Spec::machining_centre(), truth, known, [0.0; 3], 1).unwrap()
 }
 
@@ -21,8 +21,8 @@ fn program(text: &str) -> Vec<Block> {
 }
 
 #[test]
-fn an_ideal_machine_goes_where_it_is_told() {
-    let mut s = sim(&Model::ideal("m"), None);
+fn an_ideal_machine_goes_where_it_is_commanded() {
+    let mut s = sim(&Machine::ideal("m"), None);
     s.run(program("G0 X20 Y-30 Z10\nG1 X25 F500\nG2 X25 Y-30 I-5 J0 F1000\n")).unwrap();
     let m = s.moment();
     for (n, p) in [25.0, -30.0, 10.0].into_iter().enumerate() {
@@ -34,7 +34,7 @@ fn an_ideal_machine_goes_where_it_is_told() {
 
 #[test]
 fn following_error_stays_small_in_motion() {
-    let mut s = sim(&Model::ideal("m"), None);
+    let mut s = sim(&Machine::ideal("m"), None);
     s.machine.load(program("G1 X100 Y60 F6000\nG3 X100 Y60 I-20 J0 F2000\n"));
     let mut worst: f64 = 0.0;
     while !s.machine.finished() {
@@ -50,7 +50,7 @@ fn following_error_stays_small_in_motion() {
 #[test]
 fn a_known_error_is_taken_out_and_an_unknown_one_stays() {
     let truth = model("[[effect]]\nname = \"scale.x\"\nppm = 100\n[[effect]]\nname = \"offset.y\"\num = 7\n");
-    let off = |known: Option<&Model>| {
+    let off = |known: Option<&Machine>| {
         let mut s = sim(&truth, known);
         s.run(program("G1 X200 Y10 F5000\n")).unwrap();
         s.advance(0.5).unwrap();
@@ -67,7 +67,7 @@ fn a_known_error_is_taken_out_and_an_unknown_one_stays() {
 
 #[test]
 fn the_probe_trips_where_the_surface_is() {
-    let mut s = sim(&Model::ideal("m"), None);
+    let mut s = sim(&Machine::ideal("m"), None);
     s.probe(Some(Box::new(|p: [f64; 3]| 7.123_4 - p[0]))).unwrap();
     // NISTIR 4854, Process-Intermittent Loop: 5 mm stand-off, 2.5 mm over-travel, 2.5 m/min.
     let trip = s.touch(program("G1 X9.6 F2500\nG0 X0\n")).unwrap().unwrap();
@@ -78,7 +78,7 @@ fn the_probe_trips_where_the_surface_is() {
 
 #[test]
 fn feed_hold_stops_the_path_and_lets_it_go_on() {
-    let mut s = sim(&Model::ideal("m"), None);
+    let mut s = sim(&Machine::ideal("m"), None);
     s.machine.load(program("G1 X100 F6000\n"));
     s.advance(0.5).unwrap();
     s.hold(true).unwrap();
@@ -94,7 +94,7 @@ fn feed_hold_stops_the_path_and_lets_it_go_on() {
 #[test]
 fn an_illegal_state_is_a_servo_fault() {
     use rtec_driver::card::Card;
-    let mut s = sim(&Model::ideal("m"), None);
+    let mut s = sim(&Machine::ideal("m"), None);
     s.machine.write(3, 3).unwrap();
     assert_eq!(s.machine.fault(), Some(ServoFault::IllegalState { axis: 0 }));
 }

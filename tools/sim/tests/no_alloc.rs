@@ -11,7 +11,7 @@ use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Request;
 use rtec_rt::journal::Journal;
 use rtec_rt::link::link;
-use rtec_sim::strokes::{Motion, moving_axes};
+use rtec_sim::strokes::{StrokeMotion, moving_axes};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -58,7 +58,8 @@ impl rtec_driver::clock::Clock for Ticking {
 /// Moving axes, requests, refusals, faults, probing, journal and link: everything the thread's loop does.
 #[test]
 fn the_loop_neither_allocates_nor_releases() {
-    let motion = Motion { stroke_counts: 500.0, feed_counts_s: 20_000.0, dwell_s: 0.001, on_feedback: true };
+    let motion =
+        StrokeMotion { stroke_counts: 500.0, feed_counts_s: 20_000.0, dwell_s: 0.001, on_feedback: true };
     let lines = [0, 1, 2].map(|n| AxisLines::standard(n, true));
     let (axes, operator) = moving_axes(&lines.map(|l| (l, motion)), MachineLines::standard());
     let mut card = MockCard::new(axes, Ticking(Virtual::default()));

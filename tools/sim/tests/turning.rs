@@ -2,13 +2,13 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_model::machine::Machine;
-use rtec_part::batch::Finding;
+use rtec_part::batch::BatchFinding;
 use rtec_part::fit::Zx;
 use rtec_part::probe::{Captured, TripFault, assign};
-use rtec_sim::turning::{Outcome, Setup};
+use rtec_sim::turning::{Setup, TurningOutcome};
 use std::path::Path;
 
-fn run(setup: &Setup) -> Outcome {
+fn run(setup: &Setup) -> TurningOutcome {
     setup.run(&mut |_| {}).unwrap()
 }
 
@@ -93,15 +93,15 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
     // The probe is content, the true surface is not.
     assert!(o.finish.largest_um < 3.0 && o.finish.true_form_um > 8.0, "{:?}", o.finish);
     let batch = o.off_machine.unwrap();
-    let count = |f: Finding| batch.places.iter().filter(|p| p.finding == f).count();
+    let count = |f: BatchFinding| batch.places.iter().filter(|p| p.finding == f).count();
     println!(
         "after the finish cut the probe sees {:.1} µm at most, the true surface's form is {:.1} µm; {} of {} places not observable",
         o.finish.largest_um,
         o.finish.true_form_um,
-        count(Finding::NotObservable),
+        count(BatchFinding::NotObservable),
         batch.places.len()
     );
-    assert!(count(Finding::NotObservable) >= 4, "{:?}", batch.offers);
+    assert!(count(BatchFinding::NotObservable) >= 4, "{:?}", batch.offers);
     assert!(batch.offers.iter().any(|o| o.contains("not observable")));
     assert!(run(&setup("c", 7)).off_machine.is_none());
 }
@@ -123,7 +123,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     let t8 = record.temperature("T8").unwrap();
     assert!(record.rows() == 20 && t8[0] > 22.0 && t8.iter().all(|t| t.is_finite()), "{t8:?}");
     let truth = warm.measured(&part, radius_mm).unwrap();
-    let off = |report: &rtec_part::errors::Report| {
+    let off = |report: &rtec_part::errors::ErrorReport| {
         report
             .errors
             .iter()
@@ -133,7 +133,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     };
     let blind = warm.errors(&session, radius_mm).unwrap();
     let knowing = Setup { model: Some(wrong.clone()), ..warm.clone() }.errors(&session, radius_mm).unwrap();
-    let radius = |report: &rtec_part::errors::Report| {
+    let radius = |report: &rtec_part::errors::ErrorReport| {
         (report.radius_mm.unwrap() - truth.radius_mm.unwrap()).abs() * 1e3
     };
     println!(

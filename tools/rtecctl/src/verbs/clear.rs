@@ -1,7 +1,7 @@
 //! `rtecctl clear`: release latched faults.
 
 use crate::daemon::Daemon;
-use rtec_control::protocol::Request;
+use rtec_control::protocol::ClientRequest;
 
 /// Release latched faults, once their cause is mended
 #[derive(Debug, clap::Args)]
@@ -12,5 +12,5 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let done = "faults released; axes whose count was in doubt must be homed again (rtecctl status)";
-    args.daemon.order(&Request::Clear {}, done)
+    args.daemon.order(&ClientRequest::Clear {}, done)
 }

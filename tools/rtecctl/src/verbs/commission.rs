@@ -11,7 +11,7 @@ use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::Client;
-use rtec_control::protocol::{Axis, Request, Response, Status};
+use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
@@ -71,7 +71,7 @@ impl Place {
     }
 }
 
-/// What was found.
+/// The verdict of one proof, in words.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 struct Finding {
     /// `right`, `wrong_sign`, `wrong_unit`, `controller_compensates`, `controller_ignores`, `wrong_insertion`
@@ -160,12 +160,12 @@ struct Guide<'a> {
 }
 
 impl Guide<'_> {
-    fn ask(&mut self, request: &Request) -> anyhow::Result<Response> {
+    fn ask(&mut self, request: &ClientRequest) -> anyhow::Result<Response> {
         check(self.client.ask(request).map_err(unreachable)?)
     }
 
-    fn status(&mut self) -> anyhow::Result<(Box<Status>, Axis)> {
-        let Response::Status(status) = self.ask(&Request::Status {})? else {
+    fn status(&mut self) -> anyhow::Result<(Box<DaemonStatus>, AxisReport)> {
+        let Response::Status(status) = self.ask(&ClientRequest::Status {})? else {
             return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
         };
         let name = &self.args.axis;
@@ -177,7 +177,7 @@ impl Guide<'_> {
     }
 
     /// Waits until the axis stands and nothing more is to be inserted.
-    fn at_rest(&mut self) -> anyhow::Result<Axis> {
+    fn at_rest(&mut self) -> anyhow::Result<AxisReport> {
         let begun = Instant::now();
         let (mut last, mut since) = (None, Instant::now());
         loop {
@@ -199,7 +199,7 @@ impl Guide<'_> {
     }
 
     fn stands(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
-        let request = Request::Jog { axis: self.args.axis.clone(), display_mm };
+        let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm };
         match self.ask(&request)? {
             Response::Stands { display_mm, indicator_mm } => Ok((display_mm, indicator_mm)),
             _ => Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into()),
@@ -240,11 +240,11 @@ impl Guide<'_> {
     }
 
     fn insert(&mut self, total_counts: i64) -> anyhow::Result<()> {
-        let request = Request::Correct { axis: self.args.axis.clone(), total_counts, large: false };
+        let request = ClientRequest::Correct { axis: self.args.axis.clone(), total_counts, large: false };
         self.ask(&request).map(drop)
     }
 
-    /// Everything, in order.
+    /// Runs every proof in order.
     fn prove(&mut self, figures: &mut serde_json::Map<String, serde_json::Value>) -> anyhow::Result<Finding> {
         let (args, tolerance_um) = (self.args, self.args.tolerance_um);
         let note = |f: &mut serde_json::Map<String, serde_json::Value>, key: &str, v: f64| {
@@ -324,7 +324,7 @@ fn two_numbers(from: &mut impl std::io::BufRead) -> anyhow::Result<(f64, f64)> {
     }
 }
 
-/// Takes back what was inserted, and tells what of it the controller still has.
+/// Takes back what was inserted, and returns what of it the controller still has.
 fn take_back(args: &Args) -> anyhow::Result<()> {
     let client = args.daemon.connect()?;
     let mut guide = Guide { client, args, simulated: false };

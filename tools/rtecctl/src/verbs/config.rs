@@ -1,7 +1,7 @@
 //! `rtecctl config`: is a configuration right, and if not, where.
 
 use clap::Subcommand;
-use rtec_control::config::{Config, EMBEDDED, Findings};
+use rtec_control::config::{Config, ConfigFindings, EMBEDDED};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -44,7 +44,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn document(file: &std::path::Path, config: &Result<Config, Findings>) -> serde_json::Value {
+fn document(file: &std::path::Path, config: &Result<Config, ConfigFindings>) -> serde_json::Value {
     let findings: Vec<_> = config.as_ref().err().into_iter().flat_map(|f| &f.0).collect();
     let findings: Vec<_> = findings
         .iter()

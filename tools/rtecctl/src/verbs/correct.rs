@@ -1,7 +1,7 @@
 //! `rtecctl correct`: the total correction of an axis.
 
 use crate::daemon::Daemon;
-use rtec_control::protocol::Request;
+use rtec_control::protocol::ClientRequest;
 
 /// Request the total correction of an axis, in counts since homing
 #[derive(Debug, clap::Args)]
@@ -20,6 +20,6 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let Args { axis, counts, large, daemon } = args;
-    let request = Request::Correct { axis: axis.clone(), total_counts: *counts, large: *large };
+    let request = ClientRequest::Correct { axis: axis.clone(), total_counts: *counts, large: *large };
     daemon.order(&request, &format!("axis {axis}: {counts:+} counts requested"))
 }

@@ -10,7 +10,7 @@ use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{EventKind, Mode, Request, Status};
 use rtec_rt::thread::{Running, ThreadOptions, spawn};
-use rtec_sim::strokes::{Motion, MovingAxes, Truth, moving_axes};
+use rtec_sim::strokes::{MovingAxes, StrokeMotion, Truth, moving_axes};
 use std::f64::consts::TAU;
 use std::io::{IsTerminal, Write};
 use std::path::Path;
@@ -82,7 +82,7 @@ type Card = MockCard<MovingAxes, Monotonic>;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let lines = AxisLines::standard(0, true);
-    let motion = Motion {
+    let motion = StrokeMotion {
         stroke_counts: STROKE_MM * 1000.0 / COUNT_UM,
         feed_counts_s: FEED_MM_S * 1000.0 / COUNT_UM,
         dwell_s: 0.2,

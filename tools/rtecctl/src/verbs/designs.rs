@@ -3,7 +3,7 @@
 use anyhow::Context;
 use rtec_sim::bench::AnyDesign;
 use rtec_sim::computer::Computer;
-use rtec_sim::designs::{Motion, compare, waveforms};
+use rtec_sim::designs::{TestMotion, compare, waveforms};
 use std::path::PathBuf;
 
 /// Compare the insertion designs: increment, time, safe speed, rest, what happens when the computer dies
@@ -16,13 +16,13 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "computer")]
     latency: Option<PathBuf>,
     /// Speed of the motion, as encoder frequency in Hz (a quarter of the count rate)
-    #[arg(long, value_name = "HZ", default_value_t = Motion::default().encoder_hz, value_parser = positive)]
+    #[arg(long, value_name = "HZ", default_value_t = TestMotion::default().encoder_hz, value_parser = positive)]
     encoder_hz: f64,
     /// Acceleration of the motion, counts/s²
-    #[arg(long, value_name = "A", default_value_t = Motion::default().accel_counts_s2, value_parser = positive)]
+    #[arg(long, value_name = "A", default_value_t = TestMotion::default().accel_counts_s2, value_parser = positive)]
     accel: f64,
     /// Length of each way of the motion, counts
-    #[arg(long, value_name = "N", default_value_t = Motion::default().counts,
+    #[arg(long, value_name = "N", default_value_t = TestMotion::default().counts,
           value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
     counts: u64,
     /// Seed of all noise
@@ -58,11 +58,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         (None, Model::I8051) => Computer::i8051(),
         (None, Model::Dsp) => Computer::dsp(),
     };
-    let motion = Motion {
+    let motion = TestMotion {
         encoder_hz: args.encoder_hz,
         accel_counts_s2: args.accel,
         counts: args.counts,
-        ..Motion::default()
+        ..TestMotion::default()
     };
     eprintln!("rtecctl: running five designs on: {}", computer.name);
     let comparison = compare(&computer, motion, args.seed);

@@ -1,7 +1,7 @@
 //! `rtecctl disable`: corrections off.
 
 use crate::daemon::Daemon;
-use rtec_control::protocol::Request;
+use rtec_control::protocol::ClientRequest;
 
 /// Switch corrections off: they freeze where they are, nothing moves
 #[derive(Debug, clap::Args)]
@@ -11,5 +11,5 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    args.daemon.order(&Request::Disable {}, "corrections off, frozen where they are")
+    args.daemon.order(&ClientRequest::Disable {}, "corrections off, frozen where they are")
 }

@@ -1,7 +1,7 @@
 //! `rtecctl enable`: corrections on.
 
 use crate::daemon::{Daemon, describe};
-use rtec_control::protocol::{Request, Response};
+use rtec_control::protocol::{ClientRequest, Response};
 
 /// Switch corrections on; shows what moves, and refuses a jump beyond the belief window
 #[derive(Debug, clap::Args)]
@@ -14,7 +14,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let response = args.daemon.ask(&Request::Enable { accept_jump: args.accept_jump })?;
+    let response = args.daemon.ask(&ClientRequest::Enable { accept_jump: args.accept_jump })?;
     if let Response::Done { jumps } = response
         && !args.daemon.json
     {

@@ -1,7 +1,7 @@
 //! `rtecctl explain`: what each axis's correction is made of.
 
 use crate::daemon::Daemon;
-use rtec_control::protocol::{Contribution, Explained, Reading, Request, Response};
+use rtec_control::protocol::{ClientRequest, Contribution, Explained, Reading, Response};
 use std::fmt::Write as _;
 
 /// Split each axis's correction now into its effects, with sensor values and their age
@@ -16,7 +16,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let response = args.daemon.ask(&Request::Explain { axis: args.axis.clone() })?;
+    let response = args.daemon.ask(&ClientRequest::Explain { axis: args.axis.clone() })?;
     if let Response::Explained { axes } = response
         && !args.daemon.json
     {

@@ -2,7 +2,7 @@
 
 use crate::daemon::Daemon;
 use crate::verbs::probe::Switch;
-use rtec_control::protocol::Request;
+use rtec_control::protocol::ClientRequest;
 
 /// Switch feed hold on or off; corrections freeze while it is on
 #[derive(Debug, clap::Args)]
@@ -15,5 +15,5 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let on = args.switch == Switch::On;
-    args.daemon.order(&Request::Hold { on }, if on { "feed hold on" } else { "feed hold off" })
+    args.daemon.order(&ClientRequest::Hold { on }, if on { "feed hold on" } else { "feed hold off" })
 }

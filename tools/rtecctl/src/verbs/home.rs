@@ -1,7 +1,7 @@
 //! `rtecctl home`: the axis stands at its known place.
 
 use crate::daemon::Daemon;
-use rtec_control::protocol::Request;
+use rtec_control::protocol::ClientRequest;
 
 /// Set the counters at the known home place and read them back
 ///
@@ -17,5 +17,5 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let done =
         args.axis.as_ref().map_or_else(|| "all axes homed".to_owned(), |axis| format!("axis {axis} homed"));
-    args.daemon.order(&Request::Home { axis: args.axis.clone() }, &done)
+    args.daemon.order(&ClientRequest::Home { axis: args.axis.clone() }, &done)
 }

@@ -4,7 +4,7 @@ use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
 use anyhow::bail;
 use rtec_control::client::Client;
-use rtec_control::protocol::{Axis, Explained, Request, Response, Status};
+use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Explained, Response};
 use std::time::{Duration, Instant};
 
 /// Freeze the corrections where they are and disarm; with --to-zero take them out first, step by step
@@ -35,15 +35,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         "parked: corrections frozen where they are"
     };
-    args.daemon.order(&Request::Disable {}, done)
+    args.daemon.order(&ClientRequest::Disable {}, done)
 }
 
-fn ask(client: &mut Client, request: &Request) -> anyhow::Result<Response> {
+fn ask(client: &mut Client, request: &ClientRequest) -> anyhow::Result<Response> {
     check(client.ask(request).map_err(unreachable)?)
 }
 
-fn status(client: &mut Client) -> anyhow::Result<Status> {
-    match ask(client, &Request::Status {})? {
+fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
+    match ask(client, &ClientRequest::Status {})? {
         Response::Status(status) => Ok(*status),
         other => {
             bail!("rtecd answered {other:?}, expected a status; are rtecctl and rtecd of the same version?")
@@ -54,12 +54,12 @@ fn status(client: &mut Client) -> anyhow::Result<Status> {
 fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
     let mut now = status(client)?;
     if now.model.is_some() && now.mode == "run" {
-        ask(client, &Request::ModelUnload {})?;
+        ask(client, &ClientRequest::ModelUnload {})?;
         eprintln!("the machine model is unloaded");
     }
-    let left = |s: &Status| s.axes.iter().map(|a| a.in_effect.unsigned_abs()).sum::<u64>();
+    let left = |s: &DaemonStatus| s.axes.iter().map(|a| a.in_effect.unsigned_abs()).sum::<u64>();
     let (mut least, mut since) = (left(&now), Instant::now());
-    let mut told = Instant::now();
+    let mut shown_at = Instant::now();
     loop {
         // What is requested is put back too: enabled again, nothing moves.
         if now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
@@ -75,7 +75,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
                 format!("mode {}: nothing can be taken out before corrections are on: {why}", now.mode);
             return Err(Outcome::No(text).into());
         }
-        let Response::Explained { axes } = ask(client, &Request::Explain { axis: None })? else {
+        let Response::Explained { axes } = ask(client, &ClientRequest::Explain { axis: None })? else {
             bail!("rtecd did not answer what makes up the totals; are rtecctl and rtecd of the same version?")
         };
         for (axis, parts) in now.axes.iter().zip(&axes).filter(|(_, parts)| parts.requested != 0) {
@@ -89,8 +89,8 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
             let text = format!("not at zero, corrections are still on: {}", waiting.join("; "));
             return Err(Outcome::No(text).into());
         }
-        if told.elapsed() >= PROGRESS_EVERY {
-            told = Instant::now();
+        if shown_at.elapsed() >= PROGRESS_EVERY {
+            shown_at = Instant::now();
             eprintln!("{}", waiting.join("; "));
         }
         std::thread::sleep(EVERY);
@@ -100,16 +100,16 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
 
 /// The operator's next total towards zero that the belief window lets through. What a model has asked for runs out by
 /// itself once it is unloaded.
-fn next(axis: &Axis, parts: &Explained) -> Request {
+fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
     let operator_um = parts.parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
     let operator_counts = (operator_um * parts.requested as f64 / parts.total_um).round() as i64;
     let step = axis.window_counts.max(1);
     let total_counts = operator_counts - operator_counts.clamp(-step, step);
-    Request::Correct { axis: axis.name.clone(), total_counts, large: false }
+    ClientRequest::Correct { axis: axis.name.clone(), total_counts, large: false }
 }
 
 /// What an axis has left, and what it waits for.
-fn why(axis: &Axis) -> String {
+fn why(axis: &AxisReport) -> String {
     let wait = match axis.gate.as_str() {
         "at_rest" => "it stands still and rest_policy is wait: jog it a little",
         "too_fast" => "it is too fast for an insertion: slow down",

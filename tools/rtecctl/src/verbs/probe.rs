@@ -3,7 +3,7 @@
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
 use clap::ValueEnum;
-use rtec_control::protocol::{Happened, Request, Response};
+use rtec_control::protocol::{ClientRequest, Happened, Response};
 
 /// Switch probing on and print every captured position, or switch it off
 ///
@@ -27,10 +27,10 @@ pub(crate) enum Switch {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.switch == Switch::Off {
-        return args.daemon.order(&Request::Probe { on: false }, "probing off");
+        return args.daemon.order(&ClientRequest::Probe { on: false }, "probing off");
     }
     if args.captures == Some(0) {
-        return args.daemon.order(&Request::Probe { on: true }, "probing on");
+        return args.daemon.order(&ClientRequest::Probe { on: true }, "probing on");
     }
     if args.daemon.json && args.captures.is_none() {
         return Err(
@@ -39,9 +39,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     // Watching first: no trip can come between the two.
     let mut watch = args.daemon.connect()?;
-    check(watch.ask(&Request::Watch {}).map_err(unreachable)?)?;
+    check(watch.ask(&ClientRequest::Watch {}).map_err(unreachable)?)?;
     watch.be_patient()?;
-    check(args.daemon.connect()?.ask(&Request::Probe { on: true }).map_err(unreachable)?)?;
+    check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: true }).map_err(unreachable)?)?;
     let mut captured = Vec::new();
     if !args.daemon.json {
         println!(
@@ -69,7 +69,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.daemon.json {
         println!("{}", serde_json::json!({ "captures": captured }));
     }
-    check(args.daemon.connect()?.ask(&Request::Probe { on: false }).map_err(unreachable)?)?;
+    check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: false }).map_err(unreachable)?)?;
     Ok(())
 }
 

@@ -72,7 +72,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             files.push((TraceFile::create(file)?, file.as_path()));
         }
     }
-    let trace = Progress { trace, points: 0, told: Instant::now() };
+    let trace = Progress { trace, points: 0, shown_at: Instant::now() };
     // Without an output nothing listens: the compiler takes the whole branch out of the loop.
     let outcome = if files.is_empty() {
         replay_any(design, config, trace, requests, large, |_, _: State| {}).map(|(outcome, _)| outcome)
@@ -135,7 +135,7 @@ fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
 struct Progress {
     trace: TraceReader<std::fs::File>,
     points: u64,
-    told: Instant,
+    shown_at: Instant,
 }
 
 impl Iterator for Progress {
@@ -145,8 +145,8 @@ impl Iterator for Progress {
     fn next(&mut self) -> Option<Self::Item> {
         let point = self.trace.next();
         self.points += 1;
-        if self.points.is_multiple_of(1 << 22) && self.told.elapsed() > Duration::from_secs(2) {
-            self.told = Instant::now();
+        if self.points.is_multiple_of(1 << 22) && self.shown_at.elapsed() > Duration::from_secs(2) {
+            self.shown_at = Instant::now();
             eprintln!("{} million edges", self.points / 1_000_000);
         }
         point

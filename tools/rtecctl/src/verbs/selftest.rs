@@ -78,7 +78,7 @@ struct Document<'a> {
     poll_gap_with_requests_ns: &'a Latency,
     edge_to_done_with_requests_ns: &'a Latency,
     seen_to_done_with_requests_ns: &'a Snapshot,
-    /// How many streamed in.
+    /// Number of requests that streamed in.
     requests: u64,
     /// Per axis, from the worst that was seen; null where that leaves no time for an insertion at any speed.
     max_safe_edge_rate_hz: BTreeMap<&'a str, Option<f64>>,
@@ -194,7 +194,7 @@ fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option
     axis.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
 }
 
-/// Everything that forbids corrections on this machine.
+/// The findings that forbid corrections on this machine.
 fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
     let mut reasons = Vec::new();
     if let Some(emulator) = &measured.setup.emulated {

@@ -1,7 +1,7 @@
 //! `rtecctl shadow`: compute everything, write nothing.
 
 use crate::daemon::Daemon;
-use rtec_control::protocol::Request;
+use rtec_control::protocol::ClientRequest;
 
 /// Compute, gate and count everything, write nothing: watch a machine before it is touched
 #[derive(Debug, clap::Args)]
@@ -11,5 +11,5 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    args.daemon.order(&Request::Shadow {}, "shadow mode: nothing is written")
+    args.daemon.order(&ClientRequest::Shadow {}, "shadow mode: nothing is written")
 }

@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
-use rtec_control::protocol::{Distribution, PartTable, Request, Response, Status, TableNow};
+use rtec_control::protocol::{ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow};
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
 use std::time::Duration;
@@ -23,7 +23,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.watch {
         return watch(&args.daemon);
     }
-    let Response::Status(status) = args.daemon.ask(&Request::Status {})? else { return Ok(()) };
+    let Response::Status(status) = args.daemon.ask(&ClientRequest::Status {})? else { return Ok(()) };
     if !args.daemon.json {
         print!("{}", table(&status));
     }
@@ -38,7 +38,7 @@ fn watch(daemon: &Daemon) -> anyhow::Result<()> {
     let mut out = std::io::stdout();
     let terminal = out.is_terminal();
     loop {
-        let response = check(client.ask(&Request::Status {}).map_err(unreachable)?)?;
+        let response = check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)?;
         if let Response::Status(status) = response {
             // Home, then clear to the end: no flicker, and nothing of a longer view is left.
             let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
@@ -56,7 +56,7 @@ fn yes(is: bool) -> &'static str {
     if is { "yes" } else { "no" }
 }
 
-fn table(s: &Status) -> String {
+fn table(s: &DaemonStatus) -> String {
     let mut text = String::new();
     let ledger = if s.balanced { "balances" } else { "DOES NOT BALANCE" };
     // Writing to a String does not fail.
@@ -143,7 +143,7 @@ fn table(s: &Status) -> String {
 }
 
 /// What is corrected, where nothing stands in the way.
-fn correcting(s: &Status) -> String {
+fn correcting(s: &DaemonStatus) -> String {
     let asked: Vec<String> = (s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0))
         .map(|a| {
             let gate = a.gate.replace('_', " ");
@@ -200,11 +200,11 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{Axis, Reading, Rt, RunningModel};
+    use rtec_control::protocol::{AxisReport, Reading, Rt, RunningModel};
     use rtec_rt::event::Fault;
 
-    fn axis(name: &str, position_counts: i64, requested: i64, in_effect: i64, gate: &str) -> Axis {
-        Axis {
+    fn axis(name: &str, position_counts: i64, requested: i64, in_effect: i64, gate: &str) -> AxisReport {
+        AxisReport {
             name: name.into(),
             position_counts,
             position_mm: position_counts as f64 * 0.5e-3,
@@ -239,9 +239,9 @@ mod tests {
     }
 
     /// A machine that corrects: a model live, one sensor standing in.
-    fn corrects() -> Status {
+    fn corrects() -> DaemonStatus {
         let times = Distribution { min: 20, p50: 26, p99: 37, p9999: 145, max: 2107, samples: 9 };
-        Status {
+        DaemonStatus {
             machine: "lathe 7".into(),
             mode: "run".into(),
             homed: true,
@@ -318,7 +318,7 @@ mod tests {
 
     #[test]
     fn everything_that_is_known_and_what_the_part_table_does() {
-        let mut status: Status =
+        let mut status: DaemonStatus =
             serde_json::from_str(include_str!("../../tests/golden/status.json")).unwrap();
         let mut text = table(&status);
         let now = status.table_now.take().unwrap();

@@ -103,7 +103,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What was written.
+/// Figures of the trace that was written.
 #[derive(Debug, Default, PartialEq)]
 struct Summary {
     points: u64,
@@ -155,18 +155,18 @@ impl Summary {
 struct Output {
     file: TraceFile,
     summary: Summary,
-    told: Instant,
+    shown_at: Instant,
 }
 
 impl Output {
     fn create(out: &Path) -> anyhow::Result<Self> {
-        Ok(Self { file: TraceFile::create(out)?, summary: Summary::default(), told: Instant::now() })
+        Ok(Self { file: TraceFile::create(out)?, summary: Summary::default(), shown_at: Instant::now() })
     }
 
     fn write(&mut self, point: TracePoint) -> anyhow::Result<()> {
         self.summary.add(point);
-        if self.summary.points.is_multiple_of(1 << 20) && self.told.elapsed() > Duration::from_secs(2) {
-            self.told = Instant::now();
+        if self.summary.points.is_multiple_of(1 << 20) && self.shown_at.elapsed() > Duration::from_secs(2) {
+            self.shown_at = Instant::now();
             eprintln!("{} edges, at {:.3} s", self.summary.points, point.t_ns as f64 / 1e9);
         }
         Ok(self.file.write(point)?)

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::import;
-use rtec_measure::import::Wanted;
+use rtec_measure::import::ImportColumn;
 use rtec_model::record::{Axis, Kind};
 use std::path::{Path, PathBuf};
 
@@ -56,7 +56,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Format::LinuxcncComp1 => import::linuxcnc_comp(&args.file, &text, &axis()?, true, &args.out)?,
         Format::Csv => {
             let usage = |(found, expected)| InputError::whole(Path::new("--columns"), found, expected);
-            let wanted = args.columns.iter().map(|c| Wanted::parse(c)).collect::<Result<Vec<_>, _>>();
+            let wanted = args.columns.iter().map(|c| ImportColumn::parse(c)).collect::<Result<Vec<_>, _>>();
             let kind = Kind::parse(&args.kind).ok_or_else(|| {
                 let kinds = "positioning, drift, ballbar, plate, dynamics, probing, feed_sweep or part";
                 InputError::whole(Path::new("--kind"), format!("`{}`", args.kind), kinds)

@@ -3,9 +3,9 @@
 use crate::daemon::{check, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
-use rtec_control::protocol::{Request, Response, Status};
 use rtec_control::sources::{Bank, Feed};
 use rtec_correct::sensors::{self, Config, Use};
+use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, Record, Role};
@@ -89,7 +89,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     let mut bank = Bank::new(sensors, &args.root, rtec_measure::record::read_log)?;
     columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
     let own = columns.len();
-    let mut corrector = args.socket.as_deref().map(Corrector::connect).transpose()?;
+    let mut corrector = args.socket.as_deref().map(DaemonTotals::connect).transpose()?;
     if let Some(c) = &corrector {
         columns.extend(c.columns(&columns)?);
     }
@@ -112,7 +112,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     let start = Instant::now();
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
-    let (mut taken, mut told) = (0_u64, 0.0);
+    let (mut taken, mut shown_s) = (0_u64, 0.0);
     for row in 0..rows {
         let due = row as f64 * period;
         wait_until(start, due);
@@ -156,8 +156,8 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
             }
             taken += 1;
         }
-        if now - told >= 2.0 || row + 1 == rows {
-            told = now;
+        if now - shown_s >= 2.0 || row + 1 == rows {
+            shown_s = now;
             let trouble = if silent.is_empty() { String::new() } else { format!("; {}", silent.join(", ")) };
             eprintln!("{now:.0} of {duration:.0} s, {taken} rows{trouble}");
         }
@@ -179,14 +179,14 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
 }
 
 /// The running daemon, asked once a row.
-struct Corrector {
+struct DaemonTotals {
     client: Client,
-    status: Status,
+    status: DaemonStatus,
     /// µm per count of each axis, once it was off zero.
     count_um: Vec<Option<f64>>,
 }
 
-impl Corrector {
+impl DaemonTotals {
     fn connect(socket: &Path) -> anyhow::Result<Self> {
         let mut client = Client::connect(socket).map_err(unreachable)?;
         let status = status(&mut client)?;
@@ -239,8 +239,8 @@ impl Corrector {
     }
 }
 
-fn status(client: &mut Client) -> anyhow::Result<Status> {
-    match check(client.ask(&Request::Status {}).map_err(unreachable)?)? {
+fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
+    match check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
         Response::Status(status) => Ok(*status),
         other => Err(crate::Outcome::Unreachable(format!("an answer that is no status: {other:?}")).into()),
     }

@@ -2,7 +2,7 @@
 
 use super::fit::draw;
 use rtec_files::InputError;
-use rtec_fit::chain::{self as chain_fit, Run};
+use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_fit::thermal::residual_chart;
 use rtec_model::chain::Chain;
 use rtec_model::record::Role;
@@ -36,8 +36,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let chain = Chain::read(&args.chain)?;
     let points = args.records.iter().map(|r| point(r)).collect::<Result<Vec<_>, _>>()?;
     let records = points.iter().map(|(p, _)| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
-    let runs: Vec<Run<'_>> =
-        records.iter().zip(&points).map(|(record, (_, tool_mm))| Run { record, tool_mm: *tool_mm }).collect();
+    let runs: Vec<ChainRun<'_>> = records
+        .iter()
+        .zip(&points)
+        .map(|(record, (_, tool_mm))| ChainRun { record, tool_mm: *tool_mm })
+        .collect();
     let (fitted, report) = chain_fit::fit(&chain, &args.components, &runs)?;
     chain_fit::write(&args.chain, &fitted, &report, &args.out)?;
     if let Some(path) = &args.plot {

@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, absolute, check, unreachable};
-use rtec_control::protocol::{Change, ModelPreview, Request, Response};
+use rtec_control::protocol::{Change, ClientRequest, ModelPreview, Response};
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
 use std::path::PathBuf;
@@ -29,12 +29,12 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let file = args.file.as_deref().map(absolute);
     let mut client = args.daemon.connect()?;
     let shown = client
-        .ask(&Request::ModelLoad { file: file.clone(), take: None, expired: false })
+        .ask(&ClientRequest::ModelLoad { file: file.clone(), take: None, expired: false })
         .map_err(unreachable)?;
     let Response::ModelPreview(preview) = check(shown)? else {
         return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
     };
-    let take = Request::ModelLoad { file, take: Some(preview.sha256.clone()), expired: args.expired };
+    let take = ClientRequest::ModelLoad { file, take: Some(preview.sha256.clone()), expired: args.expired };
     if args.daemon.json {
         println!("{}", serde_json::to_string(&*preview)?);
     } else {
@@ -52,7 +52,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
 }
 
 pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
-    daemon.order(&Request::ModelUnload {}, "model unloaded; corrections go back in a ramp")
+    daemon.order(&ClientRequest::ModelUnload {}, "model unloaded; corrections go back in a ramp")
 }
 
 /// Asks the person; nobody there is a no.

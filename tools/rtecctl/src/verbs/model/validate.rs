@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use anyhow::Context;
-use rtec_control::config::{Axis, Config};
+use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
 use rtec_fit::thermal;
 use rtec_measure::plot::{Chart, Series, Style};
@@ -184,13 +184,13 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
 /// What the corrections of a configured machine go through.
 fn options(config: &Config) -> rehearse::Options {
     rehearse::Options {
-        axes: config.axes.iter().map(Axis::law).collect(),
+        axes: config.axes.iter().map(ConfiguredAxis::law).collect(),
         ramp_um_s: config.model.ramp_um_s,
         lead_s: config.model.lead_ms * 1e-3,
     }
 }
 
-/// Both corrections of an axis over time.
+/// The present and the new correction of an axis over time.
 fn chart(axis: &AxisChange) -> Chart {
     let line = |name: &str, k: usize| {
         let um = |counts: i64| counts as f64 * axis.count_um;

@@ -4,7 +4,7 @@ use super::features::Units;
 use super::points::positive;
 use super::{print, usage, write_all};
 use rtec_model::machine::Machine;
-use rtec_part::errors::{Nominal, Probed, Report, error_cor};
+use rtec_part::errors::{ErrorReport, Nominal, Probed, error_cor};
 use rtec_part::fit::Zx;
 use rtec_part::path::read_expected;
 use std::fmt::Write as _;
@@ -96,7 +96,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.json { print(&(serde_json::to_string_pretty(&report)? + "\n")) } else { print(&text(&report)) }
 }
 
-fn text(r: &Report) -> String {
+fn text(r: &ErrorReport) -> String {
     let mut t = String::new();
     let [z, x] = r.centre_mm;
     let _ = writeln!(

@@ -1,7 +1,7 @@
 //! `rtecctl part features`: the features of a drawing, in probing order.
 
 use super::{print, write_all};
-use rtec_part::contour::{Contour, Kind};
+use rtec_part::contour::{Contour, FeatureKind};
 use rtec_part::drawing::{self, Options};
 use rtec_part::svg::Svg;
 use rtec_part::unit::Unit;
@@ -104,13 +104,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut t = format!("{} features, 1 drawing unit = {} mm\n", contour.features.len(), unit.0);
     for f in &contour.features {
         let what = match f.kind {
-            Kind::Cylinder { radius_mm } => format!("cylinder   radius {radius_mm:.4} mm"),
-            Kind::Step { z_mm } => format!("step       at Z {z_mm:.4} mm"),
-            Kind::Taper { angle_deg } => format!("taper      {angle_deg:.4}°"),
-            Kind::Arc { centre_z_mm, centre_x_mm, radius_mm } => {
+            FeatureKind::Cylinder { radius_mm } => format!("cylinder   radius {radius_mm:.4} mm"),
+            FeatureKind::Step { z_mm } => format!("step       at Z {z_mm:.4} mm"),
+            FeatureKind::Taper { angle_deg } => format!("taper      {angle_deg:.4}°"),
+            FeatureKind::Arc { centre_z_mm, centre_x_mm, radius_mm } => {
                 format!("arc        radius {radius_mm:.4} mm about Z {centre_z_mm:.4} X {centre_x_mm:.4}")
             }
-            Kind::Conic => "conic".to_owned(),
+            FeatureKind::Conic => "conic".to_owned(),
         };
         let _ = writeln!(t, "{:<4} {what:<52} {:>10.4} mm long  {}", f.name, f.segment.length_mm(), f.entity);
     }

@@ -6,7 +6,7 @@ use super::{failed, print, usage, write_all};
 use rtec_model::machine::Machine;
 use rtec_part::errors::read_error_cor;
 use rtec_part::fit::Zx;
-use rtec_part::table::Table;
+use rtec_part::table::FinishTable;
 use rtec_sim::lathe::{axes, design};
 use rtec_sim::workpiece::Workpiece;
 use std::path::PathBuf;
@@ -53,7 +53,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     setup.centre = part.centre;
     let table = match (&args.errors, design(&setup.design)) {
         (Some(file), Some(design)) => {
-            Some(Table::new(setup.cut(radius_mm), axes(&setup.bench, design), read_error_cor(file)?))
+            Some(FinishTable::new(setup.cut(radius_mm), axes(&setup.bench, design), read_error_cor(file)?))
         }
         _ => None,
     };

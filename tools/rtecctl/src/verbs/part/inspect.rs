@@ -3,7 +3,7 @@
 use super::points::positive;
 use super::{print, usage, write_all};
 use crate::Outcome;
-use rtec_part::errors::{Nominal, Probed, Report};
+use rtec_part::errors::{ErrorReport, Nominal, Probed};
 use rtec_part::page::inspection_page;
 use std::path::{Path, PathBuf};
 
@@ -40,13 +40,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if !(args.tip_mm.is_finite() && args.tip_mm >= 0.0) {
         return Err(usage("--tip-mm", args.tip_mm.to_string(), "a radius in mm, 0 or more"));
     }
-    let read = |file: &Path, name: &str, radius_mm: f64| -> anyhow::Result<Report> {
+    let read = |file: &Path, name: &str, radius_mm: f64| -> anyhow::Result<ErrorReport> {
         let radius_mm = positive(name, radius_mm)?;
         Ok(Probed::read(file)?.errors(Nominal::Circle { radius_mm }, args.tip_mm)?)
     };
     let before = read(&args.before, "--before-radius-mm", args.before_radius_mm)?;
     let after = read(&args.after, "--radius-mm", args.radius_mm)?;
-    let largest = |r: &Report| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
+    let largest = |r: &ErrorReport| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
     let mut decisions = vec![format!(
         "largest error {:.2} -> {:.2} µm, SD {:.2} -> {:.2} µm",
         largest(&before),

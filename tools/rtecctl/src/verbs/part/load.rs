@@ -3,7 +3,7 @@
 use super::table::CutArgs;
 use super::usage;
 use crate::daemon::{Daemon, absolute};
-use rtec_control::protocol::{PartTable, Request};
+use rtec_control::protocol::{ClientRequest, PartTable};
 use rtec_part::errors::read_error_cor;
 use std::path::PathBuf;
 
@@ -47,9 +47,9 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
         origin_mm: [cut.origin.z, cut.origin.x],
         lead_ms: args.lead_ms,
     };
-    args.daemon.order(&Request::TableLoad(table), &format!("part table of {points} points loaded"))
+    args.daemon.order(&ClientRequest::TableLoad(table), &format!("part table of {points} points loaded"))
 }
 
 pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
-    daemon.order(&Request::TableUnload {}, "part table unloaded; corrections go back in a ramp")
+    daemon.order(&ClientRequest::TableUnload {}, "part table unloaded; corrections go back in a ramp")
 }

@@ -1,10 +1,10 @@
 //! `rtecctl part points`: probing points and the probe's path.
 
 use super::features::DrawingArgs;
-use super::web::{Page, Session};
+use super::web::{Page, PlanEditor};
 use super::{print, usage, write_all};
 use crate::Outcome;
-use rtec_part::path::{Hit, Motion, Plan, Probe, Stem};
+use rtec_part::path::{Hit, Plan, Probe, ProbingMotion, Stem};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -67,21 +67,21 @@ pub(crate) struct Args {
 #[derive(Debug, clap::Args)]
 pub(crate) struct MotionArgs {
     /// Probing feed, in mm/min
-    #[arg(long, default_value_t = Motion::REPORT.feed_mm_min)]
+    #[arg(long, default_value_t = ProbingMotion::REPORT.feed_mm_min)]
     feed_mm_min: f64,
     /// Acceleration to the feed, in mm/s²
-    #[arg(long, default_value_t = Motion::REPORT.accel_mm_s2)]
+    #[arg(long, default_value_t = ProbingMotion::REPORT.accel_mm_s2)]
     accel_mm_s2: f64,
     /// Deceleration from the feed, in mm/s²
-    #[arg(long, default_value_t = Motion::REPORT.decel_mm_s2)]
+    #[arg(long, default_value_t = ProbingMotion::REPORT.decel_mm_s2)]
     decel_mm_s2: f64,
     /// Constant velocity wanted on each side of the trip, in mm
-    #[arg(long, default_value_t = Motion::REPORT.window_mm)]
+    #[arg(long, default_value_t = ProbingMotion::REPORT.window_mm)]
     window_mm: f64,
 }
 
 impl MotionArgs {
-    pub(crate) fn motion(&self) -> anyhow::Result<Motion> {
+    pub(crate) fn motion(&self) -> anyhow::Result<ProbingMotion> {
         let Self { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm } = *self;
         for (name, value) in [
             ("--feed-mm-min", feed_mm_min),
@@ -91,7 +91,7 @@ impl MotionArgs {
         ] {
             positive(name, value)?;
         }
-        Ok(Motion { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm })
+        Ok(ProbingMotion { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm })
     }
 }
 
@@ -175,7 +175,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let page = Page::listen(args.port)?;
         eprintln!("open {} and say Done there when you are", page.url());
         let clear_mm = args.bypass.unwrap_or(2.0);
-        let mut session = Session { contour, plan, unit, folder: args.out.clone(), clear_mm };
+        let mut session = PlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };
         return Ok(page.serve(&mut session)?);
     }
     if plan.points.is_empty() {

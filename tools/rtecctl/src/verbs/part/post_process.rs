@@ -1,7 +1,7 @@
 //! `rtecctl part post-process`: a batch from a measuring machine, what is systematic in it, offered and not applied.
 
 use super::{print, usage, write_all};
-use rtec_part::batch::{Finding, Judgement, evaluate};
+use rtec_part::batch::{BatchFinding, Judgement, evaluate};
 use rtec_part::errors::{error_cor, read_error_cor};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -50,10 +50,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for p in &batch.places {
         let angle = p.angle_rad.map_or("-".to_owned(), |a| format!("{a:.4}"));
         let mark = match p.finding {
-            Finding::Nothing => "",
-            Finding::Systematic => "  systematic",
-            Finding::NotObservable => "  systematic, not observable on the machine",
-            Finding::Trend => "  trend",
+            BatchFinding::Nothing => "",
+            BatchFinding::Systematic => "  systematic",
+            BatchFinding::NotObservable => "  systematic, not observable on the machine",
+            BatchFinding::Trend => "  trend",
         };
         let _ = writeln!(
             t,

@@ -8,11 +8,11 @@ use super::{failed, print, usage, write_all};
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
 use rtec_control::client::{Client, ClientError};
-use rtec_control::protocol::{self, Request, Response};
+use rtec_control::protocol::{self, ClientRequest, Response};
 use rtec_measure::record::{to_csv, to_sidecar};
 use rtec_model::record::Record;
 use rtec_part::fit::Zx;
-use rtec_part::path::{Role, read_expected, read_pathfin};
+use rtec_part::path::{PathRole, read_expected, read_pathfin};
 use rtec_part::probe::{Captured, Trip, TripFault, assign, probed_csv, run_record};
 use rtec_sim::workpiece::Workpiece;
 use std::fmt::Write as _;
@@ -83,7 +83,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let expected = read_expected(&args.expected, unit)?;
     let approach: Vec<_> = records
         .windows(2)
-        .filter(|w| matches!(w[1].role, Role::Touch(_)))
+        .filter(|w| matches!(w[1].role, PathRole::Touch(_)))
         .filter_map(|w| (w[1].at - w[0].at).unit())
         .collect();
     if approach.len() != expected.len() {
@@ -124,7 +124,7 @@ fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
 struct Seen {
     trips: Vec<Trip>,
     sensors: Vec<String>,
-    /// Per trip and sensor.
+    /// Temperatures at each trip, one value per sensor, °C.
     degc: Vec<Vec<f64>>,
     origin: Zx,
     seconds: f64,
@@ -141,10 +141,10 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<See
     };
     let origin = Zx::new(z_mm, x_mm);
     let daemon = Daemon::at(args.socket.clone());
-    let ask = |request: &Request| -> anyhow::Result<Response> {
+    let ask = |request: &ClientRequest| -> anyhow::Result<Response> {
         check(daemon.connect()?.ask(request).map_err(unreachable)?)
     };
-    let Response::Status(status) = ask(&Request::Status {})? else {
+    let Response::Status(status) = ask(&ClientRequest::Status {})? else {
         return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
     };
     for (option, name) in [("--z-axis", &args.z_axis), ("--x-axis", &args.x_axis)] {
@@ -158,19 +158,19 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<See
     }
     // Watching first: no trip can come between the two.
     let mut events = daemon.connect()?;
-    check(events.ask(&Request::Watch {}).map_err(unreachable)?)?;
+    check(events.ask(&ClientRequest::Watch {}).map_err(unreachable)?)?;
     if args.start {
-        ask(&Request::Hold { on: true })?;
+        ask(&ClientRequest::Hold { on: true })?;
     }
-    ask(&Request::Probe { on: true })?;
+    ask(&ClientRequest::Probe { on: true })?;
     if args.start {
-        ask(&Request::Hold { on: false })?;
+        ask(&ClientRequest::Hold { on: false })?;
     }
     eprintln!("probing is on, {} points; run the probing program", expected.len());
     let began = Instant::now();
     let done = follow(&mut events, args, expected, origin, window_mm, patience);
     // Its own failure must not hide what went wrong before it.
-    let off = ask(&Request::Probe { on: false });
+    let off = ask(&ClientRequest::Probe { on: false });
     let (trips, degc) = done?;
     off?;
     // A column needs a value at every trip.
@@ -200,7 +200,7 @@ fn follow(
     let mut captured = Captured::default();
     let mut degc = Vec::new();
     // Both axes of a trip come as each meets its next edge; they share its time.
-    let mut half: Option<(usize, protocol::Trip)> = None;
+    let mut half: Option<(usize, protocol::TripReport)> = None;
     let no = |fault: TripFault| anyhow::Error::from(Outcome::No(fault.to_string()));
     // The session's own clock begins at its first trip.
     let mut zero_ns = None;

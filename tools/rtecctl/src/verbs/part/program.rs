@@ -3,8 +3,8 @@
 use super::features::Units;
 use super::points::positive;
 use super::{print, usage, write_all};
-use rtec_part::path::{Role, read_pathfin};
-use rtec_part::program::{BUILT_IN, Controller, Job, PARAMETERS, Parameters, date_time};
+use rtec_part::path::{PathRole, read_pathfin};
+use rtec_part::program::{BUILT_IN, Controller, PARAMETERS, Parameters, ProbingProgram, date_time};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -94,11 +94,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             parameters.read(file)?;
         }
     }
-    let untold: Vec<&str> = parameters.untold(&controller.template).collect();
-    if !untold.is_empty() {
+    let unset: Vec<&str> = parameters.unset(&controller.template).collect();
+    if !unset.is_empty() {
         eprintln!(
             "rtecctl: machine positions left at 0: {}; set them before the program runs",
-            untold.join(", ")
+            unset.join(", ")
         );
     }
     let made = match &args.date {
@@ -106,7 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         None => date_time(now_s()?),
     };
     let comments = args.comments == Comments::Full;
-    let job = Job {
+    let job = ProbingProgram {
         controller: &controller,
         parameters: &parameters,
         records: &records,
@@ -118,7 +118,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let text = job.text(template)?;
     let name = parameters.file_name();
     write_all(&args.out, &[(&name, text.as_bytes())])?;
-    let points = records.iter().filter(|r| matches!(r.role, Role::Touch(_))).count();
+    let points = records.iter().filter(|r| matches!(r.role, PathRole::Touch(_))).count();
     if args.json {
         let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
             "points": points, "lines": text.lines().count(), "bytes": text.len()});

@@ -8,7 +8,7 @@ use crate::Outcome;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose_of;
-use rtec_sim::turning::Outcome as Turned;
+use rtec_sim::turning::TurningOutcome;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -98,7 +98,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn text(o: &Turned) -> String {
+fn text(o: &TurningOutcome) -> String {
     let mut t = format!("design {}, {:.0} µm a correction, seed {}\n\n", o.design, o.increment_um, o.seed);
     let _ = writeln!(t, "                          largest   bump     SD  SD after  true form  (µm)");
     let program = format!("finish, {} G01 lines", o.program_lines);

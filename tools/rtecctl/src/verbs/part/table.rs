@@ -4,7 +4,7 @@ use super::points::positive;
 use super::{print, usage, write_all};
 use rtec_part::errors::read_error_cor;
 use rtec_part::fit::Zx;
-use rtec_part::table::{AxisCounts, Cut, Table, csv};
+use rtec_part::table::{AxisCounts, FinishCut, FinishTable, csv};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -66,7 +66,7 @@ pub(crate) struct CutArgs {
 }
 
 impl CutArgs {
-    pub(crate) fn cut(&self) -> anyhow::Result<Cut> {
+    pub(crate) fn cut(&self) -> anyhow::Result<FinishCut> {
         positive("--radius-mm", self.radius_mm)?;
         for (name, value) in [
             ("--centre-z-mm", self.centre_z_mm),
@@ -81,7 +81,7 @@ impl CutArgs {
         if !(self.nose_mm.is_finite() && self.nose_mm >= 0.0) {
             return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 or more"));
         }
-        Ok(Cut {
+        Ok(FinishCut {
             centre: Zx::new(self.centre_z_mm, self.centre_x_mm),
             radius_mm: self.radius_mm,
             nose_mm: self.nose_mm,
@@ -119,7 +119,7 @@ impl CountArgs {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let table = Table::new(args.cut.cut()?, args.counts.axes()?, read_error_cor(&args.errors)?);
+    let table = FinishTable::new(args.cut.cut()?, args.counts.axes()?, read_error_cor(&args.errors)?);
     let feed_mm_s = positive("--feed-mm-min", args.feed_mm_min)? / 60.0;
     if !(args.lead_ms.is_finite() && args.lead_ms >= 0.0) {
         return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 or more"));

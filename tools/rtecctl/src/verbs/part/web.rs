@@ -15,14 +15,14 @@ const MAX_BODY: usize = 4096;
 
 /// What the page edits.
 #[derive(Debug)]
-pub(crate) struct Session {
-    /// The part.
+pub(crate) struct PlanEditor {
+    /// The part that is probed.
     pub(crate) contour: Contour,
-    /// Points and path.
+    /// Gauging points and the probe's path, as edited so far.
     pub(crate) plan: Plan,
     /// Unit of the path file.
     pub(crate) unit: Unit,
-    /// Where `Save` writes.
+    /// Folder that `Save` writes to.
     pub(crate) folder: PathBuf,
     /// Clearance of the by-passes the page adds on request.
     pub(crate) clear_mm: f64,
@@ -45,7 +45,7 @@ impl Page {
         Ok(Self { server, address })
     }
 
-    /// Where the page is.
+    /// Address of the page, for a browser on this computer.
     #[must_use]
     pub(crate) fn url(&self) -> String {
         format!("http://{}/", self.address)
@@ -55,7 +55,7 @@ impl Page {
     ///
     /// # Errors
     /// The listening socket failed.
-    pub(crate) fn serve(&self, session: &mut Session) -> std::io::Result<()> {
+    pub(crate) fn serve(&self, session: &mut PlanEditor) -> std::io::Result<()> {
         loop {
             let mut request = self.server.recv()?;
             let (status, kind, body) = if self.is_ours(&request) {
@@ -72,7 +72,7 @@ impl Page {
                         Err(()) => r,
                     }
                 });
-            // The browser may be gone: its next request will tell.
+            // The browser may be gone: its next request will show it.
             let _ = request.respond(response);
             if done {
                 return Ok(());
@@ -96,7 +96,7 @@ impl Page {
     }
 }
 
-fn answer(session: &mut Session, request: &mut Request) -> (u16, &'static str, String) {
+fn answer(session: &mut PlanEditor, request: &mut Request) -> (u16, &'static str, String) {
     const JSON: &str = "application/json";
     let get = *request.method() == Method::Get;
     if get && request.url() == "/" {
@@ -123,7 +123,7 @@ fn answer(session: &mut Session, request: &mut Request) -> (u16, &'static str, S
     }
 }
 
-fn change(session: &mut Session, what: &str, asked: &Value) -> Result<(), String> {
+fn change(session: &mut PlanEditor, what: &str, asked: &Value) -> Result<(), String> {
     let number =
         |key: &str| asked[key].as_f64().filter(|v| v.is_finite()).ok_or(format!("{key} must be a number"));
     let place = || Ok::<_, String>(Zx::new(number("z")?, number("x")?));
@@ -154,7 +154,7 @@ fn change(session: &mut Session, what: &str, asked: &Value) -> Result<(), String
     Ok(())
 }
 
-fn save(session: &Session) -> std::io::Result<()> {
+fn save(session: &PlanEditor) -> std::io::Result<()> {
     std::fs::create_dir_all(&session.folder)?;
     for (name, text) in session.plan.files(&session.contour, session.unit) {
         rtec_files::write::whole(&Path::new(&session.folder).join(name), text.as_bytes())?;
@@ -162,8 +162,8 @@ fn save(session: &Session) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Everything the page draws.
-fn state(session: &Session) -> Value {
+/// What the page draws, as JSON.
+fn state(session: &PlanEditor) -> Value {
     let pair = |p: Zx| [p.z, p.x];
     let contour: Vec<Value> = session
         .contour
