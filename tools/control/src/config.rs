@@ -74,7 +74,7 @@ pub struct Config {
     /// The machine model and how it is evaluated (`[model]`).
     pub model: ModelConfig,
     /// The temperature sensors (`[[sensor]]`).
-    pub sensors: Vec<sensors::Config>,
+    pub sensors: Vec<sensors::SensorConfig>,
     /// What is allowed but worth knowing.
     pub notes: Vec<String>,
 }
@@ -479,11 +479,11 @@ fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> ModelConfi
 }
 
 /// The `[[sensor]]` tables, as the model's library reads them; recordings to replay are beside the configuration.
-fn read_sensors(source: &mut SourceFile<'_>, root: &Table<'_>) -> Vec<sensors::Config> {
+fn read_sensors(source: &mut SourceFile<'_>, root: &Table<'_>) -> Vec<sensors::SensorConfig> {
     let file = source.file;
     let mut all = source.keep(sensors::read_tables(root)).unwrap_or_default();
     for sensor in &mut all {
-        if let sensors::Source::Csv { record, .. } = &mut sensor.source {
+        if let sensors::SensorSource::Csv { record, .. } = &mut sensor.source {
             *record = file.parent().unwrap_or(Path::new("")).join(&*record);
         }
     }

@@ -9,7 +9,7 @@
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
 use nix::fcntl::OFlag;
-use rtec_correct::sensors::{Config, Source, Use, Watch};
+use rtec_correct::sensors::{SensorConfig, SensorSource, Use, Watch};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -173,7 +173,7 @@ impl Bank {
     /// # Errors
     /// A recording to replay that cannot be read.
     pub fn new(
-        configs: Vec<Config>,
+        configs: Vec<SensorConfig>,
         root: &Path,
         recording: impl Fn(&Path) -> Result<Record, InputError>,
     ) -> Result<Self, InputError> {
@@ -181,10 +181,10 @@ impl Bank {
         let mut replays = BTreeMap::new();
         for c in &configs {
             match &c.source {
-                Source::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
+                SensorSource::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
                     feeds.push(Feed::new(from));
                 }
-                Source::Csv { record, .. } if !replays.contains_key(record) => {
+                SensorSource::Csv { record, .. } if !replays.contains_key(record) => {
                     replays.insert(record.clone(), recording(record)?);
                 }
                 _ => {}
@@ -216,17 +216,17 @@ impl Bank {
         let start = *self.replay_start.get_or_insert(now_s);
         for (watch, due) in self.sensors.iter_mut().zip(&mut self.due) {
             let config = watch.config();
-            let line = matches!(config.source, Source::Line { .. });
+            let line = matches!(config.source, SensorSource::Line { .. });
             if now_s < *due && !line {
                 continue;
             }
             *due = now_s + config.period_s;
             let reading = match &config.source {
-                Source::Iio { device, channel } => iio(&self.root, device, *channel),
-                Source::Hwmon { chip, input } => hwmon(&self.root, chip, *input),
-                Source::OneWire { id } => one_wire(&self.root, id),
-                Source::Csv { record, column } => replay(&self.replays[record], column, now_s - start),
-                Source::Line { from, key } => {
+                SensorSource::Iio { device, channel } => iio(&self.root, device, *channel),
+                SensorSource::Hwmon { chip, input } => hwmon(&self.root, chip, *input),
+                SensorSource::OneWire { id } => one_wire(&self.root, id),
+                SensorSource::Csv { record, column } => replay(&self.replays[record], column, now_s - start),
+                SensorSource::Line { from, key } => {
                     let feed = self.feeds.iter().find(|f| f.from == *from);
                     let value = feed.and_then(|f| f.values.get(key).copied());
                     value.ok_or_else(|| feed.map_or(String::new(), |f| f.trouble.clone()))
@@ -320,13 +320,13 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_correct::sensors::Fault;
+    use rtec_correct::sensors::SensorFault;
     use rtec_model::record::Role;
     use std::io::Write;
     use std::net::TcpListener;
 
-    fn config(name: &str, source: Source) -> Config {
-        Config {
+    fn config(name: &str, source: SensorSource) -> SensorConfig {
+        SensorConfig {
             name: name.into(),
             place: String::new(),
             source,
@@ -374,8 +374,8 @@ mod tests {
         }
         let mut bank = Bank::new(
             vec![
-                config("T1", Source::Hwmon { chip: "tmp102".into(), input: 1 }),
-                config("T2", Source::OneWire { id: "28-00b".into() }),
+                config("T1", SensorSource::Hwmon { chip: "tmp102".into(), input: 1 }),
+                config("T2", SensorSource::OneWire { id: "28-00b".into() }),
             ],
             root,
             no_recording,
@@ -393,7 +393,7 @@ mod tests {
     fn a_line_feed_over_tcp() {
         let server = TcpListener::bind("127.0.0.1:0").unwrap();
         let from = server.local_addr().unwrap().to_string();
-        let line = |key: &str| Source::Line { from: from.clone(), key: key.into() };
+        let line = |key: &str| SensorSource::Line { from: from.clone(), key: key.into() };
         let mut bank =
             Bank::new(vec![config("T1", line("T1")), config("T2", line("b"))], Path::new("/"), no_recording)
                 .unwrap();
@@ -414,7 +414,7 @@ mod tests {
         bank.poll(9.0);
         bank.poll(20.0);
         assert!(
-            matches!(bank.sensors()[0].fault(), Some(Fault::Silent(_))),
+            matches!(bank.sensors()[0].fault(), Some(SensorFault::Silent(_))),
             "{:?}",
             bank.sensors()[0].fault()
         );

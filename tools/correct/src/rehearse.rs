@@ -4,7 +4,7 @@
 //! The machine is the shift's: its positions, temperatures, loads. The engine is one that inserts at once. Between two
 //! rows everything is linear in time, so that ramp, window and lags see the time that passes.
 
-use crate::sensors::{Config, Watch};
+use crate::sensors::{SensorConfig, Watch};
 use crate::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::effect::Effect;
@@ -151,7 +151,7 @@ pub fn rehearse(
         columns.iter().enumerate().map(|(watch, c)| Feed { data: &c.data, watch }).collect();
     let stage = |machine: &Machine| {
         let watches: Vec<Watch> =
-            columns.iter().map(|c| Watch::new(Config::believed(&c.name, c.role.clone()))).collect();
+            columns.iter().map(|c| Watch::new(SensorConfig::believed(&c.name, c.role.clone()))).collect();
         let mut corrector = Corrector::new(setups.clone(), options.ramp_um_s, options.lead_s, 0.0);
         corrector.load(machine.clone(), &watches, &|_| Vec::new()).map_err(|e| {
             InputError::whole(&shift.path, e.found, "every sensor and channel that the model reads")

@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// Where a sensor's values come from.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 #[allow(missing_docs)]
-pub enum Source {
+pub enum SensorSource {
     /// Device by its `name` file (or `iio:deviceN`), channel number.
     Iio { device: String, channel: u32 },
     /// Chip by its `name` file (or `hwmonN`), input number.
@@ -25,7 +25,7 @@ pub enum Source {
 
 /// A sensor as it is configured.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Config {
+pub struct SensorConfig {
     /// Name, as effects use it.
     pub name: String,
     /// Where it sits on the machine, for people.
@@ -33,7 +33,7 @@ pub struct Config {
     /// What it reads: a temperature, or what else an effect may ask for (spindle speed, coolant, load, channel).
     pub role: Role,
     /// Where its values come from.
-    pub source: Source,
+    pub source: SensorSource,
     /// Time between readings, s.
     pub period_s: f64,
     /// What it can plausibly read, °C (or its role's unit).
@@ -48,7 +48,7 @@ pub struct Config {
     pub freeze_s: f64,
 }
 
-impl Config {
+impl SensorConfig {
     /// Reads a `[[sensor]]` table.
     ///
     /// # Errors
@@ -82,16 +82,18 @@ impl Config {
         let name = text("name", "the sensor's name, as effects use it")?;
         let entry = t.required("source", "source = \"iio\", \"hwmon\", \"one_wire\", \"csv\" or \"line\"")?;
         let source = match entry.str("a source")? {
-            "iio" => Source::Iio { device: text("device", "device = \"NAME\"")?, channel: whole("channel")? },
-            "hwmon" => {
-                Source::Hwmon { chip: text("chip", "chip = \"NAME\"")?, input: whole("input")?.max(1) }
+            "iio" => {
+                SensorSource::Iio { device: text("device", "device = \"NAME\"")?, channel: whole("channel")? }
             }
-            "one_wire" => Source::OneWire { id: text("id", "id = \"28-…\"")? },
-            "csv" => Source::Csv {
+            "hwmon" => {
+                SensorSource::Hwmon { chip: text("chip", "chip = \"NAME\"")?, input: whole("input")?.max(1) }
+            }
+            "one_wire" => SensorSource::OneWire { id: text("id", "id = \"28-…\"")? },
+            "csv" => SensorSource::Csv {
                 record: PathBuf::from(text("record", "record = \"NAME.run.toml\"")?),
                 column: t.get("column").map_or(Ok(name.as_str()), |e| e.str("a column"))?.to_owned(),
             },
-            "line" => Source::Line {
+            "line" => SensorSource::Line {
                 from: text("from", "from = \"host:port\" or \"/dev/tty…\"")?,
                 key: t.get("key").map_or(Ok(name.as_str()), |e| e.str("a key"))?.to_owned(),
             },
@@ -135,7 +137,7 @@ impl Config {
     }
 }
 
-impl Config {
+impl SensorConfig {
     /// A sensor whose every reading is believed and never grows old: of a simulation, or of a recorded shift.
     #[must_use]
     pub fn believed(name: &str, role: Role) -> Self {
@@ -143,7 +145,7 @@ impl Config {
             name: name.to_owned(),
             place: String::new(),
             role,
-            source: Source::Csv { record: PathBuf::new(), column: name.to_owned() },
+            source: SensorSource::Csv { record: PathBuf::new(), column: name.to_owned() },
             period_s: 1.0,
             range: [f64::NEG_INFINITY, f64::INFINITY],
             max_rate_k_per_min: f64::INFINITY,
@@ -160,7 +162,7 @@ fn is_sensed(role: &Role) -> bool {
 
 /// What is wrong with a sensor.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Fault {
+pub enum SensorFault {
     /// No reading: why, and since when (s of the caller's clock).
     Silent(String),
     /// A reading outside its range or not a number, °C.
@@ -171,7 +173,7 @@ pub enum Fault {
     Stuck(f64),
 }
 
-impl std::fmt::Display for Fault {
+impl std::fmt::Display for SensorFault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Silent(why) => write!(f, "silent ({why})"),
@@ -196,23 +198,23 @@ pub enum Use {
 /// One sensor under watch.
 #[derive(Debug, Clone)]
 pub struct Watch {
-    config: Arc<Config>,
+    config: Arc<SensorConfig>,
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
-    heard: Option<f64>,
-    fault: Option<Fault>,
+    last_reading_s: Option<f64>,
+    fault: Option<SensorFault>,
 }
 
 impl Watch {
     /// A sensor that has not been read yet.
     #[must_use]
-    pub fn new(config: Config) -> Self {
-        Self { config: Arc::new(config), good: None, raw: None, heard: None, fault: None }
+    pub fn new(config: SensorConfig) -> Self {
+        Self { config: Arc::new(config), good: None, raw: None, last_reading_s: None, fault: None }
     }
 
     /// Its configuration.
     #[must_use]
-    pub fn config(&self) -> &Config {
+    pub fn config(&self) -> &SensorConfig {
         &self.config
     }
 
@@ -220,15 +222,15 @@ impl Watch {
     pub fn offer(&mut self, now_s: f64, reading: Result<f64, String>) {
         let value = match reading {
             Err(why) => {
-                let since = self.heard.map_or(f64::INFINITY, |h| now_s - h);
+                let since = self.last_reading_s.map_or(f64::INFINITY, |h| now_s - h);
                 if since > self.config.timeout_s {
-                    self.fault = Some(Fault::Silent(why));
+                    self.fault = Some(SensorFault::Silent(why));
                 }
                 return;
             }
             Ok(v) => v,
         };
-        self.heard = Some(now_s);
+        self.last_reading_s = Some(now_s);
         let since_same = match self.raw {
             Some((v, at)) if v.to_bits() == value.to_bits() => now_s - at,
             _ => {
@@ -238,16 +240,16 @@ impl Watch {
         };
         let [lo, hi] = self.config.range;
         self.fault = if !value.is_finite() || value < lo || value > hi {
-            Some(Fault::Implausible(value))
+            Some(SensorFault::Implausible(value))
         } else if self.config.stuck_s > 0.0 && since_same > self.config.stuck_s {
-            Some(Fault::Stuck(value))
+            Some(SensorFault::Stuck(value))
         } else {
             // What can have changed since the last good value; one second's worth for the reading itself.
             let jumped = self.good.filter(|(v, at)| {
                 let may = self.config.max_rate_k_per_min / 60.0 * (now_s - at + 1.0);
                 (value - v).abs() > may
             });
-            jumped.map(|(v, _)| Fault::Jump(v, value))
+            jumped.map(|(v, _)| SensorFault::Jump(v, value))
         };
         if self.fault.is_none() {
             self.good = Some((value, now_s));
@@ -268,7 +270,7 @@ impl Watch {
 
     /// What is wrong with it.
     #[must_use]
-    pub fn fault(&self) -> Option<&Fault> {
+    pub fn fault(&self) -> Option<&SensorFault> {
         self.fault.as_ref()
     }
 
@@ -290,11 +292,11 @@ impl Watch {
 ///
 /// # Errors
 /// The first finding, with line and column.
-pub fn read_tables(root: &Table<'_>) -> Result<Vec<Config>, InputError> {
-    let mut found: Vec<Config> = Vec::new();
+pub fn read_tables(root: &Table<'_>) -> Result<Vec<SensorConfig>, InputError> {
+    let mut found: Vec<SensorConfig> = Vec::new();
     let tables = root.get("sensor").map(|e| e.tables("[[sensor]] tables")).transpose()?;
     for t in tables.unwrap_or_default() {
-        let config = Config::read(t)?;
+        let config = SensorConfig::read(t)?;
         if found.iter().any(|c| c.name == config.name) {
             let found = format!("sensor `{}` twice", config.name);
             return Err(t.required("name", "")?.error(found, "each name once"));
@@ -308,8 +310,8 @@ pub fn read_tables(root: &Table<'_>) -> Result<Vec<Config>, InputError> {
 mod tests {
     use super::*;
 
-    fn config(name: &str, source: Source) -> Config {
-        Config {
+    fn config(name: &str, source: SensorSource) -> SensorConfig {
+        SensorConfig {
             name: name.into(),
             place: String::new(),
             source,
@@ -324,7 +326,7 @@ mod tests {
     }
 
     fn watch() -> Watch {
-        Watch::new(config("T1", Source::OneWire { id: "28-0".into() }))
+        Watch::new(config("T1", SensorSource::OneWire { id: "28-0".into() }))
     }
 
     #[test]

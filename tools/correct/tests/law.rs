@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_correct::part_table::PartTable;
-use rtec_correct::sensors::{Config, Source, Watch};
+use rtec_correct::sensors::{SensorConfig, SensorSource, Watch};
 use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
@@ -22,12 +22,12 @@ struct Bench {
 
 const TICK_S: f64 = 0.01;
 
-fn sensor(name: &str, role: Role) -> Config {
-    Config {
+fn sensor(name: &str, role: Role) -> SensorConfig {
+    SensorConfig {
         name: name.to_owned(),
         place: String::new(),
         role,
-        source: Source::Line { from: "x:1".to_owned(), key: name.to_owned() },
+        source: SensorSource::Line { from: "x:1".to_owned(), key: name.to_owned() },
         period_s: 1.0,
         range: [-1e9, 1e9],
         max_rate_k_per_min: f64::INFINITY,
@@ -53,7 +53,7 @@ impl Bench {
     }
 
     /// With this ramp, begun at this time, and with these sensors before the temperatures T1 and T2.
-    fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<Config>) -> Self {
+    fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
         let axis = |name: &str| AxisSetup {
             name: name.to_owned(),
             count_um: 1.0,

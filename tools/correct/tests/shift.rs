@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_correct::rehearse::{Options, rehearse};
-use rtec_correct::sensors::{Config, Watch};
+use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
@@ -64,7 +64,7 @@ fn axes() -> Vec<AxisSetup> {
 #[test]
 fn the_law_asks_for_what_was_recorded() {
     let shift = shift();
-    let mut watches = ["T8", "T18"].map(|n| Watch::new(Config::believed(n, Role::Temperature)));
+    let mut watches = ["T8", "T18"].map(|n| Watch::new(SensorConfig::believed(n, Role::Temperature)));
     let mut law = Corrector::new(axes(), rtec_correct::RAMP_UM_S, LEAD_S, 0.0);
     law.load(machine(), &watches, &|_| Vec::new()).unwrap();
     let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };

@@ -753,7 +753,7 @@ mod tests {
         config.model.lead_ms = 20.0;
         let (engine, _card) = engine(&config);
         let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
-        let watch = |n: &str| Watch::new(sensors::Config::believed(n, Role::Temperature));
+        let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
         let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
         let mut session = Session::new(config, set_up, played);
         session.load(Machine::read(&folder.join("machine.toml")).unwrap()).unwrap();

@@ -2,7 +2,7 @@
 //! back.
 
 use rtec_control::sources::Bank;
-use rtec_correct::sensors::{Config, Source, Use, Watch};
+use rtec_correct::sensors::{SensorConfig, SensorSource, Use, Watch};
 use rtec_files::{InputError, csv};
 use rtec_measure::record;
 use std::collections::BTreeMap;
@@ -46,7 +46,7 @@ impl Clock {
 
 type Shared = Arc<Mutex<Vec<Watch>>>;
 
-/// All sensors, as they were last heard.
+/// All sensors, as they were last read.
 pub(crate) struct Temperatures {
     clock: Clock,
     /// Written by the bus's thread, read by the control side and the log.
@@ -61,16 +61,16 @@ impl Temperatures {
     ///
     /// # Errors
     /// A recording to be replayed that cannot be read.
-    pub(crate) fn start(configs: &[Config], directory: &Path, log_s: f64) -> Result<Self, InputError> {
+    pub(crate) fn start(configs: &[SensorConfig], directory: &Path, log_s: f64) -> Result<Self, InputError> {
         let clock = Clock::new();
-        let mut of_bus: BTreeMap<String, Vec<(usize, Config)>> = BTreeMap::new();
+        let mut of_bus: BTreeMap<String, Vec<(usize, SensorConfig)>> = BTreeMap::new();
         for (n, config) in configs.iter().enumerate() {
             let bus = match &config.source {
-                Source::Iio { .. } => "iio",
-                Source::Hwmon { .. } => "hwmon",
-                Source::OneWire { .. } => "one_wire",
-                Source::Csv { .. } => "csv",
-                Source::Line { from, .. } => from,
+                SensorSource::Iio { .. } => "iio",
+                SensorSource::Hwmon { .. } => "hwmon",
+                SensorSource::OneWire { .. } => "one_wire",
+                SensorSource::Csv { .. } => "csv",
+                SensorSource::Line { from, .. } => from,
             };
             of_bus.entry(bus.to_owned()).or_default().push((n, config.clone()));
         }
@@ -120,11 +120,11 @@ impl Temperatures {
         self.clock.now_s()
     }
 
-    /// Takes over what has been heard; a bus whose thread is at it right now keeps what it had.
+    /// Takes over what has been read; a bus whose thread is at it right now keeps what it had.
     pub(crate) fn look(&mut self) {
         for (own, (bus, place)) in self.seen.iter_mut().zip(&self.places) {
-            if let Ok(heard) = self.buses[*bus].try_lock() {
-                own.clone_from(&heard[*place]);
+            if let Ok(read) = self.buses[*bus].try_lock() {
+                own.clone_from(&read[*place]);
             }
         }
     }
@@ -154,7 +154,7 @@ struct Log {
 
 impl Log {
     fn keep(&self, clock: Clock, every_s: f64) {
-        let mut told = false;
+        let mut logged = false;
         loop {
             std::thread::sleep(Duration::from_secs_f64(every_s));
             let now_s = clock.now_s();
@@ -162,15 +162,15 @@ impl Log {
                 .places
                 .iter()
                 .map(|(bus, place)| {
-                    let heard = self.buses[*bus].lock().unwrap_or_else(PoisonError::into_inner);
-                    let watch = &heard[*place];
+                    let read = self.buses[*bus].lock().unwrap_or_else(PoisonError::into_inner);
+                    let watch = &read[*place];
                     watch.value_degc().filter(|_| watch.usable(now_s) == Use::Good)
                 })
                 .collect();
             if let Err(error) = append(&self.directory, &self.names, now_s, &values)
-                && !told
+                && !logged
             {
-                told = true;
+                logged = true;
                 let name = self.directory.join(NAMES[0]);
                 eprintln!(
                     "rtecd: warning: {}: {error}: a restart will not know the machine's heat",

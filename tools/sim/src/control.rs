@@ -4,7 +4,7 @@ use crate::errors::NAMES;
 use crate::heat::SENSORS;
 use crate::path::AXES;
 use rtec_correct::part_table::PartTable;
-use rtec_correct::sensors::{Config, Watch};
+use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
@@ -46,7 +46,7 @@ impl Control {
         let others = [("rpm".to_owned(), Role::SpindleSpeed), ("wet".to_owned(), Role::Coolant)];
         let loads = NAMES.iter().filter_map(|n| Some((format!("load_{n}"), axis(n)?)));
         let all = temperatures.chain(channels).chain(others).chain(loads);
-        let watches = all.map(|(name, role)| Watch::new(Config::believed(&name, role))).collect();
+        let watches = all.map(|(name, role)| Watch::new(SensorConfig::believed(&name, role))).collect();
         Self { law: Corrector::new(axes, RAMP_UM_S, lead_s, 0.0), watches }
     }
 

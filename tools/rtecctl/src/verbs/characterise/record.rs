@@ -3,9 +3,9 @@
 use crate::daemon::{check, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
-use rtec_control::sources::{Bank, Feed};
-use rtec_correct::sensors::{self, Config, Use};
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
+use rtec_control::sources::{Bank, Feed};
+use rtec_correct::sensors::{self, SensorConfig, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, Record, Role};
@@ -258,7 +258,7 @@ fn wait_until(start: Instant, due_s: f64) {
     }
 }
 
-fn read_sensors(path: Option<&Path>) -> Result<Vec<Config>, InputError> {
+fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let text = rtec_files::text::read(path)?;
     let doc = Document::parse(path, &text)?;
