@@ -5,7 +5,7 @@
 
 /// A total changes when it is further than half an increment and this share of one off: what trembles on a boundary must
 /// not send counts back and forth. While the axes move, they themselves carry it past the boundary.
-const MOVING: f64 = 0.1;
+const MOVING: f64 = 0.02;
 /// The same while they stand: only the noise of the sensors is left, some tenths of a micrometre.
 const STANDING: f64 = 0.25;
 
@@ -184,10 +184,10 @@ mod tests {
     fn an_axis_that_moves_is_followed_more_closely() {
         let mut total = following();
         let moved = |um, requested| TickInputs { moved: true, ..wanted(um, requested) };
-        assert_eq!(total.next(moved(1.19, 0)), None);
-        assert_eq!(total.next(moved(1.21, 0)), Some(2));
-        assert_eq!(total.next(wanted(0.79, 2)), None, "it stands now");
-        assert_eq!(total.next(moved(0.79, 2)), Some(0));
+        assert_eq!(total.next(moved(1.03, 0)), None);
+        assert_eq!(total.next(moved(1.05, 0)), Some(2));
+        assert_eq!(total.next(wanted(0.95, 2)), None, "it stands now");
+        assert_eq!(total.next(moved(0.95, 2)), Some(0));
     }
 
     #[test]
