@@ -22,7 +22,8 @@ const MOST_TICKS: f64 = 20.0;
 /// What the law is run with, where the shift does not say.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// The axes as the configuration has them; those it lacks are taken as [`Options::axis`] makes them.
+    /// The axes as the configuration has them; those it lacks count as the shift does, or 1 µm, by Design C
+    /// with a window of 50 counts.
     pub axes: Vec<AxisSetup>,
     /// How fast a total goes to a new place that no motion asks for, µm/s (see [`Corrector::new`]).
     pub ramp_um_s: f64,

@@ -70,17 +70,17 @@ fn the_law_asks_for_what_was_recorded() {
     let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
     status.axes.iter_mut().for_each(|a| a.homed = true);
     let mut moved = [0; 3];
-    for row in 0..shift[0].len() {
+    for (row, t_s) in shift[0].iter().copied().enumerate() {
         let at = |column: usize| shift[column][row];
-        watches[0].offer(at(0), Ok(at(4)));
-        watches[1].offer(at(0), Ok(at(5)));
+        watches[0].offer(t_s, Ok(at(4)));
+        watches[1].offer(t_s, Ok(at(5)));
         law.operator_is(0, at(6) as i64);
-        status.t_ns = (at(0) * 1e9).round() as u64;
+        status.t_ns = (t_s * 1e9).round() as u64;
         (0..3).for_each(|n| status.axes[n].position_counts = at(1 + n) as i64);
-        let totals = law.tick(at(0), &status, &watches);
+        let totals = law.tick(t_s, &status, &watches);
         for (n, axis) in status.axes.iter_mut().enumerate().take(3) {
             let total = totals[n].unwrap_or(axis.requested);
-            assert_eq!(total, at(7 + n) as i64, "axis {n} at {} s", at(0));
+            assert_eq!(total, at(7 + n) as i64, "axis {n} at {t_s} s");
             moved[n] += usize::from(total != axis.requested);
             (axis.requested, axis.completed, axis.in_effect) = (total, total, total);
         }

@@ -5,11 +5,11 @@
 //! |---|---|
 //! | [`input`] | the one shape of error for a file that a person wrote |
 //! | [`text`] | a text file read whole: UTF-8, without its byte-order mark |
-//! | [`csv`] | CSV: rows of cells with their places, columns by name |
+//! | [`mod@csv`] | CSV: rows of cells with their places, columns by name |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
-//! | [`toml`] | TOML read strictly: the first finding, or all of them |
+//! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
-//! | [`write`] | files that appear whole or not at all |
+//! | [`mod@write`] | files that appear whole or not at all |
 //! | [`words`] | the word that was probably meant |
 //!
 //! Private: `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].

@@ -2,7 +2,7 @@
 //!
 //! | module | what lives there |
 //! |---|---|
-//! | [`contour`], [`unit`], `drawing` | the part's features in probing order; read from DXF with the feature `dxf` |
+//! | [`contour`], [`mod@unit`], `drawing` | the part's features in probing order; read from DXF with the feature `dxf` |
 //! | [`path`] | probing points, the probe's path, collisions |
 //! | [`program`] | the NC probing program: template, parameters, dialects |
 //! | [`probe`] | captured trips against the plan |

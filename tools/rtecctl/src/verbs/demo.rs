@@ -310,7 +310,8 @@ mod tests {
         let mut reader = Reader::open(&file).unwrap();
         let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
         let mut both = [Status { mode: Mode::Run, axes_used: 1, ..Status::default() }; 2];
-        both.iter_mut().for_each(|s| s.axes[0].homed = true);
+        both[0].axes[0].homed = true;
+        both[1].axes[0].homed = true;
         let mut asked = 0;
         while let Some(row) = reader.row().unwrap() {
             let mut at = Vec::new();
