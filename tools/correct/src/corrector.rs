@@ -20,6 +20,9 @@ use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
 /// Logged temperatures of these sensors, oldest first: time, s, and °C. What a lag is brought up from.
 pub type Past<'p> = &'p dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)>;
 
+/// However long nobody looked, the ramp goes no further at once than in this time, s.
+const LONGEST_S: f64 = 1.0;
+
 /// What the corrector keeps of one axis.
 #[derive(Debug)]
 struct AxisState {
@@ -27,10 +30,10 @@ struct AxisState {
     place: Option<usize>,
     /// What the sources ask for, µm.
     model_um: f64,
+    /// Of the model's share: what sensors and time ask for.
+    slow_um: f64,
     table_um: f64,
     total: Total,
-    /// Where all axes were when it last changed, counts.
-    changed_at: [i64; MAX_AXES],
     /// Why its total stands still, or its thermal part.
     holds: Option<String>,
     stands: Option<String>,
@@ -73,9 +76,9 @@ impl Corrector {
             axes.push(AxisState {
                 place,
                 model_um: 0.0,
+                slow_um: 0.0,
                 table_um: 0.0,
                 total: Total::new(s.count_um, s.increment_counts, s.window_counts, s.max_counts),
-                changed_at: [0; MAX_AXES],
                 holds: None,
                 stands: None,
             });
@@ -145,7 +148,7 @@ impl Corrector {
         let was = self.model.take().is_some();
         self.changed |= was;
         for axis in &mut self.axes {
-            axis.model_um = 0.0;
+            (axis.model_um, axis.slow_um) = (0.0, 0.0);
             (axis.holds, axis.stands) = (None, None);
         }
         was
@@ -303,7 +306,8 @@ impl Corrector {
 
     /// Looks at everything and says which totals are to be requested now.
     pub fn tick(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> [Option<i64>; MAX_AXES] {
-        let dt_s = (now_s - self.last_s).max(0.0);
+        // After a stall the ramp goes on where it was.
+        let dt_s = (now_s - self.last_s).clamp(0.0, LONGEST_S);
         self.last_s = now_s;
         self.follow(status);
         let mut changed = std::mem::take(&mut self.changed);
@@ -319,18 +323,14 @@ impl Corrector {
                 axis.total.rest();
                 continue;
             }
-            let next = axis.total.next(TickInputs {
-                um: axis.model_um + axis.table_um,
+            totals[n] = axis.total.next(TickInputs {
+                um: axis.model_um - axis.slow_um + axis.table_um,
+                slow_um: axis.slow_um,
                 requested: s.requested,
                 ramp_um: if axis.holds.is_none() { self.ramp_um_s * dt_s } else { 0.0 },
                 changed,
-                moved: self.motion.moved_since(&axis.changed_at, &self.setups),
                 last,
             });
-            if next.is_some() {
-                axis.changed_at = self.motion.place();
-            }
-            totals[n] = next;
         }
         totals
     }
@@ -367,6 +367,7 @@ impl Corrector {
             changed |= held != axis.holds.is_some();
             if axis.holds.is_none() {
                 axis.model_um = model.live.errors_um()[p];
+                axis.slow_um = model.slow_um(p);
             }
             axis.stands = model.standing(p, watches, now_s).filter(|_| axis.holds.is_none());
         }
@@ -417,7 +418,11 @@ impl Corrector {
             parts.push(Contribution::plain("on its way", ramp_um));
         }
         let left_um = total_um - parts.iter().map(|p| p.um).sum::<f64>();
-        let rest = if axis.total.following() || !self.asks(n) { "rounding" } else { "not followed now" };
+        let rest = match axis.total.limited() {
+            Some(_) => "beyond max_correction_counts",
+            None if axis.total.following() || !self.asks(n) => "rounding",
+            None => "not followed now",
+        };
         if left_um.abs() > 1e-9 {
             parts.push(Contribution::plain(rest, left_um));
         }

@@ -59,7 +59,7 @@ pub struct Explained {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contribution {
     /// An effect's name; or `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go),
-    /// `rounding` (to the design's increment).
+    /// `rounding` (to the design's increment), or `beyond max_correction_counts`.
     pub name: String,
     /// How much of the total it is, µm.
     pub um: f64,

@@ -2,7 +2,7 @@
 
 use crate::AxisSetup;
 use rtec_model::live::AxisNow;
-use rtec_rt::event::{MAX_AXES, Status};
+use rtec_rt::event::Status;
 use std::collections::VecDeque;
 
 /// Beyond an increment, how far an axis must come back before it counts as having turned, counts.
@@ -26,23 +26,30 @@ pub(crate) struct Motion {
 /// The direction of an axis, and the furthest places in it: of the scale, and as the MTC counts.
 #[derive(Debug, Clone, Copy, Default)]
 struct Turning {
-    direction: f64,
-    furthest_counts: [i64; 2],
+    direction: i64,
+    /// None until the axis has been seen, at the start and after homing.
+    furthest_counts: Option<[i64; 2]>,
 }
 
 impl Turning {
     /// Our own insertions move the scale while the MTC's count stands, and the MTC's count until the drive has followed:
-    /// an axis has turned when both say so, and by more than was inserted a moment ago.
-    fn follow(&mut self, at_counts: [i64; 2], enough_counts: i64) {
-        let moved = [0, 1].map(|k| at_counts[k] - self.furthest_counts[k]);
+    /// an axis has turned when both say so, and by more than was inserted a moment ago; and no place is the furthest that
+    /// our insertions alone may have made it seem.
+    fn follow(&mut self, at_counts: [i64; 2], enough_counts: i64, own_counts: i64) {
+        let Some(furthest_counts) = &mut self.furthest_counts else {
+            self.furthest_counts = Some(at_counts);
+            return;
+        };
+        let moved = [0, 1].map(|k| at_counts[k] - furthest_counts[k]);
         let turned = |d: i64| moved.iter().all(|m| m * d > enough_counts);
-        if let Some(d) = [1, -1].into_iter().find(|d| turned(*d)) {
-            (self.direction, self.furthest_counts) = (d as f64, at_counts);
+        if let Some(d) = [1, -1].into_iter().find(|d| turned(*d) && *d != self.direction) {
+            (self.direction, *furthest_counts) = (d, at_counts);
             return;
         }
-        for (k, furthest) in self.furthest_counts.iter_mut().enumerate() {
-            if moved[k] as f64 * self.direction > 0.0 {
-                *furthest = at_counts[k];
+        for (furthest, at) in furthest_counts.iter_mut().zip(at_counts) {
+            let surely = at - self.direction * own_counts;
+            if (surely - *furthest) * self.direction > 0 {
+                *furthest = surely;
             }
         }
     }
@@ -62,22 +69,11 @@ impl Motion {
         &self.now
     }
 
-    /// Where the axes are by their scales, counts.
-    pub(crate) fn place(&self) -> [i64; MAX_AXES] {
-        self.seen.back().map_or([0; MAX_AXES], |s| s.axes.map(|a| a.position_counts))
-    }
-
-    /// An axis has moved since it was at `place`, by more than an insertion does.
-    pub(crate) fn moved_since(&self, place: &[i64; MAX_AXES], axes: &[AxisSetup]) -> bool {
-        let now = self.place();
-        axes.iter()
-            .enumerate()
-            .any(|(n, axis)| (now[n] - place[n]).abs() > axis.increment_counts + TURNED_COUNTS)
-    }
-
     /// Positions have been counted anew.
     pub(crate) fn forget(&mut self) {
         self.seen.clear();
+        // The direction of the last motion is still what it was.
+        self.turning.iter_mut().for_each(|t| t.furthest_counts = None);
     }
 
     /// Position of an axis at the kept state nearest to a time of the card's clock, counts.
@@ -101,6 +97,7 @@ impl Motion {
             self.turning[n].follow(
                 [s.position_counts, s.position_counts + s.in_effect],
                 axis.increment_counts + TURNED_COUNTS + own_counts,
+                own_counts,
             );
             let ends = [2 * SPEED_OVER, SPEED_OVER, 0].map(back);
             let before = mm_s(ends[0], ends[1], n, axis.count_um);
@@ -113,7 +110,7 @@ impl Motion {
                 position_mm: s.position_counts as f64 * axis.count_um / 1000.0,
                 velocity_mm_s,
                 acceleration_mm_s2: if between_s > 0.0 { (velocity_mm_s - before) / between_s } else { 0.0 },
-                direction: self.turning[n].direction,
+                direction: self.turning[n].direction as f64,
                 load_n: 0.0,
             };
         }

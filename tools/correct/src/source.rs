@@ -109,6 +109,13 @@ pub(crate) fn acts(effect: &Effect, place: Option<usize>) -> bool {
     place == Some(0) || place == Some(1) && effect.description().naming == Naming::Pair
 }
 
+/// It changes with what a sensor reads, or with time, while no axis moves.
+fn is_slow(effect: &Effect) -> bool {
+    use Need::{Channel, Coolant, Delta, Load, SpindleSpeed, Time};
+    let needs = &effect.description().needs;
+    needs.iter().any(|n| matches!(n, Time | Delta | Load | SpindleSpeed | Coolant | Channel))
+}
+
 fn of_role(watches: &[Watch], role: &Role) -> Option<usize> {
     watches.iter().position(|w| w.config().role == *role)
 }
@@ -294,6 +301,21 @@ impl ModelSource {
         let mut live = self.live.clone();
         live.evaluate(&self.inputs.frame(t_s, axes, probing));
         live.errors_um()[place]
+    }
+
+    /// What sensors and time ask for on an axis, of its error at the last evaluation, µm. A chain counts whole where it reads
+    /// temperatures.
+    pub(crate) fn slow_um(&self, place: usize) -> f64 {
+        let axis = &self.live.layout().axes[place];
+        let mut slow_um = 0.0;
+        for part in self.live.parts().filter(|p| is_slow(p.effect)) {
+            let own =
+                part.effect.axes().iter().position(|a| a == axis).filter(|k| acts(part.effect, Some(*k)));
+            slow_um += own.map_or(0.0, |k| part.value[k]);
+        }
+        let along = ["x", "y", "z"].iter().position(|a| *a == axis.as_str());
+        let warm = self.machine.chain().is_some_and(|c| c.deltas().next().is_some());
+        slow_um + self.live.chain_um().zip(along).filter(|_| warm).map_or(0.0, |(um, k)| um[k])
     }
 
     /// Why nothing can be said of an axis yet.

@@ -1,13 +1,17 @@
 //! From what is wanted, in micrometres, to a total in counts: ramp, hysteresis, limits, window.
 //!
-//! A total follows the axis at once. A change that no motion of the axis asks for (a model loaded, corrections enabled,
+//! A total follows the axes' motion at once. What no motion asks for (a sensor's value, a model loaded, corrections enabled,
 //! a sensor back) is a ramp, never a jump. No step is larger than the belief window, so that the engine believes it.
+//!
+//! What the sensors ask for passes a dead band first: it trembles with their noise, and what trembles on a boundary must not
+//! send counts back and forth, whether an axis stands or moves.
 
-/// A total changes when it is further than half an increment and this share of one off: what trembles on a boundary must
-/// not send counts back and forth. While the axes move, they themselves carry it past the boundary.
-const MOVING: f64 = 0.02;
-/// The same while they stand: only the noise of the sensors is left, some tenths of a micrometre.
-const STANDING: f64 = 0.25;
+/// A total changes when it is further than half an increment and this share of one off.
+const HYSTERESIS: f64 = 0.02;
+/// Half the dead band of what the sensors ask for, as a share of an increment: some tenths of a micrometre.
+const DEAD: f64 = 0.25;
+/// More increments than any axis has: what is asked for beyond is held here before it becomes counts.
+const MOST_INCREMENTS: f64 = 1e9;
 
 /// The counts of one axis.
 #[derive(Debug, Clone)]
@@ -22,6 +26,10 @@ pub(crate) struct Total {
     out_um: f64,
     counts: i64,
     operator_counts: i64,
+    /// What the sensors ask for, as it has passed the dead band and the ramp, µm.
+    slow_um: f64,
+    /// More of it is on its way.
+    slow_left: bool,
     following: bool,
     limited: bool,
 }
@@ -29,16 +37,16 @@ pub(crate) struct Total {
 /// What bears on a total at one tick.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TickInputs {
-    /// What the sources ask for, µm.
+    /// What the sources ask for where the axes are, µm.
     pub um: f64,
+    /// What they ask for beside that because of what sensors read, or of time, µm.
+    pub slow_um: f64,
     /// The total that the engine has been asked for, counts.
     pub requested: i64,
     /// How far the ramp may go now, µm; 0 while the axis holds.
     pub ramp_um: f64,
     /// A source has changed: what is new in it is approached in a ramp.
     pub changed: bool,
-    /// An axis has moved since the total last changed.
-    pub moved: bool,
     /// No source but the operator is left.
     pub last: bool,
 }
@@ -54,6 +62,8 @@ impl Total {
             out_um: 0.0,
             counts: 0,
             operator_counts: 0,
+            slow_um: 0.0,
+            slow_left: false,
             following: false,
             limited: false,
         }
@@ -62,7 +72,7 @@ impl Total {
     /// The nearest whole number of insertions, counts.
     fn rounded(&self, um: f64) -> i64 {
         let increments = um / self.count_um / self.increment_counts as f64;
-        increments.round() as i64 * self.increment_counts
+        increments.round().clamp(-MOST_INCREMENTS, MOST_INCREMENTS) as i64 * self.increment_counts
     }
 
     /// The total that these micrometres and the operator's counts make in the end, within the limit.
@@ -88,31 +98,51 @@ impl Total {
 
     /// The total to ask for now; none where it stands already.
     pub(crate) fn next(&mut self, wanted: TickInputs) -> Option<i64> {
-        let TickInputs { um, requested, ramp_um, changed, moved, last } = wanted;
+        let TickInputs { um, slow_um, requested, ramp_um, changed, last } = wanted;
         if !self.following {
             // Where the axis is: what it was asked for before counts, wherever that came from.
             self.following = true;
             self.counts = requested - self.operator_counts;
-            self.out_um = self.counts as f64 * self.count_um;
-            self.offset_um = self.out_um - um;
+            self.begin(self.counts as f64 * self.count_um, um, slow_um);
         } else if changed {
-            self.offset_um = self.out_um - um;
+            // What is beyond the limit was never in effect.
+            let limit_um = self.max_counts as f64 * self.count_um;
+            self.begin(self.out_um.clamp(-limit_um, limit_um), um, slow_um);
+        } else {
+            self.take_slow(slow_um, ramp_um);
         }
         self.offset_um -= self.offset_um.clamp(-ramp_um, ramp_um);
-        self.out_um = um + self.offset_um;
+        self.out_um = um + self.slow_um + self.offset_um;
         let counts = self.out_um / self.count_um;
-        let hysteresis = if moved { MOVING } else { STANDING };
-        if (counts - self.counts as f64).abs() > (0.5 + hysteresis) * self.increment_counts as f64 {
-            self.counts = self.rounded(self.out_um);
+        let mut wish = self.counts;
+        if (counts - self.counts as f64).abs() > (0.5 + HYSTERESIS) * self.increment_counts as f64 {
+            wish = self.rounded(self.out_um);
         } else if last && self.out_um == 0.0 {
-            self.counts = 0;
+            wish = 0;
         }
+        self.counts = wish.clamp(-self.max_counts, self.max_counts);
         let goal = self.counts + self.operator_counts;
         let bounded = goal.clamp(-self.max_counts, self.max_counts);
-        self.limited = bounded != goal;
+        self.limited = bounded != wish + self.operator_counts;
         // Catching up after a rapid, in steps that are believed.
         let next = bounded.clamp(requested - self.window_counts, requested + self.window_counts);
         (next != requested).then_some(next)
+    }
+
+    /// From here on the ramp goes from what is in effect to what is wanted.
+    fn begin(&mut self, in_effect_um: f64, um: f64, slow_um: f64) {
+        (self.slow_um, self.slow_left) = (slow_um, false);
+        self.offset_um = in_effect_um - um - slow_um;
+    }
+
+    /// What the sensors ask for, as far as it leaves the dead band, and no faster than the ramp.
+    fn take_slow(&mut self, slow_um: f64, ramp_um: f64) {
+        let dead_um = DEAD * self.increment_counts as f64 * self.count_um;
+        let off_um = slow_um - self.slow_um;
+        let due_um = off_um - off_um.clamp(-dead_um, dead_um);
+        let step_um = due_um.clamp(-ramp_um, ramp_um);
+        self.slow_um += step_um;
+        self.slow_left = step_um != due_um;
     }
 
     /// What the sources other than the operator asked for is still on its way back.
@@ -123,7 +153,7 @@ impl Total {
     /// Nothing is on its way any more: this total stands, unless the axis moves or a source changes.
     pub(crate) fn settled(&self, requested: i64) -> bool {
         let goal = (self.counts + self.operator_counts).clamp(-self.max_counts, self.max_counts);
-        self.following && self.offset_um == 0.0 && requested == goal
+        self.following && self.offset_um == 0.0 && !self.slow_left && requested == goal
     }
 
     /// What the ramp has still to go, µm, while the axis follows.
@@ -160,7 +190,7 @@ mod tests {
     use super::*;
 
     fn wanted(um: f64, requested: i64) -> TickInputs {
-        TickInputs { um, requested, ramp_um: 0.05, changed: false, moved: false, last: false }
+        TickInputs { um, slow_um: 0.0, requested, ramp_um: 0.05, changed: false, last: false }
     }
 
     fn following() -> Total {
@@ -172,22 +202,49 @@ mod tests {
     #[test]
     fn a_value_that_trembles_on_a_boundary_sends_nothing_back_and_forth() {
         let mut total = following();
-        assert_eq!(total.next(wanted(1.4, 0)), None, "within half an increment and the hysteresis");
-        assert_eq!(total.next(wanted(1.6, 0)), Some(2));
-        for um in [1.0, 0.6, 1.4, 0.51] {
+        assert_eq!(total.next(wanted(1.03, 0)), None, "half an increment and the hysteresis");
+        assert_eq!(total.next(wanted(1.05, 0)), Some(2));
+        for um in [1.0, 0.97, 1.02] {
             assert_eq!(total.next(wanted(um, 2)), None, "{um}");
         }
-        assert_eq!(total.next(wanted(0.49, 2)), Some(0));
+        assert_eq!(total.next(wanted(0.95, 2)), Some(0));
     }
 
+    /// What sensors ask for trembles by more; it passes a dead band, and is a ramp however suddenly it comes.
     #[test]
-    fn an_axis_that_moves_is_followed_more_closely() {
+    fn what_sensors_ask_for_passes_a_dead_band_and_is_a_ramp() {
         let mut total = following();
-        let moved = |um, requested| TickInputs { moved: true, ..wanted(um, requested) };
-        assert_eq!(total.next(moved(1.03, 0)), None);
-        assert_eq!(total.next(moved(1.05, 0)), Some(2));
-        assert_eq!(total.next(wanted(0.95, 2)), None, "it stands now");
-        assert_eq!(total.next(moved(0.95, 2)), Some(0));
+        let slow = |slow_um, requested| TickInputs { slow_um, ..wanted(0.8, requested) };
+        for k in 0..1000 {
+            let noise_um = 0.45 * f64::from(k * 7 % 5 - 2) / 2.0;
+            assert_eq!(total.next(slow(noise_um, 0)), None, "{noise_um}");
+        }
+        let mut requested = 0;
+        let ticks = (0..).find(|_| {
+            requested = total.next(slow(8.0, requested)).unwrap_or(requested);
+            requested == 8
+        });
+        assert!((100..160).contains(&ticks.unwrap()), "7.5 µm at 0.05 µm a tick: {ticks:?}");
+        assert_eq!(total.goal(1e300), 100, "held at the limit, whatever is asked for");
+    }
+
+    /// A source that asks for far more than the limit leaves: the way back begins at the limit, and the operator's way out
+    /// is open all the time.
+    #[test]
+    fn beyond_the_limit_nothing_piles_up() {
+        let mut total = following();
+        let mut requested = 0;
+        for _ in 0..20 {
+            requested = total.next(wanted(1e6, requested)).unwrap_or(requested);
+        }
+        assert_eq!((requested, total.with_operator(0), total.limited()), (100, 100, Some(100)));
+        let away = TickInputs { changed: true, last: true, ..wanted(0.0, requested) };
+        total.next(away);
+        let ticks = (0..).find(|_| {
+            requested = total.next(TickInputs { last: true, ..wanted(0.0, requested) }).unwrap_or(requested);
+            requested == 0
+        });
+        assert!(ticks.unwrap() < 2100, "100 µm at 0.05 µm a tick: {ticks:?}");
     }
 
     #[test]

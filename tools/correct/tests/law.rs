@@ -303,25 +303,106 @@ fn the_operator_is_beside_the_model() {
     assert_eq!(bench.status.axes[0].requested, 40);
 }
 
+/// A drive that makes room for an insertion with a lag of two ticks.
+fn follow(bench: &mut Bench, axis: usize, commanded: i64, ticks: usize) -> usize {
+    let mut changes = 0;
+    for _ in 0..ticks {
+        changes += usize::from(bench.tick()[axis].is_some());
+        let a = &mut bench.status.axes[axis];
+        a.position_counts += (commanded - a.in_effect - a.position_counts) / 2;
+    }
+    changes
+}
+
+/// The MTC counts what is inserted at once; the drive makes room for it a little later. Neither is a turn, then or when the
+/// insertion is long past.
 #[test]
 fn a_direction_is_turned_by_the_axis_not_by_our_own_insertions() {
-    let mut bench = Bench::new();
-    bench.load("[[effect]]\nname = \"reversal.x\"\num = 40.0\n");
-    // The MTC counts what is inserted at once; the drive makes room for it a little later.
-    let to = |bench: &mut Bench, commanded: i64, ticks: usize| {
-        for _ in 0..ticks {
-            bench.tick();
-            let axis = &mut bench.status.axes[0];
-            axis.position_counts += (commanded - axis.in_effect - axis.position_counts) / 2;
+    for (um, back) in [(40.0, 30), (40.0, 10), (20.0, 25), (60.0, 7), (12.0, 14)] {
+        let mut bench = Bench::new();
+        bench.load(&format!("[[effect]]\nname = \"reversal.x\"\num = {um:?}\n"));
+        for p in [0, 100, 200] {
+            follow(&mut bench, 0, p, 20);
         }
-    };
-    for p in [0, 100, 200] {
-        to(&mut bench, p, 20);
+        follow(&mut bench, 0, 200, 200);
+        let half = (um / 2.0) as i64;
+        assert_eq!(bench.status.axes[0].requested, half, "{um} up");
+        follow(&mut bench, 0, 200 - back, 60);
+        assert_eq!(bench.status.axes[0].requested, -half, "{um} down: a reversal is motion, no ramp");
+        assert_eq!(follow(&mut bench, 0, 200 - back, 400), 0, "{um}, {back} back: it stands");
+        follow(&mut bench, 0, 300, 60);
+        assert_eq!(bench.status.axes[0].requested, half, "{um} up again");
+        assert_eq!(follow(&mut bench, 0, 300, 400), 0);
     }
-    to(&mut bench, 200, 200);
-    assert_eq!(bench.status.axes[0].requested, 20);
-    to(&mut bench, 170, 200);
-    assert_eq!(bench.status.axes[0].requested, -20, "a reversal is motion: no ramp");
+}
+
+/// A total of the operator's on a standing axis is no motion either.
+#[test]
+fn an_operators_total_turns_no_axis() {
+    let mut bench = Bench::new();
+    bench.load("[[effect]]\nname = \"reversal.x\"\num = 20.0\n");
+    follow(&mut bench, 0, 200, 200);
+    assert_eq!(bench.status.axes[0].requested, 10);
+    bench.corrector.operator_is(0, 30);
+    follow(&mut bench, 0, 200, 5);
+    assert_eq!(bench.status.axes[0].requested, 40);
+    assert_eq!(follow(&mut bench, 0, 200, 400), 0);
+}
+
+#[test]
+fn homing_keeps_the_direction_of_the_last_motion() {
+    let mut bench = Bench::new();
+    bench.load("[[effect]]\nname = \"reversal.y\"\num = 40.0\n");
+    follow(&mut bench, 1, 13_000, 200);
+    assert_eq!(bench.status.axes[1].requested, 20);
+    bench.corrector.homed(1);
+    bench.status.axes[1] = AxisStatus { homed: true, ..AxisStatus::default() };
+    assert!(bench.run(10.0, 1, |_| None) <= 2, "a ramp");
+    assert_eq!(bench.status.axes[1].requested, 20);
+}
+
+/// What no motion asks for is a ramp: coolant that comes on, and a law that was not asked for ten seconds.
+#[test]
+fn what_no_motion_asks_for_is_never_a_jump() {
+    let mut bench = Bench::of(5.0, 1000.0, vec![sensor("wet", Role::Coolant)]);
+    bench.watches[0].offer(bench.now_s, Ok(0.0));
+    bench.load("[[effect]]\nname = \"coolant.z\"\num = 40.0\n");
+    bench.run(0.5, 2, |_| None);
+    assert_eq!(bench.z(), 0);
+    bench.watches[0].offer(bench.now_s, Ok(1.0));
+    for _ in 0..1000 {
+        let before = bench.z();
+        bench.watches[0].offer(bench.now_s, Ok(1.0));
+        bench.tick();
+        assert!(bench.z() - before <= 2);
+    }
+    assert!((39..=40).contains(&bench.z()), "{}", bench.z());
+    let mut bench = Bench::new();
+    bench.load("[[effect]]\nname = \"offset.z\"\num = 40.0\n");
+    bench.run(0.02, 2, |_| None);
+    bench.now_s += 10.0;
+    bench.tick();
+    assert!(bench.z() <= 6, "{} after a stall", bench.z());
+}
+
+/// Other axes move, the sensors tremble: the axis that stands is not sent back and forth.
+#[test]
+fn noise_of_the_sensors_passes_no_count_while_another_axis_moves() {
+    let mut bench = Bench::new();
+    bench.load(GROWTH);
+    bench.warm(20.1, 20.0);
+    bench.run(2.0, 2, |_| None);
+    let mut changes = 0;
+    for k in 0..30_000_i64 {
+        if k % 100 == 0 {
+            // ±40 mK about the boundary between two totals: ±0.4 µm.
+            let noise_k = 0.04 * ((k / 100 * 37 % 11) as f64 / 5.0 - 1.0);
+            bench.warm(20.1 + noise_k, 20.0);
+        }
+        bench.status.axes[1].position_counts = (k % 2000) * 200;
+        changes += usize::from(bench.tick()[2].is_some());
+    }
+    assert!(changes <= 1, "{changes}");
 }
 
 #[test]
