@@ -8,6 +8,7 @@ use rtec_fit::thermal;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
 use rtec_model::machine::Machine;
+use rtec_model::record::Role;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -143,6 +144,20 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         Some(file) => options(&Config::load(file)?),
         None => rehearse::Options::default(),
     };
+    for effect in new.effects() {
+        for role in effect.description().needs.iter().map(|need| need.role(effect.axes())) {
+            if matches!(role, Role::Position(_)) && shift.column(&role).is_none() {
+                eprintln!(
+                    "warning: {}: no {role}, taken as zero for {}",
+                    args.record.display(),
+                    effect.name()
+                );
+            }
+        }
+    }
+    for warning in new.doubts(date::today()) {
+        eprintln!("warning: {}: {warning}", args.machine.display());
+    }
     let found = rehearse::rehearse(&present, &new, &shift, &options)?;
     if let Some(path) = &args.plot {
         for axis in &found.axes {
