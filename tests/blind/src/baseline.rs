@@ -2,42 +2,10 @@
 //! own parameters fitted along: forward selection by the Bayesian information criterion, and the LASSO with
 //! cross-validation.
 
+use crate::linear::{Basis, dot, length};
 use rtec_model::effect::{Dictionary, Effect, Heat, Search};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
-
-/// Orthonormal columns of what is in the fit already.
-#[derive(Default)]
-struct Basis(Vec<Vec<f64>>);
-
-impl Basis {
-    /// What the basis leaves of a column.
-    fn rest(&self, column: &[f64]) -> Vec<f64> {
-        let mut c = column.to_vec();
-        for q in &self.0 {
-            let d: f64 = q.iter().zip(&c).map(|(a, b)| a * b).sum();
-            c.iter_mut().zip(q).for_each(|(c, q)| *c -= d * q);
-        }
-        c
-    }
-
-    fn add(&mut self, column: &[f64]) -> bool {
-        let before = length(column);
-        let mut c = self.rest(column);
-        c = self.rest(&c);
-        let l = length(&c);
-        if l <= 1e-6 * before || l == 0.0 {
-            return false;
-        }
-        c.iter_mut().for_each(|x| *x /= l);
-        self.0.push(c);
-        true
-    }
-}
-
-fn length(x: &[f64]) -> f64 {
-    x.iter().map(|v| v * v).sum::<f64>().sqrt()
-}
 
 fn stacked(records: &[Record], effect: &Effect, slopes: bool) -> Vec<Vec<f64>> {
     let k = if slopes { effect.values().len() } else { effect.coefficient_count() };
@@ -277,18 +245,6 @@ impl Lasso<'_> {
         }
         out
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut lanes = [0.0; 8];
-    let (ca, cb) = (a.chunks_exact(8), b.chunks_exact(8));
-    let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in ca.zip(cb) {
-        for k in 0..8 {
-            lanes[k] += x[k] * y[k];
-        }
-    }
-    lanes.iter().sum::<f64>() + tail
 }
 
 /// Names that the LASSO would add: the largest penalty within one standard error of the best of a cross-validation in

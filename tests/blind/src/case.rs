@@ -1,6 +1,9 @@
 //! One blind case: what is hidden, the files the reconciler sees, and the truth beside them.
 
-use crate::world::{DESIGNS, Dice, Manner, Plan, Run, Source};
+use crate::dice::Dice;
+use crate::plan::{DESIGNS, Manner, Plan};
+use crate::run::Run;
+use crate::source::Source;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -15,6 +18,8 @@ pub enum Hides {
     Two,
     /// A shape that is in no dictionary.
     Stranger,
+    /// Three effects and more.
+    Many,
 }
 
 /// Every kind that can be hidden.
@@ -61,7 +66,9 @@ pub struct Case {
     pub truth: Vec<String>,
     /// Ratio of each hidden effect's RMS to the noise.
     pub snr: Vec<f64>,
-    /// Name of the experiment, one of [`crate::world::DESIGNS`].
+    /// Other sets of names that are right.
+    pub also: Vec<Vec<String>>,
+    /// Name of the experiment, one of [`crate::plan::DESIGNS`].
     pub design: &'static str,
     /// One line on noise, model and size.
     pub story: String,
@@ -73,15 +80,15 @@ pub struct Case {
     pub model: PathBuf,
 }
 
-struct Noise {
-    sd: f64,
-    phi: f64,
-    phi2: f64,
-    quantum: Option<f64>,
+pub(crate) struct Noise {
+    pub(crate) sd: f64,
+    pub(crate) phi: f64,
+    pub(crate) phi2: f64,
+    pub(crate) quantum: Option<f64>,
 }
 
 impl Noise {
-    fn series(&self, n: usize, dice: &mut Dice) -> Vec<f64> {
+    pub(crate) fn series(&self, n: usize, dice: &mut Dice) -> Vec<f64> {
         let (mut a, mut b) = (0.0, 0.0);
         let mut raw: Vec<f64> = (0..n + 200)
             .map(|_| {
@@ -98,7 +105,7 @@ impl Noise {
     }
 }
 
-fn rms(v: &[f64]) -> f64 {
+pub(crate) fn rms(v: &[f64]) -> f64 {
     (v.iter().map(|x| x * x).sum::<f64>() / v.len().max(1) as f64).sqrt()
 }
 
@@ -116,7 +123,7 @@ fn size(s: &Source, runs: &[Run]) -> f64 {
     rms(&all)
 }
 
-fn write_run(
+pub(crate) fn write_run(
     dir: &Path,
     stem: &str,
     run: &Run,
@@ -141,6 +148,12 @@ fn write_run(
     if let Some(q) = quantum {
         writeln!(side, "count_um = {q:?}")?;
     }
+    if let Some(zero) = &run.zero {
+        writeln!(side, "zero = \"{zero}\"")?;
+    }
+    if let Some((length, [a, b])) = &run.bar {
+        writeln!(side, "radius_mm = {length:?}\nplane = [\"{a}\", \"{b}\"]")?;
+    }
     side += "[columns]\n";
     for c in &logged {
         writeln!(side, "\"{}\" = {{ role = \"{}\", unit = \"{}\" }}", c.name, c.role, c.unit)?;
@@ -164,7 +177,7 @@ fn write_run(
 }
 
 /// Whether a machine can have it: the bounds that formats.md states.
-fn physical(s: &Source) -> bool {
+pub(crate) fn physical(s: &Source) -> bool {
     let law = s.name.split('.').next().unwrap_or_default();
     match law {
         "subdivision" => s.val("um").abs() < s.val("period_um") / 4.0,
@@ -189,6 +202,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
         let mut hidden: Vec<Source> = vec![];
         match hides {
             Hides::Nothing => {}
+            Hides::Many => anyhow::bail!("many effects come from the class `many`"),
             Hides::One => hidden.extend(plan.source(
                 &mut dice,
                 &runs[0],
@@ -308,7 +322,18 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
         );
         std::fs::write(dir.join("truth.json"), serde_json::json!({ "hidden": hidden.iter().map(|h| &h.name).collect::<Vec<_>>(), "snr": snr, "story": story }).to_string())?;
         let truth = hidden.iter().map(|h| h.name.clone()).collect();
-        return Ok(Case { seed, hides, truth, snr, design, story, train, holdout, model: model_path });
+        return Ok(Case {
+            seed,
+            hides,
+            truth,
+            snr,
+            also: vec![],
+            design,
+            story,
+            train,
+            holdout,
+            model: model_path,
+        });
     }
 }
 

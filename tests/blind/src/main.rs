@@ -1,69 +1,139 @@
 //! The blind suite: hundreds of machines with something hidden, judged and printed beside what an analyst's two ways give.
 //!
-//! `rtec-blind [--share K/N] [--manner first|second] [--class one|two|null|stranger] [--from SEED] [--count N] [-v]`
+//! `rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] [--jobs N] [--bare]
+//! [--json] [-v]`
 
-use rtec_blind::case::{self, Case, Hides};
-use rtec_blind::score::{Mark, Reply, mark};
-use rtec_blind::world::Manner;
-use rtec_blind::{baseline, judge};
+use rtec_blind::case::Hides;
+use rtec_blind::class::{CLASSES, Class};
+use rtec_blind::outcome::{Outcome, outcome};
+use rtec_blind::plan::Manner;
+use rtec_blind::score::Mark;
+use rtec_blind::table::{self, right, wrong};
 use std::collections::BTreeMap;
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-struct Line {
-    case: Case,
-    mark: Mark,
-    /// Of forward selection by BIC, and of the LASSO.
-    base: [Mark; 2],
-    reply: Reply,
-    closed: Option<f64>,
-    seconds: f64,
+const USAGE: &str = "rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] \
+                     [--jobs N] [--bare] [--json] [-v]";
+
+/// What was asked for.
+struct Asked {
+    classes: Vec<Class>,
+    manner: Option<Manner>,
+    from: u64,
+    count: Option<usize>,
+    jobs: usize,
+    bare: bool,
+    json: bool,
+    verbose: bool,
+}
+
+fn asked(args: &[String]) -> Result<Asked, String> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut a = Asked {
+        classes: chosen("narrow")?,
+        manner: None,
+        from: 10_000,
+        count: None,
+        jobs: cores,
+        bare: false,
+        json: false,
+        verbose: false,
+    };
+    let mut rest = args.iter();
+    while let Some(arg) = rest.next() {
+        let mut value = || rest.next().ok_or(format!("{arg} wants a value"));
+        let number = |v: &String| v.parse::<u64>().map_err(|_| format!("{arg} {v}: not a whole number"));
+        match arg.as_str() {
+            "--class" => a.classes = chosen(value()?)?,
+            "--manner" => {
+                a.manner = Some(match value()?.as_str() {
+                    "first" => Manner::First,
+                    "second" => Manner::Second,
+                    other => return Err(format!("--manner {other}: first or second")),
+                });
+            }
+            "--from" => a.from = number(value()?)?,
+            "--count" => a.count = Some(number(value()?)? as usize).filter(|n| *n > 0),
+            "--jobs" => a.jobs = (number(value()?)? as usize).max(1),
+            "--bare" => a.bare = true,
+            "--json" => a.json = true,
+            "-v" => a.verbose = true,
+            other => return Err(format!("`{other}` is no option")),
+        }
+    }
+    Ok(a)
+}
+
+fn chosen(words: &str) -> Result<Vec<Class>, String> {
+    let mut out = Vec::new();
+    for word in words.split(',') {
+        let narrow = |c: &Class| matches!(c, Class::Narrow(_));
+        let of = |yes: &dyn Fn(Class, &str) -> bool| -> Vec<Class> {
+            CLASSES.iter().filter(|(c, w, _)| yes(*c, w)).map(|(c, ..)| *c).collect()
+        };
+        let more = match word {
+            "all" => of(&|_, _| true),
+            "narrow" => of(&|c, _| narrow(&c)),
+            "wide" => of(&|c, _| !narrow(&c)),
+            word => of(&|_, w| w == word),
+        };
+        if more.is_empty() {
+            let words: Vec<&str> = CLASSES.iter().map(|(_, w, _)| *w).collect();
+            return Err(format!("--class {word}: one of {}, narrow, wide, all", words.join(", ")));
+        }
+        out.extend(more);
+    }
+    Ok(out)
 }
 
 fn main() -> anyhow::Result<ExitCode> {
-    let args: Vec<String> = std::env::args().collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1)).cloned();
-    let number = |name: &str, default: usize| value(name).and_then(|v| v.parse().ok()).unwrap_or(default);
-    let verbose = args.iter().any(|a| a == "-v");
-    let scale = number("--count", 0);
-    let from = number("--from", 10_000) as u64;
-    let class = value("--class");
-    let baselines = !args.iter().any(|a| a == "--bare");
-    let mut plan: Vec<(Hides, u64, Manner)> = Vec::new();
-    let classes = [
-        (Hides::One, "one", 232),
-        (Hides::Two, "two", 80),
-        (Hides::Nothing, "null", 110),
-        (Hides::Stranger, "stranger", 60),
-    ];
-    for (hides, name, count) in classes {
-        if class.as_ref().is_none_or(|c| c == name) {
-            let count = if scale > 0 { scale } else { count };
-            for i in 0..count as u64 {
-                let manner = match value("--manner").as_deref() {
-                    Some("first") => Manner::First,
-                    Some("second") => Manner::Second,
-                    _ if i % 2 == 0 => Manner::First,
-                    _ => Manner::Second,
-                };
-                plan.push((hides, from + i, manner));
-            }
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let asked = match asked(&args) {
+        Ok(a) => a,
+        Err(why) => {
+            eprintln!("{why}\n{USAGE}");
+            return Ok(ExitCode::from(2));
+        }
+    };
+    let mut plan: Vec<(Class, u64, Manner)> = Vec::new();
+    for (class, _, usual) in CLASSES.iter().filter(|(c, ..)| asked.classes.contains(c)) {
+        for i in 0..asked.count.unwrap_or(*usual) as u64 {
+            let turn = if i % 2 == 0 { Manner::First } else { Manner::Second };
+            plan.push((*class, asked.from + i, asked.manner.unwrap_or(turn)));
         }
     }
-    let (next, lines) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let outcomes = run(&plan, &asked)?;
+    if asked.verbose {
+        outcomes.iter().filter(|o| !right(o.mark)).for_each(tell);
+    }
+    if asked.json {
+        println!("{:#}", table::json(&outcomes, !asked.bare));
+        return Ok(ExitCode::SUCCESS);
+    }
+    let narrow: Vec<&Outcome> = outcomes.iter().filter(|o| matches!(o.class, Class::Narrow(_))).collect();
+    let good = narrow.is_empty() || report(&narrow);
+    if narrow.len() < outcomes.len() {
+        print!("{}", table::markdown(&outcomes, !asked.bare));
+    }
+    Ok(if good { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Every case, several at a time, in their order.
+fn run(plan: &[(Class, u64, Manner)], asked: &Asked) -> anyhow::Result<Vec<Outcome>> {
+    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let failed = Mutex::new(None);
-    let workers = std::thread::available_parallelism().map_or(1, usize::from).min(4);
     std::thread::scope(|scope| {
-        for _ in 0..workers {
+        for _ in 0..asked.jobs {
             scope.spawn(|| {
                 loop {
                     let i = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(&(hides, seed, manner)) = plan.get(i) else { break };
-                    match one(hides, seed, manner, baselines) {
-                        Ok(line) => {
-                            if let Ok(mut l) = lines.lock() {
-                                l.push((i, line));
+                    let Some(&(class, seed, manner)) = plan.get(i) else { break };
+                    match outcome(class, seed, manner, !asked.bare) {
+                        Ok(o) => {
+                            if let Ok(mut all) = done.lock() {
+                                all.push((i, o));
                             }
                         }
                         Err(e) => {
@@ -82,60 +152,31 @@ fn main() -> anyhow::Result<ExitCode> {
     if let Some(e) = failed.into_inner().ok().flatten() {
         return Err(e);
     }
-    let mut lines = lines.into_inner().unwrap_or_default();
-    lines.sort_by_key(|(i, _)| *i);
-    let lines: Vec<Line> = lines.into_iter().map(|(_, l)| l).collect();
-    if verbose {
-        for l in &lines {
-            if !right(l.mark) {
-                println!(
-                    "{:?} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}",
-                    l.mark,
-                    l.case.seed,
-                    l.case.hides,
-                    l.case.design,
-                    l.seconds,
-                    l.case.truth,
-                    l.case.snr,
-                    l.case.story,
-                    l.reply.verdict,
-                    l.reply.effects
-                );
-            }
-        }
-    }
-    Ok(if report(&lines) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    let mut all = done.into_inner().unwrap_or_default();
+    all.sort_by_key(|(i, _)| *i);
+    Ok(all.into_iter().map(|(_, o)| o).collect())
 }
 
-fn one(hides: Hides, seed: u64, manner: Manner, baselines: bool) -> anyhow::Result<Line> {
-    let dir = tempfile::tempdir()?;
-    let case = case::make(seed, hides, None, manner, dir.path())?;
-    let start = std::time::Instant::now();
-    let (reply, closed) = judge(&case)?;
-    let seconds = start.elapsed().as_secs_f64();
-    let train = case.train.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
-    let machine = rtec_model::machine::Machine::read(&case.model)?;
-    let mut base = [Mark::Missed; 2];
-    if baselines {
-        base = [baseline::forward_bic, baseline::lasso].map(|way| {
-            let names = way(&train, &machine);
-            let verdict = if names.is_empty() { "nothing_missing" } else { "named" }.to_owned();
-            mark(&case, &Reply { verdict, effects: names.into_iter().map(|n| (n, vec![])).collect() })
-        });
-    }
-    Ok(Line { mark: mark(&case, &reply), base, reply, closed, seconds, case })
+/// One case that was not answered rightly, on standard error.
+fn tell(o: &Outcome) {
+    eprintln!(
+        "{:?} {} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}",
+        o.mark,
+        o.class.word(),
+        o.case.seed,
+        o.case.hides,
+        o.case.design,
+        o.seconds,
+        o.case.truth,
+        o.case.snr,
+        o.case.story,
+        o.reply.verdict,
+        o.reply.effects,
+        o.refused.as_ref().map_or(String::new(), |why| format!("\n    refused: {why}")),
+    );
 }
-
-fn right(m: Mark) -> bool {
-    matches!(m, Mark::Exact | Mark::Group)
-}
-
-fn wrong(m: Mark) -> bool {
-    matches!(m, Mark::Wrong | Mark::WrongGroup)
-}
-
 /// Prints everything; whether the figures hold, within what so many cases can show.
-fn report(lines: &[Line]) -> bool {
+fn report(lines: &[&Outcome]) -> bool {
     println!("confusion: what was hidden, what was answered (all others right)");
     let mut confusion: BTreeMap<(String, String), usize> = BTreeMap::new();
     for l in lines.iter().filter(|l| !right(l.mark)) {
@@ -156,15 +197,15 @@ fn report(lines: &[Line]) -> bool {
     for ((truth, answer), n) in &confusion {
         println!("    {truth:32} -> {answer:32} {n}");
     }
-    let share = |of: &dyn Fn(&Line) -> bool, yes: &dyn Fn(&Line) -> bool| -> (usize, usize) {
-        let all: Vec<&Line> = lines.iter().filter(|l| of(l)).collect();
+    let share = |of: &dyn Fn(&Outcome) -> bool, yes: &dyn Fn(&Outcome) -> bool| -> (usize, usize) {
+        let all: Vec<&&Outcome> = lines.iter().filter(|l| of(l)).collect();
         (all.iter().filter(|l| yes(l)).count(), all.len())
     };
     println!(
         "detection against amplitude (one hidden): effect/noise, cases, right, of these as a group; BIC right; LASSO right"
     );
     for (lo, hi) in [(0.0, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 3.0), (3.0, 5.0), (5.0, 99.0)] {
-        let of = |l: &Line| l.case.hides == Hides::One && l.case.snr[0] >= lo && l.case.snr[0] < hi;
+        let of = |l: &Outcome| l.case.hides == Hides::One && l.case.snr[0] >= lo && l.case.snr[0] < hi;
         let (r, n) = share(&of, &|l| right(l.mark));
         let (g, _) = share(&of, &|l| l.mark == Mark::Group);
         let [b, l] = [0, 1].map(|k| share(&of, &|l| right(l.base[k])).0);
@@ -172,7 +213,7 @@ fn report(lines: &[Line]) -> bool {
     }
     let mut good = true;
     let mut row = |name: &str,
-                   of: &dyn Fn(&Line) -> bool,
+                   of: &dyn Fn(&Outcome) -> bool,
                    yes: fn(Mark) -> bool,
                    at_least: bool,
                    bound: f64| {
@@ -190,12 +231,12 @@ fn report(lines: &[Line]) -> bool {
             if met { "reached" } else { "NOT REACHED" }
         );
     };
-    let one = |l: &Line| l.case.hides == Hides::One;
-    let high = |l: &Line| one(l) && l.case.snr[0] >= 2.0;
-    let two = |l: &Line| l.case.hides == Hides::Two && l.case.snr.iter().all(|s| *s >= 3.0);
-    let known = |l: &Line| matches!(l.case.hides, Hides::One | Hides::Two);
-    let null = |l: &Line| l.case.hides == Hides::Nothing;
-    let stranger = |l: &Line| l.case.hides == Hides::Stranger;
+    let one = |l: &Outcome| l.case.hides == Hides::One;
+    let high = |l: &Outcome| one(l) && l.case.snr[0] >= 2.0;
+    let two = |l: &Outcome| l.case.hides == Hides::Two && l.case.snr.iter().all(|s| *s >= 3.0);
+    let known = |l: &Outcome| matches!(l.case.hides, Hides::One | Hides::Two);
+    let null = |l: &Outcome| l.case.hides == Hides::Nothing;
+    let stranger = |l: &Outcome| l.case.hides == Hides::Stranger;
     println!("figures");
     row("right, effect/noise >= 2", &high, right, true, 98.0);
     row("right, 0.7 to 10", &one, right, true, 92.0);

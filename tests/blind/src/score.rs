@@ -19,7 +19,12 @@ pub enum Mark {
     CalledUnknown,
     /// Called not separable, the truth not in the group.
     WrongGroup,
+    /// The case's files were refused.
+    Refused,
 }
+
+/// Verdict of an answer that is none: the files were refused.
+pub const REFUSED: &str = "refused";
 
 /// An answer: verdict, names, and for each name its alternatives.
 pub struct Reply {
@@ -32,6 +37,17 @@ pub struct Reply {
 /// Marks a reply against what the case hides.
 #[must_use]
 pub fn mark(case: &Case, reply: &Reply) -> Mark {
+    if reply.verdict == REFUSED {
+        return Mark::Refused;
+    }
+    let named = |set: &Vec<String>| {
+        let mut names: Vec<&str> = reply.effects.iter().map(|(n, _)| n.as_str()).collect();
+        names.sort_unstable();
+        names.iter().eq(set.iter())
+    };
+    if case.also.iter().any(named) {
+        return Mark::Exact;
+    }
     let mut got: Vec<&str> = reply.effects.iter().map(|(n, _)| n.as_str()).collect();
     let mut want: Vec<&str> = case.truth.iter().map(String::as_str).collect();
     let same: Vec<String> = got.iter().map(|g| unordered(g)).collect();
@@ -68,7 +84,7 @@ pub fn mark(case: &Case, reply: &Reply) -> Mark {
 }
 
 /// angular.A.B.C is the same product whichever of B and C comes first.
-fn unordered(name: &str) -> String {
+pub(crate) fn unordered(name: &str) -> String {
     let mut parts: Vec<&str> = name.split('.').collect();
     if parts[0] == "angular" && parts.len() == 4 {
         parts[2..].sort_unstable();

@@ -4,8 +4,8 @@
 
 use rtec_blind::case::{Hides, make};
 use rtec_blind::judge;
+use rtec_blind::plan::Manner;
 use rtec_blind::score::{Mark, mark};
-use rtec_blind::world::Manner;
 
 fn right(hides: Hides, seeds: std::ops::Range<u64>) -> (usize, Vec<String>) {
     let mut good = 0;
@@ -14,7 +14,7 @@ fn right(hides: Hides, seeds: std::ops::Range<u64>) -> (usize, Vec<String>) {
         let manner = if seed % 2 == 0 { Manner::First } else { Manner::Second };
         let dir = tempfile::tempdir().unwrap();
         let case = make(seed, hides, None, manner, dir.path()).unwrap();
-        let (reply, _) = judge(&case).unwrap();
+        let reply = judge(&case).unwrap().reply;
         if matches!(mark(&case, &reply), Mark::Exact | Mark::Group) {
             good += 1;
         } else {
@@ -67,7 +67,7 @@ fn a_name_is_exchanged_only_for_a_better_one() {
 fn what_is_certain_beside_drift_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let case = make(700_185, Hides::Two, None, Manner::Second, dir.path()).unwrap();
-    let (reply, _) = judge(&case).unwrap();
+    let reply = judge(&case).unwrap().reply;
     assert!(
         reply.effects.iter().any(|(name, _)| name == "coolant.y"),
         "{} {:?}",
@@ -116,7 +116,7 @@ fn run(p: Vec<f64>, e: Vec<f64>) -> rtec_model::record::Record {
 }
 
 fn noise(seed: u64, n: usize) -> Vec<f64> {
-    let mut dice = rtec_blind::world::Dice::new(seed);
+    let mut dice = rtec_blind::dice::Dice::new(seed);
     (0..n).map(|_| dice.normal()).collect()
 }
 
@@ -141,7 +141,7 @@ fn on_a_grid_of_targets_the_other_periods_are_listed() {
 /// At few targets, each met again to a few µm, a wave is mostly sine or mostly constant at many a wrong period.
 #[test]
 fn a_signal_period_is_found_at_few_uneven_targets() {
-    let mut dice = rtec_blind::world::Dice::new(5);
+    let mut dice = rtec_blind::dice::Dice::new(5);
     let targets =
         [2.26, 8.14, 13.99, 20.28, 27.95, 35.41, 38.69, 46.11, 55.93, 62.09, 65.06, 75.83, 83.83, 95.95];
     let p: Vec<f64> = (0..168).map(|i| targets[i % 14] + 1.5e-3 * dice.normal()).collect();
@@ -161,7 +161,7 @@ fn a_signal_period_is_found_at_few_uneven_targets() {
 /// Read to 1 µm, a scale of 2 µm periods shows two values only.
 #[test]
 fn two_steps_of_reading_to_a_signal_period_are_enough() {
-    let mut dice = rtec_blind::world::Dice::new(6);
+    let mut dice = rtec_blind::dice::Dice::new(6);
     let p: Vec<f64> = (0..400).map(|_| (250_000.0 * dice.normal()).round() / 1000.0).collect();
     let wave = |p: f64| (std::f64::consts::TAU * p / 0.002 + 1.2).sin();
     // A sound scale's error is below a quarter of its period: three times the noise, as large as it may be.

@@ -1,0 +1,30 @@
+//! Repeatable shapes over the position that are no one wave: changing periods, several waves, kinks, steps.
+
+use crate::bench::{Bench, Kind};
+use crate::case::Hides;
+use crate::dice::Dice;
+use crate::scene::Scene;
+use crate::source::Source;
+
+/// A random scene, or none where the draw was no case.
+pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
+    let rows = dice.log(80.0, 600.0) as usize;
+    let targets = (dice.log(20.0, 200.0) as usize).min(rows / 2);
+    let regular = dice.chance(0.4);
+    let bench = Bench::new(dice, Kind::Line, rows, None).with_targets(targets, regular);
+    let mut s = Scene::new(dice, "changing", std::slice::from_ref(&bench));
+    let axis = &bench.axes[0];
+    if dice.chance(0.3) {
+        let mut k = Source::new(format!("reversal.{axis}")).p("um", dice.sign());
+        let size = dice.log(1.0, 6.0);
+        s.sized(&mut k, size).then_some(())?;
+        s.know(dice, k, 0.05);
+    }
+    let shape = *dice.pick(&["?chirp", "?chirp", "?waves", "?kinks", "?stairs"]);
+    let mut h =
+        Source::new(format!("{shape}.{axis}")).p("um", dice.sign()).p("c", dice.int(1, 1_000_000) as f64);
+    let size = dice.log(0.7, 20.0);
+    s.hides = Hides::Stranger;
+    s.also = vec![vec![format!("position_map.{axis}")]];
+    (s.sized(&mut h, size) && s.hide_shape(h, &["position_map"], true)).then_some(s)
+}

@@ -1,0 +1,117 @@
+//! The kinds of cases, by the word that chooses them.
+
+use crate::case::{self, Case, Hides};
+use crate::dice::Dice;
+use crate::many::Zeros;
+use crate::mistakes::Mistake;
+use crate::plan::Manner;
+use crate::scene::Scene;
+use crate::{changing, fast, heat, many, maps, mistakes, pairs, strangers};
+use std::path::Path;
+
+/// A kind of case.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
+pub enum Class {
+    /// One effect of the dictionary, two, none, or a shape of no dictionary.
+    Narrow(Hides),
+    /// A machine mapped finer or farther than it is measured.
+    Maps,
+    /// Error of the true temperature, sensors read with noise.
+    Heat,
+    /// Cycles of a few rows.
+    Fast,
+    /// Shapes over the position that are no one wave.
+    Changing,
+    /// Shapes of no dictionary.
+    Strangers,
+    /// Two effects over the wider experiments.
+    Pairs,
+    /// Three to seven effects in several records.
+    Many,
+    /// The same, some records with a zero of their own.
+    ManyZeros,
+    /// The same, with a ballbar that is read along its bar.
+    ManyRadial,
+    /// Mistakes in the input, each with its clean twin.
+    Mistakes,
+}
+
+/// Every class with its word and how many cases it has where nothing is asked; those of the wider kinds come when asked for.
+pub const CLASSES: [(Class, &str, usize); 14] = [
+    (Class::Narrow(Hides::One), "one", 232),
+    (Class::Narrow(Hides::Two), "two", 80),
+    (Class::Narrow(Hides::Nothing), "null", 110),
+    (Class::Narrow(Hides::Stranger), "stranger", 60),
+    (Class::Maps, "maps", 100),
+    (Class::Heat, "heat", 100),
+    (Class::Fast, "fast", 100),
+    (Class::Changing, "changing", 100),
+    (Class::Strangers, "strangers", 100),
+    (Class::Pairs, "pairs", 100),
+    (Class::Many, "many", 100),
+    (Class::ManyZeros, "many-zeros", 100),
+    (Class::ManyRadial, "many-radial", 100),
+    (Class::Mistakes, "mistakes", 98),
+];
+
+/// A case of a class, written out.
+pub struct Made {
+    /// What the reconciler sees, and the names that are right.
+    pub case: Case,
+    /// All that is true of it; none for the narrow classes.
+    pub scene: Option<Scene>,
+    /// The mistake, and the case without it.
+    pub mistake: Option<(Mistake, Case)>,
+}
+
+impl Class {
+    /// The word that chooses it.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        CLASSES.iter().find(|(c, ..)| *c == self).map_or("", |(_, w, _)| w)
+    }
+
+    /// Makes the case of a seed and writes it into `dir`.
+    ///
+    /// # Errors
+    /// The directory cannot be written.
+    pub fn make(self, seed: u64, manner: Manner, dir: &Path) -> anyhow::Result<Made> {
+        if let Self::Narrow(hides) = self {
+            let case = case::make(seed, hides, None, manner, dir)?;
+            return Ok(Made { case, scene: None, mistake: None });
+        }
+        let (mut scene, mut dice) = self.scene(seed);
+        scene.measure(&mut dice);
+        if self == Self::Mistakes {
+            let clean = scene.write(seed, &dir.join("clean"))?;
+            let kind = seed as usize % mistakes::KINDS.len();
+            let mistake = mistakes::spoil(&mut scene, kind, &mut dice);
+            let case = scene.write(seed, &dir.join("mistaken"))?;
+            return Ok(Made { case, scene: Some(scene), mistake: Some((mistake, clean)) });
+        }
+        let case = scene.write(seed, dir)?;
+        Ok(Made { case, scene: Some(scene), mistake: None })
+    }
+
+    fn scene(self, seed: u64) -> (Scene, Dice) {
+        let salt = CLASSES.iter().position(|(c, ..)| *c == self).unwrap_or(0) as u64;
+        let mut dice = Dice::new(seed ^ (salt + 1).wrapping_mul(0xD1B5_4A32_D192_ED03));
+        loop {
+            let drawn = match self {
+                Self::Narrow(_) | Self::Maps => maps::scene(&mut dice),
+                Self::Heat => heat::scene(&mut dice),
+                Self::Fast => fast::scene(&mut dice),
+                Self::Changing => changing::scene(&mut dice),
+                Self::Strangers => strangers::scene(&mut dice),
+                Self::Pairs => pairs::scene(&mut dice),
+                Self::Many => many::scene(&mut dice, Zeros::Shared),
+                Self::ManyZeros => many::scene(&mut dice, Zeros::Own),
+                Self::ManyRadial => many::scene(&mut dice, Zeros::Radial),
+                Self::Mistakes => mistakes::scene(&mut dice),
+            };
+            if let Some(scene) = drawn {
+                return (scene, dice);
+            }
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! A case put to the reconciler, and its answer read as a stranger would: from the document.
+
+use crate::case::{Case, rms};
+use crate::scene::Scene;
+use crate::score::{REFUSED, Reply, unordered};
+use crate::source::Source;
+use rtec_model::machine::Machine;
+use rtec_model::record::Record;
+use serde_json::Value;
+use std::f64::consts::{PI, TAU};
+use std::path::PathBuf;
+
+/// An answer with what it cost.
+pub struct Verdict {
+    /// Verdict and names.
+    pub reply: Reply,
+    /// The whole document; null where the files were refused.
+    pub document: Value,
+    /// Share of the gap that is closed, by the document.
+    pub closed: Option<f64>,
+    /// The written model's RMS on each hold-out: measured minus simulated, before and after.
+    pub held: Option<[f64; 2]>,
+    /// Processor time, s.
+    pub cpu_s: f64,
+}
+
+fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Record>> {
+    Ok(paths.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?)
+}
+
+fn text(v: &Value) -> String {
+    v.as_str().unwrap_or_default().to_owned()
+}
+
+fn list(v: &Value) -> &[Value] {
+    v.as_array().map_or(&[], Vec::as_slice)
+}
+
+/// What this thread has had of a processor, s; 0 where the system does not say.
+fn cpu_s() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
+}
+
+/// Reads a case's files, reconciles and reads the verdict.
+///
+/// # Errors
+/// A file of the case is refused.
+pub fn judge(case: &Case) -> anyhow::Result<Verdict> {
+    let (train, holdout) = (read(&case.train)?, read(&case.holdout)?);
+    let machine = Machine::read(&case.model)?;
+    let start = cpu_s();
+    let answer = rtec_reconcile::reconcile(&train, &holdout, &machine, &rtec_reconcile::Options::default())?;
+    let cpu_s = cpu_s() - start;
+    let document = answer.to_json();
+    let effects = list(&document["effects"])
+        .iter()
+        .map(|e| (text(&e["name"]), list(&e["alternatives"]).iter().map(|a| text(&a["name"])).collect()))
+        .collect();
+    // What was written must be a model that can be read again.
+    let written = Machine::parse(&case.model, &answer.model.to_text())?;
+    let held = (!holdout.is_empty()).then(|| [&machine, &written].map(|m| left(&holdout, m)));
+    Ok(Verdict {
+        reply: Reply { verdict: text(&document["verdict"]), effects },
+        closed: document["gap"]["closed"].as_f64(),
+        document,
+        held: held.and_then(|[a, b]| Some([a?, b?])),
+        cpu_s,
+    })
+}
+
+/// The same, a refusal being an answer.
+#[must_use]
+pub fn answer(case: &Case) -> (Verdict, Option<String>) {
+    match judge(case) {
+        Ok(v) => (v, None),
+        Err(e) => {
+            let reply = Reply { verdict: REFUSED.into(), effects: vec![] };
+            let v = Verdict { reply, document: Value::Null, closed: None, held: None, cpu_s: 0.0 };
+            (v, Some(format!("{e:#}")))
+        }
+    }
+}
+
+/// RMS of what a model leaves of records, the constant left out: a hold-out may have another zero.
+fn left(records: &[Record], model: &Machine) -> Option<f64> {
+    let mut all = Vec::new();
+    for r in records {
+        let simulated = model.predict(r).ok()?;
+        for (c, (_, p)) in r.responses().zip(&simulated.columns) {
+            let rest: Vec<f64> = c.data.iter().zip(p).map(|(e, p)| e - p).collect();
+            all.extend(centred(&rest));
+        }
+    }
+    Some(rms(&all))
+}
+
+pub(crate) fn centred(v: &[f64]) -> Vec<f64> {
+    let mean = v.iter().sum::<f64>() / v.len().max(1) as f64;
+    v.iter().map(|x| x - mean).collect()
+}
+
+/// RMS of the noise alone over the hold-outs.
+#[must_use]
+pub fn floor(scene: &Scene) -> f64 {
+    let all: Vec<f64> =
+        scene.noise_alone[scene.runs.len()..].iter().flatten().flat_map(|v| centred(v)).collect();
+    rms(&all)
+}
+
+/// Share of a gap that is closed; none where there is none: the noise alone is as large within a twentieth.
+#[must_use]
+pub fn closed(before: f64, after: f64, floor: f64) -> Option<f64> {
+    (before > 1.05 * floor).then(|| (before - after) / (before - floor))
+}
+
+/// How many parameters of found effects were asked for and lie within their intervals.
+#[must_use]
+pub fn covered(document: &Value, hidden: &[Source]) -> [usize; 2] {
+    let (mut inside, mut all) = (0, 0);
+    for e in list(&document["effects"]) {
+        let name = unordered(&text(&e["name"]));
+        let Some(truth) = hidden.iter().find(|h| unordered(&h.name) == name) else { continue };
+        // By another sensor or from another reference its growth is another number.
+        let same = |key: &str| text(&e[key]) == truth.word(key).unwrap_or_default();
+        let reference = |v: Option<f64>| v.unwrap_or(20.0);
+        let theirs = reference(e["reference_degC"].as_f64());
+        let ours = reference(truth.has("reference_degC").then(|| truth.val("reference_degC")));
+        if !same("sensor") || !same("minus") || (theirs - ours).abs() > 1e-6 {
+            continue;
+        }
+        for (key, p) in e["parameters"].as_object().into_iter().flatten() {
+            let (Some(low), Some(high), true) = (p["low"].as_f64(), p["high"].as_f64(), truth.has(key))
+            else {
+                continue;
+            };
+            let mut v = truth.val(key);
+            if key.ends_with("_rad") && key != "width_rad" {
+                let middle = (low + high) / 2.0;
+                v = middle + (v - middle + PI).rem_euclid(TAU) - PI;
+            }
+            all += 1;
+            inside += usize::from((low..=high).contains(&v));
+        }
+    }
+    [inside, all]
+}
+
+/// Bounds that no machine is beyond, by law and parameter; formats.md, "Bounds", and the sizes of machine tools.
+const BOUNDS: [(&str, &str, f64, f64); 19] = [
+    ("scale", "ppm", -1000.0, 1000.0),
+    ("thermal_growth", "um_per_K", -60.0, 60.0),
+    ("thermal_lag", "um_per_K", -60.0, 60.0),
+    ("thermal_expansion", "ppm_per_K", -200.0, 200.0),
+    ("thermal_growth", "reference_degC", 10.0, 30.0),
+    ("thermal_lag", "reference_degC", 10.0, 30.0),
+    ("thermal_expansion", "reference_degC", 10.0, 30.0),
+    ("thermal_lag", "tau_s", 0.0, 1e6),
+    ("warm_up", "tau_s", 0.0, 1e6),
+    ("screw_periodic", "period_mm", 0.5, 60.0),
+    ("subdivision", "period_um", 1.0, 200.0),
+    ("reversal", "um", -2000.0, 2000.0),
+    ("reversal_spike", "um", -1000.0, 1000.0),
+    ("reversal_spike", "length_mm", 0.0, 1e4),
+    ("squareness", "urad", -5000.0, 5000.0),
+    ("rotation", "urad", -10_000.0, 10_000.0),
+    ("coolant", "um", -1000.0, 1000.0),
+    ("following_error", "ms", -1000.0, 1000.0),
+    ("spindle_speed", "um_per_krpm", -500.0, 500.0),
+];
+
+/// Values of an answer that no machine can have.
+#[must_use]
+pub fn impossible(document: &Value) -> Vec<String> {
+    let mut out = Vec::new();
+    for e in list(&document["effects"]).iter().chain(list(&document["refined"])) {
+        let name = text(&e["name"]);
+        let law = name.split('.').next().unwrap_or_default();
+        let value = |key: &str| e["parameters"][key]["value"].as_f64().or_else(|| e[key].as_f64());
+        for (_, key, lo, hi) in BOUNDS.iter().filter(|(l, ..)| *l == law) {
+            if let Some(v) = value(key).filter(|v| !(*lo..=*hi).contains(v)) {
+                out.push(format!("{name} {key} {v}"));
+            }
+        }
+        if let (true, Some(um), Some(period)) = (law == "subdivision", value("um"), value("period_um")) {
+            if um.abs() > period / 4.0 {
+                out.push(format!("{name} um {um} at a period of {period}"));
+            }
+        }
+    }
+    out
+}
+
+/// How an answer took a mistake.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Heard {
+    /// By its word or by its column, in a suspicion, or the files were refused for it.
+    Said,
+    /// Not said, and an effect named that is not there.
+    Wrong,
+    /// Not said.
+    Silent,
+}
+
+/// How many suspicions a document holds.
+#[must_use]
+pub fn suspicions(document: &Value) -> usize {
+    list(&document["suspicions"]).len()
+}
+
+/// How an answer to a case with a mistake took it.
+#[must_use]
+pub fn heard(v: &Verdict, mistake: &crate::mistakes::Mistake, case: &Case) -> Heard {
+    let said = list(&v.document["suspicions"]).iter().any(|s| {
+        text(&s["what"]) == mistake.what || mistake.columns.iter().any(|c| text(&s["column"]).contains(c))
+    });
+    if said || v.reply.verdict == REFUSED {
+        Heard::Said
+    } else if v.reply.effects.iter().any(|(n, _)| !case.truth.contains(n)) {
+        Heard::Wrong
+    } else {
+        Heard::Silent
+    }
+}
