@@ -224,7 +224,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
         }
         let noise = Noise {
             sd: dice.log(0.15, 4.0),
-            phi: if dice.chance(0.45) { dice.within(0.2, 0.85) } else { 0.0 },
+            phi: if dice.chance(0.45) { dice.within(0.2, 0.7) } else { 0.0 },
             phi2: if manner == Manner::Second && dice.chance(0.3) { -0.15 } else { 0.0 },
             quantum: None,
         };
@@ -233,6 +233,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
         let mut snr = vec![];
         let mut good = true;
         for s in &mut hidden {
+            s.level(&runs);
             let ratio = dice.log(floor, 10.0);
             let now = size(s, &runs);
             good &= now > 0.0;
@@ -257,6 +258,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
                 continue;
             }
             let Some(mut s) = plan.source(&mut dice, &runs[0], law) else { continue };
+            s.level(&runs);
             let clash = hidden.iter().chain(&known).any(|h| h.name == s.name);
             let now = size(&s, &runs);
             if clash || now == 0.0 {

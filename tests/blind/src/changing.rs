@@ -25,6 +25,13 @@ pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
         Source::new(format!("{shape}.{axis}")).p("um", dice.sign()).p("c", dice.int(1, 1_000_000) as f64);
     let size = dice.log(0.7, 20.0);
     s.hides = Hides::Stranger;
-    s.also = vec![vec![format!("position_map.{axis}")]];
+    // A shape over the position has its constant and its straight line too.
+    let with = |more: &[&str]| {
+        let mut names: Vec<String> = more.iter().map(|n| format!("{n}.{axis}")).collect();
+        names.push(format!("position_map.{axis}"));
+        names.sort();
+        names
+    };
+    s.also = vec![with(&[]), with(&["offset"]), with(&["scale"]), with(&["offset", "scale"])];
     (s.sized(&mut h, size) && s.hide_shape(h, &["position_map"], true)).then_some(s)
 }

@@ -89,6 +89,7 @@ impl Scene {
 
     /// Makes a source this many times as large as the noise; false where no machine can have it so.
     pub fn sized(&self, s: &mut Source, ratio: f64) -> bool {
+        s.level(&self.runs);
         let now = self.ratio(s);
         if now <= 0.0 {
             return false;

@@ -99,9 +99,29 @@ impl Source {
                 _ => {}
             }
         }
-        if let [(_, knots), (_, um)] = &mut self.arr[..] {
-            um.iter_mut().for_each(|v| *v *= 1.0 + share * dice.normal());
-            flatten(knots, um);
+        if let [_, (_, um)] = &mut self.arr[..] {
+            let by = 1.0 + share * dice.normal();
+            um.iter_mut().for_each(|v| *v *= by);
+        }
+    }
+    /// Takes the constant and the straight line over the rows that show it out of a map: those are other effects.
+    pub fn level(&mut self, runs: &[Run]) {
+        let (response, along) = (format!("error.{}", self.part(1)), self.name.rsplit('.').next().unwrap_or(""));
+        let role = format!("position.{along}");
+        let [(_, knots), (_, um)] = &mut self.arr[..] else { return };
+        let shown = runs.iter().filter(|r| r.responses.contains(&response));
+        let p: Vec<f64> = shown.filter_map(|r| r.get(&role)).flatten().copied().collect();
+        if p.is_empty() {
+            return;
+        }
+        let at: Vec<f64> = p.iter().map(|p| broken_line(knots, um, *p)).collect();
+        let n = p.len() as f64;
+        let (mp, me) = (p.iter().sum::<f64>() / n, at.iter().sum::<f64>() / n);
+        let square: f64 = p.iter().map(|p| (p - mp).powi(2)).sum();
+        let both: f64 = p.iter().zip(&at).map(|(p, e)| (p - mp) * (e - me)).sum();
+        let slope = if square > 0.0 { both / square } else { 0.0 };
+        for (u, k) in um.iter_mut().zip(knots.iter()) {
+            *u -= me + slope * (k - mp);
         }
     }
     /// `[[effect]]` of a model.

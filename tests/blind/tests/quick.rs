@@ -182,11 +182,16 @@ fn a_map_of_the_model_does_not_swallow_an_offset() {
     let machine = rtec_model::machine::Machine::parse(std::path::Path::new("m.toml"), text).unwrap();
     let nominal = run(p.clone(), vec![0.0; p.len()]);
     let simulated = machine.predict(&nominal).unwrap();
-    let e = simulated.columns[0].1.iter().zip(noise(2, p.len())).map(|(s, n)| s + n + 4.0).collect();
-    let r =
-        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
-    let names: Vec<String> = r.effects.iter().map(|(f, _)| f.effect.name()).collect();
-    assert_eq!(names, ["offset.x"], "{}", r.verdict);
+    let mut beside = 0;
+    for seed in 1..=20 {
+        let e = simulated.columns[0].1.iter().zip(noise(seed, p.len())).map(|(s, n)| s + n + 4.0).collect();
+        let options = rtec_reconcile::Options::default();
+        let r = rtec_reconcile::reconcile(&[run(p.clone(), e)], &[], &machine, &options).unwrap();
+        let names: Vec<String> = r.effects.iter().map(|(f, _)| f.effect.name()).collect();
+        assert_eq!(names[0], "offset.x", "{}", r.verdict);
+        beside += names.len() - 1;
+    }
+    assert!(beside <= 1, "{beside} of 20 found something beside it");
 }
 
 #[test]

@@ -42,6 +42,7 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
     record.file = sidecar.file;
     record.sha256 = hex(&Sha256::digest(&bytes));
     (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
+    record.zero = sidecar.zero;
     Ok(record)
 }
 
@@ -105,6 +106,9 @@ pub fn to_sidecar(record: &Record) -> String {
     }
     if let Some(note) = &record.note {
         doc["note"] = toml_edit::value(note);
+    }
+    if let Some(zero) = &record.zero {
+        doc["zero"] = toml_edit::value(zero);
     }
     let mut columns = toml_edit::Table::new();
     for c in &record.columns {
@@ -193,6 +197,7 @@ struct Sidecar {
     count_um: Option<f64>,
     date: Option<String>,
     note: Option<String>,
+    zero: Option<String>,
     columns: Vec<Listed>,
 }
 
@@ -201,7 +206,7 @@ impl Sidecar {
         let text = rtec_files::text::read(path)?;
         let doc = Document::parse(path, &text)?;
         let root = doc.root();
-        root.only(&["file", "kind", "count_um", "date", "note", "columns"])?;
+        root.only(&["file", "kind", "count_um", "date", "note", "zero", "columns"])?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
         let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
@@ -214,6 +219,7 @@ impl Sidecar {
             None => Err(v.error(v.text(), "a day as 2026-05-01")),
         };
         let date = root.get("date").map(day).transpose()?;
+        let zero = root.get("zero").map(|v| v.str("a name").map(str::to_owned)).transpose()?;
         let note = root.get("note").map(|v| v.str("free text").map(str::to_owned)).transpose()?;
         let listed =
             root.required("columns", "a table [columns] of the CSV's columns")?.table("a table [columns]")?;
@@ -238,7 +244,7 @@ impl Sidecar {
         }
         let file_error = Place(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();
-        Ok(Self { file, file_error, kind: parsed_kind, count_um, date, note, columns })
+        Ok(Self { file, file_error, kind: parsed_kind, count_um, date, note, zero, columns })
     }
 }
 
@@ -349,6 +355,7 @@ mod tests {
         r.count_um = Some(0.5);
         r.date = Some("2026-05-01".into());
         r.note = Some("simulated".into());
+        r.zero = Some("probe on the table".into());
         write(&mut r).unwrap();
         assert_eq!(super::read(&path).unwrap(), r);
         assert_eq!(r.sha256.len(), 64);

@@ -247,6 +247,8 @@ pub struct Record {
     pub date: Option<String>,
     /// Free text about the run.
     pub note: Option<String>,
+    /// The name of the gauges' zero: records of one name, and those without, share it.
+    pub zero: Option<String>,
     /// The listed columns, in the CSV's order.
     pub columns: Vec<Column>,
     time_s: Vec<f64>,
@@ -306,6 +308,7 @@ impl Record {
             count_um: None,
             date: None,
             note: None,
+            zero: None,
             time_s: times(&columns),
             columns,
         }

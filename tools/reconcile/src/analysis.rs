@@ -68,7 +68,7 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnab
         stack.sigma = loop {
             let parameters = model.begin(&mut search);
             let found = search.run();
-            if thinnable && (search.contradicted(&found.named) || search.contradicted(&found.any)) {
+            if thinnable && search.oversampled(&found.any) {
                 return None;
             }
             let pass = model.next(&search, &found, &parameters, passes == 0);

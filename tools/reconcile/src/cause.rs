@@ -1,6 +1,6 @@
 //! What an explanation is: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
 
-use crate::problem::free_directions;
+use crate::problem::Stack;
 use crate::teeth::Teeth;
 use rtec_model::effect::{Against, Effect, STANDARD_DEGC};
 
@@ -21,6 +21,8 @@ pub(crate) enum Cause {
     /// An effect with its non-linear parameters set; which coefficients are free, and whether its reference
     /// temperature is.
     Effect { effect: Effect, free: Vec<usize>, reference: bool },
+    /// Several effects added up as they are: which of them it is the data do not say.
+    Sum(Vec<Effect>),
     /// No effect of the dictionary.
     Shape(Shape),
     /// The same, of a kind whose turns and phase are refined.
@@ -31,17 +33,23 @@ impl Cause {
     /// The shape, where it is no effect of the dictionary.
     pub(crate) fn shape(&self) -> Option<&Shape> {
         match self {
-            Self::Effect { .. } => None,
+            Self::Effect { .. } | Self::Sum(_) => None,
             Self::Shape(s) | Self::Teeth(s, _) => Some(s),
         }
     }
 
-    /// The effect that it stands for, with these coefficients; none for a shape.
-    pub(crate) fn effect(&self, gamma: &[f64]) -> Option<Effect> {
+    /// The effects of a sum, times one number.
+    pub(crate) fn parts(&self, by: f64) -> Vec<Effect> {
+        let Self::Sum(parts) = self else { return Vec::new() };
+        parts.iter().filter_map(|e| e.with(&[(0, by * e.scalar(0))])).collect()
+    }
+
+    /// The effect that it stands for in these rows, with these coefficients; none for a shape.
+    pub(crate) fn effect(&self, stack: &Stack<'_>, gamma: &[f64]) -> Option<Effect> {
         let Self::Effect { effect, free, reference } = self else { return None };
         let mut effect = effect.clone();
         let k = effect.coefficient_count();
-        let directions = free_directions(&effect.constraints(), k);
+        let directions = stack.directions(&effect);
         let mut coefficients = vec![0.0; k];
         for (g, i) in gamma.iter().zip(free) {
             if directions.is_empty() {
@@ -87,11 +95,13 @@ mod tests {
     /// Growth of ΔT from 20 °C beside a constant is growth from another temperature.
     #[test]
     fn a_constant_beside_growth_is_another_reference() {
+        let records = [crate::testing::record(9, |i| i)];
+        let stack = Stack::new(&records);
         let mut effect = Dictionary::default().effect("thermal_growth.x").unwrap();
         effect.delta = Some(Difference::single("T1"));
         for (free, gamma) in [(vec![0], vec![2.0, -6.0]), (vec![0, 1], vec![2.0, 0.1, -6.0])] {
-            let both =
-                Cause::Effect { effect: effect.clone(), free, reference: true }.effect(&gamma).unwrap();
+            let cause = Cause::Effect { effect: effect.clone(), free, reference: true };
+            let both = cause.effect(&stack, &gamma).unwrap();
             let Some(Difference { against: Against::Reference(degc), .. }) = both.delta else {
                 panic!("no reference")
             };
@@ -111,6 +121,7 @@ mod tests {
         let shape =
             Shape { response: "error.x".into(), against: vec!["time".into()], manner: "smooth".into() };
         let cause = Cause::Shape(shape.clone());
-        assert_eq!((cause.shape(), cause.effect(&[1.0])), (Some(&shape), None));
+        let records = [crate::testing::record(9, |i| i)];
+        assert_eq!((cause.shape(), cause.effect(&Stack::new(&records), &[1.0])), (Some(&shape), None));
     }
 }

@@ -37,6 +37,9 @@ pub(crate) struct Chance {
     named: Extreme,
     /// Of any hypothesis.
     any: Extreme,
+    /// The same of waves, of a name and of any: the best of so many frequencies, each of which gains more than x with
+    /// probability e⁻ˣ; logarithm of their number less their price.
+    waves: [f64; 2],
     /// The rounds of noise.
     pub(crate) draws: Vec<Vec<f64>>,
 }
@@ -52,12 +55,12 @@ impl Chance {
     /// Probability that chance alone gives a name so large a gain, where `first`: where there is nothing else.
     pub(crate) fn of_name(&self, gain: f64, first: bool) -> f64 {
         let beyond = if first { BEYOND_GRID } else { BESIDE };
-        (beyond * self.named.tail(gain)).min(1.0)
+        (beyond * self.named.tail(gain) + (self.waves[0] - gain).exp()).min(1.0)
     }
 
     /// The same for a name or a shape.
     pub(crate) fn of_anything(&self, gain: f64) -> f64 {
-        (BEYOND_GRID * self.any.tail(gain)).min(1.0)
+        (BEYOND_GRID * self.any.tail(gain) + (self.waves[1] - gain).exp()).min(1.0)
     }
 }
 
@@ -111,7 +114,7 @@ impl Search<'_, '_> {
         let mut best_named = vec![f64::NEG_INFINITY; draws.len()];
         let mut best_any = best_named.clone();
         for (i, atom) in self.all.atoms.iter().enumerate() {
-            let price = atom.cost + self.dimension_cost() * atom.columns.len() as f64;
+            let price = atom.cost + self.dimension_cost(atom.columns.len());
             let named = self.all.list[atom.hypothesis].named();
             for (d, value) in rounds.with_atom(self, i).into_iter().enumerate() {
                 let gain = value - rounds.null[d];
@@ -122,7 +125,14 @@ impl Search<'_, '_> {
             }
         }
         let draws = draws.into_iter().map(|d| d.data).collect();
-        Chance { named: Extreme::fit(&best_named), any: Extreme::fit(&best_any), draws }
+        let waves = |any: bool| -> f64 {
+            let of = self.waves.iter().filter(|w| w.span() > 0.0 && (any || w.effect.is_some()));
+            of.map(|w| (w.independent().ln() - self.wave_cost(w) - self.dimension_cost(2)).exp())
+                .sum::<f64>()
+                .ln()
+        };
+        let waves = [waves(false), waves(true)];
+        Chance { named: Extreme::fit(&best_named), any: Extreme::fit(&best_any), waves, draws }
     }
 }
 

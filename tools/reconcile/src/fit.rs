@@ -7,34 +7,65 @@ use rtec_model::effect::{Effect, Search};
 /// Half width of an interval in standard errors: 95 %.
 const HALF_WIDTH: f64 = 1.96;
 
+/// A way in which a fit may move an effect's values together.
+#[derive(Debug, Clone)]
+pub(crate) struct Way {
+    /// Values and how far each goes.
+    pub(crate) along: Vec<(usize, f64)>,
+    /// How far the model's file is trusted along it: one standard deviation. Infinite for what no file says.
+    pub(crate) sd: f64,
+}
+
 /// An effect in a fit.
 #[derive(Debug, Clone)]
 pub(crate) struct Term {
     pub(crate) effect: Effect,
-    /// Which of its values are fitted.
-    pub(crate) free: Vec<bool>,
-    /// What the model's file says of its values, and how far that may be trusted: one standard deviation of each.
-    pub(crate) prior: Option<(Vec<f64>, Vec<f64>)>,
+    /// How it may move.
+    pub(crate) ways: Vec<Way>,
+    /// What the model's file says of its values, where it is the model's.
+    pub(crate) listed: Option<Vec<f64>>,
     /// Half widths of the values' intervals.
     pub(crate) half: Vec<f64>,
 }
 
 impl Term {
-    /// A term whose values are all free but those chosen beforehand (knots, lobes, the moment of a step).
-    pub(crate) fn new(effect: Effect, held: &[usize]) -> Self {
+    /// A term whose values are all free but those chosen beforehand (knots, lobes, the moment of a step) and those held;
+    /// a map's heights but for a constant and a straight line over the rows.
+    pub(crate) fn new(stack: &Stack<'_>, effect: Effect, held: &[usize]) -> Self {
         let width = effect.width();
-        let parameters = &effect.description().parameters;
-        let free = (0..effect.values().len())
-            .map(|v| parameters[v / width].search != Search::Chosen && !held.contains(&v))
-            .collect();
+        let law = effect.description();
+        let free = |v: &usize| law.parameters[v / width].search != Search::Chosen && !held.contains(v);
+        let directions = stack.directions(&effect);
+        let ways: Vec<Vec<(usize, f64)>> = match law.place(Search::Linear).filter(|_| !directions.is_empty()) {
+            Some(heights) => {
+                let of = |d: &Vec<f64>| d.iter().enumerate().map(|(k, w)| (heights * width + k, *w)).collect();
+                directions.iter().map(of).collect()
+            }
+            None => (0..effect.values().len()).filter(free).map(|v| vec![(v, 1.0)]).collect(),
+        };
+        let ways = ways.into_iter().map(|along| Way { along, sd: f64::INFINITY }).collect();
         let half = vec![0.0; effect.values().len()];
-        Self { effect, free, prior: None, half }
+        Self { effect, ways, listed: None, half }
+    }
+
+    /// An effect of the model: its values are held to the file's as far as they are trusted.
+    pub(crate) fn given(effect: Effect, listed: &Effect, ways: Vec<Way>) -> Self {
+        let half = vec![0.0; effect.values().len()];
+        Self { effect, ways, listed: Some(listed.values().to_vec()), half }
     }
 
     /// A term that stays as it is.
     pub(crate) fn fixed(effect: Effect) -> Self {
-        let n = effect.values().len();
-        Self { effect, free: vec![false; n], prior: None, half: vec![0.0; n] }
+        let half = vec![0.0; effect.values().len()];
+        Self { effect, ways: Vec::new(), listed: None, half }
+    }
+
+    /// How far the file's values are from its own along a way.
+    fn off(&self, way: &Way) -> f64 {
+        let Some(listed) = &self.listed else { return 0.0 };
+        let squares: f64 = way.along.iter().map(|(_, w)| w * w).sum();
+        let off = |(v, w): &(usize, f64)| w * (listed[*v] - self.effect.values()[*v]);
+        way.along.iter().map(off).sum::<f64>() / squares.max(1e-300)
     }
 }
 
@@ -45,6 +76,7 @@ pub(crate) type Keep<'k> = Option<&'k [bool]>;
 pub(crate) fn residual(stack: &Stack<'_>, terms: &[Term]) -> Vec<f64> {
     let mut r = stack.missing(terms.iter().map(|t| &t.effect));
     stack.weigh(&mut r);
+    stack.without_zeros(&mut r);
     r
 }
 
@@ -52,12 +84,12 @@ pub(crate) fn residual(stack: &Stack<'_>, terms: &[Term]) -> Vec<f64> {
 pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize, keep: Keep<'_>) {
     for _ in 0..steps {
         let before = cost(stack, terms, phi, keep);
-        let Some((places, step, _)) = newton(stack, terms, phi, keep) else { return };
+        let Some(step) = newton(stack, terms, phi, keep) else { return };
         let start = terms.to_vec();
         let mut share = 1.0;
         let mut gained = 0.0;
         for _ in 0..6 {
-            apply(terms, &start, &places, &step, share);
+            apply(terms, &start, &step, share);
             gained = before - cost(stack, terms, phi, keep);
             if gained > 0.0 {
                 break;
@@ -72,12 +104,22 @@ pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize,
             break;
         }
     }
-    if let Some((places, _, variance)) = newton(stack, terms, phi, keep) {
+    if let Some(Step { places, factor, scale, .. }) = newton(stack, terms, phi, keep) {
         let r = residual(stack, terms);
         let noise = Vector::new(r.clone(), &stack.ranges).products(&r, &stack.ranges).at(phi)
             / (stack.n as f64 - places.len() as f64).max(1.0);
-        for ((t, v), var) in places.iter().zip(&variance) {
-            terms[*t].half[*v] = HALF_WIDTH * (var * noise).sqrt();
+        for (t, term) in terms.iter_mut().enumerate().filter(|(_, term)| !term.ways.is_empty()) {
+            for v in 0..term.half.len() {
+                // A value moves by its share of each way.
+                let share = |(at, way): &(usize, usize), scale: &f64| {
+                    let along = (*at == t).then(|| term.ways[*way].along.iter().find(|(a, _)| *a == v));
+                    along.flatten().map_or(0.0, |(_, w)| w / scale)
+                };
+                let mut shares: Vec<f64> = places.iter().zip(&scale).map(|(p, s)| share(p, s)).collect();
+                factor.forward(&mut shares);
+                let variance: f64 = shares.iter().map(|x| x * x).sum();
+                term.half[v] = HALF_WIDTH * (variance * noise).sqrt();
+            }
         }
     }
     for term in terms {
@@ -85,15 +127,17 @@ pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize,
     }
 }
 
-fn apply(terms: &mut [Term], start: &[Term], places: &[(usize, usize)], step: &[f64], share: f64) {
+fn apply(terms: &mut [Term], start: &[Term], step: &Step, share: f64) {
     for (t, term) in terms.iter_mut().enumerate() {
         let mut values = start[t].effect.values().to_vec();
-        for ((_, v), s) in places.iter().zip(step).filter(|((at, _), _)| *at == t) {
-            let change = share * s;
-            let parameter = &term.effect.description().parameters[v / term.effect.width()];
-            // A length, time or period moves by no more than half of itself at once.
-            let positive = parameter.bounds[0] > 0.0 || parameter.plausible[0] > 0.0;
-            values[*v] += if positive { change.clamp(-0.5 * values[*v], 0.5 * values[*v]) } else { change };
+        for ((_, way), s) in step.places.iter().zip(&step.far).filter(|((at, _), _)| *at == t) {
+            for (v, w) in &term.ways[*way].along {
+                let change = share * s * w;
+                let parameter = &term.effect.description().parameters[v / term.effect.width()];
+                // A length, time or period moves by no more than half of itself at once.
+                let positive = parameter.bounds[0] > 0.0 || parameter.plausible[0] > 0.0;
+                values[*v] += if positive { change.clamp(-0.5 * values[*v], 0.5 * values[*v]) } else { change };
+            }
         }
         let mut effect = start[t].effect.clone();
         // Values outside the law's bounds stay where they were.
@@ -107,13 +151,7 @@ fn cost(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> f64 {
     mask(&mut r, keep);
     let mut sum = Vector::new(r.clone(), &stack.ranges).products(&r, &stack.ranges).at(phi);
     for t in terms {
-        if let Some((values, sd)) = &t.prior {
-            for ((a, b), s) in t.effect.values().iter().zip(values).zip(sd) {
-                if *s > 0.0 {
-                    sum += ((a - b) / s).powi(2);
-                }
-            }
-        }
+        sum += t.ways.iter().map(|way| (t.off(way) / way.sd).powi(2)).sum::<f64>();
     }
     sum
 }
@@ -124,8 +162,16 @@ fn mask(x: &mut [f64], keep: Keep<'_>) {
     }
 }
 
-/// One step: which values it moves, by how much, and the variance of each in units of the noise.
-type Step = (Vec<(usize, usize)>, Vec<f64>, Vec<f64>);
+/// One step.
+struct Step {
+    /// Term and way.
+    places: Vec<(usize, usize)>,
+    /// How far along each.
+    far: Vec<f64>,
+    /// Factor of the normal equations, and what the columns were divided by.
+    factor: Cholesky,
+    scale: Vec<f64>,
+}
 
 fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option<Step> {
     let free = Free::of(stack, terms, keep)?;
@@ -133,19 +179,17 @@ fn newton(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> Option
     mask(&mut r, keep);
     let mut normal = Normal::of(stack, &free, &r, phi);
     normal.pull_to_priors(terms, &free);
-    normal.keep_maps_level(terms, &free, stack.n);
     let Normal { k, a, mut g } = normal;
     let factor = Cholesky::new(&a, k);
-    let variance = factor.inverse_diagonal().iter().zip(&free.scale).map(|(v, s)| v / (s * s)).collect();
     factor.forward(&mut g);
     factor.backward(&mut g);
-    let step = g.iter().zip(&free.scale).map(|(g, s)| g / s).collect();
-    Some((free.places, step, variance))
+    let far = g.iter().zip(&free.scale).map(|(g, s)| g / s).collect();
+    Some(Step { places: free.places, far, factor, scale: free.scale })
 }
 
-/// The values that a step may move.
+/// The ways that a step may go.
 struct Free {
-    /// Term and value.
+    /// Term and way.
     places: Vec<(usize, usize)>,
     /// Slopes, weighed, of unit size.
     columns: Vec<Vector>,
@@ -158,18 +202,24 @@ impl Free {
     fn of(stack: &Stack<'_>, terms: &[Term], keep: Keep<'_>) -> Option<Self> {
         let mut free = Self { places: Vec::new(), columns: Vec::new(), scale: Vec::new() };
         for (t, term) in terms.iter().enumerate() {
-            if !term.free.iter().any(|f| *f) {
+            if term.ways.is_empty() {
                 continue;
             }
-            for (v, mut column) in stack.slopes(&term.effect).into_iter().enumerate() {
+            let slopes = stack.slopes(&term.effect);
+            for (w, way) in term.ways.iter().enumerate() {
+                let mut column = vec![0.0; stack.n];
+                for (v, weight) in &way.along {
+                    column.iter_mut().zip(&slopes[*v]).for_each(|(c, s)| *c += weight * s);
+                }
                 stack.weigh(&mut column);
+                stack.without_zeros(&mut column);
                 mask(&mut column, keep);
                 let size = rms(&column);
-                if term.free[v] && size > 1e-12 {
+                if size > 1e-12 {
                     for c in &mut column {
                         *c /= size;
                     }
-                    free.places.push((t, v));
+                    free.places.push((t, w));
                     free.scale.push(size);
                     free.columns.push(Vector::new(column, &stack.ranges));
                 }
@@ -203,44 +253,14 @@ impl Normal {
 
     /// What the file says of a value counts as one more observation of it.
     fn pull_to_priors(&mut self, terms: &[Term], free: &Free) {
-        for (i, (t, v)) in free.places.iter().enumerate() {
+        for (i, (t, w)) in free.places.iter().enumerate() {
             let diagonal = &mut self.a[i * self.k + i];
-            if let Some((values, sd)) = &terms[*t].prior {
-                let w = (1.0 / (sd[*v] * free.scale[i])).powi(2);
-                *diagonal += w;
-                self.g[i] += w * (values[*v] - terms[*t].effect.values()[*v]) * free.scale[i];
-            }
+            let way = &terms[*t].ways[*w];
+            let weight = (1.0 / (way.sd * free.scale[i])).powi(2);
+            *diagonal += weight;
+            self.g[i] += weight * terms[*t].off(way) * free.scale[i];
             // A trace of a pull to where it is keeps what the data do not show where it is.
             *diagonal *= 1.0 + 1e-9;
-        }
-    }
-
-    /// What offset and scale are for stays out of a map's heights: none of it in a new map, no change of it in a known
-    /// one.
-    fn keep_maps_level(&mut self, terms: &[Term], free: &Free, rows: usize) {
-        for (t, term) in terms.iter().enumerate() {
-            let Some(heights) = term.effect.description().place(Search::Linear) else { continue };
-            let width = term.effect.width();
-            let from = |v: usize| term.prior.as_ref().map_or(0.0, |(values, _)| values[v]);
-            for weights in term.effect.constraints() {
-                let own: Vec<(usize, f64)> = free
-                    .places
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, (at, v))| *at == t && v / width == heights)
-                    .map(|(i, (_, v))| (i, weights[v % width] / free.scale[i]))
-                    .collect();
-                let largest = own.iter().map(|(_, w)| w.abs()).fold(1e-300, f64::max);
-                let pull = 1e3 * rows as f64 / (largest * largest);
-                let values = weights.iter().zip(term.effect.get(heights)).enumerate();
-                let now: f64 = values.map(|(k, (w, u))| w * (u - from(heights * width + k))).sum();
-                for (i, wi) in &own {
-                    for (j, wj) in &own {
-                        self.a[i * self.k + j] += pull * wi * wj;
-                    }
-                    self.g[*i] -= pull * wi * now;
-                }
-            }
         }
     }
 }
@@ -293,7 +313,7 @@ mod tests {
     fn all_parameters_move_to_where_the_data_are_with_an_interval_each() {
         let records = [run()];
         let stack = Stack::new(&records);
-        let mut terms = vec![Term::new(wave(&[12.45, 2.0, 0.0]), &[])];
+        let mut terms = vec![Term::new(&stack, wave(&[12.45, 2.0, 0.0]), &[])];
         fit(&stack, &mut terms, 0.0, 12, None);
         for ((got, want), half) in terms[0].effect.values().iter().zip([12.5, 3.0, 0.4]).zip(&terms[0].half) {
             assert!((got - want).abs() < 2.0 * half && *half < 0.1 * want, "{got} ± {half}, not {want}");
@@ -305,9 +325,8 @@ mod tests {
         let records = [run()];
         let stack = Stack::new(&records);
         let start = [12.5, 2.0, 0.4];
-        let mut trusted = Term::new(wave(&start), &[0, 2]);
-        trusted.prior = Some((start.to_vec(), vec![0.0, 1e-6, 0.0]));
-        let mut terms = vec![trusted];
+        let way = Way { along: vec![(1, 1.0)], sd: 1e-6 };
+        let mut terms = vec![Term::given(wave(&start), &wave(&start), vec![way])];
         fit(&stack, &mut terms, 0.0, 12, None);
         assert!((terms[0].effect.scalar(1) - 2.0).abs() < 1e-6);
         let held = [terms[0].effect.scalar(0) - 12.5, terms[0].effect.scalar(2) - 0.4];

@@ -56,14 +56,20 @@ pub struct Trace {
 /// Measured minus simulated by the model as it was and by the better one, record by record.
 pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, after: &Machine) -> Vec<Trace> {
     let mut out = Vec::new();
+    let zeros: Vec<_> = train.iter().chain(holdout).map(|r| &r.zero).collect();
     for (record, held) in train.iter().map(|r| (r, false)).chain(holdout.iter().map(|r| (r, true))) {
+        // A zero of its own is no gap.
+        let own_zero = record.zero.is_some() && zeros.iter().any(|z| **z != record.zero);
         for column in record.responses() {
             let left = |machine: &Machine| {
                 let mut sum = vec![0.0; record.rows()];
                 for e in machine.effects() {
                     let _absent = e.add(record, &column.role, &mut sum);
                 }
-                column.data.iter().zip(&sum).map(|(m, s)| m - s).collect::<Vec<f64>>()
+                let mut left: Vec<f64> = column.data.iter().zip(&sum).map(|(m, s)| m - s).collect();
+                let mean = if own_zero { left.iter().sum::<f64>() / left.len() as f64 } else { 0.0 };
+                left.iter_mut().for_each(|l| *l -= mean);
+                left
             };
             out.push(Trace {
                 file: record.file.clone(),

@@ -422,18 +422,6 @@ impl Cholesky {
             b[i] = s / self.l[i * self.n + i];
         }
     }
-
-    /// Diagonal of the inverse.
-    pub(crate) fn inverse_diagonal(&self) -> Vec<f64> {
-        (0..self.n)
-            .map(|i| {
-                let mut e = vec![0.0; self.n];
-                e[i] = 1.0;
-                self.forward(&mut e);
-                dot(&e, &e)
-            })
-            .collect()
-    }
 }
 
 /// L⁻¹b in place of b, L the Cholesky factor that takes the place of a matrix's lower triangle: [`Cholesky`] for what is

@@ -15,14 +15,16 @@ const SHAPE_DECISIVE: f64 = 1.5;
 /// The same where the names leave little.
 const SHAPE_INSTEAD: f64 = 12.0;
 
-/// An effect that changes the root mean square by less than this share of the whole gap is not worth a name: on a real
-/// machine everything shows a little of everything.
-const WORTH: f64 = 0.015;
+/// An effect that does less than this share of what is left is not worth a name: on a real machine everything shows a
+/// little of everything.
+const WORTH: f64 = 0.2;
 /// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
-const EXPLAINED: f64 = 0.2;
+const EXPLAINED: f64 = 0.25;
 /// Where named effects leave less than this share of the gap, they are not exchanged for a shape without a name,
 /// however well it fits: no law is true to a fiftieth.
 const NEARLY_ALL: f64 = 0.05;
+/// More waves of one law on an axis are no name.
+const NAMED_WAVES: usize = 2;
 /// Most rivals that are listed for one effect.
 const MOST_RIVALS: usize = 12;
 
@@ -58,8 +60,12 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
         named = standing_out(search, best.unwrap_or_else(|| search.empty()), &chance, level);
         named = search.bounded(named);
     }
-    let unexplained = unexplained(search, &named, &any, &chance, level);
+    let (named, crowd) = without_crowds(search, named);
+    let mut unexplained = unexplained(search, &named, &any, &chance, level);
     let set = if unexplained.is_empty() { named } else { any.clone() };
+    let (set, again) = without_crowds(search, set);
+    unexplained.extend(crowd.into_iter().chain(again));
+    unexplained.dedup();
     let mut tried = TriedList::of(search, &set);
     let conclusion = Conclusion { found, set, chance, level, unexplained, equals };
     let findings = conclusion.findings(search, &mut tried);
@@ -114,16 +120,58 @@ impl TriedList {
     }
 }
 
-/// A set without what does not stand out from chance, weakest first.
+/// A set without the waves of an axis on which one law has more of them than have a name, and a shape for each such axis:
+/// what repeats there is no wave.
+fn without_crowds(search: &Search<'_, '_>, set: Set) -> (Set, Vec<Shape>) {
+    let axis = |m: &Member| match &m.cause {
+        Cause::Effect { effect, .. } if effect.description().searched.wave.is_some() => {
+            effect.axes().first().cloned()
+        }
+        _ => None,
+    };
+    let mut shapes = Vec::new();
+    let mut set = set;
+    for m in set.members.clone() {
+        let Some(on) = axis(&m) else { continue };
+        if set.members.iter().filter(|o| o.hypothesis == m.hypothesis).count() > NAMED_WAVES {
+            while let Some(i) = set.members.iter().position(|o| axis(o).as_ref() == Some(&on)) {
+                set = search.without(&set, i);
+            }
+            shapes.push(Shape {
+                response: format!("error.{on}"),
+                against: vec![format!("position.{on}")],
+                manner: "repeats over the position, no few waves".into(),
+            });
+        }
+    }
+    (set, shapes)
+}
+
+/// A set without what does not stand out from chance.
 fn standing_out(search: &mut Search<'_, '_>, named: Set, chance: &Chance, level: f64) -> Set {
-    let whole = rms(&search.residual(&search.empty()).0);
     let mut named = named;
     loop {
-        let mut rests: Vec<Set> = (0..named.members.len()).map(|i| search.without(&named, i)).collect();
-        if let Some(slight) = slightest(search, &named, &rests, whole) {
-            named = renamed(search, rests.swap_remove(slight));
+        let members = named.members.len();
+        let wandering = search.wandering(true, named);
+        let left = pruned(search, wandering, chance, level);
+        named = search.wandering(false, left);
+        if named.members.len() == members {
+            return named;
+        }
+        // What is left may have better names now.
+        named = renamed(search, named);
+    }
+}
+
+/// A set without the weakest of what does not stand out from chance, again and again.
+fn pruned(search: &Search<'_, '_>, named: Set, chance: &Chance, level: f64) -> Set {
+    let mut named = named;
+    loop {
+        if let Some(slight) = slightest(search, &named) {
+            named = search.without(&named, slight);
             continue;
         }
+        let mut rests: Vec<Set> = (0..named.members.len()).map(|i| search.without(&named, i)).collect();
         let evidence: Vec<f64> = rests.iter().map(|rest| search.gain(rest, &named)).collect();
         let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
         let alone = named.members.len() == 1;
@@ -140,15 +188,12 @@ fn standing_out(search: &mut Search<'_, '_>, named: Set, chance: &Chance, level:
     }
 }
 
-/// The member that is worth least, where that is too little for a name. `rests`: the set without each of its members.
-fn slightest(search: &Search<'_, '_>, named: &Set, rests: &[Set], whole: f64) -> Option<usize> {
-    let now = rms(&search.residual(named).0);
-    let worth: Vec<f64> = rests.iter().map(|rest| rms(&search.residual(rest).0) - now).collect();
-    let least = (0..worth.len()).min_by(|a, b| worth[*a].total_cmp(&worth[*b]))?;
-    // Where all else that drifts has become noise, the last effect is measured by what it does itself.
-    let own = || search.share(named, least).powi(2) > 2.0 * WORTH * whole.powi(2);
-    let slight = worth[least] < WORTH * whole && !(named.members.len() == 1 && own());
-    slight.then_some(least)
+/// The member that does least, where that is too little for a name.
+fn slightest(search: &Search<'_, '_>, named: &Set) -> Option<usize> {
+    let left = rms(&search.residual(named).0);
+    let does: Vec<f64> = (0..named.members.len()).map(|i| search.share(named, i)).collect();
+    let least = (0..does.len()).min_by(|a, b| does[*a].total_cmp(&does[*b]))?;
+    (does[least] < WORTH * left).then_some(least)
 }
 
 /// Structure that the names leave to shapes; empty where the names keep their place.
@@ -179,10 +224,11 @@ impl Conclusion<'_> {
     fn findings(&self, search: &mut Search<'_, '_>, tried: &mut TriedList) -> Vec<Finding> {
         let mut findings = Vec::new();
         for (i, effect) in search.effects(&self.set).into_iter().enumerate() {
+            findings.extend(self.parts(search, i));
             let Some(mut effect) = effect.filter(Effect::is_physical) else { continue };
             let member = &self.set.members[i];
             let evidence = search.gain(&search.without(&self.set, i), &self.set);
-            if self.entangled(&effect, evidence) {
+            if self.entangled(search, i, &effect, evidence) {
                 continue;
             }
             let p_value = self.chance.of_name(evidence, self.set.members.len() == 1);
@@ -207,10 +253,41 @@ impl Conclusion<'_> {
         findings
     }
 
-    /// Beside a shape without a name only what reads something else, and stands out by itself, is named.
-    fn entangled(&self, effect: &Effect, evidence: f64) -> bool {
-        !self.unexplained.is_empty()
-            && (reads(effect, &self.unexplained) || self.chance.of_anything(evidence) > self.level)
+    /// The parts of a sum, none of which can be told from the others.
+    fn parts(&self, search: &Search<'_, '_>, member: usize) -> Vec<Finding> {
+        let before: usize = self.set.members[..member].iter().map(Member::columns).sum();
+        let by = search.coefficients(&self.set)[search.slopes.len() + before];
+        let evidence = search.gain(&search.without(&self.set, member), &self.set);
+        let p_value = self.chance.of_name(evidence, self.set.members.len() == 1);
+        let parts = self.set.members[member].cause.parts(by);
+        let others = self.equals.iter().flatten().map(|h| rival(search, *h, 0.0));
+        let mut all: Vec<Rival> =
+            parts.iter().map(|e| Rival { name: e.name(), sensor: e.delta.clone(), margin: 0.0 }).collect();
+        for o in others {
+            if !all.iter().any(|r| r.name == o.name && r.sensor == o.sensor) {
+                all.push(o);
+            }
+        }
+        let of = |effect: Effect| {
+            let held = (0..effect.values().len()).collect();
+            let mut rivals = all.clone();
+            rivals.retain(|r| r.sensor != effect.delta);
+            rivals.truncate(MOST_RIVALS);
+            Finding { effect, held, p_value, evidence, rivals }
+        };
+        parts.into_iter().map(of).collect()
+    }
+
+    /// Beside a shape without a name only what stands out by itself is named, and of what reads the same as the shape only
+    /// what does more.
+    fn entangled(&self, search: &Search<'_, '_>, member: usize, effect: &Effect, evidence: f64) -> bool {
+        if self.unexplained.is_empty() {
+            return false;
+        }
+        let shapes = (0..self.set.members.len()).filter(|i| self.set.members[*i].cause.shape().is_some());
+        let theirs = shapes.map(|i| search.share(&self.set, i)).fold(0.0, f64::max);
+        let lesser = search.share(&self.set, member) < theirs;
+        (reads(effect, &self.unexplained) && lesser) || self.chance.of_anything(evidence) > self.level
     }
 
     fn rivals(
@@ -261,6 +338,13 @@ impl Conclusion<'_> {
         rivals
     }
 
+    /// Whether each member of a set stands out from chance: a set with another in it is no rival.
+    fn stands(&self, search: &Search<'_, '_>, set: &Set) -> bool {
+        let alone = set.members.len() == 1;
+        let gain = |i: usize| search.gain(&search.without(set, i), set);
+        (0..set.members.len()).all(|i| self.chance.of_name(gain(i), alone) <= self.level)
+    }
+
     /// Members of other sets that were visited, as good as this one and without this member.
     fn visited(&self, search: &Search<'_, '_>, member: &Member, rivals: &mut Vec<Rival>) {
         let set = &self.set;
@@ -268,7 +352,7 @@ impl Conclusion<'_> {
         let lacks = |h: usize| !set.members.iter().any(|m| name(m.hypothesis) == name(h));
         for v in self.found.visited.iter().filter(|v| set.score - v.score < DECISIVE) {
             let has = v.members.iter().any(|x| x.hypothesis == member.hypothesis);
-            if has || !search.physical(v) {
+            if has || !search.physical(v) || !self.stands(search, v) {
                 continue;
             }
             for x in v.members.iter().filter(|x| lacks(x.hypothesis)) {

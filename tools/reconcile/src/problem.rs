@@ -84,6 +84,34 @@ impl<'r> Stack<'r> {
         out
     }
 
+    /// The constants of records that do not share the gauges' zero with the others: one column for each such zero and
+    /// response.
+    pub(crate) fn zeros(&self) -> Vec<Vec<f64>> {
+        let mut names: Vec<&Option<String>> = self.records.iter().map(|r| &r.zero).collect();
+        names.sort();
+        names.dedup();
+        if names.len() < 2 {
+            return Vec::new();
+        }
+        let named = names.into_iter().filter(|n| n.is_some());
+        let each = named.flat_map(|name| (0..self.responses.len()).map(move |j| (name, j)));
+        each.map(|(name, j)| self.column(Some(j), |r, _| f64::from(u8::from(r.zero == *name))))
+            .filter(|c| c.iter().any(|x| *x != 0.0))
+            .collect()
+    }
+
+    /// Takes the mean off the rows of each record, or records, with a zero of their own: what their constants leave.
+    pub(crate) fn without_zeros(&self, column: &mut [f64]) {
+        for zero in self.zeros() {
+            let (mut sum, mut n) = (0.0, 0.0);
+            for (c, z) in column.iter().zip(&zero) {
+                sum += c * z;
+                n += z;
+            }
+            column.iter_mut().zip(&zero).for_each(|(c, z)| *c -= z * sum / n);
+        }
+    }
+
     /// Sum of effects, stacked. An effect whose sensor a record lacks is absent there.
     pub(crate) fn predict<'e>(&self, effects: impl IntoIterator<Item = &'e Effect>) -> Vec<f64> {
         let mut out = vec![0.0; self.n];
@@ -106,11 +134,11 @@ impl<'r> Stack<'r> {
     pub(crate) fn basis(&self, effect: &Effect) -> Vec<Vec<f64>> {
         let k = effect.coefficient_count();
         let raw = self.collect(effect, k, |bound, component, out| bound.basis(effect, component, out));
-        let free = free_directions(&effect.constraints(), k);
-        if free.is_empty() {
+        if !leaves_a_line(effect) {
             return raw;
         }
-        free.iter()
+        free_directions(&self.levels(effect, &raw), k)
+            .iter()
             .map(|weights| {
                 let mut out = vec![0.0; self.n];
                 for (w, column) in weights.iter().zip(&raw) {
@@ -119,6 +147,36 @@ impl<'r> Stack<'r> {
                 out
             })
             .collect()
+    }
+
+    /// What constant and straight line over the rows are made of, in a map's heights: one row of weights each. Offset,
+    /// scale and squareness are for those. `raw`: the columns of its heights.
+    pub(crate) fn levels(&self, effect: &Effect, raw: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let Some(along) = effect.axes().last() else { return Vec::new() };
+        let role = Role::Position(along.clone());
+        // An axis that a record does not log stands still in it: that row is no part of a line.
+        let place = self.column(None, |r, row| r.data(&role).map_or(f64::NAN, |p| p[row]));
+        let weight = |of: &dyn Fn(f64) -> f64| -> Vec<f64> {
+            let logged = |c: &Vec<f64>| {
+                c.iter().zip(&place).filter(|(_, p)| !p.is_nan()).map(|(c, p)| c * of(*p)).sum()
+            };
+            raw.iter().map(logged).collect()
+        };
+        let rows = weight(&|_| 1.0);
+        let whole: f64 = rows.iter().sum::<f64>().max(1.0);
+        let middle = weight(&|p| p).iter().sum::<f64>() / whole;
+        vec![rows, weight(&|p| p - middle)]
+    }
+
+    /// The free directions of an effect's coefficients: all but a constant and a straight line of a map. Empty where each
+    /// is free by itself.
+    pub(crate) fn directions(&self, effect: &Effect) -> Vec<Vec<f64>> {
+        if !leaves_a_line(effect) {
+            return Vec::new();
+        }
+        let k = effect.coefficient_count();
+        let raw = self.collect(effect, k, |bound, component, out| bound.basis(effect, component, out));
+        free_directions(&self.levels(effect, &raw), k)
     }
 
     /// Derivatives of an effect by its values, stacked.
@@ -155,6 +213,11 @@ impl<'r> Stack<'r> {
     }
 }
 
+/// Whether an effect is a map, whose constant and straight line are other effects.
+pub(crate) fn leaves_a_line(effect: &Effect) -> bool {
+    !effect.constraints().is_empty()
+}
+
 /// Directions in coefficient space that fulfil the constraints, orthonormal; empty where there are none.
 pub(crate) fn free_directions(constraints: &[Vec<f64>], k: usize) -> Vec<Vec<f64>> {
     if constraints.is_empty() {
@@ -180,42 +243,64 @@ pub(crate) fn free_directions(constraints: &[Vec<f64>], k: usize) -> Vec<Vec<f64
 /// A way in which an effect of the present model may be a little off.
 #[derive(Debug, Clone)]
 pub(crate) struct Known {
-    /// Place of the effect in the model.
-    pub(crate) effect: usize,
-    /// How it moves the effect's values: one of them, or the heights of a map together so that no constant and no
-    /// straight line moves with them.
+    /// Place of the effect in the model; none for a record's own constant.
+    pub(crate) effect: Option<usize>,
+    /// How it moves the effect's values: one of them, or all heights of a map in proportion.
     pub(crate) along: Vec<(usize, f64)>,
     /// Slope, weighed.
     pub(crate) column: Vec<f64>,
-    /// Expected deviation from the file, in the values' own unit.
+    /// Expected deviation from the file, along the way.
     pub(crate) sd: f64,
     /// The file's values minus those it is linearised at, along the way.
     pub(crate) target: f64,
 }
 
 /// How far a model's value may be off, as a share of what its effect does to the error: one standard deviation.
-const TRUST: f64 = 0.3;
+const TRUST: f64 = 0.1;
+/// The same for what bends the shape of an effect: a period, a lag, a phase.
+const TRUST_BENT: f64 = 0.15;
+/// A value may be so many standard errors off, however small its effect.
+const ERRORS: f64 = 1.0;
+/// A record's own zero may be anywhere: so much of the noise.
+const ANYWHERE: f64 = 1e4;
+
+/// The ways in which an effect that the model has may move: each of its values by itself, and a map in proportion, without
+/// the constant and the straight line that this would carry over the rows. A change of a map's shape is another map.
+pub(crate) fn ways(stack: &Stack<'_>, effect: &Effect) -> Vec<Vec<(usize, f64)>> {
+    let width = effect.width();
+    let law = effect.description();
+    if !leaves_a_line(effect) {
+        let free = |v: &usize| law.parameters[v / width].search != Search::Chosen;
+        return (0..effect.values().len()).filter(free).map(|v| vec![(v, 1.0)]).collect();
+    }
+    let Some(heights) = law.place(Search::Linear) else { return Vec::new() };
+    let k = effect.coefficient_count();
+    let raw = stack.collect(effect, k, |bound, component, out| bound.basis(effect, component, out));
+    let um = effect.get(heights);
+    // The straight line over the rows, as heights: least squares of the two levels.
+    let levels = stack.levels(effect, &raw);
+    let knots = law.place(Search::Chosen).map_or(&[][..], |p| effect.get(p));
+    let constant = vec![1.0; k];
+    let over = |heights: &[f64], level: &[f64]| -> f64 { heights.iter().zip(level).map(|(h, l)| h * l).sum() };
+    let (n, tilt) = (over(&constant, &levels[0]), over(knots, &levels[1]));
+    let (mean, lean) = (over(um, &levels[0]) / n.max(1e-300), over(um, &levels[1]));
+    let slope = if tilt.abs() > 1e-12 { lean / tilt } else { 0.0 };
+    let middle = over(knots, &levels[0]) / n.max(1e-300);
+    let of = |(i, u): (usize, &f64)| (heights * width + i, u - mean - slope * (knots[i] - middle));
+    vec![um.iter().enumerate().map(of).collect()]
+}
 
 /// The parameters of the model's effects, linearised at `now`; `file` holds the values the file gives. `noise`: its
-/// size in units of the stack's.
+/// size in units of the stack's. Beside them the constants of records that do not share the gauges' zero.
 pub(crate) fn known(stack: &Stack<'_>, noise: f64, file: &[Effect], now: &[Effect]) -> Vec<Known> {
     let mut out = Vec::new();
     for (e, (effect, listed)) in now.iter().zip(file).enumerate() {
         let mut size = stack.predict([effect]);
         stack.weigh(&mut size);
-        let size = rms(&size).max(3.0 * noise / (stack.n as f64).sqrt());
-        let width = effect.width();
+        let size = rms(&size);
         let slopes = stack.slopes(effect);
-        let free: Vec<usize> = (0..slopes.len())
-            .filter(|v| effect.description().parameters[v / width].search != Search::Chosen)
-            .collect();
-        let heights = free_directions(&effect.constraints(), free.len());
-        let ways: Vec<Vec<(usize, f64)>> = if heights.is_empty() {
-            free.iter().map(|v| vec![(*v, 1.0)]).collect()
-        } else {
-            heights.iter().map(|d| free.iter().copied().zip(d.iter().copied()).collect()).collect()
-        };
-        for along in ways {
+        let map = leaves_a_line(effect);
+        for along in ways(stack, effect) {
             let mut column = vec![0.0; stack.n];
             for (v, weight) in &along {
                 column.iter_mut().zip(&slopes[*v]).for_each(|(c, s)| *c += weight * s);
@@ -225,10 +310,21 @@ pub(crate) fn known(stack: &Stack<'_>, noise: f64, file: &[Effect], now: &[Effec
             if reach < 1e-12 {
                 continue;
             }
-            let sd = TRUST * size / reach;
-            let target = along.iter().map(|(v, w)| w * (listed.values()[*v] - effect.values()[*v])).sum();
-            out.push(Known { effect: e, along, column, sd, target });
+            let bent = |v: usize| effect.description().parameters[v / effect.width()].search != Search::Linear;
+            let trust = if along.iter().any(|(v, _)| bent(*v)) { TRUST_BENT } else { TRUST };
+            // A map moves by a share of itself, whatever part of it the rows show.
+            let share = if map { trust } else { trust * size / reach };
+            let sd = share.max(ERRORS * noise / (stack.n as f64).sqrt() / reach);
+            let squares: f64 = along.iter().map(|(_, w)| w * w).sum();
+            let off = |(v, w): &(usize, f64)| w * (listed.values()[*v] - effect.values()[*v]);
+            let target = along.iter().map(off).sum::<f64>() / squares.max(1e-300);
+            out.push(Known { effect: Some(e), along, column, sd, target });
         }
+    }
+    for mut column in stack.zeros() {
+        stack.weigh(&mut column);
+        let sd = ANYWHERE * noise / rms(&column).max(1e-300);
+        out.push(Known { effect: None, along: Vec::new(), column, sd, target: 0.0 });
     }
     out
 }

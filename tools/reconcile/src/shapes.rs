@@ -14,6 +14,8 @@ use std::f64::consts::{PI, TAU};
 const SHAPE_COST: f64 = 2.0;
 /// Either half of a channel's range is divided into so many parts; a knee is tried where they meet.
 const KNEES: i32 = 5;
+/// Numbers of hats over the position that are more than a map's.
+const FINE: [usize; 3] = [32, 48, 72];
 /// Fewest rows that saw teeth are looked for in.
 const ROWS_FOR_TEETH: usize = 40;
 /// Fewest rows, but one, that a knee is looked for in.
@@ -188,6 +190,7 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
         self.in_time();
         self.smooth();
         self.by_direction();
+        self.along_position();
         self.in_proportion_to_position();
         self.with_velocity();
         self.with_load();
@@ -285,6 +288,18 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
         self.add(&[&d_name, "time"], "differs by direction, drifting", columns);
     }
 
+    /// What repeats over the position more finely than a map has knots.
+    fn along_position(&mut self) {
+        let Some(p) = self.position.clone() else { return };
+        let name = format!("position.{}", self.axis);
+        for k in FINE {
+            if 4 * k < self.rows.len() {
+                let columns = self.hats(&p, k);
+                self.add(&[&name], "repeats, finer than a map", columns);
+            }
+        }
+    }
+
     fn in_proportion_to_position(&mut self) {
         let p_name = format!("position.{}", self.axis);
         let Some(p) = self.position.clone() else { return };
@@ -361,11 +376,13 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
         self.add(&["angle"], "smooth", columns);
     }
 
-    /// Periodic along time, and along position where no periodic effect has a name.
+    /// Periodic along time, up to half a turn from row to row, and along position where no periodic effect has a name.
     fn waves(mut self) -> Vec<Wave> {
         let quarter = self.rows.len() as f64 / 4.0;
         let time = std::mem::take(&mut self.time);
-        let mut waves: Vec<Wave> = self.wave("time", &time, quarter.min(40.0)).into_iter().collect();
+        let (lo, hi) = bounds(&time, &self.rows);
+        let fastest = self.records.iter().filter_map(|r| nyquist(r.time_s())).fold(0.0, f64::max);
+        let mut waves: Vec<Wave> = self.wave("time", &time, fastest * (hi - lo)).into_iter().collect();
         if self.force
             && let Some(p) = self.get(&Role::Position(self.axis.clone()))
         {
@@ -387,6 +404,13 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
         let shape = Some(self.shape(&[label], "periodic"));
         Some(Wave { shape, ..Wave::new(self.stack, hypothesis, self.number, along, from, to) })
     }
+}
+
+/// Half a turn from row to row, in turns per unit of time, rows at their usual distance; none where time stands still.
+fn nyquist(time: &[f64]) -> Option<f64> {
+    let mut gaps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
+    gaps.sort_by(f64::total_cmp);
+    gaps.get(gaps.len() / 2).map(|g| 0.5 / g)
 }
 
 fn times(a: &[f64], b: &[f64]) -> Vec<f64> {

@@ -19,8 +19,6 @@ const UNSTEADY: f64 = 1.5;
 const UNSTEADY_SUM: f64 = 1.2;
 /// What predicts nearly as well as the best is not told from it.
 const EQUAL: f64 = 1.5;
-/// Share of the gap by which the simplest physics may fit worse.
-const WORSE: f64 = 0.03;
 /// Growth of a metre of steel, the longest that grows as one: 12 µm/K.
 const MOST_UM_PER_K: f64 = 12.0;
 /// Where a machine at rest may have no growth, °C.
@@ -29,6 +27,8 @@ const REFERENCE_DEGC: std::ops::RangeInclusive<f64> = -10.0..=60.0;
 const LONGEST_LAG: f64 = 1.0 / 3.0;
 /// Sensors within so much of the coldest show the surroundings, K.
 const SURROUNDINGS_K: f64 = 1.0;
+/// So many explanations, of as many places, are averaged.
+const AVERAGED: usize = 5;
 /// Fewer rows predict nothing.
 const FEWEST_ROWS: usize = 200;
 
@@ -113,6 +113,8 @@ struct Simple {
     trial: Trial,
     /// Its best grid point.
     atom: usize,
+    /// Its growth, µm/K.
+    gain: f64,
 }
 
 impl Search<'_, '_> {
@@ -132,7 +134,7 @@ impl Search<'_, '_> {
         while let Some(i) = rest.members.iter().position(|m| follows_heat(&m.cause)) {
             rest = self.without(&rest, i);
         }
-        let mut tried = self.simplest(&run, &rest, own.fitted);
+        let mut tried = self.simplest(&run, &rest);
         tried.sort_by(|a, b| a.trial.ahead.total_cmp(&b.trial.ahead));
         let least = tried.first()?.trial.ahead;
         // The simplest physics need not predict better than a sum of effects, only nearly as well.
@@ -140,37 +142,48 @@ impl Search<'_, '_> {
         if plausible && least > needed {
             return None;
         }
+        let sum = self.averaged(&tried);
         tried.retain(|t| t.trial.ahead <= EQUAL * least);
-        // What leads the growth most is nearest to its cause: heat flows outwards, and growth follows.
-        let lag = |t: &Simple| straight(&self.all.atoms[t.atom]).unwrap_or(0.0);
-        let first = (0..tried.len()).rev().max_by(|a, b| lag(&tried[*a]).total_cmp(&lag(&tried[*b])))?;
-        let chosen = tried.remove(first);
         let equals = tried.iter().map(|t| t.hypothesis).collect();
-        Some((self.in_place(&rest, chosen.atom)?, equals))
+        Some((self.in_place(&rest, sum), equals))
+    }
+
+    /// The mean of several explanations, each by how well it predicts: one for each place of the machine, the best few.
+    /// No single rule for choosing one of them holds from one stretch of time to the next; their mean does. `tried`: the
+    /// one that predicts best first.
+    fn averaged(&self, tried: &[Simple]) -> Vec<(usize, f64)> {
+        let place = |t: &Simple| self.all.list[t.hypothesis].sensor().map(|d| hot(d, &self.surroundings()).to_owned());
+        let mut best: Vec<&Simple> = Vec::new();
+        for t in tried {
+            if best.len() < AVERAGED && !best.iter().any(|b| place(b) == place(t)) {
+                best.push(t);
+            }
+        }
+        let weight = |t: &Simple| 1.0 / t.trial.ahead.powi(2).max(1e-12);
+        let whole: f64 = best.iter().map(|t| weight(t)).sum();
+        best.into_iter().map(|t| (t.atom, t.gain * weight(t) / whole)).collect()
     }
 
     /// Growth in proportion to each difference between a place of the machine and its surroundings, beside what a set
-    /// has that is not of heat: those that fit nearly as well as what fits best, with a machine's gain.
-    fn simplest(&self, run: &Run, rest: &Set, fitted: f64) -> Vec<Simple> {
+    /// has that is not of heat: those with a machine's gain.
+    fn simplest(&self, run: &Run, rest: &Set) -> Vec<Simple> {
         let constant = vec![1.0; self.stack.n];
         let mut fixed: Vec<&[f64]> = rest.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
         fixed.push(&constant);
-        let whole = rms(&self.residual(&self.empty()).0);
         let cold = self.surroundings();
         let mut tried = Vec::new();
         for (h, hypothesis) in self.all.list.iter().enumerate() {
             let growth = hypothesis.law().is_some_and(|l| l.heat == Heat::Growth);
             if growth && hypothesis.sensor().is_some_and(|d| outward(d, &cold)) {
                 let simple = self.simple(run, &fixed, h);
-                let near = |s: &(Simple, f64)| s.0.trial.fitted <= fitted + WORSE * whole;
-                tried.extend(simple.filter(|s| near(s) && s.1.abs() <= MOST_UM_PER_K).map(|s| s.0));
+                tried.extend(simple.filter(|s| s.gain.abs() <= MOST_UM_PER_K));
             }
         }
         tried
     }
 
-    /// One of them, and its gain, µm/K.
-    fn simple(&self, run: &Run, fixed: &[&[f64]], hypothesis: usize) -> Option<(Simple, f64)> {
+    /// One of them.
+    fn simple(&self, run: &Run, fixed: &[&[f64]], hypothesis: usize) -> Option<Simple> {
         let atoms: Vec<usize> = (0..self.all.atoms.len())
             .filter(|a| {
                 self.all.atoms[*a].hypothesis == hypothesis && straight(&self.all.atoms[*a]).is_some()
@@ -191,27 +204,26 @@ impl Search<'_, '_> {
         let (beta, _) = fit(&run.y, &columns, self.stack.n);
         let atom = atoms[trial.at];
         let gain = beta[columns.len() - 1] / self.all.bank.scale[self.all.atoms[atom].columns[0]];
-        Some((Simple { hypothesis, trial, atom }, gain))
+        Some(Simple { hypothesis, trial, atom, gain })
     }
 
-    /// A set with a grid point of growth: from any reference temperature, or, of two sensors, beside a constant.
-    fn in_place(&mut self, rest: &Set, atom: usize) -> Option<Set> {
+    /// A set with these grid points of growth added up, beside a constant.
+    fn in_place(&mut self, rest: &Set, parts: Vec<(usize, f64)>) -> Set {
         let all = self.all;
-        let mut atom = all.atoms[atom].clone();
-        if let Cause::Effect { effect, free, reference } = &mut atom.cause
-            && !effect.delta.as_ref().is_some_and(Difference::is_pair)
-        {
-            let same = |e: &Effect, f: &[usize]| e.values() == effect.values() && f == free.as_slice();
-            let referred = all.atoms.iter().filter(|a| a.hypothesis == atom.hypothesis).find(
-                |a| matches!(&a.cause, Cause::Effect { effect: e, free: f, reference: true } if same(e, f)),
-            )?;
-            *reference = true;
-            atom.columns.clone_from(&referred.columns);
+        let mut column = vec![0.0; self.stack.n];
+        let mut effects = Vec::new();
+        for (atom, gain) in &parts {
+            let Cause::Effect { effect, .. } = &all.atoms[*atom].cause else { continue };
+            effects.extend(effect.with(&[(0, *gain)]));
+            let at = all.atoms[*atom].columns[0];
+            let scale = all.bank.scale[at] * gain;
+            column.iter_mut().zip(all.bank.column(at)).for_each(|(c, x)| *c += scale * x);
         }
-        let steady = self.take_atom(rest, &atom);
+        let Some((first, _)) = parts.first() else { return rest.clone() };
+        let Atom { hypothesis, cost, .. } = all.atoms[*first];
+        let steady = self.joined_by(rest, &Cause::Sum(effects), hypothesis, cost, vec![column]);
         let offset = all.atoms.iter().find(|a| all.list[a.hypothesis].is_offset());
-        let without_level = matches!(&atom.cause, Cause::Effect { reference: false, .. });
-        Some(offset.filter(|_| without_level).map_or(steady.clone(), |a| self.take_atom(&steady, a)))
+        offset.map_or(steady.clone(), |a| self.take_atom(&steady, a))
     }
 
     /// Whether growth per kelvin and reference temperatures are a machine's.
@@ -252,6 +264,14 @@ fn follows_heat(cause: &Cause) -> bool {
 fn grows(cause: &Cause) -> bool {
     let grows = |e: &Effect| e.delta.is_some() || e.description().heat == Heat::FromStart;
     matches!(cause, Cause::Effect { effect, .. } if grows(effect))
+}
+
+/// The sensor of a difference that is not of the surroundings.
+fn hot<'d>(difference: &'d Difference, surroundings: &[String]) -> &'d str {
+    match &difference.against {
+        Against::Sensor(m) if surroundings.contains(&difference.sensor) => m,
+        _ => &difference.sensor,
+    }
 }
 
 /// Between a place of the machine and its surroundings, or a fixed temperature.

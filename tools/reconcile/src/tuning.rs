@@ -28,7 +28,7 @@ pub(crate) fn retune(
         let mut missing = stack.missing(others.chain(beside));
         stack.weigh(&mut missing);
         let others: Vec<Known> =
-            known(stack, noise, anchor, now).into_iter().filter(|k| k.effect != e).collect();
+            known(stack, noise, anchor, now).into_iter().filter(|k| k.effect != Some(e)).collect();
         let (none, waves) = Hypotheses::periods(stack, &now[e]);
         let mut search = Search::new(stack, &none, &waves);
         search.begin(noise, others, missing);
@@ -39,7 +39,7 @@ pub(crate) fn retune(
             let set = search.take(&empty, &best);
             let beta = search.coefficients(&set);
             let at = beta.len() - 2;
-            let Some(found) = best.cause.effect(&beta[at..]) else { continue };
+            let Some(found) = best.cause.effect(stack, &beta[at..]) else { continue };
             // Another amplitude is another effect, not this one with its period mended.
             let ratio = found.scalar(1) / now[e].scalar(1).abs().max(1e-12);
             if (0.4..2.5).contains(&ratio) {
@@ -60,7 +60,7 @@ pub(crate) fn moved(now: &[Effect], parameters: &[Known], beta: &[f64]) -> Vec<E
     let mut out = now.to_vec();
     for (e, effect) in out.iter_mut().enumerate() {
         let mut values = effect.values().to_vec();
-        for (k, b) in parameters.iter().zip(beta).filter(|(k, _)| k.effect == e) {
+        for (k, b) in parameters.iter().zip(beta).filter(|(k, _)| k.effect == Some(e)) {
             for (v, w) in &k.along {
                 values[*v] += w * b;
             }

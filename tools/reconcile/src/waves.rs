@@ -1,6 +1,6 @@
 //! A variable that a wave may run along: what the search of its period needs.
 
-use crate::cause::Shape;
+use crate::cause::{Cause, Shape};
 use crate::problem::Stack;
 use rtec_model::effect::Effect;
 use std::ops::Range;
@@ -39,6 +39,20 @@ impl Wave {
         places.sort_by(f64::total_cmp);
         places.dedup();
         Self { hypothesis, effect: None, shape: None, rows, along, places, from, to, unit: 1.0 }
+    }
+
+    /// Periods per unit of the variable of one of its causes.
+    pub(crate) fn frequency(&self, cause: &Cause) -> Option<f64> {
+        match cause {
+            Cause::Effect { effect, .. } => Some(1.0 / (effect.scalar(0) * self.unit)),
+            Cause::Sum(_) | Cause::Shape(_) | Cause::Teeth(..) => None,
+        }
+    }
+
+    /// How many frequencies the extent tells apart.
+    pub(crate) fn independent(&self) -> f64 {
+        let span = self.span();
+        ((self.to - self.from.max(0.5 / span)) * span).max(2.0)
     }
 
     /// The variable's extent.

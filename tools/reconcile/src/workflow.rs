@@ -5,13 +5,14 @@ use crate::advice::advice;
 use crate::analysis::{analyse, noise_of};
 use crate::answer::{Answer, Finding, Rival};
 use crate::cause::Shape;
-use crate::fit::{self, Term};
+use crate::fit::{self, Term, Way};
 use crate::gap::{gaps, traces};
 use crate::problem::{Stack, known, rms};
 use crate::unexplained;
 use crate::verdict::{Reconciliation, Refined, Verdict};
 use crate::where_found::{self, Place};
 use rtec_files::InputError;
+use rtec_fit::quiet;
 use rtec_model::effect::{Dictionary, Effect, Heat, Law, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
@@ -51,7 +52,8 @@ pub fn reconcile(
     for record in train.iter().chain(holdout) {
         machine.predict(record)?;
     }
-    let (mut answer, used, every) = thinned(train, machine, options.level);
+    let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
+    let (mut answer, used, every) = thinned(&quiet, machine, options.level);
     let mut stack = Stack::new(&used);
     stack.sigma.clone_from(&answer.sigma);
     let mut fitted = Fitted::of(&stack, machine, &answer);
@@ -113,7 +115,7 @@ impl Fitted {
     fn of(stack: &Stack<'_>, machine: &Machine, answer: &Answer) -> Self {
         let file: Vec<Effect> = machine.effects().cloned().collect();
         let mut terms = present(stack, answer);
-        terms.extend(answer.findings.iter().map(|f| Term::new(f.effect.clone(), &f.held)));
+        terms.extend(answer.findings.iter().map(|f| Term::new(stack, f.effect.clone(), &f.held)));
         fit::fit(stack, &mut terms, answer.phi, STEPS, None);
         let moved: Vec<bool> = file.iter().zip(&terms).map(|(f, t)| beyond_chance(f, t)).collect();
         for (term, effect) in terms.iter_mut().zip(&file).zip(&moved).filter(|(_, m)| !**m).map(|(t, _)| t) {
@@ -158,7 +160,7 @@ impl Fitted {
         for knots in [5, 9, 17, 33] {
             let (mut machine, mut all) = (model.clone(), self.terms.clone());
             let Some(curve) = unexplained::stand_in(shape, knots, train, &mut machine) else { continue };
-            all.push(Term::new(curve.effect, &[]));
+            all.push(Term::new(stack, curve.effect, &[]));
             fit::fit(stack, &mut all, phi, CURVE_STEPS, None);
             let n = stack.n as f64;
             let score = n * rms(&fit::residual(stack, &all)).max(1e-12).ln() + 0.5 * knots as f64 * n.ln();
@@ -172,21 +174,16 @@ impl Fitted {
     }
 }
 
-/// The model's own effects as terms, each value held to the file's as far as it is trusted.
+/// The model's own effects as terms, each held to the file's values as far as they are trusted.
 fn present(stack: &Stack<'_>, answer: &Answer) -> Vec<Term> {
-    let mut sd: Vec<Vec<f64>> = answer.present.iter().map(|e| vec![0.0; e.values().len()]).collect();
+    let mut ways: Vec<Vec<Way>> = answer.present.iter().map(|_| Vec::new()).collect();
     for k in known(stack, 1.0, &answer.anchor, &answer.present) {
-        for (v, w) in &k.along {
-            sd[k.effect][*v] = sd[k.effect][*v].max(k.sd * w.abs());
+        if let Some(e) = k.effect {
+            ways[e].push(Way { along: k.along, sd: k.sd });
         }
     }
-    let of = |((effect, anchor), sd): ((&Effect, &Effect), Vec<f64>)| {
-        let held: Vec<usize> = (0..sd.len()).filter(|v| sd[*v] == 0.0).collect();
-        let mut term = Term::new(effect.clone(), &held);
-        term.prior = Some((anchor.values().to_vec(), sd));
-        term
-    };
-    answer.present.iter().zip(&answer.anchor).zip(sd).map(of).collect()
+    let of = |((effect, anchor), ways): ((&Effect, &Effect), Vec<Way>)| Term::given(effect.clone(), anchor, ways);
+    answer.present.iter().zip(&answer.anchor).zip(ways).map(of).collect()
 }
 
 /// Whether a fit has moved a value of the model's effect so far from the file's.

@@ -12,15 +12,10 @@ const BEAM_UNNAMED: usize = 2;
 const OFFERS_TO_NAMES: [usize; 2] = [7, 4];
 const OFFERS_TO_SHAPES: [usize; 2] = [3, 0];
 
-/// Coefficient of noise with a short memory: its half-life is below two rows.
-const SHORT_MEMORY: f64 = 0.65;
-
-/// By how much several effects in noise of short memory must be the better account than noise of long memory: a search
-/// for several at once finds more by chance than one step of it.
-const SHORT_MARGIN: f64 = 12.0;
-
 /// Most effects that are looked for at once.
-const DEPTH: usize = 5;
+const DEPTH: usize = 14;
+/// A set so far behind the best of its kind is not grown.
+const BEHIND: f64 = 60.0;
 
 /// What a search found: the best sets of each size and kind, best first.
 pub(crate) struct Found {
@@ -31,45 +26,8 @@ pub(crate) struct Found {
 }
 
 impl Search<'_, '_> {
-    /// Search over sets of explanations. Several strong effects together look like noise with a long memory, in which
-    /// none of them stands out by itself: where the data ask for such noise the search is done once more with noise of
-    /// short memory only, and what it found judged with all of them.
-    pub(crate) fn run(&mut self) -> Found {
-        let mut found = self.beam();
-        let short = self.phis.partition_point(|p| *p < SHORT_MEMORY);
-        let empty = self.empty();
-        let values: Vec<f64> = empty.fits.iter().map(|f| self.loglik(f, 0.0)).collect();
-        if self.best_phi(&values).1 < SHORT_MEMORY {
-            return found;
-        }
-        let all = std::mem::replace(&mut self.usable, short);
-        let second = self.beam();
-        self.usable = all;
-        let mut beside = Vec::new();
-        let first = found.named.score;
-        for set in second.visited.into_iter().chain([second.any]) {
-            let set = self.set(set.members);
-            let set = self.thinned(set);
-            if self.named(&set) {
-                if set.score > found.named.score + SHORT_MARGIN {
-                    found.named = set.clone();
-                }
-                beside.push(set.clone());
-            }
-            if set.score > found.any.score + SHORT_MARGIN {
-                found.any = set;
-            }
-        }
-        // Its other sets are rivals only of what it found itself.
-        if found.named.score > first {
-            found.visited.append(&mut beside);
-        }
-        found.visited.sort_by(|a, b| b.score.total_cmp(&a.score));
-        found
-    }
-
     /// Beam search over sets of explanations.
-    fn beam(&mut self) -> Found {
+    pub(crate) fn run(&mut self) -> Found {
         let empty = self.empty();
         let mut beam = vec![empty.clone()];
         let mut found = Found { named: empty.clone(), any: empty.clone(), visited: vec![empty] };
@@ -96,7 +54,13 @@ impl Search<'_, '_> {
             if best <= before && best_named < found.named.score {
                 break;
             }
-            beam = grown;
+            let leads = |named: bool| {
+                let of = grown.iter().filter(|s| self.named(s) == named);
+                of.map(|s| s.score).fold(f64::NEG_INFINITY, f64::max)
+            };
+            let (names, shapes) = (leads(true), leads(false));
+            let near = |s: &Set| s.score > if self.named(s) { names } else { shapes } - BEHIND;
+            beam = grown.iter().filter(|s| near(s)).cloned().collect();
         }
         found.visited.sort_by(|a, b| b.score.total_cmp(&a.score));
         found

@@ -23,7 +23,7 @@ pub(super) struct Cross {
 
 impl Search<'_, '_> {
     pub(super) fn price(&self, set: &Set, cost: f64, columns: usize) -> f64 {
-        set.loglik - set.score + cost + self.dimension_cost() * columns as f64
+        set.loglik - set.score + cost + self.dimension_cost(columns)
     }
 
     /// Log likelihood of the set with further columns.

@@ -32,10 +32,17 @@ use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// Noise coefficients that every fit is tried at: tanh of an even grid.
-const NOISE_STEP: f64 = 0.35;
+/// Noise coefficients that every fit is tried at: tanh of an even grid, up to 0.7. From row to row up to that is noise;
+/// what is slower is structure.
+const NOISE_STEP: f64 = 0.289;
 
-const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=7;
+const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=3;
+/// The same where a name is judged: what only wanders slowly is structure, but no ground for a name.
+const WANDERING: std::ops::RangeInclusive<i32> = -1..=8;
+
+fn coefficients_of(grid: std::ops::RangeInclusive<i32>) -> Vec<f64> {
+    grid.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect()
+}
 
 /// Everything that a search keeps.
 pub(crate) struct Search<'p, 'r> {
@@ -58,8 +65,6 @@ pub(crate) struct Search<'p, 'r> {
     /// Degrees of freedom that noise is judged by.
     pub(crate) nu: f64,
     pub(crate) phis: Vec<f64>,
-    /// How many of the noise coefficients are in use: the first few, while a search takes no structure for noise.
-    usable: usize,
     transform: RefCell<Transform>,
     /// Per wave: how its frequencies lie on the places.
     places_seen: Vec<OnceCell<Vec<OnPlaces>>>,
@@ -88,8 +93,7 @@ const ROOM: usize = 8_000_000;
 impl<'p, 'r> Search<'p, 'r> {
     /// [`Search::begin`] gives it what is to be explained.
     pub(crate) fn new(stack: &'p Stack<'r>, all: &'p Hypotheses, waves: &'p [Wave]) -> Self {
-        let phis: Vec<f64> = NOISE_GRID.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect();
-        let usable = phis.len();
+        let phis = coefficients_of(NOISE_GRID);
         Self {
             stack,
             all,
@@ -104,7 +108,6 @@ impl<'p, 'r> Search<'p, 'r> {
             places: HashMap::new(),
             nu: 0.0,
             phis,
-            usable,
             transform: RefCell::new(Transform::new()),
             places_seen: waves.iter().map(|_| OnceCell::new()).collect(),
             peaks: RefCell::new(Vec::new()),
@@ -124,6 +127,12 @@ impl<'p, 'r> Search<'p, 'r> {
         self.known = known;
         *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
         self.rankings.borrow_mut().clear();
+    }
+
+    /// A set as it is when noise may wander slowly too, or no longer may.
+    pub(crate) fn wandering(&mut self, may: bool, set: Set) -> Set {
+        self.phis = coefficients_of(if may { WANDERING } else { NOISE_GRID });
+        self.set(set.members)
     }
 
     fn add(&mut self, column: Vec<f64>) -> usize {

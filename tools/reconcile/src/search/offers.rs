@@ -2,10 +2,15 @@
 
 use super::Search;
 use super::cross::Scratch;
-use super::sets::Set;
+use super::sets::{Member, Set};
 use crate::cause::Cause;
 use crate::hypotheses::{Atom, Hypothesis};
 use std::rc::Rc;
+
+/// So many waves of one law on one axis are looked for: one more than have a name.
+const MOST_WAVES: usize = 3;
+/// Turns by which two waves must differ over the whole travel.
+const RESOLVED: f64 = 1.0;
 
 /// An explanation that could join a set.
 #[derive(Debug, Clone)]
@@ -99,13 +104,25 @@ impl Search<'_, '_> {
         self.joined_by(set, &offer.cause, offer.hypothesis, offer.cost, columns)
     }
 
-    /// Whether an offer repeats what a set has: the same hypothesis, unless it may stand twice.
+    /// Whether an offer repeats what a set has: the same hypothesis, unless it may stand twice. Waves of one law may,
+    /// each told from the others over what was travelled.
     pub(super) fn repeats(&self, set: &Set, offer: &Offer) -> bool {
         let may = |h: &Hypothesis| h.law().is_some_and(|l| l.searched.repeats);
-        set.members.iter().any(|m| {
+        let alike = |m: &&Member| {
             let (a, b) = (&self.all.list[m.hypothesis], &self.all.list[offer.hypothesis]);
-            m.hypothesis == offer.hypothesis && !(may(b) || (a.named() && a.name != b.name))
-        })
+            m.hypothesis == offer.hypothesis && !(a.named() && a.name != b.name)
+        };
+        let same: Vec<&Member> = set.members.iter().filter(alike).collect();
+        let Some(first) = same.first() else { return false };
+        if !may(&self.all.list[first.hypothesis]) {
+            return true;
+        }
+        let Some(wave) = self.waves.iter().find(|w| w.hypothesis == offer.hypothesis) else { return false };
+        let near = |m: &&Member| {
+            let both = wave.frequency(&m.cause).zip(wave.frequency(&offer.cause));
+            both.is_some_and(|(a, b)| (a - b).abs() * wave.span() < RESOLVED)
+        };
+        same.len() >= MOST_WAVES || same.iter().any(near)
     }
 
     /// Named explanations as additions to a set, by name: the evidence of each name over all its sensors and grid

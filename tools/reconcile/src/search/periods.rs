@@ -133,9 +133,8 @@ impl Search<'_, '_> {
             return None;
         }
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
-        let independent = ((wave.to - wave.from.max(0.5 / span)) * span).max(2.0);
-        let extra = if self.all.list[wave.hypothesis].named() { 0.0 } else { UNNAMED };
-        let cost = self.all.family_cost + independent.ln() + extra;
+        let independent = wave.independent();
+        let cost = self.wave_cost(wave);
         let mut best = self.best_peak(set, wave, peaks, cost)?;
         let facts = wave.effect.as_ref().and_then(|e| e.description().searched.wave);
         if let Some(usual_mm) = facts.map(|w| w.usual_mm) {
@@ -151,6 +150,12 @@ impl Search<'_, '_> {
         let cause = cause_of(wave, f)?;
         let (hypothesis, columns) = (wave.hypothesis, Source::Made(columns));
         Some(Offer { cause, hypothesis, cost, score, evidence: score, columns })
+    }
+
+    /// What the search of a wave's period costs.
+    pub(crate) fn wave_cost(&self, wave: &Wave) -> f64 {
+        let extra = if self.all.list[wave.hypothesis].named() { 0.0 } else { UNNAMED };
+        self.all.family_cost + wave.independent().ln() + extra
     }
 
     fn wave_score(&self, set: &Set, wave: &Wave, f: f64, cost: f64) -> f64 {

@@ -122,7 +122,7 @@ impl<'s, 'p, 'r> Climb<'s, 'p, 'r> {
     fn from(search: &'s Search<'p, 'r>, set: &'s Set, offer: &Offer, effect: Effect) -> Self {
         let (free, reference) = match &offer.cause {
             Cause::Effect { free, reference, .. } => (free.clone(), *reference),
-            Cause::Shape(_) | Cause::Teeth(..) => (Vec::new(), false),
+            Cause::Sum(_) | Cause::Shape(_) | Cause::Teeth(..) => (Vec::new(), false),
         };
         let (score, columns, cost) = (0.0, Vec::new(), offer.cost);
         let mut climb = Self { search, set, free, reference, cost, effect, score, columns };

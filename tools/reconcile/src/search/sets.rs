@@ -8,11 +8,8 @@ use crate::hypotheses::Atom;
 use crate::problem::rms;
 use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
 
-/// Noise of a smaller coefficient is not asked whether plain least squares agrees.
-const LONG_MEMORY: f64 = 0.5;
-
-/// F value beyond which plain least squares contradicts a fit.
-const CONTRADICTION: f64 = 25.0;
+/// Autocorrelation from row to row beyond which rows say the same thing over and over.
+const CLOSE: f64 = 0.8;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -56,7 +53,7 @@ impl Search<'_, '_> {
         let b = ids.len();
         let pairs: Vec<Vec<Products>> =
             (0..b).map(|i| (0..=i).map(|j| self.pair(ids[i], ids[j])).collect()).collect();
-        self.phis[..self.usable]
+        self.phis
             .iter()
             .map(|&phi| {
                 let mut a = vec![0.0; b * b];
@@ -105,8 +102,11 @@ impl Search<'_, '_> {
         (b - 0.25 * (a - c) * shift, at.tanh())
     }
 
-    pub(crate) fn dimension_cost(&self) -> f64 {
-        0.5 * (self.stack.n as f64).ln()
+    /// What so many coefficients of one explanation cost: of many none can be large everywhere, so that each is looked
+    /// for in a smaller room (a prior of unit information shared among them).
+    pub(crate) fn dimension_cost(&self, columns: usize) -> f64 {
+        let k = columns as f64;
+        0.5 * k * (1.0 + self.stack.n as f64 / k.max(1.0)).ln()
     }
 
     pub(super) fn set(&self, members: Vec<Member>) -> Set {
@@ -116,7 +116,7 @@ impl Search<'_, '_> {
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
         let (loglik, _) = self.best_phi(&values);
         let price: f64 =
-            members.iter().map(|m| m.cost + self.dimension_cost() * m.vectors.len() as f64).sum();
+            members.iter().map(|m| m.cost + self.dimension_cost(m.vectors.len())).sum();
         Set { members, score: loglik - price, loglik, fits, ids }
     }
 
@@ -174,7 +174,7 @@ impl Search<'_, '_> {
         r
     }
 
-    /// Root mean square of what one member of a set does, weighed.
+    /// Root mean square of what one member of a set does to the rows that it acts on, weighed.
     pub(crate) fn share(&self, set: &Set, member: usize) -> f64 {
         let beta = self.coefficients(set);
         let before: usize = set.members[..member].iter().map(Member::columns).sum();
@@ -182,6 +182,7 @@ impl Search<'_, '_> {
         for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
             does.iter_mut().zip(&self.vectors[*i].data).for_each(|(d, x)| *d += b * x);
         }
+        does.retain(|d| *d != 0.0);
         rms(&does)
     }
 
@@ -202,30 +203,21 @@ impl Search<'_, '_> {
         let mut at = self.slopes.len();
         let of = |m: &Member| {
             at += m.columns();
-            m.cause.effect(&beta[at - m.columns()..at])
+            m.cause.effect(self.stack, &beta[at - m.columns()..at])
         };
         set.members.iter().map(of).collect()
     }
 
-    /// Whether the noise coefficient that fits best is bought with coefficients that plain least squares contradicts:
-    /// noise that wanders so slowly would not have let plain least squares explain so much more (Hausman,
-    /// Econometrica 46 (1978) 1251: two estimates that differ where they should not show a wrong model). A law whose
-    /// steps the record has smoothed does that: all it has left to say then lies in a few rows.
-    pub(crate) fn contradicted(&self, set: &Set) -> bool {
-        let top = set.fits.iter().max_by(|a, b| self.loglik(a, 0.0).total_cmp(&self.loglik(b, 0.0)));
-        let plain = set.fits.iter().find(|f| f.phi == 0.0);
-        let (Some(top), Some(plain)) = (top, plain) else { return false };
-        if top.phi < LONG_MEMORY {
-            return false;
+    /// Whether the rows stand closer together than noise forgets: what a set leaves of them repeats from row to row.
+    pub(crate) fn oversampled(&self, set: &Set) -> bool {
+        let (r, _) = self.residual(set);
+        let (mut with_next, mut squares) = (0.0, 0.0);
+        for s in &self.stack.ranges {
+            let r = &r[s.clone()];
+            with_next += dot(&r[1..], &r[..r.len() - 1]);
+            squares += dot(r, r);
         }
-        let left = |fit: &AtPhi| {
-            let r = self.left(set, fit);
-            dot(&r, &r)
-        };
-        let (fitted, plain) = (left(top), left(plain));
-        let k = set.ids.len().max(1) as f64;
-        let independent = self.stack.n as f64 * (1.0 - top.phi) / (1.0 + top.phi);
-        (fitted - plain) / k > CONTRADICTION * plain / (independent - k).max(1.0)
+        with_next > CLOSE * squares
     }
 
     /// The set with a grid point taken in.
@@ -238,7 +230,7 @@ impl Search<'_, '_> {
         columns.iter().map(|c| bank.column(*c).into_iter().map(|x| x * bank.scale[*c]).collect()).collect()
     }
 
-    pub(super) fn joined_by(
+    pub(crate) fn joined_by(
         &mut self,
         set: &Set,
         cause: &Cause,
@@ -299,20 +291,6 @@ impl Search<'_, '_> {
             set = self.without(&set, i);
         }
         set
-    }
-
-    /// The set without the members that do not pay.
-    pub(super) fn thinned(&self, set: Set) -> Set {
-        let mut set = set;
-        loop {
-            let fewer = (0..set.members.len())
-                .map(|i| self.without(&set, i))
-                .max_by(|a, b| a.score.total_cmp(&b.score));
-            match fewer {
-                Some(f) if f.score >= set.score => set = f,
-                _ => return set,
-            }
-        }
     }
 }
 
