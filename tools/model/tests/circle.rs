@@ -280,6 +280,7 @@ fn candidates_are_the_axes_effects() {
     }
     // A bar has no probe to lobe; a rotation of its circle is not to be seen.
     assert!(!of_circle.iter().any(|n| n.starts_with("probe_lobing") || n.starts_with("rotation")));
+    assert!(!of_circle.iter().any(|n| n.starts_with("angular.r") || n.starts_with("squareness.r")));
     // Beside a run along x, what both show of x.
     let line = Record::new(
         Path::new("x.run.toml"),

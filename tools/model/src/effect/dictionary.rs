@@ -192,8 +192,11 @@ impl<'r> Common<'r> {
         };
         // A bar turns about its balls: no probe has a part in a circle.
         let circle = self.records.iter().any(|r| r.circle().is_some());
+        // Nor is the bar an axis that others lead: what places do to it, they do to the axes.
+        let of_bar = effect.axes.first().is_some_and(|a| a.as_str() == "r")
+            && law.needs.iter().any(|n| matches!(n, Need::Position(_)));
         self.records.iter().all(|r| effect.acts_on(r).len() >= components)
-            && !(law.owner == Owner::Probe && circle)
+            && !(circle && (law.owner == Owner::Probe || of_bar))
             && law.needs.iter().all(readable)
             && !(law.probing == Probing::Displaced && self.probing)
     }
