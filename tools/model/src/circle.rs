@@ -1,7 +1,8 @@
 //! A circular run measured by a bar: what its angle and the bar's length say of the two axes that drive it.
 //!
 //! At the angle θ (from the first axis of the plane towards the second) the axes stand at (R·cos θ, R·sin θ) about the
-//! circle's centre, and the bar reads e_r = e_a·cos θ + e_b·sin θ of their errors (ISO 230-4; formats.md, "Run record").
+//! circle's centre, and the bar reads `e_a·cos θ + e_b·sin θ` of their
+//! errors `e_a` and `e_b` (ISO 230-4; formats.md, "Run record").
 
 use crate::record::{Axis, Column, Role};
 use std::f64::consts::{PI, TAU};
@@ -59,9 +60,10 @@ impl Circle {
     }
 }
 
-/// Angular velocity at every row, rad/s: the mean of the steps before and behind it. Where the two differ by more than
+/// Angular velocity at every row, in radians per unit of time: the mean of the steps before and behind it. Where the two differ by more than
 /// half, one of them is no motion (a pause or a jump between two circles): the one nearer the run's usual rate stands.
-fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
+#[must_use]
+pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
     let step = |from: usize| {
         let turned = (angle[from + 1] - angle[from] + PI).rem_euclid(TAU) - PI;
         let h = time_s[from + 1] - time_s[from];

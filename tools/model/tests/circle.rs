@@ -7,6 +7,7 @@ use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::fmt::Write as _;
 use std::path::Path;
 
 const ROWS: usize = 1440;
@@ -53,7 +54,7 @@ fn machine(effects: &str) -> Machine {
     let mut text = String::from("name = \"m\"\n");
     for line in effects.lines().map(str::trim).filter(|l| !l.is_empty()) {
         let (name, values) = line.split_once(' ').unwrap();
-        text += &format!("[[effect]]\nname = \"{name}\"\n{}\n", values.replace("; ", "\n"));
+        let _ = write!(text, "[[effect]]\nname = \"{name}\"\n{}\n", values.replace("; ", "\n"));
     }
     Machine::parse(Path::new("m.toml"), &text).unwrap()
 }
@@ -89,7 +90,7 @@ fn scale_mismatch_is_two_lobed() {
 #[test]
 fn squareness_is_half_the_radius_times_the_angle() {
     let amplitude_um = 25.0 * 0.150 / 2.0;
-    assert_eq!(amplitude_um, 1.875);
+    assert!((amplitude_um - 1.875_f64).abs() < 1e-12);
     check("squareness.x.y urad = 25.0", |a, _| amplitude_um * (2.0 * a).sin());
     check("squareness.y.x urad = 25.0", |a, _| amplitude_um * (2.0 * a).sin());
     let largest = predicted(&record(vec![]), "squareness.x.y urad = 25.0").into_iter().fold(0.0, f64::max);
@@ -117,7 +118,7 @@ fn reversal_steps_at_the_quadrants() {
     });
 }
 
-/// x lags behind by ms·v: e_x = ms·v_x with v_x = −v·sin θ going counter-clockwise.
+/// Going counter-clockwise x moves with −v·sin θ, and lags behind by so much for every millisecond.
 #[test]
 fn a_servo_mismatch_turns_the_circle_by_45_degrees() {
     let v = FEED_MM_S;
