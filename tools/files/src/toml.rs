@@ -299,6 +299,16 @@ impl<'d> Entry<'d> {
         numbers(self.value.get_ref()).ok_or_else(|| self.mismatch(expected))
     }
 
+    /// The value as an array of text.
+    ///
+    /// # Errors
+    /// It is something else.
+    pub fn strings(&self, expected: &str) -> Result<Vec<&'d str>, InputError> {
+        let array = self.value.get_ref().as_array();
+        let all = array.and_then(|a| a.iter().map(|v| v.get_ref().as_str()).collect());
+        all.ok_or_else(|| self.mismatch(expected))
+    }
+
     /// The value as a pair of finite numbers, the first not above the second.
     ///
     /// # Errors

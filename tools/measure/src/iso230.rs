@@ -1,11 +1,10 @@
-//! Evaluations of the ISO 230 series: positioning (230-2), thermal drift (230-3), circular tests (230-4).
+//! Evaluations of the ISO 230 series: positioning (230-2), thermal drift (230-3).
 
 use crate::plot::{Chart, Series, Style};
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::f64::consts::{PI, TAU};
 
 /// One target of a positioning run. Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -97,13 +96,13 @@ fn largest(values: impl IntoIterator<Item = f64>) -> Option<f64> {
 }
 
 /// The errors of a record with their axes, for evaluations that take one axis at a time.
-fn error_axes(record: &Record) -> Vec<(&Axis, &[f64])> {
+pub(crate) fn error_axes(record: &Record) -> Vec<(&Axis, &[f64])> {
     let of = |c: &'_ rtec_model::record::Column| matches!(c.role, Role::Error(_));
     let errors = record.columns.iter().filter(|c| of(c));
     errors.filter_map(|c| Some((c.role.axis()?, c.data.as_slice()))).collect()
 }
 
-fn lacks(record: &Record, found: &str, expected: &str) -> InputError {
+pub(crate) fn lacks(record: &Record, found: &str, expected: &str) -> InputError {
     InputError::whole(&record.path, found, expected)
 }
 
@@ -333,186 +332,6 @@ pub fn drift_charts(record: &Record) -> Vec<Chart> {
         temperatures = temperatures.with(line(&c.name, &c.data));
     }
     if temperatures.series.is_empty() { vec![errors] } else { vec![errors, temperatures] }
-}
-
-/// A circular test, ISO 230-4. Values in µm unless named otherwise.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Circular {
-    /// The plane, as the two axes.
-    pub plane: String,
-    /// Circular deviation counter-clockwise and clockwise: range of the radial deviation about the least-squares
-    /// circle.
-    #[serde(rename = "G_ccw")]
-    pub g_ccw: Option<f64>,
-    /// Circular deviation clockwise.
-    #[serde(rename = "G_cw")]
-    pub g_cw: Option<f64>,
-    /// Bidirectional circular deviation: range over both contours about their common circle.
-    #[serde(rename = "G_b")]
-    pub g_b: f64,
-    /// Circular hysteresis: largest difference of the radial deviation between both contours at one angle.
-    #[serde(rename = "H")]
-    pub h: Option<f64>,
-    /// Largest and smallest radial deviation about the nominal radius, `F_max` and `F_min`.
-    #[serde(rename = "F_max")]
-    pub f_max: f64,
-    /// Smallest radial deviation about the nominal radius, `F_min`.
-    #[serde(rename = "F_min")]
-    pub f_min: f64,
-    /// Centre offsets of the set-up, taken out.
-    pub centre_um: [f64; 2],
-    /// Mean radial deviation: the fitted minus the nominal radius.
-    pub radius_um: f64,
-    /// Reversal per axis (backlash as `reversal.A`), from both contours together.
-    pub reversal: BTreeMap<String, f64>,
-    /// Squareness of the two axes, µrad: positive when the angle between the positive axes is below 90°.
-    pub squareness_urad: f64,
-    /// Scale of the first axis minus that of the second, ppm.
-    pub scale_mismatch_ppm: Option<f64>,
-    /// RMS of what this fit leaves.
-    pub rms: f64,
-}
-
-/// Evaluates a ballbar or grid-plate circle: radial error over the angle, both contours where they are there.
-///
-/// The radial deviation is fitted with centre offset, radius, scale mismatch, squareness and one reversal per axis;
-/// deviations G and H are taken after centre (and, for G, radius) only.
-///
-/// # Errors
-/// Neither `error.r` with `angle` nor two axes with error and position; no contour that closes half a turn.
-pub fn circular(record: &Record) -> Result<Circular, InputError> {
-    let (plane, angle, radial, radius_mm) = contour(record)?;
-    // Direction of travel: the sign of the angle's change, smoothed over noise by looking some rows ahead.
-    let n = angle.len();
-    let look = (n / 400).max(1);
-    let ccw: Vec<bool> = (0..n)
-        .map(|i| {
-            let (a, b) = (i.saturating_sub(look), (i + look).min(n - 1));
-            let d = (angle[b] - angle[a] + PI).rem_euclid(TAU) - PI;
-            d >= 0.0
-        })
-        .collect();
-    let columns = 7;
-    let row = |i: usize| {
-        let (sin, cos) = angle[i].sin_cos();
-        let turn = if ccw[i] { 1.0 } else { -1.0 };
-        // Moving counter-clockwise x moves with the sign of −sin and y with that of cos.
-        let reversal = |direction: f64, arm: f64| direction.signum() * turn * arm / 2.0;
-        [
-            1.0,
-            cos,
-            sin,
-            (2.0 * angle[i]).cos(),
-            (2.0 * angle[i]).sin(),
-            reversal(-sin, cos),
-            reversal(cos, sin),
-        ]
-    };
-    let a = nalgebra::DMatrix::from_fn(n, columns, |i, j| row(i)[j]);
-    let y = nalgebra::DVector::from_column_slice(&radial);
-    let fit = a.clone().svd(true, true).solve(&y, 1e-9).map_err(|e| lacks(record, e, "a contour"))?;
-    let left = &y - &a * &fit;
-    let quarter = angle
-        .iter()
-        .map(|a| (a.rem_euclid(TAU) / (PI / 2.0)) as usize)
-        .collect::<std::collections::BTreeSet<_>>();
-    if quarter.len() < 2 || n < 2 * columns {
-        return Err(lacks(record, "less than half a circle", "a contour over at least half a turn"));
-    }
-    let centred: Vec<f64> =
-        (0..n).map(|i| radial[i] - fit[1] * angle[i].cos() - fit[2] * angle[i].sin()).collect();
-    let ring = |want: bool| range((0..n).filter(|i| ccw[*i] == want).map(|i| (centred[i], centred[i])));
-    // Hysteresis: both contours averaged over one-degree sectors.
-    let mut sectors = vec![[(0.0, 0_u32); 2]; 360];
-    for i in 0..n {
-        let cell =
-            &mut sectors[(angle[i].rem_euclid(TAU).to_degrees() as usize).min(359)][usize::from(ccw[i])];
-        cell.0 += centred[i];
-        cell.1 += 1;
-    }
-    let difference = |s: &[(f64, u32); 2]| {
-        (s[0].1 > 0 && s[1].1 > 0).then(|| (s[0].0 / f64::from(s[0].1) - s[1].0 / f64::from(s[1].1)).abs())
-    };
-    let axes: Vec<&str> = plane.split('-').collect();
-    Ok(Circular {
-        g_ccw: ring(true),
-        g_cw: ring(false),
-        g_b: range(centred.iter().map(|v| (*v, *v))).unwrap_or(0.0),
-        h: largest(sectors.iter().filter_map(difference)),
-        f_max: largest(radial.iter().copied()).unwrap_or(0.0),
-        f_min: -largest(radial.iter().map(|v| -v)).unwrap_or(0.0),
-        centre_um: [fit[1], fit[2]],
-        radius_um: fit[0],
-        reversal: [(axes[0].to_owned(), fit[5]), (axes[1].to_owned(), fit[6])].into(),
-        // e_x = urad·y/1000 gives a radial urad·r/1000·sin·cos = urad·r/2000·sin 2θ
-        squareness_urad: radius_mm.map_or(fit[4], |r| fit[4] * 2000.0 / r),
-        scale_mismatch_ppm: radius_mm.map(|r| fit[3] * 2000.0 / r),
-        rms: (left.norm_squared() / n as f64).sqrt(),
-        plane: plane.clone(),
-    })
-}
-
-type Contour = (String, Vec<f64>, Vec<f64>, Option<f64>);
-
-/// Plane, angle, radial error and radius of a contour.
-fn contour(record: &Record) -> Result<Contour, InputError> {
-    let positions: Vec<&Axis> = record.axes(Role::Position).collect();
-    let r = Axis::new("r").map(Role::Error);
-    if let (Some(e), Some(angle)) = (r.and_then(|r| record.data(&r)), record.data(&Role::Angle)) {
-        let plane = match positions.as_slice() {
-            [a, b, ..] => format!("{a}-{b}"),
-            _ => "first-second".to_owned(),
-        };
-        return Ok((plane, angle.to_vec(), e.to_vec(), None));
-    }
-    let with_both: Vec<(&Axis, &[f64], &[f64])> = error_axes(record)
-        .into_iter()
-        .filter_map(|(a, e)| Some((a, record.data(&Role::Position(a.clone()))?, e)))
-        .collect();
-    let [(ax, px, ex), (ay, py, ey), ..] = with_both.as_slice() else {
-        let expected = "columns error.r and angle, or two axes with position and error";
-        return Err(lacks(record, "no circular contour", expected));
-    };
-    let middle = |p: &[f64]| {
-        let lo = p.iter().copied().fold(f64::INFINITY, f64::min);
-        f64::midpoint(lo, p.iter().copied().fold(f64::NEG_INFINITY, f64::max))
-    };
-    let (cx, cy) = (middle(px), middle(py));
-    let angle: Vec<f64> = px.iter().zip(py.iter()).map(|(x, y)| (y - cy).atan2(x - cx)).collect();
-    let radial =
-        angle.iter().zip(ex.iter().zip(ey.iter())).map(|(a, (x, y))| x * a.cos() + y * a.sin()).collect();
-    let radii = || px.iter().zip(py.iter()).map(|(x, y)| (x - cx).hypot(y - cy));
-    let radius = radii().sum::<f64>() / px.len() as f64;
-    // The centre is the middle of the positions: that holds for a whole circle only.
-    if radii().any(|r| (r - radius).abs() > 0.01 * radius) {
-        return Err(lacks(
-            record,
-            "positions that are no full circle",
-            "a circle about its centre, all the way round",
-        ));
-    }
-    Ok((format!("{ax}-{ay}"), angle, radial, Some(radius)))
-}
-
-impl Circular {
-    /// Radial deviation around the circle, drawn on a circle of four times its range.
-    ///
-    /// # Errors
-    /// As [`circular`].
-    pub fn chart(&self, record: &Record) -> Result<Chart, InputError> {
-        let (_, angle, radial, _) = contour(record)?;
-        let base = 2.0 * self.g_b.max(1e-3);
-        let at = |(a, r): (&f64, &f64)| {
-            let r = base + r - self.radius_um - self.centre_um[0] * a.cos() - self.centre_um[1] * a.sin();
-            (r * a.cos(), r * a.sin())
-        };
-        let circle =
-            (0..=360_u16).map(|d| f64::from(d).to_radians()).map(|a| (base * a.cos(), base * a.sin()));
-        let title = format!("Circular deviation in plane {} (ISO 230-4)", self.plane);
-        Ok(Chart::new(&title, "µm, on a circle of twice the deviation", "µm")
-            .with(Series::new("least-squares circle", Style::Line, circle.collect()))
-            .with(Series::new("measured", Style::Dots, angle.iter().zip(&radial).map(at).collect())))
-    }
 }
 
 /// Repeatability of returning to one position (tool changes, reference marks), from the record's first error per

@@ -2,9 +2,10 @@
 
 use rtec_files::InputError;
 use rtec_files::csv::{self, Reader};
-use rtec_files::toml::Document;
+use rtec_files::toml::{Document, Table};
+use rtec_model::circle::Circle;
 use rtec_model::date;
-use rtec_model::record::{Column, Kind, Record, Role, check, hex};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, check, hex};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -43,7 +44,12 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
     record.sha256 = hex(&Sha256::digest(&bytes));
     (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
     record.zero = sidecar.zero;
-    Ok(record)
+    match sidecar.circle {
+        Some((circle, place)) => {
+            record.with_circle(circle).map_err(|(found, expected)| place.with(found, expected))
+        }
+        None => Ok(record),
+    }
 }
 
 /// The CSV's own rows (unlisted columns too) with further columns at the end, as CSV text.
@@ -100,6 +106,11 @@ pub fn to_sidecar(record: &Record) -> String {
     doc["kind"] = toml_edit::value(record.kind.name());
     if let Some(um) = record.count_um {
         doc["count_um"] = toml_edit::value(um);
+    }
+    if let Some(circle) = record.circle() {
+        doc["radius_mm"] = toml_edit::value(circle.radius_mm);
+        let plane: toml_edit::Array = circle.plane.iter().map(Axis::as_str).collect();
+        doc["plane"] = toml_edit::value(plane);
     }
     if let Some(date) = &record.date {
         doc["date"] = toml_edit::value(date);
@@ -195,6 +206,8 @@ struct Sidecar {
     file_error: Place,
     kind: Kind,
     count_um: Option<f64>,
+    /// The circle of a ballbar run, and where it is stated.
+    circle: Option<(Circle, Place)>,
     date: Option<String>,
     note: Option<String>,
     zero: Option<String>,
@@ -206,13 +219,14 @@ impl Sidecar {
         let text = rtec_files::text::read(path)?;
         let doc = Document::parse(path, &text)?;
         let root = doc.root();
-        root.only(&["file", "kind", "count_um", "date", "note", "zero", "columns"])?;
+        root.only(&["file", "kind", "count_um", "radius_mm", "plane", "date", "note", "zero", "columns"])?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
         let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
         let parsed_kind = Kind::parse(kind.str("a kind of run")?)
             .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
         let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
+        let circle = read_circle(&root)?;
         // A date may be TOML's own or a string.
         let day = |v: rtec_files::toml::Entry<'_>| match date::parse(&v.text()) {
             Some(_) => Ok(v.text()),
@@ -244,8 +258,27 @@ impl Sidecar {
         }
         let file_error = Place(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();
-        Ok(Self { file, file_error, kind: parsed_kind, count_um, date, note, zero, columns })
+        Ok(Self { file, file_error, kind: parsed_kind, count_um, circle, date, note, zero, columns })
     }
+}
+
+/// The bar's length and the plane of a ballbar run: both or neither.
+fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, Place)>, InputError> {
+    const LENGTH: &str = "the bar's nominal length beside `plane`, as radius_mm = 150.0";
+    const PLANE: &str =
+        "two axes, the angle running from the first towards the second, as plane = [\"x\", \"y\"]";
+    let (radius, plane) = match (root.get("radius_mm"), root.get("plane")) {
+        (None, None) => return Ok(None),
+        (Some(radius), plane) => {
+            (radius, plane.ok_or_else(|| radius.error("no `plane` beside `radius_mm`", PLANE))?)
+        }
+        (None, Some(plane)) => return Err(plane.error("no `radius_mm` beside `plane`", LENGTH)),
+    };
+    let radius_mm = radius.positive(LENGTH)?;
+    let names = plane.strings(PLANE)?;
+    let axes: Option<Vec<Axis>> = names.iter().map(|n| Axis::new(n)).collect();
+    let plane_axes: [Axis; 2] = axes.and_then(|a| a.try_into().ok()).ok_or_else(|| plane.mismatch(PLANE))?;
+    Ok(Some((Circle { radius_mm, plane: plane_axes }, Place(plane.error("", "")))))
 }
 
 #[cfg(test)]
@@ -359,6 +392,49 @@ mod tests {
         write(&mut r).unwrap();
         assert_eq!(super::read(&path).unwrap(), r);
         assert_eq!(r.sha256.len(), 64);
+    }
+
+    const BALLBAR: &str = "file = \"y.csv\"\nkind = \"ballbar\"\nradius_mm = 150.0\nplane = [\"x\", \"y\"]\n[columns]\n\
+                           a = { role = \"angle\", unit = \"rad\" }\ne = { role = \"error.r\", unit = \"um\" }\n";
+
+    #[test]
+    fn a_ballbar_s_length_and_plane_are_kept_and_written_back() {
+        let mut r = read(BALLBAR, "a,e\n0,1\n0.1,2\n0.2,3\n").unwrap();
+        let circle = r.circle().unwrap();
+        assert_eq!((circle.radius_mm, circle.plane[1].as_str()), (150.0, "y"));
+        let folder = tempfile::tempdir().unwrap();
+        r.path = folder.path().join("b.run.toml");
+        r.file = "b.csv".into();
+        write(&mut r).unwrap();
+        assert_eq!(super::read(&r.path).unwrap(), r);
+        let text = std::fs::read_to_string(&r.path).unwrap();
+        assert!(text.contains("radius_mm = 150.0\nplane = [\"x\", \"y\"]\n"), "{text}");
+        // What follows from the angle is no column of the file.
+        assert_eq!(std::fs::read_to_string(folder.path().join("b.csv")).unwrap(), "a,e\n0,1\n0.1,2\n0.2,3\n");
+        // A run without them is one as before.
+        let plain = BALLBAR.replace("radius_mm = 150.0\nplane = [\"x\", \"y\"]\n", "");
+        assert_eq!(read(&plain, "a,e\n0,1\n").unwrap().circle(), None);
+    }
+
+    #[test]
+    fn findings_in_a_ballbar_s_sidecar_carry_their_place() {
+        for (from, to, line, column, found, expected) in [
+            ("150.0", "0.0", 3, 13, "radius_mm = 0.0", "nominal length"),
+            ("150.0", "\"150\"", 3, 13, "radius_mm", "nominal length"),
+            ("radius_mm = 150.0\n", "", 3, 9, "no `radius_mm`", "radius_mm = 150.0"),
+            ("plane = [\"x\", \"y\"]\n", "", 3, 13, "no `plane`", "plane = [\"x\", \"y\"]"),
+            ("[\"x\", \"y\"]", "\"xy\"", 4, 9, "plane = \"xy\"", "two axes"),
+            ("[\"x\", \"y\"]", "[\"x\"]", 4, 9, "plane = [\"x\"]", "two axes"),
+            ("[\"x\", \"y\"]", "[\"x\", \"x\"]", 4, 9, "plane of x and x", "two axes"),
+            ("[\"x\", \"y\"]", "[\"x\", \"1\"]", 4, 9, "plane = ", "two axes"),
+            ("\"ballbar\"", "\"probing\"", 4, 9, "kind probing", "ballbar"),
+            ("error.r", "error.x", 4, 9, "no radial error", "error.r"),
+            ("\"angle\", unit = \"rad\"", "\"cycle\", unit = \"1\"", 4, 9, "no angle", "role angle"),
+        ] {
+            let e = read(&BALLBAR.replacen(from, to, 1), "a,e\n0,1\n").unwrap_err();
+            assert_eq!((e.line, e.column), (line, column), "{to}: {e}");
+            assert!(e.found.contains(found) && e.expected.contains(expected), "{to}: {e}");
+        }
     }
 
     #[test]

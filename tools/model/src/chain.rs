@@ -162,13 +162,21 @@ impl Chain {
         Ok(Self { joints, tool_mm })
     }
 
-    /// Adds the chain's errors to the error responses x, y and z of a record, row by row.
+    /// Adds the chain's errors to the error responses x, y and z of a record, or to the radial one of a circle, row by row.
     ///
     /// # Errors
     /// A sensor or the position of an axis that the record does not have.
     pub fn add(&self, record: &Record, response: &Role, out: &mut [f64]) -> Result<(), Missing> {
         let Role::Error(axis) = response else { return Ok(()) };
-        let Some(place) = ["x", "y", "z"].iter().position(|n| *n == axis.as_str()) else { return Ok(()) };
+        let place = |axis: &Axis| ["x", "y", "z"].iter().position(|n| *n == axis.as_str());
+        // Each place with its share in the response, where that is not the whole.
+        let parts: Vec<(usize, Option<&[f64]>)> = match (place(axis), record.circle()) {
+            (Some(own), _) => vec![(own, None)],
+            (None, Some(circle)) if axis.as_str() == "r" => {
+                circle.plane.iter().filter_map(|a| Some((place(a)?, record.share(a)))).collect()
+            }
+            _ => return Ok(()),
+        };
         let missing = |what: String| Missing { effect: "chain".to_owned(), what, has: String::new() };
         for joint in &self.joints {
             if let Some((axis, _)) = &joint.axis {
@@ -190,7 +198,8 @@ impl Chain {
                         Against::Standard => STANDARD_DEGC,
                     }
             };
-            *o += self.error_um(position, delta)[place];
+            let e = self.error_um(position, delta);
+            *o += parts.iter().map(|(place, share)| e[*place] * share.map_or(1.0, |s| s[row])).sum::<f64>();
         }
         Ok(())
     }

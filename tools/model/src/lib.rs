@@ -7,12 +7,14 @@
 //! | [`machine`] | `machine.toml`: a list of named effects, read strictly, written without losing a comment |
 //! | [`live`] | a model evaluated at one instant, without allocation |
 //! | [`record`] | a run in memory: what an effect is evaluated over, column by column |
+//! | [`circle`] | a circular run measured by a bar: what its angle says of the two axes |
 //! | [`date`] | calendar days |
 //!
 //! What must not live here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`), counts, ramps
 //! and limits (`rtec-correct`).
 
 pub mod chain;
+pub mod circle;
 pub mod date;
 pub mod effect;
 pub mod live;

@@ -1,6 +1,7 @@
 //! A run in memory: columns by role, row by row. On file it is a run record (formats.md, "Run record"), which
 //! `rtec-measure` reads and writes.
 
+use crate::circle::{Circle, Derived};
 use rtec_files::InputError;
 use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -252,6 +253,8 @@ pub struct Record {
     /// The listed columns, in the CSV's order.
     pub columns: Vec<Column>,
     time_s: Vec<f64>,
+    /// For a circle measured by a bar: which, and what follows from its angle.
+    circle: Option<(Circle, Derived)>,
 }
 
 impl Record {
@@ -311,7 +314,55 @@ impl Record {
             zero: None,
             time_s: times(&columns),
             columns,
+            circle: None,
         }
+    }
+
+    /// The circle that a bar measured, where the sidecar states it.
+    #[must_use]
+    pub fn circle(&self) -> Option<&Circle> {
+        self.circle.as_ref().map(|(circle, _)| circle)
+    }
+
+    /// States the circle of a ballbar run: positions, directions and (with a time) velocities of its two axes then follow
+    /// from the angle wherever they are not logged.
+    ///
+    /// # Errors
+    /// What was found and what was expected: a run of another kind, no radial error, no angle, one axis twice, a radius
+    /// that is not above zero.
+    pub fn with_circle(mut self, circle: Circle) -> Result<Self, (String, &'static str)> {
+        if self.kind != Kind::Ballbar {
+            return Err((format!("a run of kind {}", self.kind.name()), "kind = \"ballbar\""));
+        }
+        let [a, b] = &circle.plane;
+        if a == b || [a, b].iter().any(|n| n.as_str() == "r") {
+            return Err((format!("the plane of {a} and {b}"), "two axes, as plane = [\"x\", \"y\"]"));
+        }
+        if !(circle.radius_mm.is_finite() && circle.radius_mm > 0.0) {
+            return Err((format!("a radius of {}", circle.radius_mm), "a length above zero, mm"));
+        }
+        if !self.responses().any(|c| matches!(&c.role, Role::Error(a) if a.as_str() == "r")) {
+            return Err(("no radial error".into(), "a column of role error.r"));
+        }
+        let Some(angle) = self.data(&Role::Angle) else {
+            return Err(("no angle".into(), "a column of role angle"));
+        };
+        let time_s = self.data(&Role::Time);
+        let derived = circle.derive(angle, time_s, &self.columns);
+        self.circle = Some((circle, derived));
+        Ok(self)
+    }
+
+    /// The share of an axis' error in the radial one at every row (cos θ or sin θ); `None` for an axis that is not in the
+    /// plane of the record's circle.
+    pub(crate) fn share(&self, axis: &Axis) -> Option<&[f64]> {
+        let (circle, derived) = self.circle.as_ref()?;
+        circle.plane.iter().zip(&derived.share).find(|(a, _)| *a == axis).map(|(_, share)| share.as_slice())
+    }
+
+    /// The listed columns, then those that follow from a circle's angle.
+    fn known(&self) -> impl Iterator<Item = &Column> {
+        self.columns.iter().chain(self.circle.iter().flat_map(|(_, derived)| &derived.columns))
     }
 
     /// Number of rows, equal in every column.
@@ -326,10 +377,10 @@ impl Record {
         &self.time_s
     }
 
-    /// The column of a role that can stand only once.
+    /// The column of a role that can stand only once: listed, or following from a circle's angle.
     #[must_use]
     pub fn column(&self, role: &Role) -> Option<&Column> {
-        self.columns.iter().find(|c| c.role == *role)
+        self.known().find(|c| c.role == *role)
     }
 
     /// The values of the column of a role that can stand only once, in the role's unit.
@@ -366,7 +417,7 @@ impl Record {
 
     /// The axes that have a column of the role that `role` makes, in the CSV's order.
     pub fn axes(&self, role: fn(Axis) -> Role) -> impl Iterator<Item = &Axis> {
-        self.columns.iter().filter_map(move |c| {
+        self.known().filter_map(move |c| {
             let axis = c.role.axis()?;
             (role(axis.clone()) == c.role).then_some(axis)
         })
@@ -379,11 +430,15 @@ impl Record {
     #[must_use]
     pub fn select(&self, rows: &[usize]) -> Self {
         let pick = |data: &[f64]| rows.iter().map(|&r| data[r]).collect::<Vec<_>>();
-        Self {
-            columns: self.columns.iter().map(|c| Column { data: pick(&c.data), ..c.clone() }).collect(),
-            time_s: pick(&self.time_s),
-            ..self.clone()
-        }
+        let of = |columns: &[Column]| {
+            columns.iter().map(|c| Column { data: pick(&c.data), ..c.clone() }).collect::<Vec<_>>()
+        };
+        // What follows from the angle was found among the neighbours: it stays each row's own.
+        let circle = self.circle.as_ref().map(|(circle, d)| {
+            let share = [pick(&d.share[0]), pick(&d.share[1])];
+            (circle.clone(), Derived { share, columns: of(&d.columns) })
+        });
+        Self { columns: of(&self.columns), time_s: pick(&self.time_s), circle, ..self.clone() }
     }
 }
 

@@ -140,14 +140,28 @@ impl Hypotheses {
 
     /// The search of a wave's period.
     fn wave(&mut self, stack: &Stack<'_>, effect: &Effect, facts: &effect::Wave) -> Option<Wave> {
-        let response = response_of(stack, effect)?;
         let axis = effect.axes()[0].clone();
+        let own = Role::Error(axis.clone());
+        let radial =
+            |r: &Role| stack.records.iter().any(|rec| effect.acts_on(rec).iter().any(|(on, _)| on == r));
+        let response = stack
+            .responses
+            .iter()
+            .position(|r| *r == own)
+            .or_else(|| stack.responses.iter().position(radial))?;
         let along = stack
             .column(Some(response), |r, row| r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row]));
         let h = self.hypothesis(effect);
         let [lo, hi] = effect.description().parameters[0].bounds;
         let (from, to) = (1.0 / (hi * facts.unit_mm), 1.0 / (lo * facts.unit_mm));
         let mut wave = Wave::new(stack, h, response, &along, from, to);
+        if stack.responses[response] != own {
+            // What is constant on the axis shows its share in the radial error.
+            let dictionary = Dictionary::default();
+            let constant = dictionary.laws().find(|l| l.describe().constant)?;
+            let constant = dictionary.effect(&format!("{}.{axis}", constant.describe().name)).ok()?;
+            wave.share = stack.basis(&constant).first()?[wave.rows.clone()].to_vec();
+        }
         if let (Some(steps), Some(step)) = (facts.steps, resolution(&wave.places)) {
             // What is finer than the positions are read cannot be told from something coarser.
             let finest = 1.0 / (steps * step);
@@ -174,11 +188,6 @@ impl Hypotheses {
             self.atoms.push(Atom { cause, columns: own, hypothesis, cost: cost + choice.price });
         }
     }
-}
-
-fn response_of(stack: &Stack<'_>, effect: &Effect) -> Option<usize> {
-    let axis = effect.axes().first()?;
-    stack.responses.iter().position(|r| *r == Role::Error(axis.clone()))
 }
 
 /// The column that a free reference temperature adds: the effect of one kelvin, the same at all times.

@@ -15,7 +15,9 @@ pub(crate) struct Wave {
     pub(crate) rows: Range<usize>,
     /// The variable at those rows.
     pub(crate) along: Vec<f64>,
-    /// The same in rising order, each value once.
+    /// What the wave is multiplied with at those rows (its axis' share in a circle's radial error); empty for one.
+    pub(crate) share: Vec<f64>,
+    /// The variable in rising order, each value once.
     pub(crate) places: Vec<f64>,
     /// Frequencies to search, in periods per unit of the variable.
     pub(crate) from: f64,
@@ -38,7 +40,23 @@ impl Wave {
         let mut places = along.clone();
         places.sort_by(f64::total_cmp);
         places.dedup();
-        Self { hypothesis, effect: None, shape: None, rows, along, places, from, to, unit: 1.0 }
+        Self {
+            hypothesis,
+            effect: None,
+            shape: None,
+            rows,
+            along,
+            share: Vec::new(),
+            places,
+            from,
+            to,
+            unit: 1.0,
+        }
+    }
+
+    /// A column of its rows, each value by its share.
+    pub(crate) fn shared(&self, column: &mut [f64]) {
+        column.iter_mut().zip(&self.share).for_each(|(v, share)| *v *= share);
     }
 
     /// Periods per unit of the variable of one of its causes.

@@ -1,6 +1,6 @@
 //! An effect over a record: the columns that it reads, found once, then basis values, sums and slopes column by column.
 
-use super::{Against, Effect, Input, Need, Out, STANDARD_DEGC, State, sign};
+use super::{Against, Effect, Input, Naming, Need, Out, STANDARD_DEGC, State, sign};
 use crate::record::{Record, Role};
 
 /// A sensor or channel that an effect names and a record does not have.
@@ -14,6 +14,9 @@ pub struct Missing {
     /// What the record has of that role.
     pub has: String,
 }
+
+/// The component of an effect of the axes in a circle's radial error: its errors along the two axes, projected.
+pub(super) const RADIAL: usize = 2;
 
 /// The columns of a record that an effect reads. Good for every value of the effect's parameters, so that a search
 /// over non-linear parameters binds once.
@@ -35,6 +38,8 @@ pub struct Bound<'r> {
     angle: Option<&'r [f64]>,
     channel: Option<&'r [f64]>,
     taken_as_zero: Vec<Role>,
+    /// The share of each component's error in the radial one, in a circle.
+    share: [Option<&'r [f64]>; 2],
 }
 
 impl Bound<'_> {
@@ -86,7 +91,23 @@ impl Bound<'_> {
     /// When `out` does not have rows × coefficients places.
     pub fn basis(&self, effect: &Effect, component: usize, out: Out<'_>) {
         assert_eq!(out.len(), self.rows * effect.coefficient_count(), "one column per coefficient");
-        effect.law.basis_rows(effect, self, component, out);
+        self.projected(component, out, |component, out| effect.law.basis_rows(effect, self, component, out));
+    }
+
+    /// Columns of one component; or of all that have a share in the radial error, each by its share.
+    fn projected(&self, component: usize, out: Out<'_>, fill: impl Fn(usize, Out<'_>)) {
+        if component != RADIAL {
+            return fill(component, out);
+        }
+        out.fill(0.0);
+        let mut buffer = vec![0.0; out.len()];
+        for (component, share) in self.share.iter().enumerate() {
+            let Some(share) = share else { continue };
+            fill(component, &mut buffer);
+            for (o, b) in out.chunks_mut(self.rows.max(1)).zip(buffer.chunks(self.rows.max(1))) {
+                o.iter_mut().zip(b).zip(*share).for_each(|((o, b), share)| *o += share * b);
+            }
+        }
     }
 
     /// Adds the effect to `out` at every row.
@@ -113,15 +134,17 @@ impl Bound<'_> {
     pub fn slopes(&self, effect: &Effect, component: usize, out: Out<'_>) {
         let n = effect.values.len();
         assert_eq!(out.len(), self.rows * n, "one column per parameter value");
-        let mut state = State::default();
-        let mut buffer = vec![0.0; n];
-        for row in 0..self.rows {
-            buffer.fill(0.0);
-            effect.law.slopes(effect, &self.input(row), component, &mut state, &mut buffer);
-            for (i, v) in buffer.iter().enumerate() {
-                out[i * self.rows + row] = *v;
+        self.projected(component, out, |component, out| {
+            let mut state = State::default();
+            let mut buffer = vec![0.0; n];
+            for row in 0..self.rows {
+                buffer.fill(0.0);
+                effect.law.slopes(effect, &self.input(row), component, &mut state, &mut buffer);
+                for (i, v) in buffer.iter().enumerate() {
+                    out[i * self.rows + row] = *v;
+                }
             }
-        }
+        });
     }
 }
 
@@ -156,7 +179,13 @@ impl Effect {
             angle: None,
             channel: None,
             taken_as_zero: Vec::new(),
+            share: [None; 2],
         };
+        // Only a pair acts on its second axis.
+        let acts_on = if self.description().naming == Naming::Pair { 2 } else { 1 };
+        for (share, axis) in bound.share.iter_mut().zip(&self.axes[..acts_on.min(self.axes.len())]) {
+            *share = record.share(axis);
+        }
         for &need in &self.description().needs {
             let role = need.role(&self.axes);
             let data = record.data(&role);

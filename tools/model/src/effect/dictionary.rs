@@ -1,7 +1,9 @@
 //! All laws by name, and which of their effects a set of records could show.
 
 use super::laws::BUILT_IN;
-use super::{Description, Difference, Effect, Law, Naming, Need, Parameter, Probing, Search, ValueError};
+use super::{
+    Description, Difference, Effect, Law, Naming, Need, Owner, Parameter, Probing, Search, ValueError,
+};
 use crate::record::{Axis, Kind, Record, Role};
 use std::sync::Arc;
 
@@ -117,9 +119,16 @@ struct Common<'r> {
     sensors: Vec<&'r str>,
     channels: Vec<&'r str>,
     positions: Vec<&'r Axis>,
-    /// Axes of the responses.
+    /// Axes of the responses, and those that a radial one is made of.
     axes: Vec<&'r Axis>,
     probing: bool,
+}
+
+/// The axes on whose errors (or forces: true) a record has something to say: those of its responses, and of a circle's plane.
+fn responding(record: &Record) -> impl Iterator<Item = (bool, &Axis)> {
+    let of = |c: &'_ crate::record::Column| matches!(c.role, Role::Force(_));
+    let own = record.responses().filter_map(move |c| Some((of(c), c.role.axis()?)));
+    own.chain(record.circle().into_iter().flat_map(|c| c.plane.iter().map(|a| (false, a))))
 }
 
 impl<'r> Common<'r> {
@@ -131,13 +140,14 @@ impl<'r> Common<'r> {
             first.names(&role).filter(in_all).collect()
         };
         let positions = first.axes(Role::Position).filter(|a| everywhere(&Role::Position((*a).clone())));
-        let responses = first.responses().map(|c| &c.role).filter(|r| everywhere(r));
+        let axes = responding(first)
+            .filter(|(force, a)| records.iter().all(|r| responding(r).any(|(f, b)| (f, b) == (*force, a))));
         Some(Self {
             records,
             sensors: named(Role::Temperature),
             channels: named(Role::Channel),
             positions: positions.collect(),
-            axes: responses.filter_map(Role::axis).collect(),
+            axes: axes.map(|(_, axis)| axis).collect(),
             probing: records.iter().all(|r| r.kind == Kind::Probing),
         })
     }
@@ -180,7 +190,13 @@ impl<'r> Common<'r> {
             }
             _ => self.everywhere(&need.role(&effect.axes)),
         };
+        // A bar turns about its balls: no probe has a part in a circle.
+        let circle = self.records.iter().any(|r| r.circle().is_some());
+        // Nor is the bar an axis that others lead: what places do to it, they do to the axes.
+        let of_bar = effect.axes.first().is_some_and(|a| a.as_str() == "r")
+            && law.needs.iter().any(|n| matches!(n, Need::Position(_)));
         self.records.iter().all(|r| effect.acts_on(r).len() >= components)
+            && !(circle && (law.owner == Owner::Probe || of_bar))
             && law.needs.iter().all(readable)
             && !(law.probing == Probing::Displaced && self.probing)
     }

@@ -34,6 +34,7 @@ mod linear;
 mod own;
 mod wave;
 
+use bound::RADIAL;
 pub use bound::{Bound, Missing};
 pub use description::{
     ANOTHER_REFERENCE, Choice, Description, Heat, Mechanism, Naming, Need, Owner, Parameter, Probing,
@@ -401,17 +402,20 @@ impl Effect {
     }
 
     /// The component with which it acts on a response of this role; `None` where it does not. `sole_error` tells
-    /// that the response is the record's only error.
-    fn component(&self, role: &Role, has_angle: bool, sole_error: bool) -> Option<usize> {
+    /// that the response is the record's only error, `plane` the axes that a radial error is made of.
+    fn component(&self, role: &Role, has_angle: bool, sole_error: bool, plane: &[Axis]) -> Option<usize> {
         let law = self.description();
         let ((Role::Error(axis), Quantity::Error) | (Role::Force(axis), Quantity::Force)) =
             (role, law.quantity)
         else {
             return None;
         };
+        let of_plane = |axes: &[Axis]| axis.as_str() == "r" && axes.iter().any(|a| plane.contains(a));
         match law.naming {
             Naming::Plain => (has_angle && (axis.as_str() == "r" || sole_error)).then_some(0),
+            Naming::Pair if of_plane(&self.axes) => Some(RADIAL),
             Naming::Pair => self.axes.iter().position(|a| a == axis),
+            _ if of_plane(&self.axes[..1]) => Some(RADIAL),
             _ => (self.axes.first() == Some(axis)).then_some(0),
         }
     }
@@ -452,7 +456,8 @@ impl Effect {
         id
     }
 
-    /// The responses of a record on which it acts: column's role and component.
+    /// The responses of a record on which it acts: column's role and component (0 or 1 of a pair; one further for the
+    /// projection of both on the radial error of a circle).
     #[must_use]
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
         if self.description().probing == Probing::Only && record.kind != Kind::Probing {
@@ -462,7 +467,8 @@ impl Effect {
         let errors = roles.iter().filter(|r| matches!(r, Role::Error(_))).count();
         let radial = roles.iter().any(|r| r.to_string() == "error.r");
         let has_angle = record.column(&Role::Angle).is_some();
-        let component = |role: &Role| self.component(role, has_angle, errors == 1 && !radial);
+        let plane = record.circle().map_or(&[][..], |c| &c.plane);
+        let component = |role: &Role| self.component(role, has_angle, errors == 1 && !radial, plane);
         roles.into_iter().filter_map(|r| Some((r.clone(), component(r)?))).collect()
     }
 

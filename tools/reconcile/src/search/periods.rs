@@ -90,7 +90,9 @@ impl Search<'_, '_> {
         for p in [0.0, phi] {
             if p == 0.0 || p.abs() >= VISIBLE_MEMORY {
                 let u = sharpened(&residual, p, &self.stack.ranges);
-                self.near_peaks(at, &x, &u[wave.rows.clone()], &band, p, list);
+                let mut u = u[wave.rows.clone()].to_vec();
+                wave.shared(&mut u);
+                self.near_peaks(at, &x, &u, &band, p, list);
             }
         }
         if wanted > MOST_FREQUENCIES && x.len() >= FAR_ROWS {
@@ -99,9 +101,10 @@ impl Search<'_, '_> {
             let from = from + step * MOST_FREQUENCIES;
             let step = FAST_STEP / span;
             let count = ((wave.to - from) / step).ceil().max(2.0) as usize;
-            let u = sharpened(&residual, phi, &self.stack.ranges);
+            let mut u = sharpened(&residual, phi, &self.stack.ranges)[wave.rows.clone()].to_vec();
+            wave.shared(&mut u);
             let mut transform = self.transform.borrow_mut();
-            let sums = transform.sums(&x, &u[wave.rows.clone()], from, step, count);
+            let sums = transform.sums(&x, &u, from, step, count);
             let mut power: Vec<f64> = sums.map(|z| f64::from(z.norm_sqr())).collect();
             peaks(&mut power, from, step, list);
         }
@@ -245,6 +248,8 @@ impl Search<'_, '_> {
             for (x, (a, b)) in wave.along.iter().zip(both) {
                 (*a, *b) = gram::wave(x * f);
             }
+            wave.shared(&mut sines[wave.rows.clone()]);
+            wave.shared(&mut cosines[wave.rows.clone()]);
         }
         for column in &mut out {
             self.stack.weigh(column);

@@ -101,11 +101,10 @@ fn evaluate(record: &Record, standard: Standard, norm: u8) -> anyhow::Result<(Va
             (serde_json::to_value(all)?, charts)
         }
         Standard::Iso230_3 => (serde_json::to_value(iso230::drift(record)?)?, iso230::drift_charts(record)),
-        Standard::Ballbar => {
-            let c = iso230::circular(record)?;
-            let chart = c.chart(record)?;
-            (serde_json::to_value(c)?, vec![chart])
-        }
+        Standard::Ballbar => (
+            serde_json::to_value(rtec_measure::ballbar::evaluate(std::slice::from_ref(record))?)?,
+            Vec::new(),
+        ),
         Standard::Plate => {
             let norm = if norm == 2 { plate::Norm::Squares } else { plate::Norm::Fourth };
             let p = plate::evaluate(record, norm)?;

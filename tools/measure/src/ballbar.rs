@@ -1,0 +1,407 @@
+//! Circular tests: deviations as ISO 230-4:2005 defines them, and what makes them, with intervals.
+//!
+//! | symbol | of | meaning |
+//! |---|---|---|
+//! | G | one contour | circular deviation: range of the radial deviation about the least-squares circle |
+//! | G(b) | both ways | the same over both contours about their common circle (bi-directional circular deviation) |
+//! | F max, F min | one contour | radial deviation: largest and smallest about the nominal radius, centred by least squares |
+//! | D | both ways | mean bi-directional radial deviation: mean radius minus the nominal one |
+//! | H | both ways | hysteresis: largest difference of both contours at one angle (ISO 230-4:1996) |
+//!
+//! The diagnosis fits the laws of the model's own effects (scale, squareness, reversal, spike, following error, screw) to
+//! the radial errors of all records of a plane together; each record has a centre and a mean radius of its own.
+
+use crate::iso230::{error_axes, lacks};
+use rtec_files::InputError;
+use rtec_model::circle::{Circle, rates};
+use rtec_model::effect::Dictionary;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+use std::ops::Range;
+
+mod diagnosis;
+
+pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
+
+/// One contour: a run round in one sense at one feed. Values in µm unless named otherwise.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Contour {
+    /// The record it is in.
+    pub record: String,
+    /// `ccw` (from the first axis towards the second) or `cw`.
+    pub direction: &'static str,
+    /// Feed along the circle, mm/min, where time and radius are known.
+    pub feed_mm_per_min: Option<f64>,
+    /// Angle that it covers, degrees.
+    pub turned_deg: f64,
+    /// Circular deviation.
+    #[serde(rename = "G")]
+    pub g: f64,
+    /// Largest radial deviation.
+    #[serde(rename = "F_max")]
+    pub f_max: f64,
+    /// Smallest radial deviation.
+    #[serde(rename = "F_min")]
+    pub f_min: f64,
+    /// Centre of its least-squares circle.
+    pub centre_um: [f64; 2],
+    /// Radius of its least-squares circle minus the nominal one.
+    pub radius_um: f64,
+    /// Angle (rad) and deviation from the least-squares circle, row by row.
+    #[serde(skip)]
+    pub trace: Vec<(f64, f64)>,
+}
+
+/// The circular tests of one plane. Values in µm unless named otherwise; `None` where the runs do not show them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Ballbar {
+    /// The plane, as the two axes.
+    pub plane: String,
+    /// Nominal radius, mm.
+    pub radius_mm: Option<f64>,
+    /// Largest circular deviation counter-clockwise.
+    #[serde(rename = "G_ccw")]
+    pub g_ccw: Option<f64>,
+    /// Largest circular deviation clockwise.
+    #[serde(rename = "G_cw")]
+    pub g_cw: Option<f64>,
+    /// Largest bi-directional circular deviation of a record (or of all records together, where none goes both ways).
+    #[serde(rename = "G_b")]
+    pub g_b: Option<f64>,
+    /// Largest radial deviation.
+    #[serde(rename = "F_max")]
+    pub f_max: f64,
+    /// Smallest radial deviation.
+    #[serde(rename = "F_min")]
+    pub f_min: f64,
+    /// Mean bi-directional radial deviation.
+    #[serde(rename = "D")]
+    pub d: Option<f64>,
+    /// Largest hysteresis.
+    #[serde(rename = "H")]
+    pub h: Option<f64>,
+    /// What makes the deviations.
+    #[serde(flatten)]
+    pub diagnosis: Diagnosis,
+    /// Every contour.
+    pub contours: Vec<Contour>,
+    /// What to know before using it.
+    pub warnings: Vec<String>,
+}
+
+/// A record as a circle: angle and radial error, with plane and radius where they are known.
+pub(crate) struct Trace {
+    pub(crate) record: Record,
+    name: String,
+    plane: String,
+    pub(crate) angle: Vec<f64>,
+    pub(crate) radial: Vec<f64>,
+    /// Rows of each contour with its sense of turning, +1 counter-clockwise.
+    pub(crate) contours: Vec<(Range<usize>, f64)>,
+}
+
+/// Evaluates circular tests, plane by plane: the radial error over the angle, or two axes with position and error.
+///
+/// # Errors
+/// A record that is no circle, or has less than half a turn.
+pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>, InputError> {
+    let mut planes: Vec<(String, Vec<Trace>)> = Vec::new();
+    for record in records {
+        let trace = Trace::of(record)?;
+        match planes.iter_mut().find(|(name, _)| same_plane(name, &trace.plane)) {
+            Some((_, traces)) => traces.push(trace),
+            None => planes.push((trace.plane.clone(), vec![trace])),
+        }
+    }
+    planes.into_iter().map(|(plane, traces)| plane_of(plane, &traces)).collect()
+}
+
+fn same_plane(a: &str, b: &str) -> bool {
+    a == b || a.split_once('-').is_some_and(|(x, y)| format!("{y}-{x}") == b)
+}
+
+fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
+    let contours: Vec<Contour> = traces.iter().flat_map(Trace::evaluate).collect();
+    let largest = |of: &dyn Fn(&Contour) -> Option<f64>| contours.iter().filter_map(of).reduce(f64::max);
+    let way = |w: &'static str| move |c: &Contour| (c.direction == w).then_some(c.g);
+    let both: Vec<Vec<(f64, f64, f64)>> = bidirectional(traces);
+    let of_both =
+        |f: &dyn Fn(&[(f64, f64, f64)]) -> Option<f64>| both.iter().filter_map(|b| f(b)).reduce(f64::max);
+    let mean_radius: Vec<f64> = both.iter().filter_map(|b| Some(round_fit(&pairs(b))?[0])).collect();
+    let mut warnings = Vec::new();
+    if contours.iter().any(|c| c.turned_deg < 359.0) {
+        warnings.push("a contour of less than a full circle: its deviations are those of the arc".to_owned());
+    }
+    let diagnosis = diagnosis::diagnose(traces, &mut warnings)?;
+    Ok(Ballbar {
+        radius_mm: traces[0].record.circle().map(|c| c.radius_mm),
+        g_ccw: largest(&way("ccw")),
+        g_cw: largest(&way("cw")),
+        g_b: of_both(&|b| range_about(&pairs(b))),
+        f_max: largest(&|c| Some(c.f_max)).unwrap_or(0.0),
+        f_min: -largest(&|c| Some(-c.f_min)).unwrap_or(0.0),
+        d: mean_radius.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())),
+        h: of_both(&hysteresis),
+        diagnosis,
+        contours,
+        warnings,
+        plane,
+    })
+}
+
+/// Rows (angle, radial error, sense) of each record that goes both ways; of all together, where none does and their feeds
+/// are alike.
+fn bidirectional(traces: &[Trace]) -> Vec<Vec<(f64, f64, f64)>> {
+    let rows = |t: &Trace, centred: bool| -> Vec<(f64, f64, f64)> {
+        let of = |(rows, turn): &(Range<usize>, f64)| {
+            let points: Vec<(f64, f64)> = rows.clone().map(|i| (t.angle[i], t.radial[i])).collect();
+            // Records of one way each were set up one by one: each about its own centre.
+            let [_, a, b] = round_fit(&points).filter(|_| centred).unwrap_or([0.0; 3]);
+            points.into_iter().map(|(p, e)| (p, e - a * p.cos() - b * p.sin(), *turn)).collect::<Vec<_>>()
+        };
+        t.contours.iter().flat_map(of).collect()
+    };
+    let goes_both =
+        |rows: &[(f64, f64, f64)]| rows.iter().any(|r| r.2 > 0.0) && rows.iter().any(|r| r.2 < 0.0);
+    let mut found: Vec<_> = traces.iter().map(|t| rows(t, false)).filter(|r| goes_both(r)).collect();
+    if found.is_empty() {
+        let all: Vec<_> = traces.iter().flat_map(|t| rows(t, true)).collect();
+        found.extend(Some(all).filter(|r| goes_both(r)));
+    }
+    found
+}
+
+fn pairs(rows: &[(f64, f64, f64)]) -> Vec<(f64, f64)> {
+    rows.iter().map(|r| (r.0, r.1)).collect()
+}
+
+/// Radius and centre of the least-squares circle of small radial deviations; every part of the circle counts alike, however
+/// often it was run over. `None` where the points do not give one.
+fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
+    let count = (points.len() / 4).clamp(12, 360);
+    let sector = |angle: f64| ((angle.rem_euclid(TAU) / TAU * count as f64) as usize).min(count - 1);
+    let mut rows = vec![0.0_f64; count];
+    for (angle, _) in points {
+        rows[sector(*angle)] += 1.0;
+    }
+    let a = nalgebra::DMatrix::from_fn(points.len(), 3, |i, j| match j {
+        0 => 1.0,
+        1 => points[i].0.cos(),
+        _ => points[i].0.sin(),
+    });
+    let weigh = |i: usize| 1.0 / rows[sector(points[i].0)];
+    let weighed = nalgebra::DMatrix::from_fn(points.len(), 3, |i, j| weigh(i) * a[(i, j)]);
+    let y = nalgebra::DVector::from_iterator(points.len(), points.iter().map(|p| p.1));
+    let fit = weighed.tr_mul(&a).cholesky()?.solve(&weighed.tr_mul(&y));
+    Some([fit[0], fit[1], fit[2]])
+}
+
+/// Range of the radial deviation about the least-squares circle.
+fn range_about(points: &[(f64, f64)]) -> Option<f64> {
+    let [_, a, b] = round_fit(points)?;
+    let left = points.iter().map(|(p, e)| e - a * p.cos() - b * p.sin());
+    let (lo, hi) = left.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    Some(hi - lo)
+}
+
+/// Largest difference of both ways at one angle, over sectors of one degree (or wider, where rows are scarce).
+fn hysteresis(rows: &[(f64, f64, f64)]) -> Option<f64> {
+    let count = (rows.len() / 4).clamp(36, 360);
+    let mut sectors = vec![[(0.0, 0_u32); 2]; count];
+    for (angle, e, turn) in rows {
+        let sector = (angle.rem_euclid(TAU) / TAU * count as f64) as usize;
+        let cell = &mut sectors[sector.min(count - 1)][usize::from(*turn > 0.0)];
+        cell.0 += e;
+        cell.1 += 1;
+    }
+    let mean = |(sum, n): (f64, u32)| (n > 0).then(|| sum / f64::from(n));
+    sectors.iter().filter_map(|[cw, ccw]| Some((mean(*cw)? - mean(*ccw)?).abs())).reduce(f64::max)
+}
+
+impl Trace {
+    fn of(record: &Record) -> Result<Self, InputError> {
+        let (record, plane) = as_circle(record)?;
+        let get = |role: &Role| record.data(role).map(<[f64]>::to_vec).unwrap_or_default();
+        let angle = get(&Role::Angle);
+        let radial = Axis::new("r").map(|r| get(&Role::Error(r))).unwrap_or_default();
+        let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let contours = contours(&record, &angle);
+        let trace = Self { name, plane, angle, radial, contours, record };
+        let turned = |rows: &Range<usize>| trace.turned(rows);
+        if !trace.contours.iter().any(|(rows, _)| turned(rows) >= PI * 0.99) {
+            return Err(lacks(
+                &trace.record,
+                "less than half a circle",
+                "a contour over at least half a turn",
+            ));
+        }
+        Ok(trace)
+    }
+
+    /// The angle that a contour covers.
+    fn turned(&self, rows: &Range<usize>) -> f64 {
+        let step = |i: usize| ((self.angle[i + 1] - self.angle[i] + PI).rem_euclid(TAU) - PI).abs();
+        let steps = rows.len().saturating_sub(1);
+        let sum: f64 = (rows.start..rows.start + steps).map(step).sum();
+        // The rows stand for as much on either side of them.
+        sum * (1.0 + 1.0 / steps.max(1) as f64)
+    }
+
+    fn evaluate(&self) -> Vec<Contour> {
+        let speed = |rows: &Range<usize>| {
+            let circle = self.record.circle()?;
+            let of = |axis: &Axis| self.record.data(&Role::Velocity(axis.clone()));
+            let (a, b) = (of(&circle.plane[0])?, of(&circle.plane[1])?);
+            let mut all: Vec<f64> = rows.clone().map(|i| a[i].hypot(b[i])).collect();
+            all.sort_by(f64::total_cmp);
+            all.get(all.len() / 2).map(|v| v * 60.0)
+        };
+        let of = |(rows, turn): &(Range<usize>, f64)| {
+            let points: Vec<(f64, f64)> = rows.clone().map(|i| (self.angle[i], self.radial[i])).collect();
+            let [radius, a, b] = round_fit(&points)?;
+            let centred = |(p, e): &(f64, f64)| e - a * p.cos() - b * p.sin();
+            let all = || points.iter().map(centred);
+            let (f_max, f_min) =
+                (all().fold(f64::NEG_INFINITY, f64::max), all().fold(f64::INFINITY, f64::min));
+            Some(Contour {
+                record: self.name.clone(),
+                direction: if *turn > 0.0 { "ccw" } else { "cw" },
+                feed_mm_per_min: speed(rows),
+                turned_deg: self.turned(rows).to_degrees(),
+                g: f_max - f_min,
+                f_max,
+                f_min,
+                centre_um: [a, b],
+                radius_um: radius,
+                trace: points.iter().map(|p| (p.0, centred(p) - radius)).collect(),
+            })
+        };
+        self.contours.iter().filter_map(of).collect()
+    }
+}
+
+/// Runs of rows in one sense of turning at one feed; those of less than a twentieth of a turn are starts and stops.
+fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
+    let n = angle.len();
+    // Some rows ahead and back, so that noise in the angle turns nothing round.
+    let look = (n / 400).max(1);
+    let sense = |i: usize| {
+        let (a, b) = (i.saturating_sub(look), (i + look).min(n - 1));
+        let d = (angle[b] - angle[a] + PI).rem_euclid(TAU) - PI;
+        if d > 0.0 {
+            1.0
+        } else if d < 0.0 {
+            -1.0
+        } else {
+            0.0
+        }
+    };
+    let speed: Vec<f64> = match record.data(&Role::Time) {
+        Some(t) => rates(angle, t).iter().map(|r| r.abs()).collect(),
+        None => vec![1.0; n],
+    };
+    let mut found: Vec<(Range<usize>, f64)> = Vec::new();
+    let mut usual = 0.0;
+    for i in 0..n {
+        let turn = sense(i);
+        match found.last_mut() {
+            // A feed of its own starts a contour of its own; what a start or a stop does is no feed.
+            Some((rows, t)) if turn == 0.0 || (*t - turn).abs() < 0.5 => {
+                let other_feed = rows.len() > 20
+                    && (0..10).all(|k| speed.get(i + k).is_some_and(|s| (s / usual - 1.0).abs() > 0.2));
+                if other_feed {
+                    found.push((i..i + 1, turn));
+                    usual = speed[i];
+                } else {
+                    rows.end = i + 1;
+                    usual += (speed[i] - usual) / rows.len() as f64;
+                }
+            }
+            _ => {
+                found.push((i..i + 1, turn));
+                usual = speed[i];
+            }
+        }
+    }
+    let turned = |rows: &Range<usize>| -> f64 {
+        rows.clone().skip(1).map(|i| ((angle[i] - angle[i - 1] + PI).rem_euclid(TAU) - PI).abs()).sum()
+    };
+    found.retain(|(rows, turn)| *turn != 0.0 && rows.len() > 4 && turned(rows) > TAU / 20.0);
+    found
+}
+
+/// The record as a circle with a radial error; and its plane's name.
+fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
+    let name = |c: &Circle| format!("{}-{}", c.plane[0], c.plane[1]);
+    if let Some(circle) = record.circle() {
+        return Ok((record.clone(), name(circle)));
+    }
+    let radial = Axis::new("r").map(Role::Error).filter(|r| record.column(r).is_some());
+    let positions: Vec<(&Axis, &[f64])> = record
+        .axes(Role::Position)
+        .filter_map(|a| Some((a, record.data(&Role::Position(a.clone()))?)))
+        .collect();
+    let has_angle = record.column(&Role::Angle).is_some();
+    if radial.is_some() && !has_angle {
+        return Err(lacks(record, "error.r without an angle", "a column of role angle"));
+    }
+    let mut columns: Vec<Column> = record.columns.clone();
+    let (plane, angle): ([Axis; 2], Vec<f64>) = if radial.is_some() {
+        let [(a, _), (b, _), ..] = positions.as_slice() else {
+            // Without plane or positions: deviations, but nothing of the axes.
+            return Ok((record.clone(), "first-second".to_owned()));
+        };
+        ([(*a).clone(), (*b).clone()], record.data(&Role::Angle).unwrap_or_default().to_vec())
+    } else {
+        let errors = error_axes(record);
+        let both: Vec<_> = positions
+            .iter()
+            .filter_map(|(a, p)| Some((*a, *p, errors.iter().find(|(e, _)| e == a)?.1)))
+            .collect();
+        let [(ax, px, ex), (ay, py, ey), ..] = both.as_slice() else {
+            let expected =
+                "columns error.r and angle (with radius_mm and plane), or two axes with position and error";
+            return Err(lacks(record, "no circular contour", expected));
+        };
+        let (cx, cy) = (middle(px), middle(py));
+        let angle: Vec<f64> = px.iter().zip(*py).map(|(x, y)| (y - cy).atan2(x - cx)).collect();
+        let r = angle.iter().zip(ex.iter().zip(*ey)).map(|(a, (x, y))| x * a.cos() + y * a.sin()).collect();
+        columns.retain(|c| !c.role.is_response() && c.role != Role::Angle);
+        columns.push(Column::new("angle of the contour", Role::Angle, angle.clone()));
+        columns.extend(Axis::new("r").map(|a| Column::new("radial error", Role::Error(a), r)));
+        ([(*ax).clone(), (*ay).clone()], angle)
+    };
+    let of = |a: &Axis| record.data(&Role::Position(a.clone())).unwrap_or_default();
+    let (px, py) = (of(&plane[0]), of(&plane[1]));
+    let (cx, cy) = (middle(px), middle(py));
+    let radii: Vec<f64> = px.iter().zip(py).map(|(x, y)| (x - cx).hypot(y - cy)).collect();
+    let radius_mm = radii.iter().sum::<f64>() / radii.len() as f64;
+    // The centre is the middle of the positions: that holds for a whole circle only.
+    if radii.iter().any(|r| (r - radius_mm).abs() > 0.01 * radius_mm) {
+        let expected = "a circle about its centre, all the way round";
+        return Err(lacks(record, "positions that are no full circle", expected));
+    }
+    debug_assert_eq!(angle.len(), record.rows());
+    let mut circle = Record::of_checked(&record.path, Kind::Ballbar, columns);
+    circle.file.clone_from(&record.file);
+    let stated = Circle { radius_mm, plane };
+    let plane = name(&stated);
+    let circle = circle.with_circle(stated).map_err(|(found, expected)| lacks(record, &found, expected))?;
+    Ok((circle, plane))
+}
+
+fn middle(p: &[f64]) -> f64 {
+    let lo = p.iter().copied().fold(f64::INFINITY, f64::min);
+    f64::midpoint(lo, p.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+}
+
+/// The dictionary's effect of this name at zero; the names are the built-in ones.
+pub(crate) fn law(dictionary: &Dictionary, name: &str, axes: &[&Axis]) -> Option<rtec_model::effect::Effect> {
+    let full = axes.iter().fold(name.to_owned(), |n, a| format!("{n}.{a}"));
+    dictionary.effect(&full).ok()
+}
+
+/// Values by axis.
+pub(crate) type ByAxis<T> = BTreeMap<String, T>;

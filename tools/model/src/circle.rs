@@ -1,0 +1,118 @@
+//! A circular run measured by a bar: what its angle and the bar's length say of the two axes that drive it.
+//!
+//! At the angle θ (from the first axis of the plane towards the second) the axes stand at (R·cos θ, R·sin θ) about the
+//! circle's centre, and the bar reads `e_a·cos θ + e_b·sin θ` of their
+//! errors `e_a` and `e_b` (ISO 230-4; formats.md, "Run record").
+
+use crate::record::{Axis, Column, Role};
+use std::f64::consts::{PI, TAU};
+
+/// The circle of a run with a radial error.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Circle {
+    /// The bar's nominal length, mm.
+    pub radius_mm: f64,
+    /// The two axes: the angle runs from the first towards the second.
+    pub plane: [Axis; 2],
+}
+
+/// What follows from the angle, row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Derived {
+    /// Share of each axis' error in the radial one: cos θ and sin θ.
+    pub(crate) share: [Vec<f64>; 2],
+    /// Positions, velocities and directions that the record does not log.
+    pub(crate) columns: Vec<Column>,
+}
+
+/// A sine or cosine below this is an axis that turns back: its velocity there is zero but for rounding.
+const AT_REST: f64 = 1e-9;
+
+impl Circle {
+    /// What follows from the angle for the axes' columns that are not logged. Velocities need the time.
+    pub(crate) fn derive(&self, angle: &[f64], time_s: Option<&[f64]>, logged: &[Column]) -> Derived {
+        let share = [angle.iter().map(|a| a.cos()).collect(), angle.iter().map(|a| a.sin()).collect()];
+        let rows: Vec<f64> = (0..angle.len()).map(|row| row as f64).collect();
+        let rate = rates(angle, time_s.unwrap_or(&rows));
+        let mut columns = Vec::new();
+        let has = |role: Role| logged.iter().any(|c| c.role == role);
+        for (n, axis) in self.plane.iter().enumerate() {
+            let along = |row: usize| [angle[row].cos(), angle[row].sin()][n];
+            // Derivative of the cosine or sine by the angle.
+            let slope = |row: usize| [-angle[row].sin(), angle[row].cos()][n];
+            let mut add = |of: fn(Axis) -> Role, what: &str, value: &dyn Fn(usize) -> f64| {
+                let data = (0..angle.len()).map(value).collect();
+                columns.push(Column::new(&format!("{what}.{axis} by the angle"), of(axis.clone()), data));
+            };
+            if !has(Role::Position(axis.clone())) {
+                add(Role::Position, "position", &|row| self.radius_mm * along(row));
+            }
+            let velocity = has(Role::Velocity(axis.clone()));
+            if !velocity && time_s.is_some() {
+                add(Role::Velocity, "velocity", &|row| self.radius_mm * slope(row) * rate[row]);
+            }
+            if !velocity && !has(Role::Direction(axis.clone())) {
+                let sign = |v: f64| if v.abs() < AT_REST { 0.0 } else { v.signum() };
+                add(Role::Direction, "direction", &|row| sign(slope(row)) * crate::effect::sign(rate[row]));
+            }
+        }
+        Derived { share, columns }
+    }
+}
+
+/// Angular velocity at every row, in radians per unit of time: the mean of the steps before and behind it. Where the two differ by more than
+/// half, one of them is no motion (a pause or a jump between two circles): the one nearer the run's usual rate stands.
+#[must_use]
+pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
+    let step = |from: usize| {
+        let turned = (angle[from + 1] - angle[from] + PI).rem_euclid(TAU) - PI;
+        let h = time_s[from + 1] - time_s[from];
+        if h > 0.0 { turned / h } else { 0.0 }
+    };
+    let steps: Vec<f64> = (0..angle.len().saturating_sub(1)).map(step).collect();
+    let mut sizes: Vec<f64> = steps.iter().map(|s| s.abs()).filter(|s| *s > 0.0).collect();
+    sizes.sort_by(f64::total_cmp);
+    let usual = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+    let unusual = |s: f64| (s.abs() - usual).abs();
+    (0..angle.len())
+        .map(|row| match (row.checked_sub(1).and_then(|i| steps.get(i)), steps.get(row)) {
+            (Some(a), Some(b)) if (a - b).abs() <= 0.5 * a.abs().max(b.abs()) => f64::midpoint(*a, *b),
+            (Some(a), Some(b)) if (unusual(*a) - unusual(*b)).abs() < 1e-3 * usual => f64::midpoint(*a, *b),
+            (Some(a), Some(b)) => {
+                if unusual(*a) < unusual(*b) {
+                    *a
+                } else {
+                    *b
+                }
+            }
+            (Some(a), None) | (None, Some(a)) => *a,
+            (None, None) => 0.0,
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pause_and_a_new_start_are_no_motion() {
+        // Half a turn in 0.1 rad/s, five seconds at rest, and back; the second half starts a quarter further on.
+        let there: Vec<f64> = (0..30).map(|i| 0.1 * f64::from(i)).collect();
+        let back = there.iter().rev().map(|a| a + 1.5);
+        let angle: Vec<f64> = there.iter().copied().chain(back).collect();
+        let time: Vec<f64> = (0..60).map(|i| f64::from(i) + if i < 30 { 0.0 } else { 5.0 }).collect();
+        for (row, r) in rates(&angle, &time).iter().enumerate() {
+            let want = if row < 30 { 0.1 } else { -0.1 };
+            assert!((r - want).abs() < 1e-12, "row {row}: {r}");
+        }
+    }
+
+    #[test]
+    fn a_row_at_the_turning_point_has_no_direction() {
+        let angle = [0.0, 0.1, 0.2, 0.3, 0.2, 0.1, 0.0];
+        let want = [0.1, 0.1, 0.1, 0.0, -0.1, -0.1, -0.1];
+        let time: Vec<f64> = (0..7).map(f64::from).collect();
+        assert!(rates(&angle, &time).iter().zip(want).all(|(r, w)| (r - w).abs() < 1e-12));
+    }
+}

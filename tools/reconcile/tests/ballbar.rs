@@ -1,0 +1,124 @@
+//! What a ballbar's radial error lacks is named by the axis it comes from. The errors are written out here.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_model::circle::Circle;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_reconcile::{Options, Reconciliation, reconcile};
+use std::f64::consts::TAU;
+use std::path::Path;
+
+const R: f64 = 150.0;
+const FEED_MM_S: f64 = 25.0;
+
+/// Normal numbers, near enough, always the same.
+fn noise(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut uniform = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state as f64 / u64::MAX as f64
+    };
+    move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+}
+
+/// Both ways round, with an error by angle and sense of turning and 0.2 µm of noise: angle and time only.
+fn circles(seed: u64, error: impl Fn(f64, f64) -> f64) -> Record {
+    let mut normal = noise(seed);
+    let n = 400;
+    let step = TAU * 1.05 / f64::from(n);
+    let mut columns: [Vec<f64>; 3] = Default::default();
+    for turn in [1.0, -1.0] {
+        for i in 0..n {
+            let a = 0.3 + turn * step * (f64::from(i) + 0.5);
+            let t = f64::from(i) * step * R / FEED_MM_S + if turn < 0.0 { 60.0 } else { 0.0 };
+            let row = [t, a.rem_euclid(TAU), error(a, turn) + 0.2 * normal()];
+            columns.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+        }
+    }
+    let names = [("t", "time"), ("a", "angle"), ("e", "error.r")];
+    let columns = names.iter().zip(columns).map(|((n, r), d)| Column::new(n, Role::parse(r).unwrap(), d));
+    let plane = [Axis::new("x").unwrap(), Axis::new("y").unwrap()];
+    let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns.collect()).unwrap();
+    record.with_circle(Circle { radius_mm: R, plane }).unwrap()
+}
+
+fn reconciled(record: Record, model: &str) -> Reconciliation {
+    let machine = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
+    reconcile(&[record], &[], &machine, &Options::default()).unwrap()
+}
+
+/// Names and first parameters of what was added.
+fn added(r: &Reconciliation) -> Vec<(String, f64)> {
+    r.effects.iter().map(|(f, _)| (f.effect.name(), f.effect.values()[0])).collect()
+}
+
+#[track_caller]
+fn says(r: &Reconciliation, want: &[(&[&str], f64, f64)]) {
+    let found = added(r);
+    assert_eq!(found.len(), want.len(), "{} {found:?}", r.verdict);
+    for (names, value, within) in want {
+        let near = |(n, v): &&(String, f64)| names.contains(&n.as_str()) && (v - value).abs() < *within;
+        assert!(found.iter().any(|f| near(&f)), "{names:?} {value}: {} {found:?}", r.verdict);
+    }
+}
+
+/// 25 µrad show 1.9 µm at this radius; which of both axes leans no circle tells.
+#[test]
+fn squareness_is_named() {
+    let r = reconciled(circles(1, |a, _| 25e-3 * R / 2.0 * (2.0 * a).sin()), "effect = []\n");
+    says(&r, &[(&["squareness.x.y", "squareness.y.x"], 25.0, 1.0)]);
+}
+
+#[test]
+fn reversal_is_named_beside_a_known_scale() {
+    let e = |a: f64, turn: f64| {
+        let way = -turn * a.sin().signum();
+        20e-3 * R * a.cos().powi(2) + 3.0 * way * a.cos()
+    };
+    let model = "[[effect]]\nname = \"scale.x\"\nppm = 20.0\n";
+    says(&reconciled(circles(2, e), model), &[(&["reversal.x"], 6.0, 0.3)]);
+}
+
+#[test]
+fn a_servo_lag_is_named_by_its_axis() {
+    // One axis lags: the ellipse at 45° turns with the sense.
+    let e = |a: f64, turn: f64| 0.2 * FEED_MM_S * turn * a.sin() * a.cos();
+    let r = reconciled(circles(3, e), "effect = []\n");
+    let found = added(&r);
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(found[0].0.starts_with("following_error."), "{found:?}");
+    assert!((found[0].1.abs() - 0.2).abs() < 0.02, "{found:?}");
+}
+
+#[test]
+fn a_screw_s_wave_is_found_on_the_circle() {
+    let e = |a: f64, _: f64| 2.0 * (TAU * R * a.sin() / 10.0 + 0.4).sin() * a.sin();
+    let r = reconciled(circles(4, e), "effect = []\n");
+    says(&r, &[(&["screw_periodic.y"], 10.0, 0.05)]);
+}
+
+/// Two lobes are scales, or the two axes' other errors: never a probe's.
+#[test]
+fn two_lobes_are_no_probe() {
+    let r = reconciled(circles(5, |a, _| 20e-3 * R * a.cos().powi(2)), "effect = []\n");
+    let found = added(&r);
+    assert!(
+        !found.is_empty() && found.iter().any(|(n, _)| n.starts_with("scale.")),
+        "{} {found:?}",
+        r.verdict
+    );
+    let rivals = r.effects.iter().flat_map(|(f, _)| &f.rivals);
+    assert!(!rivals.map(|r| r.name.clone()).any(|n| n.starts_with("probe_")));
+}
+
+#[test]
+fn nothing_is_missing_from_what_the_model_says() {
+    let e = |a: f64, _: f64| R * (20e-3 * a.cos().powi(2) + 12e-3 * (2.0 * a).sin());
+    let model =
+        "[[effect]]\nname = \"scale.x\"\nppm = 20.0\n[[effect]]\nname = \"squareness.x.y\"\nurad = 24.0\n";
+    let r = reconciled(circles(6, e), model);
+    assert_eq!(r.verdict.name(), "nothing_missing", "{:?}", added(&r));
+}
