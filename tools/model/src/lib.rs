@@ -15,6 +15,7 @@
 pub mod chain;
 pub mod date;
 pub mod effect;
+pub mod limits;
 pub mod live;
 pub mod machine;
 pub mod record;
