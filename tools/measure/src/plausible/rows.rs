@@ -126,35 +126,48 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
     let excused = excused(record);
     let in_time: Vec<usize> = (0..n).collect();
-    let mut lefts = vec![beside(&c.data, &in_time)];
+    let mut orders = vec![vec![in_time]];
     if let Some(axis) = c.role.axis()
         && let Some(p) = record.data(&Role::Position(axis.clone()))
     {
         let d = record.data(&Role::Direction(axis.clone()));
-        let mut left = vec![0.0; n];
-        for way in [-1.0, 0.0, 1.0] {
+        let ways = [-1.0, 0.0, 1.0].map(|way| {
             let mut rows: Vec<usize> = (0..n).filter(|i| d.map_or(0.0, |d| d[*i]) == way).collect();
             rows.sort_by(|a, b| p[*a].total_cmp(&p[*b]).then(a.cmp(b)));
-            let own = beside(&c.data, &rows);
-            rows.iter().for_each(|i| left[*i] = own[*i]);
-        }
-        lefts.push(left);
+            rows
+        });
+        orders.push(ways.into());
     }
-    // By the order in which the response runs most smoothly.
-    let left = lefts.into_iter().min_by(|a, b| spread(a).total_cmp(&spread(b)));
-    let Some(left) = left else { return };
-    let scale = spread(&left);
+    // By the order in which the response runs most smoothly; or by what the same place gave at other times.
+    let mut lefts: Vec<(Vec<f64>, Vec<bool>)> = orders.iter().map(|o| beside(&c.data, o)).collect();
+    let mates = orders.get(1).map(|ways| places(record, c, ways));
+    if let Some(places) = &mates
+        && places.iter().all(|p| p.len() >= 3)
+    {
+        lefts.push(of_place(&c.data, places));
+    }
+    let left = lefts.into_iter().min_by(|a, b| width(&a.0).total_cmp(&width(&b.0)));
+    let Some((left, alone)) = left else { return };
+    let scale = width(&left);
     if scale <= 0.0 {
         return;
     }
+    // A place that is always like this is the machine's.
+    let mut usual_there = vec![false; n];
+    for place in mates.iter().flatten().filter(|p| p.len() >= 2) {
+        for i in place {
+            let others = median(place.iter().filter(|j| *j != i).map(|j| c.data[*j]).collect());
+            usual_there[*i] = (c.data[*i] - others).abs() < 0.5 * left[*i].abs();
+        }
+    }
     let far = |i: usize| left[i].abs() / scale;
-    let rows: Vec<usize> = (0..n).filter(|i| far(*i) > 9.0 && !excused[*i]).collect();
+    let rows: Vec<usize> =
+        (0..n).filter(|i| far(*i) > 8.0 && alone[*i] && !excused[*i] && !usual_there[*i]).collect();
     let worst = rows.iter().map(|i| far(*i)).fold(0.0, f64::max);
-    // Heavy tails are one thing, a few rows beyond all others another: between the two lies a gap.
-    let bulk = (0..n).filter(|i| !rows.contains(i) && !excused[*i] && far(*i) > 5.0).count();
-    let apart = rows.windows(2).filter(|w| w[1] == w[0] + 1).count() * 2 <= rows.len();
-    let enough = rows.len() >= 2 && worst > 12.0 || worst > 20.0;
-    if enough && apart && rows.len() * 100 <= 12 * n && bulk <= rows.len() {
+    // Heavy tails, or a shape that is no smooth one, are one thing; a few rows beyond all others another.
+    let bulk = (0..n).filter(|i| !rows.contains(i) && !excused[*i] && far(*i) > 4.5).count();
+    let enough = rows.len() >= 2 && worst > 11.0 || worst > 20.0;
+    if enough && rows.len() * 100 <= 12 * n && 2 * bulk <= rows.len() {
         let text = format!(
             "{} of {n} rows are far off those beside them, as {:.2} (the others spread by {scale:.2})",
             rows.len(),
@@ -164,17 +177,64 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// What each row has beyond the median of the three before, itself and the three after it in this order; of fewer towards
-/// the ends, so that a trend leaves nothing there.
-fn beside(v: &[f64], order: &[usize]) -> Vec<f64> {
-    let n = order.len();
-    let mut left = vec![0.0; v.len()];
-    for (k, i) in order.iter().enumerate() {
-        let half = 3.min(k).min(n - 1 - k);
-        let near: Vec<f64> = order[k - half..=k + half].iter().map(|j| v[*j]).collect();
-        left[*i] = v[*i] - median(near);
+/// The spread of most values; by more of them where most are the same (a coarse reading).
+fn width(v: &[f64]) -> f64 {
+    let by_half = spread(v);
+    if by_half > 0.0 {
+        return by_half;
     }
-    left
+    let mut sizes: Vec<f64> = v.iter().map(|v| v.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    // Nine of ten of a normal distribution lie within 1.645 of its standard deviations.
+    sizes[sizes.len() * 9 / 10] / 1.645
+}
+
+/// The rows of each place, from the rows of each direction in the order of their positions.
+fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
+    let Some(p) = c.role.axis().and_then(|a| record.data(&Role::Position(a.clone()))) else {
+        return Vec::new();
+    };
+    let mut found: Vec<Vec<usize>> = Vec::new();
+    for rows in ways {
+        let near = 0.2 * range(p) / rows.len().max(1) as f64;
+        for (k, i) in rows.iter().enumerate() {
+            match found.last_mut().filter(|_| k > 0 && p[*i] - p[rows[k - 1]] <= near) {
+                Some(place) => place.push(*i),
+                None => found.push(vec![*i]),
+            }
+        }
+    }
+    found
+}
+
+/// What each row has beyond the median of its place.
+fn of_place(v: &[f64], places: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
+    let mut left = vec![0.0; v.len()];
+    for place in places {
+        let usual = median(place.iter().map(|i| v[*i]).collect());
+        place.iter().for_each(|i| left[*i] = v[*i] - usual);
+    }
+    (left, vec![true; v.len()])
+}
+
+/// What each row has beyond the median of the three before, itself and the three after it in these orders (of fewer
+/// towards the ends, so that a trend leaves nothing there); and whether it stands alone, far from both of its neighbours:
+/// the edge of a step does not.
+fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
+    let (mut left, mut alone) = (vec![0.0; v.len()], vec![false; v.len()]);
+    for order in orders {
+        for (k, i) in order.iter().enumerate() {
+            let half = 3.min(k).min(order.len() - 1 - k);
+            if half == 0 {
+                continue;
+            }
+            let near: Vec<f64> = order[k - half..=k + half].iter().map(|j| v[*j]).collect();
+            left[*i] = v[*i] - median(near);
+            let far = |j: usize| (v[*i] - v[order[j]]) / left[*i] > 0.6;
+            alone[*i] = left[*i] != 0.0 && far(k - 1) && far(k + 1);
+        }
+    }
+    (left, alone)
 }
 
 /// Rows where something else may honestly make a short peak: next to a reversal, to a change of coolant, spindle speed,
@@ -213,7 +273,7 @@ fn excused(record: &Record) -> Vec<bool> {
             Role::Load(_) | Role::Channel => {
                 // A cause that peaks by itself at a row explains a peak there.
                 let order: Vec<usize> = (0..n).collect();
-                let left = beside(&c.data, &order);
+                let (left, _) = beside(&c.data, &[order]);
                 let scale = spread(&left);
                 (0..n).filter(|i| left[*i].abs() > 6.0 * scale.max(1e-12)).for_each(|i| around(i, 0));
             }

@@ -26,7 +26,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     for c in &good {
         let others: Vec<&Column> = good.iter().filter(|o| o.name != c.name).copied().collect();
         if !stuck(record, c, &others, out) && !jump(record, c, &others, out) {
-            wild(record, c, out);
+            wild(record, c, &others, out);
         }
     }
     copies(record, out);
@@ -238,7 +238,7 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
 }
 
 /// Single values far from those before and after.
-fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
+fn wild(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     let n = c.data.len();
     if n < 20 {
         return;
@@ -246,7 +246,10 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let left: Vec<f64> =
         (0..n).map(|i| c.data[i] - median(c.data[i.saturating_sub(2)..(i + 3).min(n)].to_vec())).collect();
     let limit = (15.0 * spread(&left)).max(3.0);
-    let rows: Vec<usize> = (2..n - 2).filter(|i| left[*i].abs() > limit).collect();
+    // A warm moment of the machine is seen by another sensor too.
+    let peak = |v: &[f64], i: usize| v[i] - (v[i - 1] + v[i + 1]) / 2.0;
+    let alone = |i: usize| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * left[i].abs());
+    let rows: Vec<usize> = (2..n - 2).filter(|i| left[*i].abs() > limit && alone(*i)).collect();
     if !rows.is_empty() && rows.len() * 10 <= n {
         let text = format!(
             "{} of {n} values far from those before and after, as {:.2} degC",
