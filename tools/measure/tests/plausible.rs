@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::plausible::{What, suspicions};
+use rtec_measure::plausible::{What, suspicions, unusable};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -620,4 +620,31 @@ fn each_mistake_is_said_and_its_clean_twin_is_not() {
         100.0 * false_rate
     );
     assert!(rate >= 0.9 && false_rate <= 0.01);
+}
+
+/// What a fit leaves out, and how a suspicion names its rows.
+#[test]
+fn unusable_rows_and_sensors_are_left_out() {
+    let mut d = Dice(77);
+    let machine = Machine::random(&mut d);
+    let clean = machine.drift(&mut d, "a");
+    let off = scaled(clean.clone(), "T2", 0.0, 999.9);
+    let rows: Vec<usize> =
+        (0..off.rows()).flat_map(|i| if i == 7 || i == 9 { vec![i, i] } else { vec![i] }).collect();
+    let record = rows_again(&off, &rows);
+    let found = suspicions(std::slice::from_ref(&record));
+    let names: Vec<&str> = found.iter().map(|s| s.what.name()).collect();
+    assert_eq!(names, ["unplugged", "doubled"], "{found:?}");
+    assert_eq!((found[1].rows.as_str(), found[1].row_list()), ("9,12", vec![8, 11]));
+    assert_eq!(
+        found[1].to_string(),
+        format!("a.run.toml: doubled: 2 of {} rows are the row before once more (rows 9,12)", record.rows())
+    );
+    let out = unusable(&found);
+    assert!(out.sensor("T2") && !out.sensor("T1"));
+    let left = out.without(&record);
+    assert_eq!(left.rows(), clean.rows());
+    assert_eq!(left.temperature("T2"), None);
+    assert_eq!(left.temperature("T1"), clean.temperature("T1"));
+    assert_eq!(unusable(&suspicions(&[clean])), rtec_measure::plausible::Unusable::default());
 }
