@@ -79,9 +79,10 @@ impl PartErrors {
         }
         let [cz, cx] = shown.centre_mm;
         let [oz, ox] = shown.origin_mm;
-        let good = [cz, cx, oz, ox].iter().all(|v| v.is_finite())
-            && shown.radius_mm.is_finite()
+        // A kilometre: the bounds of every position.
+        let good = [cz, cx, oz, ox].iter().all(|v| v.abs() <= 1e6)
             && shown.radius_mm > 0.0
+            && shown.radius_mm <= 1e6
             && (0.0..=1e3).contains(&shown.nose_mm)
             && (0.0..=1e3).contains(&shown.lead_ms)
             && axes[0] != axes[1];

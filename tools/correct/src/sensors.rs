@@ -3,6 +3,7 @@
 
 use rtec_files::InputError;
 use rtec_files::toml::Table;
+use rtec_model::limits::disconnected;
 use rtec_model::record::Role;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -167,6 +168,8 @@ pub enum SensorFault {
     Silent(String),
     /// A reading outside its range or not a number, °C.
     Implausible(f64),
+    /// What an input reads without its sensor, °C, and which.
+    Unplugged(f64, &'static str),
     /// A change faster than can be real: from, to, °C.
     Jump(f64, f64),
     /// Exactly this value for too long, °C.
@@ -178,6 +181,7 @@ impl std::fmt::Display for SensorFault {
         match self {
             Self::Silent(why) => write!(f, "silent ({why})"),
             Self::Implausible(v) => write!(f, "implausible: {v}"),
+            Self::Unplugged(v, why) => write!(f, "unplugged: {v} is {why}"),
             Self::Jump(a, b) => write!(f, "jump from {a:.2} to {b:.2} °C"),
             Self::Stuck(v) => write!(f, "stuck at {v}"),
         }
@@ -239,21 +243,35 @@ impl Watch {
             }
         };
         let [lo, hi] = self.config.range;
-        self.fault = if !value.is_finite() || value < lo || value > hi {
+        self.fault = if let Some(why) = self.unplugged(now_s, value) {
+            Some(SensorFault::Unplugged(value, why))
+        } else if !value.is_finite() || value < lo || value > hi {
             Some(SensorFault::Implausible(value))
         } else if self.config.stuck_s > 0.0 && since_same > self.config.stuck_s {
             Some(SensorFault::Stuck(value))
         } else {
-            // What can have changed since the last good value; one second's worth for the reading itself.
-            let jumped = self.good.filter(|(v, at)| {
-                let may = self.config.max_rate_k_per_min / 60.0 * (now_s - at + 1.0);
-                (value - v).abs() > may
-            });
+            let jumped = self.good.filter(|_| self.jumps(now_s, value));
             jumped.map(|(v, _)| SensorFault::Jump(v, value))
         };
         if self.fault.is_none() {
             self.good = Some((value, now_s));
         }
+    }
+
+    /// More than can have changed since the last good value; one second's worth for the reading itself.
+    fn jumps(&self, now_s: f64, value: f64) -> bool {
+        self.good.is_some_and(|(v, at)| {
+            (value - v).abs() > self.config.max_rate_k_per_min / 60.0 * (now_s - at + 1.0)
+        })
+    }
+
+    /// Why this is no temperature: a code that no machine is warm as, or one (85 °C, 0 °C) that it cannot have come to.
+    fn unplugged(&self, now_s: f64, value: f64) -> Option<&'static str> {
+        if self.config.role != Role::Temperature || self.config.range[0] == f64::NEG_INFINITY {
+            return None;
+        }
+        let (why, certain) = disconnected(value)?;
+        (certain || self.good.is_none() || self.jumps(now_s, value)).then_some(why)
     }
 
     /// The last good value, °C.
@@ -355,6 +373,8 @@ mod tests {
         };
         says(&[(1.0, Ok(20.05)), (2.0, Ok(25.0))], "jump from 20.05 to 25.00", 20.05);
         says(&[(1.0, Ok(99.0))], "implausible: 99", 20.0);
+        says(&[(1.0, Ok(-127.0))], "unplugged: -127 is a DS18B20 that does not answer", 20.0);
+        says(&[(1.0, Ok(0.0))], "unplugged: 0", 20.0);
         says(&[(1.0, Ok(f64::NAN))], "implausible", 20.0);
         says(&[(4.0, Err("gone".into()))], "silent (gone)", 20.0);
         let same: Vec<(f64, Result<f64, String>)> = (1..24).map(|i| (f64::from(i), Ok(20.0))).collect();

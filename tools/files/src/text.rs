@@ -27,6 +27,12 @@ pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     }
 }
 
+/// A number as a person reads it: as it is, or with a power of ten where it would be a row of zeros.
+#[must_use]
+pub fn short(v: f64) -> String {
+    if v == 0.0 || (1e-6..1e12).contains(&v.abs()) { v.to_string() } else { format!("{v:e}") }
+}
+
 /// A file that the system does not let us read.
 #[must_use]
 pub fn unreadable(file: &Path, error: &std::io::Error) -> InputError {

@@ -283,6 +283,21 @@ impl<'d> Entry<'d> {
         self.as_number().ok_or_else(|| self.mismatch(expected))
     }
 
+    /// The value as a number from `low` to `high`; `expected` says of what, with its unit.
+    ///
+    /// # Errors
+    /// It is something else, or outside.
+    pub fn within(&self, [low, high]: [f64; 2], expected: &str) -> Result<f64, InputError> {
+        let v = self.number(expected)?;
+        if (low..=high).contains(&v) {
+            return Ok(v);
+        }
+        Err(self.error(
+            format!("{} = {}", self.key(), crate::text::short(v)),
+            format!("{expected}, from {low} to {high}"),
+        ))
+    }
+
     /// The value as a finite number above zero.
     ///
     /// # Errors

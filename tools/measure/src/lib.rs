@@ -6,6 +6,7 @@
 //! | [`import`] | other tools' files as run records |
 //! | [`plan`] | the test sequence a machine is characterised with |
 //! | [`iso230`], [`ballbar`], [`plate`] | evaluations as the standards define them |
+//! | [`plausible`] | mistakes that the records themselves show: units, signs, sensors that are off, doubled rows
 //! | [`plot`] | charts as SVG |
 //!
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
@@ -15,5 +16,6 @@ pub mod import;
 pub mod iso230;
 pub mod plan;
 pub mod plate;
+pub mod plausible;
 pub mod plot;
 pub mod record;

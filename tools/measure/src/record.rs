@@ -333,6 +333,8 @@ mod tests {
             ("0,1,20,inf\n", 2, 8, "inf"),
             ("0,1,abc,3\n", 2, 5, "'abc' in column T3"),
             ("0,1,20,3\n5,1,20,3\n4.5,1,20,3\n", 4, 1, "time 4.5 after 5"),
+            ("0,1e300,20,3\n", 2, 3, "1e300"),
+            ("0,1,20,-1e300\n", 2, 8, "-1e300"),
             ("", 2, 0, "no rows"),
         ] {
             let e = read(SIDECAR, &format!("t,y,T3,e\n{rows}")).unwrap_err();
@@ -382,7 +384,7 @@ mod tests {
         let columns = vec![
             column("t", Role::Time, "s", &[0.0, 0.1, 0.1 + 0.2]),
             column("bar", Role::Channel, "bar", &[1e-9, 2.0, 3.0]),
-            column("e", Role::Error(y), "um", &[0.1, -0.2, 1e300]),
+            column("e", Role::Error(y), "um", &[0.1, -0.2, 1e8]),
         ];
         let mut r = Record::new(&path, Kind::Drift, columns).unwrap();
         r.count_um = Some(0.5);

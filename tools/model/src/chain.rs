@@ -221,7 +221,7 @@ impl Component {
 fn triple(entry: Option<Entry<'_>>, form: &str) -> Result<Option<[f64; 3]>, InputError> {
     let Some(entry) = entry else { return Ok(None) };
     match entry.numbers(form)?[..] {
-        [x, y, z] => Ok(Some([x, y, z])),
+        [x, y, z] if [x, y, z].iter().all(|v| v.abs() <= 1e6) => Ok(Some([x, y, z])),
         _ => Err(entry.error(entry.text(), form)),
     }
 }
@@ -266,7 +266,7 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
             }
             (Some(sensor), Some(minus), None) => Some(Difference::pair(&sensor, &minus)),
             (Some(sensor), None, Some(r)) => {
-                Some(Difference { sensor, against: Against::Reference(r.number("a temperature in degC")?) })
+                Some(Difference { sensor, against: Against::Reference(crate::machine::reference_degc(r)?) })
             }
             (Some(sensor), None, None) => Some(Difference::single(&sensor)),
             (None, None, None) => None,
@@ -292,7 +292,8 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
             terms.push(Term {
                 position: power("p")?,
                 temperature,
-                coefficient: term.required("value", form)?.number("µm or µrad")?,
+                // A tenth of a metre, or of a radian, per decimetre or kelvin.
+                coefficient: term.required("value", form)?.within([-1e5, 1e5], "µm or µrad")?,
             });
         }
         components.push(Component { kind, delta, terms });

@@ -17,6 +17,7 @@ pub mod chain;
 pub mod circle;
 pub mod date;
 pub mod effect;
+pub mod limits;
 pub mod live;
 pub mod machine;
 pub mod record;

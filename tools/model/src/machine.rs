@@ -5,7 +5,8 @@ use crate::date;
 use crate::effect::{Against, Dictionary, Difference, Effect, Heat, Need, Parameter, ValueError};
 use crate::record::{Record, Role, hex};
 use rtec_files::InputError;
-use rtec_files::toml::{Document, Table};
+use rtec_files::text::short;
+use rtec_files::toml::{Document, Entry, Table};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -708,12 +709,9 @@ fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, Inpu
     if thermal {
         effect.delta = Some(read_difference(table)?);
         let range = "a pair [lowest, highest] of temperature differences in K";
-        effect.range_k = table.get("range_K").map(|r| r.pair(range)).transpose()?;
-        let start = |e: rtec_files::toml::Entry<'_>| match e.number("K, not below zero")? {
-            v if v >= 0.0 => Ok(v),
-            v => Err(e.error(v.to_string(), "K, not below zero")),
-        };
-        effect.start_k = table.get("start_K").map(start).transpose()?;
+        effect.range_k = table.get("range_K").map(|r| range_k(r, range)).transpose()?;
+        effect.start_k =
+            table.get("start_K").map(|e| e.within([0.0, MOST_K], "K, not below zero")).transpose()?;
     }
 
     let mut values: Vec<f64> = Vec::new();
@@ -769,9 +767,28 @@ fn read_validity(t: Table<'_>) -> Result<Validity, InputError> {
     t.only(&["sensor", "minus", "reference_degC", "range_K", "um_per_K"])?;
     Ok(Validity {
         difference: read_difference(t)?,
-        range_k: t.required("range_K", VALID)?.pair("a pair [lowest, highest] in K")?,
-        um_per_k: t.required("um_per_K", VALID)?.number("µm/K")?,
+        range_k: range_k(t.required("range_K", VALID)?, "a pair [lowest, highest] in K")?,
+        um_per_k: t.required("um_per_K", VALID)?.within([-MOST_UM, MOST_UM], "µm/K")?,
     })
+}
+
+/// A temperature difference on a machine is no larger, K.
+const MOST_K: f64 = 1000.0;
+/// What is left of an error, or unknown of it, is no larger, µm.
+const MOST_UM: f64 = 1e5;
+
+fn range_k(entry: Entry<'_>, form: &str) -> Result<[f64; 2], InputError> {
+    let pair = entry.pair(form)?;
+    if pair.iter().all(|k| k.abs() <= MOST_K) {
+        return Ok(pair);
+    }
+    Err(entry
+        .error(format!("[{}, {}]", short(pair[0]), short(pair[1])), format!("{form}, within ±{MOST_K} K")))
+}
+
+/// A reference temperature: of a place where machines stand.
+pub(crate) fn reference_degc(entry: Entry<'_>) -> Result<f64, InputError> {
+    entry.within([-40.0, 150.0], "a reference temperature in degC")
 }
 
 /// `sensor` with `minus`, with `reference_degC`, or alone.
@@ -782,7 +799,7 @@ fn read_difference(table: Table<'_>) -> Result<Difference, InputError> {
             return Err(r.key_error("`minus` and `reference_degC` both", "one of the two, or neither"));
         }
         (Some(m), None) => Against::Sensor(m.str("a sensor's name")?.to_owned()),
-        (None, Some(r)) => Against::Reference(r.number("a temperature in degC")?),
+        (None, Some(r)) => Against::Reference(reference_degc(r)?),
         (None, None) => Against::Standard,
     };
     Ok(Difference { sensor: sensor.to_owned(), against })
@@ -804,8 +821,10 @@ fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
         response: text("response")?,
         date: day("date")?,
         valid_until: day("valid_until")?,
-        rms_um: t.required("rms_um", "µm")?.number("µm")?,
-        half_width_um: t.required("half_width_um", "µm")?.positive("µm, above zero")?,
+        rms_um: t.required("rms_um", "µm")?.within([0.0, MOST_UM], "µm")?,
+        half_width_um: t
+            .required("half_width_um", "µm")?
+            .within([f64::MIN_POSITIVE, MOST_UM], "µm, above zero")?,
         valid: match t.get("valid") {
             Some(e) => e.tables(VALID)?.into_iter().map(read_validity).collect::<Result<_, _>>()?,
             None => Vec::new(),
@@ -925,6 +944,32 @@ mod tests {
 
     fn parse(text: &str) -> Result<Machine, InputError> {
         Machine::parse(Path::new("m.toml"), text)
+    }
+
+    /// Values that no machine has are refused where they stand, in few words.
+    #[test]
+    fn what_no_machine_has_is_refused_with_its_line() {
+        for (line, found) in [
+            ("name = \"scale.x\"\nppm = 1e300", "ppm = 1e300"),
+            ("name = \"channel.x.z9\"\ngain = 1e300", "gain = 1e300"),
+            ("name = \"screw_periodic.x\"\nperiod_mm = 10\num = 1\nphase_rad = 1e300", "phase_rad = 1e300"),
+            ("name = \"position_map.x\"\nknots_mm = [0.0, 1e300]\num = [0, 1]", "knots_mm = 1e300"),
+            ("name = \"form_bump\"\num = 1\nwidth_rad = 1\ncentre_rad = -1e300", "centre_rad = -1e300"),
+            (
+                "name = \"thermal_growth.x\"\num_per_K = 1\nsensor = \"T1\"\nreference_degC = 1e300",
+                "reference_degC = 1e300",
+            ),
+            (
+                "name = \"thermal_growth.x\"\num_per_K = 1\nsensor = \"T1\"\nrange_K = [0, 1e300]",
+                "[0, 1e300]",
+            ),
+        ] {
+            let text = format!("name = \"m\"\n[[effect]]\n{line}\n");
+            let e = Machine::parse(Path::new("m.toml"), &text).unwrap_err();
+            let last = text.lines().count();
+            assert!(e.line > 2 && e.line <= last && e.found.contains(found), "{line}: {e}");
+            assert!(e.to_string().len() < 300, "{e}");
+        }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //! `rtec-measure` reads and writes.
 
 use crate::circle::{Circle, Derived};
+use crate::limits;
 use rtec_files::InputError;
 use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -457,6 +458,10 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
     if !v.is_finite() {
         return Err((format!("`{v}`"), "a finite number"));
     }
+    let [low, high] = limits::possible(role);
+    if v < low || v > high {
+        return Err((format!("`{v:e}`"), possible_text(role)));
+    }
     match role {
         Role::Time if previous.is_some_and(|p| v < p) => {
             Err((format!("time {v} after {}", previous.unwrap_or(v)), "time that never decreases"))
@@ -465,6 +470,25 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
             Err((format!("`{v}`"), "a direction: +1, -1 (or 0)"))
         }
         _ => Ok(()),
+    }
+}
+
+/// [`limits::possible`] in words.
+fn possible_text(role: &Role) -> &'static str {
+    match role {
+        Role::Time => "a time within ±1e13 s",
+        Role::Position(_) => "a position in mm, within ±1e6 (is it in µm?)",
+        Role::Direction(_) => "a direction: +1, -1 (or 0)",
+        Role::Velocity(_) => "a velocity within ±1e6 mm/s",
+        Role::Acceleration(_) => "an acceleration within ±1e9 mm/s²",
+        Role::Cycle => "a repeat's number within ±1e9",
+        Role::Temperature => "a temperature within ±1e5 degC",
+        Role::SpindleSpeed => "a spindle speed within ±1e7 rpm",
+        Role::Coolant => "coolant: 0 or 1",
+        Role::Load(_) | Role::Force(_) => "a force within ±1e9 N",
+        Role::Angle => "an angle within ±1e7 rad",
+        Role::Channel => "a value within ±1e30",
+        Role::Error(_) => "an error within ±1e9 µm",
     }
 }
 

@@ -370,10 +370,15 @@ pub fn error_cor(errors: &[PointError]) -> String {
     })
 }
 
+/// A part's error is no larger, µm: a form that is 10 mm off is another part (as the bounds of `form_bump` have it).
+const MOST_UM: f64 = 10_000.0;
+/// Angles of a part are within some turns.
+const MOST_RAD: f64 = 1e3;
+
 /// Read an `error.cor`: two numbers a line, separated by blanks or a comma, `#` starts a comment.
 ///
 /// # Errors
-/// Not two finite numbers in a line, angles that do not ascend, or no line at all.
+/// Not two numbers within what a part can have in a line, angles that do not ascend, or no line at all.
 pub fn read_error_cor(file: &Path) -> Result<Vec<PointError>, InputError> {
     let mut errors: Vec<PointError> = Vec::new();
     for (i, line) in rtec_files::text::read(file)?.lines().enumerate() {
@@ -388,6 +393,13 @@ pub fn read_error_cor(file: &Path) -> Result<Vec<PointError>, InputError> {
             let found = format!("'{}'", content.trim());
             return Err(InputError::at(file, i + 1, 1, found, "angle in rad and error in µm"));
         };
+        if angle_rad.abs() > MOST_RAD || error_um.abs() > MOST_UM {
+            let found = format!("'{}'", content.trim());
+            let expected = format!(
+                "an angle within ±{MOST_RAD} rad and an error within ±{MOST_UM} µm: more is another part"
+            );
+            return Err(InputError::at(file, i + 1, 1, found, expected));
+        }
         if errors.last().is_some_and(|e| e.angle_rad >= *angle_rad) {
             let found = format!("angle {angle_rad} after a larger or equal one");
             return Err(InputError::at(file, i + 1, 1, found, "ascending angles"));

@@ -66,9 +66,15 @@ fn error_cor_is_read_as_it_is_written() {
     for (a, b) in back.iter().zip(&report.errors) {
         assert!((a.angle_rad - b.angle_rad).abs() < 1e-6 && (a.error_um - b.error_um).abs() < 1e-3);
     }
-    for (bad, line) in
-        [("0.1 2\n0.1 3\n", 2), ("0.1\n", 1), ("0.1 2 3\n", 1), ("# none\n", 0), ("0 nan\n", 1)]
-    {
+    for (bad, line) in [
+        ("0.1 2\n0.1 3\n", 2),
+        ("0.1\n", 1),
+        ("0.1 2 3\n", 1),
+        ("# none\n", 0),
+        ("0 nan\n", 1),
+        ("0 1\n0.1 1e300\n", 2),
+        ("-1e300 1\n", 1),
+    ] {
         assert_eq!(read_error_cor(&files.with("error.cor", bad)).unwrap_err().line, line, "{bad:?}");
     }
 }

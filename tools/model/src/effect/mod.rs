@@ -47,6 +47,7 @@ pub use lag::Lag;
 
 use crate::record::{Axis, Kind, Record, Role};
 use linear::Linear;
+use rtec_files::text::short;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
@@ -329,7 +330,7 @@ impl Effect {
         for (p, of) in law.parameters.iter().zip(values.chunks(n)) {
             for v in of {
                 if !v.is_finite() || *v < p.bounds[0] || *v > p.bounds[1] {
-                    return Err(ValueError::new(&p.name, format!("{v}"), bounds_text(p)));
+                    return Err(ValueError::new(&p.name, short(*v), bounds_text(p)));
                 }
             }
         }

@@ -151,11 +151,19 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<Own, InputError> {
     let mut terms = Vec::new();
     let form = "parameters = [{ name, unit, plausible, terms = [{ factor, p = 1, … }] }]";
     for p in t.required("parameters", form)?.tables(form)? {
-        p.only(&["name", "unit", "plausible", "terms"])?;
+        p.only(&["name", "unit", "plausible", "bounds", "terms"])?;
         let word = |key: &str| Ok::<_, InputError>(p.required(key, form)?.str(form)?.to_owned());
         let plausible =
             p.get("plausible").map_or(Ok(f64::INFINITY), |e| e.positive("the largest plausible value"))?;
-        parameters.push(Parameter::linear(&word("name")?, &word("unit")?, plausible));
+        let parameter = Parameter::linear(&word("name")?, &word("unit")?, plausible);
+        parameters.push(match p.get("bounds") {
+            Some(e) => parameter.within(e.pair("bounds = [lowest, highest]")?, "the law's own bounds"),
+            // Beyond what is unlikely by a hundred: another unit.
+            None if plausible.is_finite() => {
+                parameter.within([-100.0 * plausible, 100.0 * plausible], "a hundred times what is plausible")
+            }
+            None => parameter.within([-1e12, 1e12], "no law of a machine is that steep"),
+        });
         let mut own = Vec::new();
         for term in p.required("terms", form)?.tables(form)? {
             own.push(read_term(term, naming, axes, &mut needs)?);

@@ -26,7 +26,9 @@ pub(super) fn amplitude(plausible: f64) -> Parameter {
 
 /// The phase of a periodic law.
 pub(super) fn phase() -> Parameter {
-    Parameter::new("phase_rad", "rad", [-TAU / 2.0, TAU / 2.0], Search::Phase).or(0.0)
+    Parameter::new("phase_rad", "rad", [-TAU / 2.0, TAU / 2.0], Search::Phase)
+        .within([-1e3, 1e3], "whole turns change nothing")
+        .or(0.0)
 }
 
 /// The period of a wave, of which a model may have several.

@@ -29,20 +29,26 @@ fn table(axes: &[Explained]) -> String {
     let mut text = String::new();
     for Explained { axis, requested, total_um, parts, holds } in axes {
         // Writing to a String does not fail.
-        let _ = writeln!(text, "axis {axis}: {total_um:+.3} µm, {requested:+} counts");
+        let _ = writeln!(text, "axis {axis}: {} µm, {requested:+} counts", um_text(*total_um));
         for Contribution { name, um, sensors, outside_k, weight } in parts {
             let sensors: Vec<String> = sensors.iter().map(shown).collect();
             let mut note = sensors.join(", ");
             if let (Some(k), Some(w)) = (outside_k, weight) {
                 let _ = write!(note, "; {k:.1} K outside its range, {:.0} % left", 100.0 * w);
             }
-            let _ = writeln!(text, "{}", format!("  {um:>+10.3}  {name:<24} {note}").trim_end());
+            let line = format!("  {:>10}  {name:<24} {note}", um_text(*um));
+            let _ = writeln!(text, "{}", line.trim_end());
         }
         if let Some(why) = holds {
             let _ = writeln!(text, "  holds: {why}");
         }
     }
     text
+}
+
+/// Nanometres, as far as there is sense in them.
+fn um_text(um: f64) -> String {
+    if um.abs() < 1e6 { format!("{um:+.3}") } else { format!("{um:+.3e}") }
 }
 
 fn shown(r: &Reading) -> String {

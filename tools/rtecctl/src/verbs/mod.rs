@@ -1,4 +1,4 @@
-//! One file per verb: its options and one function.
+//! One file per verb: its options and one function; `suspicions` is what several of them say of records.
 
 pub(crate) mod card;
 pub(crate) mod characterise;
@@ -26,4 +26,5 @@ pub(crate) mod selftest;
 pub(crate) mod shadow;
 pub(crate) mod simulate;
 pub(crate) mod status;
+pub(crate) mod suspicions;
 pub(crate) mod trace;

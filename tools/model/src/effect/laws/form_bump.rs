@@ -28,6 +28,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("um", "um", 500.0)
                 .within([-10_000.0, 10_000.0], "a bump of 10 mm is another part"),
             Parameter::new("centre_rad", "rad", [-PI, TAU], Search::Smooth)
+                .within([-1e3, 1e3], "whole turns change nothing")
                 .refined(Refine::Step(0.12))
                 .telling_apart()
                 .cyclic(),

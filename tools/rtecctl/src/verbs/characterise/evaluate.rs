@@ -1,5 +1,6 @@
 //! `rtecctl characterise evaluate`: a run's figures as its standard defines them, with a plot.
 
+use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
@@ -46,6 +47,7 @@ enum Standard {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let record = rtec_measure::record::read(&args.record)?;
+    let doubts = suspicions::warn(std::slice::from_ref(&record));
     let standard = match args.standard {
         Some(s) => s,
         None => by_kind(&record)?,
@@ -68,6 +70,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     if args.json {
+        suspicions::enter(&mut found, &doubts);
         println!("{}", serde_json::to_string_pretty(&found)?);
     } else {
         print_flat("", &found);

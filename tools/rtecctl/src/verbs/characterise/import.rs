@@ -1,5 +1,6 @@
 //! `rtecctl characterise import`: other tools' files as run records.
 
+use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::import;
@@ -66,6 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Format::CmmPlate => import::cmm_plate(&args.file, &text, &args.out)?,
     };
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
+    suspicions::warn(std::slice::from_ref(&record));
     eprintln!("{}: {} rows, and {} beside it", args.out.display(), record.rows(), record.file);
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
 
 use crate::daemon::{check, unreachable};
+use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
@@ -175,6 +176,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     }
     let mut record = Record::new(out, kind, columns)?;
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
+    suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
 }
 

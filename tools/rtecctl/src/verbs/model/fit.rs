@@ -1,9 +1,11 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
 
+use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_fit::least;
 use rtec_fit::thermal::{self, Fitted, Options, Report};
+use rtec_measure::plausible::Suspicion;
 use rtec_measure::plot::Chart;
 use rtec_model::date;
 use rtec_model::effect::Difference;
@@ -75,9 +77,9 @@ pub(crate) struct FitArgs {
 }
 
 pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
-    let (_, reports) = run_fit(&args.common, &[], Some(0), 365)?;
+    let Done { reports, doubts, .. } = run_fit(&args.common, &[], Some(0), 365)?;
     if args.common.json {
-        return print_json(&reports, |r| {
+        return print_json(&reports, &doubts, |r| {
             serde_json::json!({
                 "response": r.response, "environment": r.environment, "environment_by": r.environment_by,
                 "kept": r.kept, "dropped": r.dropped, "pairs": r.pairs, "rounds": r.rounds,
@@ -101,10 +103,11 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
     if !args.effects.is_empty() {
         return named(args, day);
     }
-    let (machine, reports) = run_fit(&args.common, &args.holdout, day, i64::from(args.valid_days))?;
+    let Done { machine, reports, doubts } =
+        run_fit(&args.common, &args.holdout, day, i64::from(args.valid_days))?;
     machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
     if args.common.json {
-        return print_json(&reports, |r| serde_json::to_value(r).unwrap_or_default());
+        return print_json(&reports, &doubts, |r| serde_json::to_value(r).unwrap_or_default());
     }
     for r in &reports {
         print_selection(r);
@@ -149,6 +152,8 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 /// Effects that the user names, by least squares.
 fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     let records = read(&args.common.records)?;
+    let doubts = suspicions::warn(&records);
+    let (records, _) = suspicions::usable(&records, &doubts);
     let base = if let Some(path) = &args.common.base {
         Machine::read(path)?
     } else {
@@ -169,7 +174,9 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     }
     machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
     if args.common.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        let mut document = serde_json::to_value(&report)?;
+        suspicions::enter(&mut document, &doubts);
+        println!("{}", serde_json::to_string_pretty(&document)?);
         return Ok(());
     }
     print_effects(&report.effects);
@@ -199,13 +206,17 @@ fn day_of(records: &[Record]) -> i64 {
     dated.unwrap_or_else(date::today)
 }
 
-fn run_fit(
-    common: &Common,
-    holdout: &[PathBuf],
-    date: Option<i64>,
-    valid_days: i64,
-) -> anyhow::Result<(Machine, Vec<Report>)> {
+/// A fit, and what its records show of mistakes.
+struct Done {
+    machine: Machine,
+    reports: Vec<Report>,
+    doubts: Vec<Suspicion>,
+}
+
+fn run_fit(common: &Common, holdout: &[PathBuf], date: Option<i64>, valid_days: i64) -> anyhow::Result<Done> {
     let (train, holdout) = (read(&common.records)?, read(holdout)?);
+    let doubts = suspicions::warn(&[train.as_slice(), &holdout].concat());
+    let (train, _) = suspicions::usable(&train, &doubts);
     let sensors = common.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
     let options = Options {
         sensors,
@@ -227,7 +238,7 @@ fn run_fit(
     if let Some(path) = &common.plot {
         draw(path, &reports.iter().map(Report::chart).collect::<Vec<_>>())?;
     }
-    Ok((machine, reports))
+    Ok(Done { machine, reports, doubts })
 }
 
 /// The first chart into the file, every other one beside it with its number.
@@ -259,11 +270,16 @@ fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
     })
 }
 
-fn print_json(reports: &[Report], of: impl Fn(&Report) -> serde_json::Value) -> anyhow::Result<()> {
-    let document = match reports {
+fn print_json(
+    reports: &[Report],
+    doubts: &[Suspicion],
+    of: impl Fn(&Report) -> serde_json::Value,
+) -> anyhow::Result<()> {
+    let mut document = match reports {
         [one] => of(one),
         many => serde_json::json!({ "responses": many.iter().map(of).collect::<Vec<_>>() }),
     };
+    suspicions::enter(&mut document, doubts);
     println!("{}", serde_json::to_string_pretty(&document)?);
     Ok(())
 }

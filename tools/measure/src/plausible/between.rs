@@ -1,0 +1,211 @@
+//! Several records beside one another.
+
+use super::stats::{median, middle_range, range};
+use super::{Suspicion, What};
+use crate::iso230::correlation;
+use nalgebra::{DMatrix, DVector};
+use rtec_model::record::{Column, Record, Role};
+
+pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
+    let (mut opposite, mut crossed) = (Vec::new(), Vec::new());
+    for (j, b) in records.iter().enumerate() {
+        for (i, a) in records[..j].iter().enumerate() {
+            units(a, b, out);
+            opposite.extend(signs(a, b).into_iter().map(|c| (i, j, vec![c])));
+            crossed.extend(exchanged(a, b).map(|pair| (i, j, pair)));
+        }
+    }
+    for (at, columns) in odd_ones(opposite) {
+        let text = "has the sign opposite to the other record's, place by place";
+        for c in columns {
+            out.push(Suspicion::new(&records[at], &c, What::Sign, &[], text.to_owned()));
+        }
+    }
+    for (at, pair) in odd_ones(crossed) {
+        for (own, other) in [(0, 1), (1, 0)] {
+            let text = format!(
+                "reads what {} reads in the other record, and that one what this one does",
+                pair[other]
+            );
+            out.push(Suspicion::new(&records[at], &pair[own], What::Swapped, &[], text));
+        }
+    }
+}
+
+/// Of records that contradict one another, those at fault: the one that contradicts most first; of two alone, the later.
+fn odd_ones(mut pairs: Vec<(usize, usize, Vec<String>)>) -> Vec<(usize, Vec<String>)> {
+    let mut found = Vec::new();
+    while let Some((_, _, columns)) = pairs.first().cloned() {
+        let own = |p: &&(usize, usize, Vec<String>)| p.2 == columns;
+        let count = |k: usize| pairs.iter().filter(own).filter(|p| p.0 == k || p.1 == k).count();
+        let all = pairs.iter().filter(own).flat_map(|p| [p.0, p.1]);
+        let Some(worst) = all.max_by_key(|k| (count(*k), *k)) else { break };
+        pairs.retain(|p| p.2 != columns || (p.0 != worst && p.1 != worst));
+        found.push((worst, columns));
+    }
+    found
+}
+
+/// Two records of one kind whose positions or errors differ by a thousand.
+fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
+    if a.kind != b.kind {
+        return;
+    }
+    for ca in &a.columns {
+        let Some(cb) = b.column(&ca.role).filter(|_| !ca.role.may_repeat()) else { continue };
+        let (ra, rb) = (middle_range(&ca.data), middle_range(&cb.data));
+        let (small, large, r, c, of) = if ra < rb { (ra, rb, a, ca, b) } else { (rb, ra, b, cb, a) };
+        let looks = match ca.role {
+            Role::Position(_) => small > 0.0 && small < 3.0 && (500.0..2000.0).contains(&(large / small)),
+            Role::Error(_) => small > 0.0 && small < 0.5 && (250.0..4000.0).contains(&(large / small)),
+            _ => false,
+        };
+        let known = out
+            .iter()
+            .any(|s| s.what == What::Unit && s.column == c.name && s.record == r.path.display().to_string());
+        if looks && !known {
+            let text = format!(
+                "varies by {small:.3} {}, in {} by {large:.1}: a thousand times less",
+                c.unit,
+                of.path.display()
+            );
+            out.push(Suspicion::new(r, &c.name, What::Unit, &[], text));
+        }
+    }
+}
+
+/// An error that depends on the position, or on a temperature, with the opposite sign in the other record.
+fn signs(a: &Record, b: &Record) -> Vec<String> {
+    let opposite = |ea: &Column| {
+        let eb = b.column(&ea.role)?;
+        (by_position(a, ea, b, eb) || by_temperature(a, ea, b, eb)).then(|| eb.name.clone())
+    };
+    a.responses().filter_map(opposite).collect()
+}
+
+/// The same temperatures within 2 K on average, or none logged: heat does not turn the sign then.
+fn as_warm(a: &Record, b: &Record) -> bool {
+    let near = |name: &str| match (a.temperature(name), b.temperature(name)) {
+        (Some(x), Some(y)) => (median(x.to_vec()) - median(y.to_vec())).abs() < 2.0,
+        _ => true,
+    };
+    a.names(&Role::Temperature).all(near)
+}
+
+fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
+    const BINS: usize = 12;
+    let Some(axis) = ea.role.axis() else { return false };
+    let role = Role::Position(axis.clone());
+    let (Some(pa), Some(pb)) = (a.data(&role), b.data(&role)) else { return false };
+    let lo = pa.iter().chain(pb).copied().fold(f64::INFINITY, f64::min);
+    let hi = pa.iter().chain(pb).copied().fold(f64::NEG_INFINITY, f64::max);
+    if hi <= lo || !as_warm(a, b) {
+        return false;
+    }
+    let means = |r: &Record, p: &[f64], e: &[f64]| {
+        let d = r.data(&Role::Direction(axis.clone()));
+        let mut sums = vec![(0.0, 0.0, 0.0); 2 * BINS];
+        for (i, (p, e)) in p.iter().zip(e).enumerate() {
+            let bin = (((p - lo) / (hi - lo) * BINS as f64) as usize).min(BINS - 1);
+            let up = usize::from(d.is_some_and(|d| d[i] > 0.0));
+            let s = &mut sums[2 * bin + up];
+            *s = (s.0 + 1.0, s.1 + e, s.2 + e * e);
+        }
+        sums
+    };
+    let (ma, mb) = (means(a, pa, &ea.data), means(b, pb, &eb.data));
+    let both: Vec<usize> = (0..2 * BINS).filter(|k| ma[*k].0 >= 2.0 && mb[*k].0 >= 2.0).collect();
+    if both.len() < 8 {
+        return false;
+    }
+    let mean = |m: &[(f64, f64, f64)]| both.iter().map(|k| m[*k].1 / m[*k].0).collect::<Vec<f64>>();
+    let (xa, xb) = (mean(&ma), mean(&mb));
+    // The place must make most of the error in both records.
+    let clear = |m: &[(f64, f64, f64)], x: &[f64]| {
+        let within: f64 = both.iter().map(|k| m[*k].2 - m[*k].1 * m[*k].1 / m[*k].0).sum();
+        let rows: f64 = both.iter().map(|k| m[*k].0).sum();
+        let all = x.iter().sum::<f64>() / x.len() as f64;
+        let between: f64 = both.iter().zip(x).map(|(k, x)| m[*k].0 * (x - all).powi(2)).sum();
+        between > 2.0 * within && rows >= 16.0
+    };
+    let ratio = range(&xa) / range(&xb).max(1e-12);
+    correlation(&xa, &xb) < -0.85 && (0.5..2.0).contains(&ratio) && clear(&ma, &xa) && clear(&mb, &xb)
+}
+
+/// What the temperatures make of the error in one record, asked of the other.
+fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
+    let names: Vec<&str> = a.names(&Role::Temperature).filter(|n| b.temperature(n).is_some()).collect();
+    let warm = |r: &Record| names.iter().any(|n| r.temperature(n).is_some_and(|t| range(t) > 2.0));
+    if names.is_empty() || a.rows() < 30 || b.rows() < 30 || !warm(a) || !warm(b) {
+        return false;
+    }
+    let opposite = |a: &Record, ea: &[f64], b: &Record, eb: &[f64]| {
+        let Some(told) = told(a, ea, &names) else { return false };
+        let says = told.says(b, &names);
+        let ratio = middle_range(&says) / middle_range(eb).max(1e-12);
+        told.left < 0.25 * middle_range(ea) / 3.3
+            && correlation(&says, eb) < -0.85
+            && (0.5..2.0).contains(&ratio)
+    };
+    opposite(a, &ea.data, b, &eb.data) && opposite(b, &eb.data, a, &ea.data)
+}
+
+/// Two sensors in each other's place: what the other sensors say of one is what the other reads, and the other way
+/// round. The first such pair.
+fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
+    let names: Vec<&str> = a.names(&Role::Temperature).filter(|n| b.temperature(n).is_some()).collect();
+    if names.len() < 3 || a.rows() < 30 || b.rows() < 30 {
+        return None;
+    }
+    let pairs = (0..names.len()).flat_map(|k| (0..k).map(move |i| (i, k)));
+    pairs.map(|(i, k)| (names[i], names[k])).find_map(|(p, q)| {
+        let rest: Vec<&str> = names.iter().filter(|n| **n != p && **n != q).copied().collect();
+        let (of_p, of_q) = (told(a, a.temperature(p)?, &rest)?, told(a, a.temperature(q)?, &rest)?);
+        let (says_p, says_q) = (of_p.says(b, &rest), of_q.says(b, &rest));
+        let (tp, tq) = (b.temperature(p)?, b.temperature(q)?);
+        let away = |t: &[f64], says: &[f64]| {
+            let d: f64 = t.iter().zip(says).map(|(t, s)| (t - s).powi(2)).sum();
+            (d / t.len() as f64).sqrt()
+        };
+        let straight = [away(tp, &says_p), away(tq, &says_q)];
+        let crossed = [away(tq, &says_p), away(tp, &says_q)];
+        let fits = crossed[0] < (3.0 * of_p.left).max(1.0) && crossed[1] < (3.0 * of_q.left).max(1.0);
+        let found = fits && (0..2).all(|s| straight[s] > (4.0 * crossed[s]).max(1.5));
+        found.then(|| vec![p.to_owned(), q.to_owned()])
+    })
+}
+
+/// What sensors of a record say of another one, or of an error.
+struct Told {
+    constant: f64,
+    slopes: DVector<f64>,
+    left: f64,
+}
+
+impl Told {
+    fn says(&self, record: &Record, rest: &[&str]) -> Vec<f64> {
+        let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
+        let of = |i: usize| {
+            self.constant + columns.iter().zip(self.slopes.iter()).map(|(c, s)| s * c[i]).sum::<f64>()
+        };
+        (0..record.rows()).map(of).collect()
+    }
+}
+
+fn told(record: &Record, y: &[f64], rest: &[&str]) -> Option<Told> {
+    let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
+    let n = y.len() as f64;
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
+    let means: Vec<f64> = columns.iter().map(|c| mean(c)).collect();
+    let a = DMatrix::from_fn(y.len(), columns.len(), |i, j| columns[j][i] - means[j]);
+    let my = mean(y);
+    let b = DVector::from_fn(y.len(), |i, _| y[i] - my);
+    // A touch of ridge: sensors that warm together share their part rather than fight over it.
+    let mut g = a.tr_mul(&a);
+    let ridge = 1e-4 * g.trace() / columns.len().max(1) as f64 + 1e-9;
+    (0..columns.len()).for_each(|k| g[(k, k)] += ridge);
+    let slopes = g.cholesky()?.solve(&a.tr_mul(&b));
+    let left = ((&b - &a * &slopes).norm_squared() / n).sqrt();
+    let constant = my - slopes.iter().zip(&means).map(|(s, m)| s * m).sum::<f64>();
+    Some(Told { constant, slopes, left })
+}

@@ -1,0 +1,235 @@
+//! Mistakes in records that the records alone show: a unit, a sign, a sensor that is off, rows that stand twice.
+//!
+//! Each finding is a question to whoever measured, never an error: the record stays as it is, and [`Unusable`] says what a
+//! fit should leave out. Every rule asks for more than chance, coarse resolution and honest physics give, so that clean
+//! data raise nothing; what a rule cannot tell from a machine that is merely odd it leaves alone. What needs a model
+//! (another machine, an error with the model's sign) is not asked here.
+//!
+//! | module | what it looks at |
+//! |---|---|
+//! | `sensors` | one temperature or channel beside the others: unplugged, range, unit, stuck, jump, wild values, a copy |
+//! | `motion` | positions, directions, speeds, times and errors of a run beside one another |
+//! | `rows` | rows that stand twice, wild responses |
+//! | `between` | several records beside one another: a sign, a unit, two sensors exchanged |
+//! | `stats` | medians, robust deviations, straight lines |
+
+mod between;
+mod motion;
+mod rows;
+mod sensors;
+mod stats;
+
+use rtec_model::record::{Column, Record, Role};
+use serde::{Serialize, Serializer};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+/// What kind of mistake it looks like (formats.md, "Reconciliation": `what`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum What {
+    /// Another unit than the column says.
+    Unit,
+    /// The other sign.
+    Sign,
+    /// A direction of approach that contradicts the movement, or says nothing.
+    Direction,
+    /// A value that stands still where it should not.
+    Stuck,
+    /// What an input reads without its sensor.
+    Unplugged,
+    /// A value that no machine has.
+    Range,
+    /// A step that no machine makes.
+    Jump,
+    /// Rows or columns that stand twice.
+    Doubled,
+    /// Two columns, or two sensors, one in the other's place.
+    Swapped,
+    /// Single rows far off all others.
+    Outliers,
+    /// Taken on another machine than the model's (found only beside a model).
+    OtherMachine,
+}
+
+impl What {
+    /// As the document writes it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Unit => "unit",
+            Self::Sign => "sign",
+            Self::Direction => "direction",
+            Self::Stuck => "stuck",
+            Self::Unplugged => "unplugged",
+            Self::Range => "range",
+            Self::Jump => "jump",
+            Self::Doubled => "doubled",
+            Self::Swapped => "swapped",
+            Self::Outliers => "outliers",
+            Self::OtherMachine => "other_machine",
+        }
+    }
+}
+
+impl fmt::Display for What {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl Serialize for What {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(self.name())
+    }
+}
+
+/// A mistake that the data itself shows.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Suspicion {
+    /// The record: its sidecar as it was named.
+    pub record: String,
+    /// The column, by its name in the CSV; empty where it is the whole row's.
+    pub column: String,
+    /// Rows of data from 1, the header and comments not counted: `3-9,14`; empty for all of them.
+    pub rows: String,
+    /// What it looks like.
+    pub what: What,
+    /// One line: what was seen, and what it looks like.
+    pub text: String,
+}
+
+impl Suspicion {
+    /// A suspicion against a column; no rows (from 0) stand for all.
+    #[must_use]
+    pub fn new(record: &Record, column: &str, what: What, rows: &[usize], text: String) -> Self {
+        let record = record.path.display().to_string();
+        Self { record, column: column.to_owned(), rows: rows_text(rows), what, text }
+    }
+
+    /// Its rows, from 0; empty for all.
+    #[must_use]
+    pub fn row_list(&self) -> Vec<usize> {
+        let range = |part: &str| {
+            let (a, b) = part.split_once('-').unwrap_or((part, part));
+            let (a, b) = (a.trim().parse::<usize>().ok()?, b.trim().parse::<usize>().ok()?);
+            Some(a.checked_sub(1)?..b)
+        };
+        self.rows.split(',').filter_map(range).flatten().collect()
+    }
+}
+
+impl fmt::Display for Suspicion {
+    /// One line, with few of the rows where there are many.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { record, column, rows, what, text } = self;
+        write!(f, "{record}: {what}: ")?;
+        if !column.is_empty() {
+            write!(f, "{column}: ")?;
+        }
+        f.write_str(text)?;
+        let parts: Vec<&str> = rows.split(',').collect();
+        match parts.len() {
+            _ if rows.is_empty() => Ok(()),
+            n if n > 6 => write!(f, " (rows {}, … {})", parts[..5].join(","), parts[n - 1]),
+            _ => write!(f, " (rows {rows})"),
+        }
+    }
+}
+
+/// Rows from 0 as `3-9,14`, from 1.
+fn rows_text(rows: &[usize]) -> String {
+    let mut out: Vec<String> = Vec::new();
+    let mut i = 0;
+    while i < rows.len() {
+        let mut j = i;
+        while j + 1 < rows.len() && rows[j + 1] == rows[j] + 1 {
+            j += 1;
+        }
+        out.push(if j > i { format!("{}-{}", rows[i] + 1, rows[j] + 1) } else { (rows[i] + 1).to_string() });
+        i = j + 1;
+    }
+    out.join(",")
+}
+
+/// What these records, given together, show of mistakes; none for clean data.
+#[must_use]
+pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
+    let mut found = Vec::new();
+    for record in records {
+        sensors::look(record, &mut found);
+        motion::look(record, &mut found);
+        rows::look(record, &mut found);
+    }
+    between::look(records, &mut found);
+    found
+}
+
+/// What a fit should leave out.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Unusable {
+    sensors: BTreeSet<String>,
+    rows: BTreeMap<String, BTreeSet<usize>>,
+}
+
+/// What a fit should leave out after these suspicions: sensors that are no predictors in any record, and rows. A unit, a
+/// sign or a direction is left as it stands: what is right there only who measured can say.
+#[must_use]
+pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
+    let mut out = Unusable::default();
+    for s in suspicions {
+        let sensor = matches!(
+            s.what,
+            What::Unplugged
+                | What::Range
+                | What::Stuck
+                | What::Jump
+                | What::Outliers
+                | What::Unit
+                | What::Swapped
+        );
+        match s.what {
+            What::Doubled | What::Outliers if !s.rows.is_empty() => {
+                out.rows.entry(s.record.clone()).or_default().extend(s.row_list());
+            }
+            // A copy of another column: the other one stays.
+            What::Doubled => {
+                out.sensors.insert(s.column.clone());
+            }
+            _ if sensor => {
+                out.sensors.insert(s.column.clone());
+            }
+            _ => {}
+        }
+    }
+    out
+}
+
+impl Unusable {
+    /// A temperature or channel of this name is no predictor.
+    #[must_use]
+    pub fn sensor(&self, name: &str) -> bool {
+        self.sensors.contains(name)
+    }
+
+    /// The rows of a record that should be left out, from 0.
+    #[must_use]
+    pub fn rows(&self, record: &Record) -> Vec<usize> {
+        let rows = self.rows.get(&record.path.display().to_string());
+        rows.map(|r| r.iter().copied().filter(|i| *i < record.rows()).collect()).unwrap_or_default()
+    }
+
+    /// The record without its unusable rows, temperatures and channels; as it is where that would leave nothing.
+    #[must_use]
+    pub fn without(&self, record: &Record) -> Record {
+        let out = self.rows(record);
+        let keep: Vec<usize> = (0..record.rows()).filter(|i| out.binary_search(i).is_err()).collect();
+        let mut left = if keep.is_empty() || out.is_empty() { record.clone() } else { record.select(&keep) };
+        left.columns.retain(|c| !(is_sensor(c) && self.sensor(&c.name)));
+        left
+    }
+}
+
+/// A temperature or a channel: what a law may take as its cause by name.
+fn is_sensor(column: &Column) -> bool {
+    matches!(column.role, Role::Temperature | Role::Channel)
+}

@@ -1,0 +1,296 @@
+//! Positions, directions, speeds, times and errors of a run beside one another.
+
+use super::stats::{distinct, line, median, middle_range, quantum, range, span, steps};
+use super::{Suspicion, What};
+use crate::iso230::correlation;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+
+/// The longest axes of machine tools, mm.
+const LONGEST_MM: f64 = 30_000.0;
+
+pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
+    clock(record, out);
+    angle(record, out);
+    let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
+    let mut taken: Vec<String> = Vec::new();
+    for axis in &axes {
+        let Some(p) = record.column(&Role::Position(axis.clone())) else { continue };
+        if let Some(e) = record.column(&Role::Error(axis.clone()))
+            && (actual(record, p, e, out) || exchanged(record, axis, p, e, out))
+        {
+            taken.push(e.name.clone());
+            continue;
+        }
+        position_unit(record, p, out);
+        direction(record, axis, p, out);
+        speed(record, axis, p, out);
+    }
+    for e in record.responses().filter(|e| matches!(e.role, Role::Error(_)) && !taken.contains(&e.name)) {
+        error_unit(record, e, out);
+    }
+}
+
+/// A time of milliseconds called seconds: rows hours apart.
+fn clock(record: &Record, out: &mut Vec<Suspicion>) {
+    let Some(t) = record.column(&Role::Time) else { return };
+    if t.data.len() < 5 {
+        return;
+    }
+    let usual = median(steps(&t.data).into_iter().filter(|d| *d > 0.0).collect());
+    let limit = match record.kind {
+        Kind::Drift => 3600.0,
+        Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep => 60.0,
+        _ => 900.0,
+    };
+    // Even by the longest drift test nobody waits three weeks for a record.
+    let long = range(&t.data) > 20.0 * 86_400.0 && t.data.iter().all(|t| t.fract() == 0.0);
+    let epoch_ms = t.data[0] > 5e11;
+    if usual >= limit || long || epoch_ms {
+        let text = format!("rows are {usual} s apart, which looks like milliseconds");
+        out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
+    }
+}
+
+/// Degrees called radians: large, and in whole steps of a degree or half a one.
+fn angle(record: &Record, out: &mut Vec<Suspicion>) {
+    let Some(a) = record.column(&Role::Angle) else { return };
+    let [lo, hi] = span(&a.data);
+    let nice = a.data.iter().filter(|v| ((**v * 4.0) - (**v * 4.0).round()).abs() < 1e-6).count();
+    if range(&a.data) > 80.0 && lo >= -361.0 && hi <= 3601.0 && nice * 10 >= a.data.len() * 9 {
+        let text = format!("from {lo} to {hi} rad, in steps that look like degrees");
+        out.push(Suspicion::new(record, &a.name, What::Unit, &[], text));
+    }
+}
+
+/// The position reached in place of the error: it runs along the position at one to one.
+fn actual(record: &Record, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> bool {
+    let Some((_, slope, left)) = line(&p.data, &e.data) else { return false };
+    if distinct(&p.data) < 4 {
+        return false;
+    }
+    for (per_mm, unit) in [(1.0, "mm"), (1000.0, "µm")] {
+        if (slope / per_mm - 1.0).abs() < 2e-3 && left < 2e-3 * per_mm * range(&p.data) {
+            let text =
+                format!("follows {} one to one: the position reached in {unit}, not the error", p.name);
+            out.push(Suspicion::new(record, &e.name, What::Swapped, &[], text));
+            return true;
+        }
+    }
+    false
+}
+
+/// Signs of the movement into each row; nothing for rows that stay where they were.
+fn moves(p: &[f64]) -> Vec<Option<f64>> {
+    let sizes: Vec<f64> = steps(p).iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();
+    let dead = 0.05 * median(sizes);
+    let of = |i: usize| {
+        let d = if i == 0 { 0.0 } else { p[i] - p[i - 1] };
+        (d.abs() > dead).then(|| d.signum())
+    };
+    (0..p.len()).map(of).collect()
+}
+
+/// Share of the rows whose movement has the sign of `way`, and how many can be asked.
+fn agreement(p: &[f64], way: &[f64]) -> (f64, usize) {
+    let asked: Vec<bool> = moves(p)
+        .iter()
+        .zip(way)
+        .filter(|(_, w)| **w != 0.0)
+        .filter_map(|(m, w)| m.map(|m| m * w > 0.0))
+        .collect();
+    (asked.iter().filter(|a| **a).count() as f64 / asked.len().max(1) as f64, asked.len())
+}
+
+/// The period at which a column repeats itself exactly, with at least five places in it.
+fn repeats(v: &[f64]) -> bool {
+    let n = v.len();
+    let near = 5e-4 * range(v);
+    let of = |period: usize| (period..n).filter(|i| (v[*i] - v[*i - period]).abs() <= near).count();
+    let round = (8..=n / 2).any(|k| of(k) as f64 >= 0.97 * (n - k) as f64);
+    // Places, not levels: the values are far apart beside what they repeat to.
+    round && {
+        let mut places = v.to_vec();
+        places.sort_by(f64::total_cmp);
+        places.dedup_by(|a, b| (*a - *b).abs() <= 2.0 * near);
+        (5..=n / 2).contains(&places.len())
+    }
+}
+
+/// Position and error in each other's place: the error moves as a position does, the position as an error.
+fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> bool {
+    let n = p.data.len();
+    if n < 10 {
+        return false;
+    }
+    let way = record
+        .data(&Role::Direction(axis.clone()))
+        .or_else(|| record.data(&Role::Velocity(axis.clone())).filter(|_| record.kind == Kind::Positioning));
+    let by_direction = way.is_some_and(|w| {
+        let ((as_error, asked), (as_position, others)) = (agreement(&e.data, w), agreement(&p.data, w));
+        asked.min(others) >= 10 && as_error >= 0.95 && (0.2..=0.8).contains(&as_position)
+    });
+    let by_places = n >= 20 && repeats(&e.data) && !repeats(&p.data);
+    let ramp = |v: &[f64]| {
+        let d = steps(v);
+        let usual = median(d.clone());
+        usual != 0.0 && d.iter().all(|d| (d / usual - 1.0).abs() < 0.02)
+    };
+    let turns = steps(&p.data).windows(2).filter(|w| w[0] * w[1] < 0.0).count();
+    let by_ramp = ramp(&e.data) && turns * 5 > n;
+    if by_direction || by_places || by_ramp {
+        let text = format!("moves as a position does, and {} as an error: the two look exchanged", p.name);
+        out.push(Suspicion::new(record, &e.name, What::Swapped, &[], text));
+        return true;
+    }
+    false
+}
+
+/// Metres or micrometres called millimetres.
+fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
+    let [lo, hi] = span(&p.data);
+    let farthest = lo.abs().max(hi.abs());
+    let text = if farthest > LONGEST_MM {
+        format!("goes to {farthest:.0} mm, which looks like micrometres")
+    } else {
+        // Few places some mm to metres apart once they are taken for metres: no scan of a fine period has so few.
+        let sizes: Vec<f64> = steps(&p.data).iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();
+        let near = 0.05 * median(sizes.clone());
+        let mut places = p.data.clone();
+        places.sort_by(f64::total_cmp);
+        places.dedup_by(|a, b| (*a - *b).abs() <= near);
+        let static_run =
+            matches!(record.kind, Kind::Positioning | Kind::Plate | Kind::FeedSweep | Kind::Ballbar);
+        let (size, pitch) = (range(&p.data), median(sizes));
+        let few = places.len() <= 45 && pitch >= 1e-3 && record.kind != Kind::FeedSweep;
+        let quick = matches!(record.kind, Kind::Ballbar) && size < 0.7;
+        if !(static_run && size > 0.01 && size < 3.0 && places.len() >= 5 && (few || quick)) {
+            return;
+        }
+        format!("moves over {size:.3} mm only, which looks like metres")
+    };
+    out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
+}
+
+/// A direction of approach beside the movement.
+fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
+    let Some(d) = record.column(&Role::Direction(axis.clone())) else { return };
+    let n = d.data.len() as f64;
+    let share = |of: &dyn Fn(f64) -> bool| d.data.iter().filter(|v| of(**v)).count() as f64 / n;
+    let (agree, asked) = agreement(&p.data, &d.data);
+    let moves = moves(&p.data);
+    let moved = moves.iter().flatten().count() as f64;
+    let down_at = |zero: bool| {
+        let rows = moves.iter().zip(&d.data).filter(|(_, d)| (**d == 0.0) == zero);
+        let known: Vec<f64> = rows.filter_map(|(m, _)| *m).collect();
+        (known.iter().filter(|m| **m < 0.0).count(), known.len())
+    };
+    let (ups, downs) = (
+        moves.iter().flatten().filter(|m| **m > 0.0).count() as f64,
+        moves.iter().flatten().filter(|m| **m < 0.0).count() as f64,
+    );
+    let one_sided =
+        matches!(record.kind, Kind::Positioning | Kind::FeedSweep | Kind::Ballbar | Kind::Dynamics)
+            && ups >= 0.3 * moved
+            && downs >= 0.3 * moved
+            && moved >= 10.0;
+    let text = if share(&|v| v == 0.0) >= 0.25
+        && share(&|v| v == 0.0) < 1.0
+        && (share(&|v| v > 0.0) == 0.0 || share(&|v| v < 0.0) == 0.0)
+        && {
+            let (down, of) = down_at(true);
+            of >= 5 && (down * 5 >= of * 4 || down * 5 <= of)
+        } {
+        "is 0 while the axis moves: it looks like 0 and 1 for -1 and +1".to_owned()
+    } else if d.data.iter().all(|v| *v == d.data[0]) && one_sided {
+        format!("is {} in every row, yet {} moves both ways", d.data[0], p.name)
+    } else if asked >= 10 && agree <= 0.12 {
+        "is opposite to the movement into each row".to_owned()
+    } else {
+        return;
+    };
+    out.push(Suspicion::new(record, &d.name, What::Direction, &[], text));
+}
+
+/// A logged speed beside the positions and times of a run that was sampled while it moved.
+fn speed(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
+    let Some(v) = record.column(&Role::Velocity(axis.clone())) else { return };
+    let Some(t) = record.column(&Role::Time) else { return };
+    if !matches!(record.kind, Kind::Ballbar | Kind::Dynamics | Kind::FeedSweep) || p.data.len() < 30 {
+        return;
+    }
+    let Some((ratio, r)) = per_second(&p.data, &t.data, &v.data) else { return };
+    if r.abs() < 0.9 {
+        return;
+    }
+    let of_speed = record
+        .column(&Role::Acceleration(axis.clone()))
+        .and_then(|a| per_second(&v.data, &t.data, &a.data).filter(|(_, r)| r.abs() > 0.9).map(|f| f.0));
+    let about = |k: f64| (ratio.abs() / k - 1.0).abs() < 0.2;
+    let found = if about(1e3) && of_speed.is_none_or(|f| (f / 1e3 - 1.0).abs() < 0.2) && of_speed.is_some() {
+        Some((&t.name, What::Unit, "looks like milliseconds: speeds say so"))
+    } else if about(1e3) {
+        Some((
+            &p.name,
+            What::Unit,
+            "looks like metres (or the speed like µm/s, the time like ms): the two disagree by 1000",
+        ))
+    } else if about(1e-3) {
+        Some((
+            &p.name,
+            What::Unit,
+            "looks like micrometres (or the speed like m/s): the two disagree by 1000",
+        ))
+    } else if about(60.0) {
+        Some((&v.name, What::Unit, "looks like mm/min: it is 60 times what positions and times say"))
+    } else if about(1.0 / 60.0) {
+        Some((&t.name, What::Unit, "looks like minutes (or the speed like m/s by 16.7): speeds say so"))
+    } else if ratio < 0.0 && r < -0.9 {
+        Some((&v.name, What::Sign, "has the sign opposite to the movement"))
+    } else {
+        None
+    };
+    if let Some((column, what, text)) = found {
+        out.push(Suspicion::new(record, column, what, &[], text.to_owned()));
+    }
+}
+
+/// How many times the slope of `x` over time a logged rate is (median), and how well the two go together.
+fn per_second(x: &[f64], t: &[f64], rate: &[f64]) -> Option<(f64, f64)> {
+    let at = 1..x.len() - 1;
+    let slope = |i: usize| (x[i + 1] - x[i - 1]) / (t[i + 1] - t[i - 1]);
+    let usual_s = median(steps(t));
+    let rows: Vec<usize> =
+        at.filter(|i| t[i + 1] > t[i - 1] && t[i + 1] - t[i - 1] < 4.0 * usual_s).collect();
+    let (a, b): (Vec<f64>, Vec<f64>) = rows.iter().map(|i| (slope(*i), rate[*i])).unzip();
+    if rows.len() < 20 || range(&a) <= 0.0 {
+        return None;
+    }
+    let large = 0.3 * middle_range(&a);
+    let ratios: Vec<f64> = a.iter().zip(&b).filter(|(a, _)| a.abs() > large).map(|(a, b)| b / a).collect();
+    (ratios.len() >= 10).then(|| (median(ratios), correlation(&a, &b)))
+}
+
+/// Millimetres called micrometres, and errors that no machine has.
+fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
+    if e.data.len() < 8 || distinct(&e.data) < 3 {
+        return;
+    }
+    let size = middle_range(&e.data);
+    let q = quantum(&e.data);
+    let multiples = |of: f64| {
+        e.data.iter().all(|v| ((v / of) - (v / of).round()).abs() < 1e-3 * (v / of).abs().max(1.0).min(100.0))
+    };
+    let counted = record.count_um.is_some_and(|count| {
+        let small = count / 1000.0;
+        size < 0.5 * count && q > 0.9 * small && multiples(small) && range(&e.data) > 3.0 * small
+    });
+    let driven = record.columns.iter().any(|c| matches!(c.role, Role::Velocity(_)));
+    let text = if size < 0.1 || counted {
+        format!("varies by {size:.2e} µm, which looks like millimetres")
+    } else if size > 3000.0 && !driven {
+        format!("varies by {size:.0} µm, which looks like another unit or another quantity")
+    } else {
+        return;
+    };
+    out.push(Suspicion::new(record, &e.name, What::Unit, &[], text));
+}

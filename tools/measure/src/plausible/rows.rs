@@ -1,0 +1,284 @@
+//! Rows that stand twice, and responses far off all others.
+
+use super::stats::{distinct, median, range, spread, steps};
+use super::{Suspicion, What};
+use rtec_model::record::{Column, Record, Role};
+use std::collections::HashMap;
+
+/// A block that stands twice is at least so long.
+const BLOCK: usize = 8;
+
+pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
+    doubled(record, out);
+    for c in record.responses() {
+        flat(record, c, out);
+        wild(record, c, out);
+    }
+}
+
+/// The same row again: the next one, or a block pasted once more.
+fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
+    let n = record.rows();
+    if n < 4 {
+        return;
+    }
+    let with_time = record.column(&Role::Time).is_some();
+    let whole: Vec<&Column> = record.columns.iter().collect();
+    let measured: Vec<&Column> = record.columns.iter().filter(|c| c.role != Role::Time).collect();
+    let same =
+        |of: &[&Column], i: usize, j: usize| of.iter().all(|c| c.data[i].to_bits() == c.data[j].to_bits());
+    // The next row, or the one after where pairs were doubled: with time the clock says so, without it neighbours must
+    // be alike far more often than rows a few apart.
+    let next: Vec<usize> = (1..n).filter(|i| same(&whole, *i, i - 1)).collect();
+    let apart = (7..n).filter(|i| same(&whole, *i, i - 7)).count();
+    let told = if with_time { !next.is_empty() } else { next.len() >= 3 && next.len() > 10 * apart };
+    if told {
+        let text = format!("{} of {n} rows are the row before once more", next.len());
+        out.push(Suspicion::new(record, "", What::Doubled, &next, text));
+        return;
+    }
+    let copies = pasted(record, &measured, &same);
+    if !copies.is_empty() {
+        let text = format!("{} of {n} rows repeat earlier ones in every measured value", copies.len());
+        out.push(Suspicion::new(record, "", What::Doubled, &copies, text));
+    }
+}
+
+/// Rows of blocks that repeat an earlier block in all that was measured, where that is no chance.
+fn pasted(
+    record: &Record,
+    measured: &[&Column],
+    same: &dyn Fn(&[&Column], usize, usize) -> bool,
+) -> Vec<usize> {
+    let n = record.rows();
+    // Only what is noisy cannot repeat by itself: rows are told apart by a response that does not run smoothly.
+    let noisy = record.responses().any(|c| rough(&c.data) && distinct(&c.data) * 4 > n);
+    if !noisy || n < 2 * BLOCK {
+        return Vec::new();
+    }
+    let key = |i: usize| measured.iter().map(|c| c.data[i].to_bits()).collect::<Vec<u64>>();
+    let mut first: HashMap<Vec<u64>, Vec<usize>> = HashMap::new();
+    for i in 0..n {
+        first.entry(key(i)).or_default().push(i);
+    }
+    let mut rows = Vec::new();
+    let mut i = 1;
+    while i < n {
+        let starts = first.get(&key(i)).map_or(&[][..], Vec::as_slice);
+        // The longest run from here that some earlier stretch has too.
+        let length = |j: usize| (0..n - i).take_while(|k| j + k < i && same(measured, i + k, j + k)).count();
+        let best = starts.iter().filter(|j| **j < i).take(50).map(|j| length(*j)).max().unwrap_or(0);
+        if best >= BLOCK {
+            rows.extend(i..i + best);
+            i += best;
+        } else {
+            i += 1;
+        }
+    }
+    // A machine without noise repeats itself in every cycle; a pasted block is not all there is, but for one copy of all.
+    if rows.len() * 2 > n { Vec::new() } else { rows }
+}
+
+/// Up and down from row to row more often than not.
+fn rough(v: &[f64]) -> bool {
+    let d = steps(v);
+    let turns = d.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
+    turns * 100 > 35 * d.len()
+}
+
+/// A response that stands still: a gauge that is not read.
+fn flat(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
+    let n = c.data.len();
+    if n < 40 {
+        return;
+    }
+    let mut best = (0, 0);
+    let mut start = 0;
+    for i in 0..=n {
+        if i == n || c.data[i].to_bits() != c.data[start].to_bits() {
+            if i - start > best.1 - best.0 {
+                best = (start, i);
+            }
+            start = i;
+        }
+    }
+    let length = best.1 - best.0;
+    let outside: Vec<f64> = (0..n).filter(|i| *i < best.0 || *i >= best.1).map(|i| c.data[i]).collect();
+    if outside.len() < 20 || length < 20 {
+        return;
+    }
+    let p = outside.windows(2).filter(|w| w[0].to_bits() != w[1].to_bits()).count() as f64
+        / (outside.len() - 1) as f64;
+    // Coarse steps change less where the value lies between two of them, hence the square.
+    let chance = length as f64 * (1.0 - 0.7 * p.min(0.95).powi(2)).ln() + (n as f64).ln();
+    if p >= 0.7 && distinct(&outside) * 4 > outside.len() && chance < (1e-8_f64).ln() {
+        let rows: Vec<usize> = (best.0..best.1).collect();
+        let text = format!("reads {} in {length} rows on end, as it does nowhere else", c.data[best.0]);
+        out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
+    }
+}
+
+/// Rows far off those that are near in time, and off those near in position and direction.
+fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
+    let n = c.data.len();
+    if n < 20 || range(&c.data) <= 0.0 {
+        return;
+    }
+    let excused = excused(record);
+    let in_time: Vec<usize> = (0..n).collect();
+    let mut orders = vec![vec![in_time]];
+    if let Some(axis) = c.role.axis()
+        && let Some(p) = record.data(&Role::Position(axis.clone()))
+    {
+        let d = record.data(&Role::Direction(axis.clone()));
+        let ways = [-1.0, 0.0, 1.0].map(|way| {
+            let mut rows: Vec<usize> = (0..n).filter(|i| d.map_or(0.0, |d| d[*i]) == way).collect();
+            rows.sort_by(|a, b| p[*a].total_cmp(&p[*b]).then(a.cmp(b)));
+            rows
+        });
+        orders.push(ways.into());
+    }
+    // By the order in which the response runs most smoothly; or by what the same place gave at other times.
+    let mut lefts: Vec<(Vec<f64>, Vec<bool>)> = orders.iter().map(|o| beside(&c.data, o)).collect();
+    let mates = orders.get(1).map(|ways| places(record, c, ways));
+    if let Some(places) = &mates
+        && places.iter().all(|p| p.len() >= 3)
+    {
+        lefts.push(of_place(&c.data, places));
+    }
+    let left = lefts.into_iter().min_by(|a, b| width(&a.0).total_cmp(&width(&b.0)));
+    let Some((left, alone)) = left else { return };
+    let scale = width(&left);
+    if scale <= 0.0 {
+        return;
+    }
+    // A place that is always like this is the machine's.
+    let mut usual_there = vec![false; n];
+    for place in mates.iter().flatten().filter(|p| p.len() >= 2) {
+        for i in place {
+            let others = median(place.iter().filter(|j| *j != i).map(|j| c.data[*j]).collect());
+            usual_there[*i] = (c.data[*i] - others).abs() < 0.5 * left[*i].abs();
+        }
+    }
+    let far = |i: usize| left[i].abs() / scale;
+    let rows: Vec<usize> =
+        (0..n).filter(|i| far(*i) > 8.0 && alone[*i] && !excused[*i] && !usual_there[*i]).collect();
+    let worst = rows.iter().map(|i| far(*i)).fold(0.0, f64::max);
+    // Heavy tails, or a shape that is no smooth one, are one thing; a few rows beyond all others another.
+    let bulk = (0..n).filter(|i| !rows.contains(i) && !excused[*i] && far(*i) > 4.5).count();
+    let enough = rows.len() >= 2 && worst > 11.0 || worst > 20.0;
+    if enough && rows.len() * 100 <= 12 * n && 2 * bulk <= rows.len() {
+        let text = format!(
+            "{} of {n} rows are far off those beside them, as {:.2} (the others spread by {scale:.2})",
+            rows.len(),
+            c.data[rows[0]]
+        );
+        out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+    }
+}
+
+/// The spread of most values; by more of them where most are the same (a coarse reading).
+fn width(v: &[f64]) -> f64 {
+    let by_half = spread(v);
+    if by_half > 0.0 {
+        return by_half;
+    }
+    let mut sizes: Vec<f64> = v.iter().map(|v| v.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    // Nine of ten of a normal distribution lie within 1.645 of its standard deviations.
+    sizes[sizes.len() * 9 / 10] / 1.645
+}
+
+/// The rows of each place, from the rows of each direction in the order of their positions.
+fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
+    let Some(p) = c.role.axis().and_then(|a| record.data(&Role::Position(a.clone()))) else {
+        return Vec::new();
+    };
+    let mut found: Vec<Vec<usize>> = Vec::new();
+    for rows in ways {
+        let near = 0.2 * range(p) / rows.len().max(1) as f64;
+        for (k, i) in rows.iter().enumerate() {
+            match found.last_mut().filter(|_| k > 0 && p[*i] - p[rows[k - 1]] <= near) {
+                Some(place) => place.push(*i),
+                None => found.push(vec![*i]),
+            }
+        }
+    }
+    found
+}
+
+/// What each row has beyond the median of its place.
+fn of_place(v: &[f64], places: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
+    let mut left = vec![0.0; v.len()];
+    for place in places {
+        let usual = median(place.iter().map(|i| v[*i]).collect());
+        place.iter().for_each(|i| left[*i] = v[*i] - usual);
+    }
+    (left, vec![true; v.len()])
+}
+
+/// What each row has beyond the median of the three before, itself and the three after it in these orders (of fewer
+/// towards the ends, so that a trend leaves nothing there); and whether it stands alone, far from both of its neighbours:
+/// the edge of a step does not.
+fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
+    let (mut left, mut alone) = (vec![0.0; v.len()], vec![false; v.len()]);
+    for order in orders {
+        for (k, i) in order.iter().enumerate() {
+            let half = 3.min(k).min(order.len() - 1 - k);
+            if half == 0 {
+                continue;
+            }
+            let near: Vec<f64> = order[k - half..=k + half].iter().map(|j| v[*j]).collect();
+            left[*i] = v[*i] - median(near);
+            let far = |j: usize| (v[*i] - v[order[j]]) / left[*i] > 0.6;
+            alone[*i] = left[*i] != 0.0 && far(k - 1) && far(k + 1);
+        }
+    }
+    (left, alone)
+}
+
+/// Rows where something else may honestly make a short peak: next to a reversal, to a change of coolant, spindle speed,
+/// load or temperature, at the ends.
+fn excused(record: &Record) -> Vec<bool> {
+    let n = record.rows();
+    let mut out = vec![false; n];
+    let mut around = |i: usize, by: usize| {
+        (i.saturating_sub(by)..(i + by + 1).min(n)).for_each(|j| out[j] = true);
+    };
+    around(0, 1);
+    around(n - 1, 1);
+    for c in &record.columns {
+        match &c.role {
+            Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) => {
+                // Signs that turn every few rows excuse nothing: that is how the run is made.
+                let turns: Vec<usize> = (1..n).filter(|i| c.data[*i] * c.data[i - 1] < 0.0).collect();
+                if turns.len() * 12 <= n {
+                    turns.iter().for_each(|i| around(*i, 3));
+                }
+            }
+            Role::Position(_) => {
+                let d = steps(&c.data);
+                let turns: Vec<usize> = (1..d.len()).filter(|i| d[*i] * d[i - 1] < 0.0).collect();
+                if turns.len() * 12 <= n {
+                    turns.iter().for_each(|i| around(*i, 3));
+                }
+            }
+            Role::Coolant | Role::SpindleSpeed => {
+                let changes: Vec<usize> =
+                    (1..n).filter(|i| c.data[*i].to_bits() != c.data[i - 1].to_bits()).collect();
+                if changes.len() * 6 <= n {
+                    changes.iter().for_each(|i| around(*i, 2));
+                }
+            }
+            Role::Load(_) | Role::Channel => {
+                // A cause that peaks by itself at a row explains a peak there.
+                let order: Vec<usize> = (0..n).collect();
+                let (left, _) = beside(&c.data, &[order]);
+                let scale = spread(&left);
+                (0..n).filter(|i| left[*i].abs() > 6.0 * scale.max(1e-12)).for_each(|i| around(i, 0));
+            }
+            _ => {}
+        }
+    }
+    out
+}

@@ -1,0 +1,650 @@
+//! Mistakes in records, each beside its clean twin: said, and nothing said of the twin. The machines and runs are made
+//! here, by formulas of their own.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_measure::plausible::{What, suspicions, unusable};
+use rtec_model::record::{Column, Kind, Record, Role};
+use std::f64::consts::TAU;
+use std::path::Path;
+
+/// A small portable generator (splitmix64).
+struct Dice(u64);
+
+impl Dice {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+    fn within(&mut self, lo: f64, hi: f64) -> f64 {
+        lo + (hi - lo) * self.unit()
+    }
+    fn below(&mut self, n: usize) -> usize {
+        (self.unit() * n as f64) as usize
+    }
+    fn chance(&mut self, p: f64) -> bool {
+        self.unit() < p
+    }
+    fn normal(&mut self) -> f64 {
+        (-2.0 * (1.0 - self.unit()).ln()).sqrt() * (TAU * self.unit()).cos()
+    }
+}
+
+fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
+    let role = Role::parse(role).unwrap();
+    Column { name: name.into(), unit: role.unit().unwrap_or("1").into(), role, data }
+}
+
+fn record(name: &str, kind: Kind, columns: Vec<Column>) -> Record {
+    Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
+}
+
+/// Noise with memory from row to row, maybe read in steps.
+fn noise(d: &mut Dice, n: usize) -> (Vec<f64>, Option<f64>) {
+    let (sd, phi) = ((d.within(-1.6, 1.2)).exp(), if d.chance(0.5) { d.within(0.0, 0.7) } else { 0.0 });
+    let step = d.chance(0.3).then(|| sd * d.within(0.1, 1.2));
+    let mut x = 0.0;
+    let v = (0..n).map(|_| {
+        x = phi * x + (1.0 - phi * phi).sqrt() * d.normal();
+        sd * x
+    });
+    (v.collect(), step)
+}
+
+fn read(v: Vec<f64>, step: Option<f64>) -> Vec<f64> {
+    let q = step.unwrap_or(1e-3);
+    v.into_iter().map(|v| (v / q).round() * q).collect()
+}
+
+/// Settings that several records of one machine share.
+struct Machine {
+    ppm: f64,
+    reversal: f64,
+    wave: f64,
+    period: f64,
+    travel: f64,
+    targets: usize,
+    um_per_k: f64,
+    sensors: Vec<(f64, f64)>,
+    step_k: f64,
+}
+
+impl Machine {
+    fn random(d: &mut Dice) -> Self {
+        let step_k = [0.0, 0.001, 0.01, 0.0625, 0.1][d.below(5)];
+        let mut sensors = vec![(0.02, 20000.0)];
+        for _ in 0..3 + d.below(4) {
+            let gain = d.within(2.0, 14.0);
+            sensors.push((gain, d.within(300.0, 6000.0)));
+        }
+        let sign = if d.chance(0.5) { 1.0 } else { -1.0 };
+        Self {
+            ppm: sign * d.within(20.0, 90.0),
+            reversal: d.within(-8.0, 8.0),
+            wave: d.within(0.0, 3.0),
+            period: d.within(3.0, 40.0),
+            travel: d.within(120.0, 950.0),
+            targets: 9 + d.below(25),
+            um_per_k: d.within(1.5, 5.0),
+            sensors,
+            step_k,
+        }
+    }
+
+    fn error(&self, p: f64, dir: f64) -> f64 {
+        self.ppm * p / 1000.0 + self.reversal * dir / 2.0 + self.wave * (TAU * p / self.period).sin()
+    }
+
+    /// Temperatures over a cycle of spindle speeds, the air first; speeds in krpm.
+    fn temperatures(&self, d: &mut Dice, t: &[f64], krpm: &[f64]) -> Vec<Vec<f64>> {
+        let (air, drift, phase) = (d.within(18.0, 24.0), d.within(0.3, 1.5), d.within(0.0, TAU));
+        let span = t[t.len() - 1];
+        let of = |(k, (gain, tau)): (usize, &(f64, f64)), d: &mut Dice| {
+            let (mut x, mut v) = (0.0, Vec::new());
+            for i in 0..t.len() {
+                let h = if i == 0 { 0.0 } else { t[i] - t[i - 1] };
+                x += (gain * krpm[i] / 6.0 - x) * (1.0 - (-h / tau).exp());
+                let room = air + drift * (TAU * t[i] / span + phase).sin();
+                v.push(room + if k == 0 { 0.0 } else { x } + d.normal() * 0.01);
+            }
+            if self.step_k > 0.0 { read(v, Some(self.step_k)) } else { v }
+        };
+        self.sensors.iter().enumerate().map(|s| of(s, d)).collect()
+    }
+
+    fn positioning(&self, d: &mut Dice, name: &str) -> Record {
+        let pitch = self.travel / (self.targets - 1) as f64;
+        let jitter = if d.chance(0.5) { 0.3 } else { 0.0 };
+        let places: Vec<f64> =
+            (0..self.targets).map(|k| pitch * (k as f64 + jitter * (d.unit() - 0.5))).collect();
+        let (mut p, mut dir, mut cycle) = (vec![], vec![], vec![]);
+        for c in 0..2 + d.below(4) {
+            for k in 0..2 * self.targets {
+                let up = k < self.targets;
+                let at = if up { k } else { 2 * self.targets - 1 - k };
+                p.push(places[at]);
+                dir.push(if up { 1.0 } else { -1.0 });
+                cycle.push(c as f64 + 1.0);
+            }
+        }
+        let n = p.len();
+        if d.chance(0.5) {
+            p.iter_mut().for_each(|p| *p = ((*p + 0.002 * d.normal()) * 1e5).round() / 1e5);
+        }
+        let (e, step) = noise(d, n);
+        let e = e.iter().zip(&p).zip(&dir).map(|((e, p), dir)| e + self.error(*p, *dir)).collect();
+        let mut columns = vec![];
+        let dwell = d.within(3.0, 30.0);
+        let t: Vec<f64> = (0..n).map(|i| (i as f64 * dwell * 10.0).round() / 10.0).collect();
+        if d.chance(0.7) {
+            columns.push(column("t", "time", t.clone()));
+        }
+        columns.push(column("x", "position.x", p));
+        columns.push(column("dir", "direction.x", dir));
+        if d.chance(0.7) {
+            columns.push(column("n", "cycle", cycle));
+        }
+        if d.chance(0.4) {
+            let krpm: Vec<f64> = t.iter().map(|_| 2.0).collect();
+            for (k, v) in self.temperatures(d, &t, &krpm).into_iter().enumerate() {
+                columns.push(column(&format!("T{k}"), "temperature", v));
+            }
+        }
+        columns.push(column("e", "error.x", read(e, step)));
+        let mut r = record(name, Kind::Positioning, columns);
+        r.count_um = step;
+        r
+    }
+
+    fn drift(&self, d: &mut Dice, name: &str) -> Record {
+        let n = 150 + d.below(500);
+        let every = [10.0, 30.0, 60.0][d.below(3)];
+        let t: Vec<f64> = (0..n).map(|i| i as f64 * every).collect();
+        let (mut krpm, mut speed) = (vec![], d.within(2.0, 8.0));
+        for _ in 0..n {
+            if d.chance(0.02) {
+                speed = if d.chance(0.4) { 0.0 } else { d.within(1.0, 10.0) };
+            }
+            krpm.push(speed);
+        }
+        let temperatures = self.temperatures(d, &t, &krpm);
+        let (e, step) = noise(d, n);
+        let e = (0..n).map(|i| e[i] + self.um_per_k * (temperatures[1][i] - temperatures[0][i])).collect();
+        let mut columns = vec![column("t", "time", t)];
+        for (k, v) in temperatures.into_iter().enumerate() {
+            columns.push(column(&format!("T{k}"), "temperature", v));
+        }
+        if d.chance(0.6) {
+            columns.push(column("rpm", "spindle_speed", krpm.iter().map(|k| (k * 1000.0).round()).collect()));
+        }
+        if d.chance(0.5) {
+            let wet: Vec<f64> = (0..n).map(|i| f64::from(u8::from((i / 40) % 3 == 1))).collect();
+            columns.push(column("wet", "coolant", wet));
+        }
+        columns.push(column("e", "error.z", read(e, step)));
+        record(name, Kind::Drift, columns)
+    }
+
+    fn plate(&self, d: &mut Dice) -> Record {
+        let m = 7 + d.below(10);
+        let (mut x, mut y) = (vec![], vec![]);
+        for i in 0..m {
+            for j in 0..m {
+                x.push(self.travel * i as f64 / m as f64);
+                y.push(self.travel * if i % 2 == 0 { j } else { m - 1 - j } as f64 / m as f64);
+            }
+        }
+        let n = x.len();
+        let (nx, step) = noise(d, n);
+        let (ny, _) = noise(d, n);
+        let ex = (0..n).map(|i| nx[i] + self.error(x[i], 0.0) - 0.02 * y[i]).collect();
+        let ey = (0..n).map(|i| ny[i] + 0.02 * x[i]).collect();
+        let columns = vec![
+            column("X", "position.x", x),
+            column("Y", "position.y", y),
+            column("ex", "error.x", read(ex, step)),
+            column("ey", "error.y", read(ey, None)),
+        ];
+        record("plate", Kind::Plate, columns)
+    }
+
+    /// A circle both ways, sampled while it moves; with speeds, maybe accelerations.
+    fn ballbar(&self, d: &mut Dice) -> Record {
+        let (radius, feed, m) = (150.0, d.within(10.0, 60.0), 150 + d.below(500));
+        let mut c: Vec<Vec<f64>> = vec![vec![]; 9];
+        let mut t = 0.0;
+        for turn in [1.0, -1.0] {
+            let w = turn * feed / radius;
+            for i in 0..m {
+                let a: f64 = turn * 1.1 * TAU * i as f64 / m as f64 + 0.3;
+                let (s, k) = a.sin_cos();
+                let row = [
+                    t,
+                    radius * k,
+                    radius * s,
+                    -radius * w * s,
+                    radius * w * k,
+                    -radius * w * w * k,
+                    -radius * w * w * s,
+                    self.error(radius * k, (-w * s).signum()),
+                    0.01 * radius * k,
+                ];
+                c.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+                t += 1.1 * TAU / m as f64 / w.abs();
+            }
+            t += 5.0;
+        }
+        let (n, step) = noise(d, 2 * m);
+        let ex: Vec<f64> = c[7].iter().zip(n).map(|(e, n)| e + n).collect();
+        let (n, _) = noise(d, 2 * m);
+        let ey: Vec<f64> = c[8].iter().zip(n).map(|(e, n)| e + n).collect();
+        let mut columns = vec![
+            column("t", "time", c[0].clone()),
+            column("x", "position.x", c[1].clone()),
+            column("y", "position.y", c[2].clone()),
+            column("vx", "velocity.x", c[3].clone()),
+            column("vy", "velocity.y", c[4].clone()),
+        ];
+        columns.push(column("ax", "acceleration.x", c[5].clone()));
+        columns.push(column("dx", "direction.x", c[3].iter().map(|v| v.signum()).collect()));
+        columns.push(column("ex", "error.x", read(ex, step)));
+        columns.push(column("ey", "error.y", read(ey, None)));
+        record("ballbar", Kind::Ballbar, columns)
+    }
+
+    fn dynamics(&self, d: &mut Dice) -> Record {
+        let n = 400 + d.below(2000);
+        let dt = 20.0 / n as f64;
+        let (f, a) = (d.within(0.1, 0.5), d.within(10.0, 80.0));
+        let w = TAU * f;
+        let t: Vec<f64> = (0..n).map(|i| i as f64 * dt).collect();
+        let p: Vec<f64> = t.iter().map(|t| a * (w * t).sin() + 3.0 * (2.3 * w * t).sin()).collect();
+        let v: Vec<f64> = t.iter().map(|t| a * w * (w * t).cos() + 6.9 * w * (2.3 * w * t).cos()).collect();
+        let acc: Vec<f64> = t
+            .iter()
+            .map(|t| -a * w * w * (w * t).sin() - 3.0 * (2.3 * w).powi(2) * (2.3 * w * t).sin())
+            .collect();
+        let (e, _) = noise(d, n);
+        let force =
+            (0..n).map(|i| 95.0 * acc[i] / 1000.0 + 0.2 * v[i] + 20.0 * v[i].signum() + e[i]).collect();
+        let columns = vec![
+            column("t", "time", t),
+            column("q", "position.y", p),
+            column("qd", "velocity.y", v),
+            column("qdd", "acceleration.y", acc),
+            column("f", "force.y", read(force, None)),
+        ];
+        record("dynamics", Kind::Dynamics, columns)
+    }
+
+    fn probing(&self, d: &mut Dice) -> Record {
+        let n = 60 + d.below(300);
+        let angle: Vec<f64> = (0..n).map(|i| TAU * i as f64 / n as f64).collect();
+        let (e, step) = noise(d, n);
+        let e = (0..n).map(|i| e[i] + 4.0 * (3.0 * angle[i] + 0.4).cos()).collect();
+        record(
+            "probe",
+            Kind::Probing,
+            vec![column("w", "angle", angle), column("e", "error.r", read(e, step))],
+        )
+    }
+}
+
+fn by_name<'a>(r: &'a mut Record, name: &str) -> &'a mut Column {
+    r.columns.iter_mut().find(|c| c.name == name).unwrap()
+}
+
+/// The record again after its columns were changed.
+fn again(r: &Record) -> Record {
+    let mut new = Record::new(&r.path, r.kind, r.columns.clone()).unwrap();
+    new.count_um = r.count_um;
+    new
+}
+
+fn scaled(mut r: Record, name: &str, by: f64, add: f64) -> Record {
+    by_name(&mut r, name).data.iter_mut().for_each(|v| *v = *v * by + add);
+    again(&r)
+}
+
+/// A column's values from a row on, until another.
+fn patched(mut r: Record, name: &str, from: f64, to: f64, of: impl Fn(f64) -> f64) -> Record {
+    let n = r.rows() as f64;
+    let (a, b) = ((n * from) as usize, (n * to) as usize);
+    by_name(&mut r, name).data[a..b].iter_mut().for_each(|v| *v = of(*v));
+    again(&r)
+}
+
+fn rows_again(r: &Record, rows: &[usize]) -> Record {
+    again(&r.select(rows))
+}
+
+type Clean = fn(&Machine, &mut Dice) -> Vec<Record>;
+type Mistake = fn(Vec<Record>, &mut Dice) -> Vec<Record>;
+
+fn positioning(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![m.positioning(d, "a")]
+}
+fn drift(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![m.drift(d, "a")]
+}
+fn ballbar(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![m.ballbar(d)]
+}
+fn dynamics(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![m.dynamics(d)]
+}
+fn plate(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![m.plate(d)]
+}
+fn probing(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![m.probing(d)]
+}
+fn three_positioning(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    ["a", "b", "c"].map(|n| m.positioning(d, n)).into()
+}
+fn two_drift(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    ["a", "b"].map(|n| m.drift(d, n)).into()
+}
+
+fn one(r: Vec<Record>) -> Record {
+    r.into_iter().next().unwrap()
+}
+
+fn wild(mut r: Record, d: &mut Dice, share: f64, sds: f64) -> Record {
+    let e = r.columns.iter_mut().rfind(|c| c.role.is_response()).unwrap();
+    let steps: Vec<f64> = e.data.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let size = sorted[sorted.len() / 2].max(0.3);
+    let n = e.data.len();
+    for _ in 0..((n as f64 * share) as usize).max(1) {
+        let i = d.below(n);
+        e.data[i] += size * sds * if d.chance(0.5) { 1.0 } else { -1.0 };
+    }
+    again(&r)
+}
+
+/// Name, the clean records, the mistake, what must be said, and of which column ("" for any).
+const PAIRS: [(&str, Clean, Mistake, What, &str); 42] = [
+    ("position in m", positioning, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
+    ("position in µm", positioning, |r, _| vec![scaled(one(r), "x", 1e3, 0.0)], What::Unit, "x"),
+    ("plate in m", plate, |r, _| vec![scaled(one(r), "X", 1e-3, 0.0)], What::Unit, "X"),
+    ("error in mm", positioning, |r, _| vec![scaled(one(r), "e", 1e-3, 0.0)], What::Unit, "e"),
+    ("error in m", drift, |r, _| vec![scaled(one(r), "e", 1e-6, 0.0)], What::Unit, "e"),
+    ("temperature in K", drift, |r, _| vec![scaled(one(r), "T1", 1.0, 273.15)], What::Unit, "T1"),
+    ("temperature in °F", drift, |r, _| vec![scaled(one(r), "T0", 1.8, 32.0)], What::Unit, "T0"),
+    (
+        "time in ms, positioning",
+        positioning_timed,
+        |r, _| vec![scaled(one(r), "t", 1e3, 0.0)],
+        What::Unit,
+        "t",
+    ),
+    ("time in ms, drift", drift, |r, _| vec![scaled(one(r), "t", 1e3, 0.0)], What::Unit, "t"),
+    ("time in ms, ballbar", ballbar, |r, _| vec![scaled(one(r), "t", 1e3, 0.0)], What::Unit, "t"),
+    ("position in m, ballbar", ballbar, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
+    ("speed in mm/min", ballbar, |r, _| vec![scaled(one(r), "vx", 60.0, 0.0)], What::Unit, "vx"),
+    ("position in m, dynamics", dynamics, |r, _| vec![scaled(one(r), "q", 1e-3, 0.0)], What::Unit, "q"),
+    ("speed with the other sign", dynamics, |r, _| vec![scaled(one(r), "qd", -1.0, 0.0)], What::Sign, "qd"),
+    (
+        "angle in degrees",
+        probing,
+        |r, _| {
+            let n = r[0].rows() as f64;
+            let mut r = one(r);
+            for (i, v) in by_name(&mut r, "w").data.iter_mut().enumerate() {
+                *v = (i as f64 * 360.0 / n).round();
+            }
+            vec![again(&r)]
+        },
+        What::Unit,
+        "w",
+    ),
+    (
+        "direction opposite",
+        positioning,
+        |r, _| vec![scaled(one(r), "dir", -1.0, 0.0)],
+        What::Direction,
+        "dir",
+    ),
+    ("direction 0 and 1", positioning, |r, _| vec![scaled(one(r), "dir", 0.5, 0.5)], What::Direction, "dir"),
+    ("direction always 1", positioning, |r, _| vec![scaled(one(r), "dir", 0.0, 1.0)], What::Direction, "dir"),
+    (
+        "direction opposite, circle",
+        ballbar,
+        |r, _| vec![scaled(one(r), "dx", -1.0, 0.0)],
+        What::Direction,
+        "dx",
+    ),
+    (
+        "position and error exchanged",
+        positioning,
+        |r, _| {
+            let mut r = one(r);
+            let x = std::mem::take(&mut by_name(&mut r, "x").data);
+            let e = std::mem::replace(&mut by_name(&mut r, "e").data, x);
+            by_name(&mut r, "x").data = e;
+            vec![again(&r)]
+        },
+        What::Swapped,
+        "e",
+    ),
+    ("actual position in mm", positioning, |r, _| vec![actual(one(r), 1.0)], What::Swapped, "e"),
+    ("actual position in µm", positioning, |r, _| vec![actual(one(r), 1000.0)], What::Swapped, "e"),
+    ("unplugged at 999.9", drift, |r, _| vec![scaled(one(r), "T2", 0.0, 999.9)], What::Unplugged, "T2"),
+    (
+        "unplugged at -127, at times",
+        drift,
+        |r, _| vec![patched(one(r), "T2", 0.4, 0.6, |_| -127.0)],
+        What::Unplugged,
+        "T2",
+    ),
+    (
+        "power-on value 85, at times",
+        drift,
+        |r, _| vec![patched(one(r), "T1", 0.5, 0.51, |_| 85.0)],
+        What::Unplugged,
+        "T1",
+    ),
+    ("850 °C", drift, |r, _| vec![patched(one(r), "T3", 0.7, 1.0, |_| 850.0)], What::Unplugged, "T3"),
+    ("-32768", drift, |r, _| vec![patched(one(r), "T3", 0.1, 0.2, |_| -32768.0)], What::Unplugged, "T3"),
+    (
+        "0 °C from a row on",
+        drift,
+        |r, _| vec![patched(one(r), "T2", 0.6, 1.0, |_| 0.0)],
+        What::Unplugged,
+        "T2",
+    ),
+    ("410 °C", drift, |r, _| vec![scaled(one(r), "T2", 1.0, 410.0)], What::Range, "T2"),
+    ("dead all the time", lively_drift, |r, _| vec![scaled(one(r), "T2", 0.0, 23.4)], What::Stuck, "T2"),
+    (
+        "stuck for a stretch",
+        lively_drift,
+        |r, _| vec![patched(one(r), "T1", 0.3, 0.7, |_| 31.02)],
+        What::Stuck,
+        "T1",
+    ),
+    ("a step of 12 K", drift, |r, _| vec![patched(one(r), "T0", 0.5, 1.0, |v| v + 12.0)], What::Jump, "T0"),
+    (
+        "sensor spikes",
+        drift,
+        |r, d| {
+            let mut r = one(r);
+            let n = r.rows();
+            for _ in 0..5 {
+                let i = 5 + d.below(n - 10);
+                by_name(&mut r, "T1").data[i] += 25.0;
+            }
+            vec![again(&r)]
+        },
+        What::Outliers,
+        "T1",
+    ),
+    (
+        "rows doubled",
+        positioning,
+        |r, _| {
+            let rows: Vec<usize> =
+                (0..r[0].rows()).flat_map(|i| if i % 5 == 2 { vec![i, i] } else { vec![i] }).collect();
+            vec![rows_again(&r[0], &rows)]
+        },
+        What::Doubled,
+        "",
+    ),
+    (
+        "every row doubled",
+        drift,
+        |r, _| {
+            let rows: Vec<usize> = (0..r[0].rows()).flat_map(|i| [i, i]).collect();
+            vec![rows_again(&r[0], &rows)]
+        },
+        What::Doubled,
+        "",
+    ),
+    (
+        "a block pasted again",
+        plate,
+        |r, _| {
+            let n = r[0].rows();
+            let rows: Vec<usize> = (0..n).chain(10..10 + n / 3).collect();
+            vec![rows_again(&r[0], &rows)]
+        },
+        What::Doubled,
+        "",
+    ),
+    (
+        "two columns alike",
+        drift,
+        |r, _| {
+            let mut r = one(r);
+            let t = by_name(&mut r, "T1").data.clone();
+            by_name(&mut r, "T3").data = t;
+            vec![again(&r)]
+        },
+        What::Doubled,
+        "T3",
+    ),
+    ("5 % wild rows", positioning, |r, d| vec![wild(one(r), d, 0.05, 40.0)], What::Outliers, "e"),
+    ("1 % wild rows", drift, |r, d| vec![wild(one(r), d, 0.01, 40.0)], What::Outliers, "e"),
+    (
+        "a sign in one of three",
+        three_positioning,
+        |mut r, _| {
+            r[0] = scaled(r[0].clone(), "e", -1.0, 0.0);
+            r
+        },
+        What::Sign,
+        "e",
+    ),
+    (
+        "a sign in one of two drifts",
+        two_drift,
+        |mut r, _| {
+            r[1] = scaled(r[1].clone(), "e", -1.0, 0.0);
+            r
+        },
+        What::Sign,
+        "e",
+    ),
+    (
+        "two sensors exchanged in one record",
+        two_drift,
+        |mut r, _| {
+            let a = std::mem::take(&mut by_name(&mut r[1], "T0").data);
+            let b = std::mem::replace(&mut by_name(&mut r[1], "T1").data, a);
+            by_name(&mut r[1], "T0").data = b;
+            r[1] = again(&r[1]);
+            r
+        },
+        What::Swapped,
+        "",
+    ),
+];
+
+fn actual(mut r: Record, per_mm: f64) -> Record {
+    let x = by_name(&mut r, "x").data.clone();
+    let e = &mut by_name(&mut r, "e").data;
+    e.iter_mut().zip(x).for_each(|(e, x)| *e = per_mm * (x + *e / 1000.0));
+    again(&r)
+}
+
+fn positioning_timed(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    loop {
+        let r = m.positioning(d, "a");
+        if r.columns.iter().any(|c| c.name == "t") {
+            return vec![r];
+        }
+    }
+}
+
+/// Sensors whose readings move from row to row.
+fn lively_drift(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    let fine = Machine { step_k: 0.001, sensors: m.sensors.clone(), ..*m };
+    vec![fine.drift(d, "a")]
+}
+
+#[test]
+fn each_mistake_is_said_and_its_clean_twin_is_not() {
+    const TURNS: u64 = 25;
+    let (mut said, mut all, mut wrong, mut clean) = (0, 0, 0, 0);
+    for (k, (name, make, mistake, what, of)) in PAIRS.iter().enumerate() {
+        let (mut own, mut missed, mut false_ones) = (0_u32, Vec::new(), Vec::new());
+        for turn in 0..TURNS {
+            let mut d = Dice(1000 * k as u64 + turn);
+            let machine = Machine::random(&mut d);
+            let records = make(&machine, &mut d);
+            let twin = suspicions(&records);
+            clean += 1;
+            wrong += u32::from(!twin.is_empty());
+            false_ones.extend(twin.iter().map(ToString::to_string));
+            let found = suspicions(&mistake(records, &mut d));
+            let right = found.iter().any(|s| s.what == *what && (of.is_empty() || s.column == *of));
+            own += u32::from(right);
+            if !right {
+                missed.push((turn, found.iter().map(ToString::to_string).collect::<Vec<_>>()));
+            }
+        }
+        all += TURNS as u32;
+        said += own;
+        println!("{name:38} {own:3} of {TURNS}; clean twins suspected: {}", false_ones.len());
+        missed.iter().take(2).for_each(|m| println!("    missed {m:?}"));
+        false_ones.iter().take(3).for_each(|f| println!("    clean: {f}"));
+    }
+    let (rate, false_rate) = (f64::from(said) / f64::from(all), f64::from(wrong) / f64::from(clean));
+    println!(
+        "said {said} of {all} ({:.1} %), clean suspected {wrong} of {clean} ({:.2} %)",
+        100.0 * rate,
+        100.0 * false_rate
+    );
+    assert!(rate >= 0.9 && false_rate <= 0.01);
+}
+
+/// What a fit leaves out, and how a suspicion names its rows.
+#[test]
+fn unusable_rows_and_sensors_are_left_out() {
+    let mut d = Dice(77);
+    let machine = Machine::random(&mut d);
+    let clean = machine.drift(&mut d, "a");
+    let off = scaled(clean.clone(), "T2", 0.0, 999.9);
+    let rows: Vec<usize> =
+        (0..off.rows()).flat_map(|i| if i == 7 || i == 9 { vec![i, i] } else { vec![i] }).collect();
+    let record = rows_again(&off, &rows);
+    let found = suspicions(std::slice::from_ref(&record));
+    let names: Vec<&str> = found.iter().map(|s| s.what.name()).collect();
+    assert_eq!(names, ["unplugged", "doubled"], "{found:?}");
+    assert_eq!((found[1].rows.as_str(), found[1].row_list()), ("9,12", vec![8, 11]));
+    assert_eq!(
+        found[1].to_string(),
+        format!("a.run.toml: doubled: 2 of {} rows are the row before once more (rows 9,12)", record.rows())
+    );
+    let out = unusable(&found);
+    assert!(out.sensor("T2") && !out.sensor("T1"));
+    let left = out.without(&record);
+    assert_eq!(left.rows(), clean.rows());
+    assert_eq!(left.temperature("T2"), None);
+    assert_eq!(left.temperature("T1"), clean.temperature("T1"));
+    assert_eq!(unusable(&suspicions(&[clean])), rtec_measure::plausible::Unusable::default());
+}

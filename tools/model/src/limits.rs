@@ -1,0 +1,93 @@
+//! What a value can be at all, by its role; and what a temperature input reads while no sensor is on it.
+
+use crate::record::Role;
+
+/// The values that a column of this role can hold at all, in the role's unit: wider than any machine by orders, so that
+/// sums and squares stay numbers. What is possible but unlikely is the business of `rtec_measure::plausible`.
+#[must_use]
+pub fn possible(role: &Role) -> [f64; 2] {
+    let size = match role {
+        // Twenty thousand years of seconds: an epoch in milliseconds passes and is questioned, one in ns does not.
+        Role::Time => 1e13,
+        // A kilometre: the largest gantries have some fifty metres.
+        Role::Position(_) | Role::Velocity(_) => 1e6,
+        Role::Acceleration(_) | Role::Load(_) | Role::Force(_) | Role::Cycle => 1e9,
+        // Raw readings of an input that nothing is connected to are 16 bit numbers.
+        Role::Temperature => 1e5,
+        Role::SpindleSpeed => 1e7,
+        Role::Angle => 1e7,
+        // A position in µm that stands where an error should: read, and questioned.
+        Role::Error(_) => 1e9,
+        Role::Direction(_) | Role::Coolant => 1e3,
+        // Any unit: counters of 64 bit and pressures in Pa included.
+        Role::Channel => 1e30,
+    };
+    [-size, size]
+}
+
+/// What a temperature input reads while its sensor is off, open or shorted, °C.
+struct Disconnected {
+    value: f64,
+    why: &'static str,
+    /// A machine can have this temperature too: other readings must say that it has not.
+    real: bool,
+}
+
+const fn code(value: f64, why: &'static str) -> Disconnected {
+    Disconnected { value, why, real: false }
+}
+
+/// Common codes: data sheets of DS18B20 (power-on value), MAX6675 and MAX31855, ranges of PT100 (IEC 60751) and of
+/// thermocouples type K (IEC 60584), the ends of 16 bit numbers in tenths and hundredths, absolute zero.
+const DISCONNECTED: [Disconnected; 24] = [
+    code(999.9, "an open input's code"),
+    code(999.0, "an open input's code"),
+    code(-999.0, "an open input's code"),
+    code(-999.9, "an open input's code"),
+    code(9999.0, "an open input's code"),
+    code(-9999.0, "an open input's code"),
+    code(9999.9, "an open input's code"),
+    code(-127.0, "a DS18B20 that does not answer"),
+    code(850.0, "an open PT100"),
+    code(-200.0, "a shorted PT100"),
+    code(1372.0, "an open thermocouple"),
+    code(1023.75, "an open MAX6675 input"),
+    code(32767.0, "the end of a 16 bit number"),
+    code(32768.0, "the end of a 16 bit number"),
+    code(-32768.0, "the end of a 16 bit number"),
+    code(3276.7, "the end of a 16 bit number in tenths"),
+    code(-3276.8, "the end of a 16 bit number in tenths"),
+    code(327.67, "the end of a 16 bit number in hundredths"),
+    code(-327.68, "the end of a 16 bit number in hundredths"),
+    code(65535.0, "the end of a 16 bit number"),
+    code(6553.5, "the end of a 16 bit number in tenths"),
+    code(-273.15, "absolute zero"),
+    Disconnected { value: 85.0, why: "the power-on value of a DS18B20", real: true },
+    Disconnected { value: 0.0, why: "an input without a sensor", real: true },
+];
+
+/// Why a temperature of exactly this value is no temperature: what is wrong, and whether that is certain (`true`), or a
+/// machine can be that warm too (85 °C, 0 °C) and its neighbours decide.
+#[must_use]
+pub fn disconnected(degc: f64) -> Option<(&'static str, bool)> {
+    // Readings pass through tenths and single precision on their way.
+    let found = DISCONNECTED.iter().find(|d| (d.value - degc).abs() <= 1e-6 * d.value.abs().max(1e-3));
+    found.map(|d| (d.why, !d.real))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_told_from_temperatures() {
+        assert_eq!(disconnected(-127.0), Some(("a DS18B20 that does not answer", true)));
+        assert_eq!(disconnected(999.900_02).map(|d| d.1), Some(true));
+        assert_eq!(disconnected(85.0).map(|d| d.1), Some(false));
+        assert_eq!(disconnected(0.0).map(|d| d.1), Some(false));
+        assert_eq!(disconnected(f64::from(999.9_f32)).map(|d| d.1), Some(true));
+        for degc in [20.0, 84.9375, 85.0625, -40.0, 0.0625, 150.0] {
+            assert_eq!(disconnected(degc), None, "{degc}");
+        }
+    }
+}
