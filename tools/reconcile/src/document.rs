@@ -102,6 +102,7 @@ impl Reconciliation {
                 "response": s.response, "against": s.against, "manner": s.manner,
             })).collect::<Vec<_>>(),
             "gap": if let [one] = &gaps[..] { one.clone() } else { json!(gaps) },
+            "suspicions": self.suspicions,
             "advice": self.advice,
             "tried": self.ranking.iter().map(|t| json!({
                 "name": t.label, "log_odds": t.odds, "accepted": t.accepted,

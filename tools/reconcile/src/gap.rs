@@ -25,14 +25,32 @@ pub struct Gap {
     pub blocked: Option<[f64; 2]>,
     /// Repeatability of the data.
     pub floor: f64,
+    /// The hold-out is doubted: how much of its gap is closed says nothing.
+    pub doubted: bool,
 }
+
+/// A gap that is wider afterwards by more than this share of itself is no chance.
+const WIDER: f64 = 0.1;
 
 impl Gap {
     /// Share of the gap that is closed on the hold-out (or by cross-validation): 1 is down to the floor.
     #[must_use]
     pub fn closed(&self) -> Option<f64> {
         let [before, after] = self.holdout.or(self.blocked).unwrap_or(self.train);
-        (before > self.floor).then(|| (before - after) / (before - self.floor))
+        (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
+    }
+
+    /// Whether the gap is wider afterwards.
+    pub(crate) fn is_wider(&self) -> bool {
+        let [before, after] = self.holdout.or(self.blocked).unwrap_or(self.train);
+        after > (1.0 + WIDER) * before.max(self.floor)
+    }
+
+    /// Nothing is added: all stays as it was.
+    pub(crate) fn stay(&mut self) {
+        for pair in [Some(&mut self.train), self.holdout.as_mut(), self.blocked.as_mut()].into_iter().flatten() {
+            pair[1] = pair[0];
+        }
     }
 }
 
@@ -110,7 +128,7 @@ pub(crate) fn gaps(
         let floor = repeatability(stack, train, answer, unit).unwrap_or(noise).min(noise);
         let blocked = blocked.as_ref().map(|all| [train_gap[0], rms(&in_own_unit(stack, all, unit))]);
         let holdout = pooled(traces, unit, true);
-        Gap { unit: unit.to_owned(), train: train_gap, holdout, blocked, floor }
+        Gap { unit: unit.to_owned(), train: train_gap, holdout, blocked, floor, doubted: false }
     };
     units.into_iter().map(of).collect()
 }
@@ -197,7 +215,7 @@ mod tests {
 
     #[test]
     fn the_gap_is_closed_when_only_the_floor_is_left() {
-        let gap = |train, holdout, blocked, floor| Gap { unit: "um".into(), train, holdout, blocked, floor };
+        let gap = |train, holdout, blocked, floor| Gap { unit: "um".into(), train, holdout, blocked, floor, doubted: false };
         assert_eq!(gap([5.0, 1.0], None, None, 1.0).closed(), Some(1.0));
         // The hold-out counts where there is one, then the cross-validation.
         assert_eq!(gap([5.0, 1.0], Some([5.0, 3.0]), Some([5.0, 5.0]), 1.0).closed(), Some(0.5));

@@ -6,6 +6,7 @@
 //! | module | what |
 //! |---|---|
 //! | `workflow` | the whole of it: analysis, last fit, what is written into the model |
+//! | `doubt` | people's mistakes: said, and left out |
 //! | `problem`, `gram` | runs and model as one least-squares problem; products of columns under correlated noise |
 //! | `cause`, `hypotheses`, `shapes`, `teeth`, `waves`, `extent` | what may be missing: effects over their grids, shapes of no name |
 //! | `search` | the set of explanations that the data pay for |
@@ -27,6 +28,7 @@ mod answer;
 mod cause;
 mod chance;
 mod document;
+mod doubt;
 mod extent;
 mod fit;
 mod gap;

@@ -4,6 +4,7 @@ use crate::answer::{Finding, Tried};
 use crate::cause::Shape;
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
+use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use serde::Serialize;
@@ -31,7 +32,7 @@ impl Verdict {
             Self::UnknownEffect
         } else if added.is_empty() {
             Self::NothingMissing
-        } else if added.iter().any(|(f, _)| !f.rivals.is_empty()) {
+        } else if added.iter().any(|(f, _)| !is_companion(f, added) && f.rivals.iter().any(|r| r.name != f.effect.name())) {
             Self::NotSeparable
         } else {
             Self::Named
@@ -56,6 +57,12 @@ impl fmt::Display for Verdict {
     }
 }
 
+/// Whether a finding is the constant of another, a law's own zero: what else it may be does not matter.
+fn is_companion(finding: &Finding, added: &[(Finding, Vec<f64>)]) -> bool {
+    let beside = |f: &Finding| f.effect.companion().is_some_and(|c| c.name() == finding.effect.name());
+    added.iter().any(|(f, _)| beside(f)) || (finding.effect.description().constant && added.len() > 1)
+}
+
 /// What the data correct in the present model.
 #[derive(Debug, Clone)]
 pub struct Refined {
@@ -74,6 +81,8 @@ pub struct Reconciliation {
     pub verdict: Verdict,
     /// Where measured and simulated disagree.
     pub places: Vec<Place>,
+    /// Mistakes that the data show: what they are against was left out.
+    pub suspicions: Vec<Suspicion>,
     /// What was added, strongest first, with half widths of the intervals.
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.

@@ -5,8 +5,9 @@ use crate::advice::advice;
 use crate::analysis::{analyse, noise_of};
 use crate::answer::{Answer, Finding, Rival};
 use crate::cause::Shape;
+use crate::doubt::{self, doubts};
 use crate::fit::{self, Term, Way};
-use crate::gap::{gaps, traces};
+use crate::gap::{Gap, gaps, traces};
 use crate::problem::{Stack, known, rms};
 use crate::unexplained;
 use crate::verdict::{Reconciliation, Refined, Verdict};
@@ -52,8 +53,16 @@ pub fn reconcile(
     for record in train.iter().chain(holdout) {
         machine.predict(record)?;
     }
+    let doubts = doubts(train, holdout, machine);
+    let nothing_left = doubts.train.is_empty();
+    let train = if nothing_left { train } else { &doubts.train };
     let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
     let (mut answer, used, every) = thinned(&quiet, machine, options.level);
+    if nothing_left {
+        // All of it is doubted: it is shown beside the model as it is, and nothing is learned from it.
+        answer.findings.clear();
+        answer.unexplained.clear();
+    }
     let mut stack = Stack::new(&used);
     stack.sigma.clone_from(&answer.sigma);
     let mut fitted = Fitted::of(&stack, machine, &answer);
@@ -64,7 +73,7 @@ pub fn reconcile(
         f.effect = whole_counts(&t.effect, train, &t.half);
     }
     warm_plate(&mut answer.findings, train, machine.dictionary());
-    let refined = fitted.correct(&mut model);
+    let mut refined = if nothing_left { Vec::new() } else { fitted.correct(&mut model) };
     let write = Writer { train, date: options.date.as_ref() };
     let mut effects = Vec::new();
     for (f, t) in answer.findings.iter().zip(fitted.found()) {
@@ -75,16 +84,36 @@ pub fn reconcile(
     }
     let curve = fitted.curve().filter(|t| write.add(&mut model, &t.effect, &t.half, ": unexplained"));
     let curve = curve.map(|t| t.effect.clone()).zip(laws);
-    let verdict = Verdict::of(&effects, &answer.unexplained);
     let (mut traces_of, mut gap) = (Vec::new(), Vec::new());
+    let mut said = doubts.said;
+    let mut why = None;
     if options.figures {
-        traces_of = traces(train, holdout, machine, &model);
-        gap = gaps(&stack, &used, &traces_of, &fitted.terms, &answer, holdout.is_empty());
+        traces_of = traces(train, &doubts.holdout, machine, &model);
+        gap = gaps(&stack, &used, &traces_of, &fitted.terms, &answer, doubts.holdout.is_empty());
+        said.extend(doubt::other_machine(&doubts.holdout, &mut gap));
+        if doubts.holdout.is_empty() && gap.iter().any(Gap::is_wider) {
+            // What does not predict the rows that it did not see is no finding.
+            why = Some("what fits these rows does not predict them by blocks: nothing is added");
+            effects.clear();
+            refined.clear();
+            model = machine.clone();
+            traces_of = traces(train, &doubts.holdout, machine, &model);
+            gap.iter_mut().for_each(Gap::stay);
+        }
+    }
+    let verdict = Verdict::of(&effects, &answer.unexplained);
+    let mut advice = advice(verdict, &effects, &answer.unexplained, train, machine.dictionary());
+    if nothing_left {
+        why = Some("every record is doubted: mend what the suspicions say, then reconcile again");
+    }
+    if let Some(why) = why {
+        advice = if advice.is_empty() { why.to_owned() } else { format!("{why}; {advice}") };
     }
     Ok(Reconciliation {
         verdict,
         places: where_found::places(&stack, &answer.file, &answer.draws),
-        advice: advice(verdict, &effects, &answer.unexplained, train, machine.dictionary()),
+        advice,
+        suspicions: said,
         effects,
         unexplained: answer.unexplained,
         curve,
