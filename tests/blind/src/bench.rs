@@ -186,6 +186,13 @@ impl Bench {
         self
     }
 
+    /// The same with this many error columns.
+    #[must_use]
+    pub fn with_responses(mut self, responses: usize) -> Self {
+        self.responses = responses;
+        self
+    }
+
     /// The same with coolant that comes and goes with a period in rows, in a record with gaps.
     #[must_use]
     pub fn with_coolant(mut self, period_rows: Option<f64>, gaps: usize) -> Self {
@@ -320,6 +327,7 @@ impl Bench {
         let (a, b) = (&self.axes[0], &self.axes[1]);
         r.kind = "plate";
         r.responses = vec![format!("error.{a}"), format!("error.{b}")];
+        r.responses.truncate(self.responses);
         let m = (self.rows as f64).sqrt() as usize;
         let jitter = if self.places.regular { 0.0 } else { 0.3 };
         let grid = |fixed: &mut Dice| -> Vec<f64> {

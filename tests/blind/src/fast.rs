@@ -7,13 +7,13 @@ use crate::scene::Scene;
 use crate::source::Source;
 
 /// A random scene, or none where the draw was no case.
-pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
+pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let rows = dice.log(100.0, 600.0) as usize;
     let rig = dice.chance(0.5).then(|| Heat::new(dice));
     let kind = if dice.chance(0.7) { Kind::Drift } else { Kind::Line };
     let period = dice.log(5.0, 60.0);
     let gaps = dice.int(1, 4);
-    let logged = dice.chance(0.5);
+    let logged = choice < 0.4;
     let responses = dice.int(1, 2);
     let bench = Bench::new(dice, kind, rows, rig)
         .on_the_clock(responses)

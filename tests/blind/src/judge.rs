@@ -114,10 +114,10 @@ pub fn closed(before: f64, after: f64, floor: f64) -> Option<f64> {
     (before > 1.05 * floor).then(|| (before - after) / (before - floor))
 }
 
-/// How many parameters of found effects were asked for and lie within their intervals.
+/// Parameters of found effects, by name, and whether the truth lies within their interval.
 #[must_use]
-pub fn covered(document: &Value, hidden: &[Source]) -> [usize; 2] {
-    let (mut inside, mut all) = (0, 0);
+pub fn covered(document: &Value, hidden: &[Source]) -> Vec<(String, bool)> {
+    let mut out = Vec::new();
     for e in list(&document["effects"]) {
         let name = unordered(&text(&e["name"]));
         let Some(truth) = hidden.iter().find(|h| unordered(&h.name) == name) else { continue };
@@ -139,11 +139,10 @@ pub fn covered(document: &Value, hidden: &[Source]) -> [usize; 2] {
                 let middle = (low + high) / 2.0;
                 v = middle + (v - middle + PI).rem_euclid(TAU) - PI;
             }
-            all += 1;
-            inside += usize::from((low..=high).contains(&v));
+            out.push((format!("{name} {key} {v:.4} in {low:.4} to {high:.4}"), (low..=high).contains(&v)));
         }
     }
-    [inside, all]
+    out
 }
 
 /// Bounds that no machine is beyond, by law and parameter; formats.md, "Bounds", and the sizes of machine tools.
