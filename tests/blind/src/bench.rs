@@ -339,7 +339,7 @@ impl Bench {
                 .collect()
         };
         let (x, y) = (grid(fixed), grid(fixed));
-        let place = |k: usize| (k / m, if (k / m) % 2 == 0 { k % m } else { m - 1 - k % m });
+        let place = |k: usize| (k / m, if (k / m).is_multiple_of(2) { k % m } else { m - 1 - k % m });
         let n = m * m;
         let t = self.time(n, dice);
         r.add("t", "time", "s", t, self.clock);

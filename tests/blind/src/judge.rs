@@ -153,7 +153,7 @@ pub fn covered(document: &Value, hidden: &[Source]) -> Vec<(String, bool)> {
             }
             let mut v = t.val(key);
             if key == "phase_rad" || key == "centre_rad" {
-                let middle = (low + high) / 2.0;
+                let middle = f64::midpoint(low, high);
                 v = middle + (v - middle + PI).rem_euclid(TAU) - PI;
             }
             out.push((format!("{name} {key} {v:.4} in {low:.4} to {high:.4}"), (low..=high).contains(&v)));
@@ -198,10 +198,10 @@ pub fn impossible(document: &Value) -> Vec<String> {
                 out.push(format!("{name} {key} {v}"));
             }
         }
-        if let (true, Some(um), Some(period)) = (law == "subdivision", value("um"), value("period_um")) {
-            if um.abs() > period / 4.0 {
-                out.push(format!("{name} um {um} at a period of {period}"));
-            }
+        if let (true, Some(um), Some(period)) = (law == "subdivision", value("um"), value("period_um"))
+            && um.abs() > period / 4.0
+        {
+            out.push(format!("{name} um {um} at a period of {period}"));
         }
     }
     out

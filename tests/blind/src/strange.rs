@@ -104,7 +104,7 @@ impl Source {
                 let (slow, fast, phase) =
                     (dice.within(0.8, 2.5), dice.within(5.0, 14.0), dice.within(0.0, TAU));
                 bent(&|x| {
-                    let x = (x + 1.0) / 2.0;
+                    let x = f64::midpoint(x, 1.0);
                     (TAU * (slow * x + (fast - slow) * x * x / 2.0) + phase).sin()
                 })
             }
