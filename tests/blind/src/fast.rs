@@ -28,7 +28,7 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
         s.hides = Hides::One;
         (s.sized(&mut h, size) && s.hide(h)).then_some(s)
     } else {
-        let shape = *dice.pick(&["?fast_sine", "?fast_square", "?fast_saw", "?fast_charge"]);
+        let shape = *dice.pick(&["?cycle_sine", "?cycle_square", "?cycle_saw", "?cycle_charge"]);
         let mut h = Source::new(format!("{shape}.{axis}")).p("um", dice.sign()).p("c", period);
         s.hides = Hides::Stranger;
         (s.sized(&mut h, size) && s.hide_shape(h, &[], false)).then_some(s)

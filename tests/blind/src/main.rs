@@ -159,6 +159,12 @@ fn run(plan: &[(Class, u64, Manner)], asked: &Asked) -> anyhow::Result<Vec<Outco
 
 /// One case that was not answered rightly, on standard error.
 fn tell(o: &Outcome) {
+    let missed: Vec<String> = o
+        .covered
+        .iter()
+        .filter(|c| !c.1)
+        .map(|(what, _)| format!("\n    not in its interval: {what}"))
+        .collect();
     eprintln!(
         "{:?} {} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}{}",
         o.mark,
@@ -172,11 +178,7 @@ fn tell(o: &Outcome) {
         o.case.story,
         o.reply.verdict,
         o.reply.effects,
-        o.covered
-            .iter()
-            .filter(|c| !c.1)
-            .map(|(what, _)| format!("\n    not in its interval: {what}"))
-            .collect::<String>(),
+        missed.concat(),
         o.refused.as_ref().map_or(String::new(), |why| format!("\n    refused: {why}")),
     );
 }

@@ -98,7 +98,8 @@ pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyh
     }
     let mut ceiling = None;
     let mut closed = v.closed;
-    if let Some(s) = &scene {
+    // A spoilt record has no ceiling.
+    if let Some(s) = scene.as_ref().filter(|_| mistake.is_none()) {
         let floor = judge::floor(s);
         if let Some([before, after]) = v.held {
             closed = judge::closed(before, after, floor);

@@ -84,10 +84,10 @@ impl Source {
             time.iter().map(|t| (t - time[0]) / step / c).collect()
         };
         match self.law() {
-            "?fast_sine" => beat().iter().map(|b| (TAU * b).sin()).collect(),
-            "?fast_square" => beat().iter().map(|b| if b.fract() < 0.4 { 1.0 } else { -0.667 }).collect(),
-            "?fast_saw" => beat().iter().map(|b| b.fract() - 0.5).collect(),
-            "?fast_charge" => beat()
+            "?cycle_sine" => beat().iter().map(|b| (TAU * b).sin()).collect(),
+            "?cycle_square" => beat().iter().map(|b| if b.fract() < 0.4 { 1.0 } else { -0.667 }).collect(),
+            "?cycle_saw" => beat().iter().map(|b| b.fract() - 0.5).collect(),
+            "?cycle_charge" => beat()
                 .iter()
                 .map(|b| {
                     // Charged in a third of the cycle, discharged in the rest; both ends meet.

@@ -295,3 +295,17 @@ fn the_program_prints_one_document_and_refuses_what_it_does_not_know() {
         assert!(out.stdout.is_empty() && !out.stderr.is_empty(), "{bad:?}");
     }
 }
+
+/// Each class asks what it is for: a shape that nobody logs among the cycles, an error that is no force.
+#[test]
+fn cycles_are_logged_or_not() {
+    let mut hides = std::collections::BTreeSet::new();
+    for seed in 0..8 {
+        let dir = tempfile::tempdir().unwrap();
+        let made = make(Class::Fast, seed, dir.path());
+        let scene = made.scene.unwrap();
+        assert!(scene.ratio(&scene.hidden[0]) > 0.6);
+        hides.insert(made.case.hides);
+    }
+    assert_eq!(hides.into_iter().collect::<Vec<_>>(), [Hides::One, Hides::Stranger]);
+}
