@@ -186,6 +186,13 @@ impl Bench {
         self
     }
 
+    /// The same with this many error columns.
+    #[must_use]
+    pub fn with_responses(mut self, responses: usize) -> Self {
+        self.responses = responses;
+        self
+    }
+
     /// The same with coolant that comes and goes with a period in rows, in a record with gaps.
     #[must_use]
     pub fn with_coolant(mut self, period_rows: Option<f64>, gaps: usize) -> Self {
@@ -320,6 +327,7 @@ impl Bench {
         let (a, b) = (&self.axes[0], &self.axes[1]);
         r.kind = "plate";
         r.responses = vec![format!("error.{a}"), format!("error.{b}")];
+        r.responses.truncate(self.responses);
         let m = (self.rows as f64).sqrt() as usize;
         let jitter = if self.places.regular { 0.0 } else { 0.3 };
         let grid = |fixed: &mut Dice| -> Vec<f64> {
@@ -331,7 +339,7 @@ impl Bench {
                 .collect()
         };
         let (x, y) = (grid(fixed), grid(fixed));
-        let place = |k: usize| (k / m, if (k / m) % 2 == 0 { k % m } else { m - 1 - k % m });
+        let place = |k: usize| (k / m, if (k / m).is_multiple_of(2) { k % m } else { m - 1 - k % m });
         let n = m * m;
         let t = self.time(n, dice);
         r.add("t", "time", "s", t, self.clock);

@@ -7,7 +7,7 @@ use crate::scene::Scene;
 use crate::source::Source;
 
 /// A random scene, or none where the draw was no case.
-pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
+pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let rows = dice.log(80.0, 600.0) as usize;
     let targets = (dice.log(20.0, 200.0) as usize).min(rows / 2);
     let regular = dice.chance(0.4);
@@ -20,7 +20,7 @@ pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
         s.sized(&mut k, size).then_some(())?;
         s.know(dice, k, 0.05);
     }
-    let shape = *dice.pick(&["?chirp", "?chirp", "?waves", "?kinks", "?stairs"]);
+    let shape = ["?chirp", "?chirp", "?waves", "?kinks", "?stairs"][(choice * 5.0) as usize];
     let mut h =
         Source::new(format!("{shape}.{axis}")).p("um", dice.sign()).p("c", dice.int(1, 1_000_000) as f64);
     let size = dice.log(0.7, 20.0);

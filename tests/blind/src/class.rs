@@ -54,6 +54,9 @@ pub const CLASSES: [(Class, &str, usize); 14] = [
     (Class::Mistakes, "mistakes", 98),
 ];
 
+/// Draws after which something else is asked.
+const PATIENCE: u32 = 60;
+
 /// A case of a class, written out.
 pub struct Made {
     /// What the reconciler sees, and the names that are right.
@@ -95,23 +98,30 @@ impl Class {
 
     fn scene(self, seed: u64) -> (Scene, Dice) {
         let salt = CLASSES.iter().position(|(c, ..)| *c == self).unwrap_or(0) as u64;
+        // What is asked is drawn once: what a draw refuses does not change how often it is asked.
         let mut dice = Dice::new(seed ^ (salt + 1).wrapping_mul(0xD1B5_4A32_D192_ED03));
-        loop {
+        let mut choice = dice.unit();
+        for draw in 1.. {
+            // Unless it cannot be had at all.
+            if draw % PATIENCE == 0 {
+                choice = dice.unit();
+            }
             let drawn = match self {
-                Self::Narrow(_) | Self::Maps => maps::scene(&mut dice),
-                Self::Heat => heat::scene(&mut dice),
-                Self::Fast => fast::scene(&mut dice),
-                Self::Changing => changing::scene(&mut dice),
-                Self::Strangers => strangers::scene(&mut dice),
+                Self::Narrow(_) | Self::Maps => maps::scene(&mut dice, choice),
+                Self::Heat => heat::scene(&mut dice, choice),
+                Self::Fast => fast::scene(&mut dice, choice),
+                Self::Changing => changing::scene(&mut dice, choice),
+                Self::Strangers => strangers::scene(&mut dice, choice),
                 Self::Pairs => pairs::scene(&mut dice),
-                Self::Many => many::scene(&mut dice, Zeros::Shared),
-                Self::ManyZeros => many::scene(&mut dice, Zeros::Own),
-                Self::ManyRadial => many::scene(&mut dice, Zeros::Radial),
+                Self::Many => many::scene(&mut dice, choice, Zeros::Shared),
+                Self::ManyZeros => many::scene(&mut dice, choice, Zeros::Own),
+                Self::ManyRadial => many::scene(&mut dice, choice, Zeros::Radial),
                 Self::Mistakes => mistakes::scene(&mut dice),
             };
             if let Some(scene) = drawn {
                 return (scene, dice);
             }
         }
+        unreachable!("the loop ends with a scene")
     }
 }

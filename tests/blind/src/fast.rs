@@ -7,13 +7,13 @@ use crate::scene::Scene;
 use crate::source::Source;
 
 /// A random scene, or none where the draw was no case.
-pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
+pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let rows = dice.log(100.0, 600.0) as usize;
     let rig = dice.chance(0.5).then(|| Heat::new(dice));
     let kind = if dice.chance(0.7) { Kind::Drift } else { Kind::Line };
     let period = dice.log(5.0, 60.0);
     let gaps = dice.int(1, 4);
-    let logged = dice.chance(0.5);
+    let logged = choice < 0.4;
     let responses = dice.int(1, 2);
     let bench = Bench::new(dice, kind, rows, rig)
         .on_the_clock(responses)
@@ -28,7 +28,7 @@ pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
         s.hides = Hides::One;
         (s.sized(&mut h, size) && s.hide(h)).then_some(s)
     } else {
-        let shape = *dice.pick(&["?fast_sine", "?fast_square", "?fast_saw", "?fast_charge"]);
+        let shape = *dice.pick(&["?cycle_sine", "?cycle_square", "?cycle_saw", "?cycle_charge"]);
         let mut h = Source::new(format!("{shape}.{axis}")).p("um", dice.sign()).p("c", period);
         s.hides = Hides::Stranger;
         (s.sized(&mut h, size) && s.hide_shape(h, &[], false)).then_some(s)

@@ -7,7 +7,7 @@ use crate::dice::Dice;
 use crate::scene::Scene;
 
 /// A random scene, or none where the draw was no case.
-pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
+pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let kind = if dice.chance(0.6) { Kind::Drift } else { Kind::Line };
     let rows = dice.log(80.0, 600.0) as usize;
     let rig = Heat::new(dice);
@@ -29,7 +29,7 @@ pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
         let off = *dice.pick(&[0.0, 0.03, 0.1]);
         s.know(dice, k, off);
     }
-    let count = *dice.pick(&[0, 1, 1, 1, 1, 1, 2, 2]);
+    let count = [0, 1, 1, 1, 1, 1, 2, 2][(choice * 8.0) as usize];
     for k in 0..count {
         // At least the first is heat.
         let law = if k == 0 { laws[dice.int(0, 2)] } else { *dice.pick(laws) };

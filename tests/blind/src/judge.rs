@@ -114,36 +114,52 @@ pub fn closed(before: f64, after: f64, floor: f64) -> Option<f64> {
     (before > 1.05 * floor).then(|| (before - after) / (before - floor))
 }
 
-/// How many parameters of found effects were asked for and lie within their intervals.
+/// Parameters of found effects, by name, and whether the truth lies within their interval. A value without an interval (a
+/// time, a whole number, a term that was left out) claims none; by another sensor, or from another reference, growth is
+/// another number, and with it the constant and the straight line beside it.
 #[must_use]
-pub fn covered(document: &Value, hidden: &[Source]) -> [usize; 2] {
-    let (mut inside, mut all) = (0, 0);
-    for e in list(&document["effects"]) {
+pub fn covered(document: &Value, hidden: &[Source]) -> Vec<(String, bool)> {
+    let mut out = Vec::new();
+    let effects = list(&document["effects"]);
+    let truth = |e: &Value| {
         let name = unordered(&text(&e["name"]));
-        let Some(truth) = hidden.iter().find(|h| unordered(&h.name) == name) else { continue };
-        // By another sensor or from another reference its growth is another number.
-        let same = |key: &str| text(&e[key]) == truth.word(key).unwrap_or_default();
+        hidden.iter().find(|h| unordered(&h.name) == name)
+    };
+    let same = |e: &Value, t: &Source| {
         let reference = |v: Option<f64>| v.unwrap_or(20.0);
         let theirs = reference(e["reference_degC"].as_f64());
-        let ours = reference(truth.has("reference_degC").then(|| truth.val("reference_degC")));
-        if !same("sensor") || !same("minus") || (theirs - ours).abs() > 1e-6 {
+        let ours = reference(t.has("reference_degC").then(|| t.val("reference_degC")));
+        let word = |key: &str| text(&e[key]) == t.word(key).unwrap_or_default();
+        word("sensor") && word("minus") && (theirs - ours).abs() < 1e-6
+    };
+    let axis = |name: &str| name.split('.').nth(1).unwrap_or_default().to_owned();
+    let moved: Vec<String> = effects
+        .iter()
+        .filter(|e| e["sensor"].is_string() && !truth(e).is_some_and(|t| same(e, t)))
+        .map(|e| axis(&text(&e["name"])))
+        .collect();
+    for e in effects {
+        let name = text(&e["name"]);
+        let Some(t) = truth(e).filter(|t| same(e, t)) else { continue };
+        if (name.starts_with("offset.") || name.starts_with("scale.")) && moved.contains(&axis(&name)) {
             continue;
         }
         for (key, p) in e["parameters"].as_object().into_iter().flatten() {
-            let (Some(low), Some(high), true) = (p["low"].as_f64(), p["high"].as_f64(), truth.has(key))
-            else {
+            let (Some(low), Some(high), true) = (p["low"].as_f64(), p["high"].as_f64(), t.has(key)) else {
                 continue;
             };
-            let mut v = truth.val(key);
-            if key.ends_with("_rad") && key != "width_rad" {
-                let middle = (low + high) / 2.0;
+            if low >= high {
+                continue;
+            }
+            let mut v = t.val(key);
+            if key == "phase_rad" || key == "centre_rad" {
+                let middle = f64::midpoint(low, high);
                 v = middle + (v - middle + PI).rem_euclid(TAU) - PI;
             }
-            all += 1;
-            inside += usize::from((low..=high).contains(&v));
+            out.push((format!("{name} {key} {v:.4} in {low:.4} to {high:.4}"), (low..=high).contains(&v)));
         }
     }
-    [inside, all]
+    out
 }
 
 /// Bounds that no machine is beyond, by law and parameter; formats.md, "Bounds", and the sizes of machine tools.
@@ -182,10 +198,10 @@ pub fn impossible(document: &Value) -> Vec<String> {
                 out.push(format!("{name} {key} {v}"));
             }
         }
-        if let (true, Some(um), Some(period)) = (law == "subdivision", value("um"), value("period_um")) {
-            if um.abs() > period / 4.0 {
-                out.push(format!("{name} um {um} at a period of {period}"));
-            }
+        if let (true, Some(um), Some(period)) = (law == "subdivision", value("um"), value("period_um"))
+            && um.abs() > period / 4.0
+        {
+            out.push(format!("{name} um {um} at a period of {period}"));
         }
     }
     out

@@ -106,7 +106,7 @@ fn main() -> anyhow::Result<ExitCode> {
     }
     let outcomes = run(&plan, &asked)?;
     if asked.verbose {
-        outcomes.iter().filter(|o| !right(o.mark)).for_each(tell);
+        outcomes.iter().filter(|o| !right(o.mark) || o.covered.iter().any(|c| !c.1)).for_each(tell);
     }
     if asked.json {
         println!("{:#}", table::json(&outcomes, !asked.bare));
@@ -159,8 +159,14 @@ fn run(plan: &[(Class, u64, Manner)], asked: &Asked) -> anyhow::Result<Vec<Outco
 
 /// One case that was not answered rightly, on standard error.
 fn tell(o: &Outcome) {
+    let missed: Vec<String> = o
+        .covered
+        .iter()
+        .filter(|c| !c.1)
+        .map(|(what, _)| format!("\n    not in its interval: {what}"))
+        .collect();
     eprintln!(
-        "{:?} {} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}",
+        "{:?} {} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}{}",
         o.mark,
         o.class.word(),
         o.case.seed,
@@ -172,6 +178,7 @@ fn tell(o: &Outcome) {
         o.case.story,
         o.reply.verdict,
         o.reply.effects,
+        missed.concat(),
         o.refused.as_ref().map_or(String::new(), |why| format!("\n    refused: {why}")),
     );
 }

@@ -43,7 +43,7 @@ pub enum Zeros {
 const TOLD: f64 = 0.02;
 
 /// A random scene, or none where the draw was no case.
-pub(crate) fn scene(dice: &mut Dice, zeros: Zeros) -> Option<Scene> {
+pub(crate) fn scene(dice: &mut Dice, choice: f64, zeros: Zeros) -> Option<Scene> {
     let mut kinds = vec![Kind::Line, Kind::Line, Kind::Plate, Kind::Drift];
     kinds.push(if zeros == Zeros::Radial { Kind::Radial } else { Kind::Circle });
     let wanted = dice.int(2, 4);
@@ -96,7 +96,7 @@ pub(crate) fn scene(dice: &mut Dice, zeros: Zeros) -> Option<Scene> {
             s.know(dice, k, 0.05);
         }
     }
-    let wanted = dice.int(3, 7);
+    let wanted = 3 + (choice * 5.0) as usize;
     for _ in 0..60 {
         if s.hidden.len() == wanted {
             break;
@@ -108,7 +108,7 @@ pub(crate) fn scene(dice: &mut Dice, zeros: Zeros) -> Option<Scene> {
         }
     }
     s.hides = Hides::Many;
-    (s.hidden.len() >= 3).then_some(s)
+    (s.hidden.len() + 1 >= wanted).then_some(s)
 }
 
 /// Which of the hidden effects can be asked for: large enough in some record, and not what the others are too.

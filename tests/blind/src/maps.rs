@@ -21,12 +21,14 @@ const MISSING: [&str; 9] = [
 ];
 
 /// A random scene, or none where the draw was no case.
-pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
-    let kind = if dice.chance(0.35) { Kind::Plate } else { Kind::Line };
+pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
+    let plane = (0.75 * 2.0 / 9.0..0.75 * 4.0 / 9.0).contains(&choice);
+    let kind = if plane || dice.chance(0.3) { Kind::Plate } else { Kind::Line };
     let rig = dice.chance(0.5).then(|| Heat::new(dice));
     let rows = dice.log(60.0, 300.0) as usize;
     let (targets, regular) = (dice.int(6, 16), dice.chance(0.4));
     let bench = Bench::new(dice, kind, rows, rig).with_targets(targets, regular);
+    let bench = if plane { bench.with_responses(if choice < 0.25 { 1 } else { 2 }) } else { bench };
     let mut s = Scene::new(dice, "maps", std::slice::from_ref(&bench));
     let (a, b) = (&bench.axes[0], &bench.axes[1]);
     let mut maps = vec![map(dice, &s.runs, &bench, a, a)];
@@ -42,8 +44,8 @@ pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
         let off = if dice.chance(0.4) { 0.0 } else { 0.1 };
         s.know(dice, m, off);
     }
-    if dice.chance(0.75) {
-        let law = *dice.pick(&MISSING);
+    if choice < 0.75 {
+        let law = MISSING[(choice / 0.75 * MISSING.len() as f64) as usize];
         let mut h = choose::source(dice, &s.runs[0], law, bench.places)?;
         let size = dice.log(0.7, 20.0);
         s.hides = Hides::One;

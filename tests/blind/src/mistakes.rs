@@ -124,6 +124,7 @@ pub(crate) fn spoil(s: &mut Scene, kind: usize, dice: &mut Dice) -> Mistake {
             };
             let run = &mut s.runs[last];
             run.cols.iter_mut().for_each(|c| c.v = twice(&c.v));
+            run.true_degc.iter_mut().for_each(|(_, v)| *v = twice(v));
             run.n += to - from;
             s.measured[last].iter_mut().for_each(|e| *e = twice(e));
         }

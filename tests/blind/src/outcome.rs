@@ -44,8 +44,10 @@ pub struct Outcome {
     pub oracle_closed: Option<f64>,
     /// Many effects: the answer's counts, then the baselines', then the oracle's.
     pub counts: [Counts; 4],
-    /// Parameters within their interval, and parameters; the oracle's beside.
-    pub covered: [[usize; 2]; 2],
+    /// Parameters of found effects, and whether they lie within their interval.
+    pub covered: Vec<(String, bool)>,
+    /// How many sizes the oracle has within their interval, of how many.
+    pub oracle_covered: [usize; 2],
     /// Values that no machine can have.
     pub impossible: Vec<String>,
     /// Where the files were refused: why.
@@ -96,7 +98,8 @@ pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyh
     }
     let mut ceiling = None;
     let mut closed = v.closed;
-    if let Some(s) = &scene {
+    // A spoilt record has no ceiling.
+    if let Some(s) = scene.as_ref().filter(|_| mistake.is_none()) {
         let floor = judge::floor(s);
         if let Some([before, after]) = v.held {
             closed = judge::closed(before, after, floor);
@@ -125,10 +128,8 @@ pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyh
         closed,
         oracle_closed: ceiling.as_ref().and_then(|o| o.closed),
         counts,
-        covered: [
-            scene.as_ref().map_or([0, 0], |s| judge::covered(&v.document, &s.hidden)),
-            ceiling.map_or([0, 0], |o| o.covered),
-        ],
+        covered: scene.as_ref().map_or(vec![], |s| judge::covered(&v.document, &s.hidden)),
+        oracle_covered: ceiling.map_or([0, 0], |o| o.covered),
         impossible: judge::impossible(&v.document),
         suspicions: judge::suspicions(&v.document),
         refused,

@@ -74,9 +74,12 @@ pub fn own_share(s: &Source, others: &[&Source], runs: &[Run]) -> f64 {
     dot(&left, &left) / dot(&c, &c).max(1e-300)
 }
 
+/// Names with their columns.
+pub type Laws = Vec<(String, Vec<Vec<f64>>)>;
+
 /// Other laws that these runs could show, as columns: each with its name.
-fn laws(runs: &[Run]) -> Vec<(String, Vec<Vec<f64>>)> {
-    let mut out: Vec<(String, Vec<Vec<f64>>)> = Vec::new();
+pub fn laws(runs: &[Run]) -> Laws {
+    let mut out: Laws = Vec::new();
     let mut axes: Vec<String> = Vec::new();
     let mut places: Vec<String> = Vec::new();
     for r in runs {
@@ -183,24 +186,18 @@ fn hats(values: &[f64]) -> Option<Vec<Knots>> {
 /// other law leaves of it. Below this the law is an alias.
 pub const TELLS: f64 = 40.0;
 
-/// Another law that explains a source so well that this data cannot tell, if there is one.
+/// Another of the `laws` that explains a source so well that this data cannot tell, if there is one.
 #[must_use]
-pub fn alias(s: &Source, others: &[&Source], runs: &[Run], sd: f64) -> Option<String> {
+pub fn alias(s: &Source, others: &[&Source], runs: &[Run], laws: &Laws, sd: f64) -> Option<String> {
     let c = column(s, runs);
-    let law = s.name.split('.').next().unwrap_or_default();
-    let base = beside(others, runs, law != "offset");
+    let base = beside(others, runs, !s.name.starts_with("offset"));
     let left = base.rest(&c);
     if dot(&left, &left) < TELLS * sd * sd {
         return Some("what is known".into());
     }
-    laws(runs).into_iter().find_map(|(name, columns)| {
-        // The same law with another sensor, time or constant is no other name.
-        if name == s.name {
-            return None;
-        }
-        let rest = against(&base, &columns, &left);
-        (rest < TELLS * sd * sd).then_some(name)
-    })
+    // The same law with another sensor, time or constant is no other name.
+    let mut rivals = laws.iter().filter(|(name, _)| *name != s.name);
+    rivals.find(|(_, columns)| against(&base, columns, &left) < TELLS * sd * sd).map(|(name, _)| name.clone())
 }
 
 /// The square that columns leave of what a basis has left.

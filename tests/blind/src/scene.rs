@@ -38,6 +38,8 @@ pub struct Scene {
     pub also: Vec<Vec<String>>,
     /// What kind of case it is, in a word.
     pub design: &'static str,
+    /// Other laws that the runs could show.
+    laws: std::cell::OnceCell<rivals::Laws>,
 }
 
 impl Scene {
@@ -63,7 +65,12 @@ impl Scene {
             hides: Hides::Nothing,
             also: vec![],
             design,
+            laws: std::cell::OnceCell::new(),
         }
+    }
+
+    fn laws(&self) -> &rivals::Laws {
+        self.laws.get_or_init(|| rivals::laws(&self.runs))
     }
 
     /// The noise's standard deviation, µm or N.
@@ -108,7 +115,7 @@ impl Scene {
             return false;
         }
         let others: Vec<&Source> = self.hidden.iter().chain(&self.known).collect();
-        if rivals::alias(&s, &others, &self.runs, self.noise_for_telling()).is_some() {
+        if rivals::alias(&s, &others, &self.runs, self.laws(), self.noise_for_telling()).is_some() {
             return false;
         }
         self.hidden.push(s);
@@ -144,7 +151,8 @@ impl Scene {
                 .map(|(_, s)| s)
                 .chain(&self.known)
                 .collect();
-            rivals::alias(&self.hidden[k], &others, &self.runs, self.noise_for_telling()).is_none()
+            rivals::alias(&self.hidden[k], &others, &self.runs, self.laws(), self.noise_for_telling())
+                .is_none()
         })
     }
 

@@ -62,6 +62,14 @@ impl Source {
         let (n, c) = (run.n, self.val("c"));
         let mut dice = Dice::new(c as u64);
         let all = |f: &dyn Fn(usize) -> f64| (0..n).map(f).collect::<Vec<_>>();
+        // Over the position, without the constant and the straight line that are offset and scale.
+        let bent = |f: &dyn Fn(f64) -> f64| {
+            let y: Vec<f64> = p.iter().map(|x| f(*x)).collect();
+            let (mp, my) = (p.iter().sum::<f64>() / n as f64, y.iter().sum::<f64>() / n as f64);
+            let square: f64 = p.iter().map(|x| (x - mp).powi(2)).sum();
+            let slope = p.iter().zip(&y).map(|(x, y)| (x - mp) * (y - my)).sum::<f64>() / square.max(1e-12);
+            p.iter().zip(&y).map(|(x, y)| y - my - slope * (x - mp)).collect::<Vec<_>>()
+        };
         let heat = |key: &str| self.word(key).map_or_else(|| vec![0.0; n], |s| unit(run.named(s)));
         let speed = |axis: &str| {
             let v = run.get(&format!("velocity.{axis}"));
@@ -76,10 +84,10 @@ impl Source {
             time.iter().map(|t| (t - time[0]) / step / c).collect()
         };
         match self.law() {
-            "?fast_sine" => beat().iter().map(|b| (TAU * b).sin()).collect(),
-            "?fast_square" => beat().iter().map(|b| if b.fract() < 0.4 { 1.0 } else { -0.667 }).collect(),
-            "?fast_saw" => beat().iter().map(|b| b.fract() - 0.5).collect(),
-            "?fast_charge" => beat()
+            "?cycle_sine" => beat().iter().map(|b| (TAU * b).sin()).collect(),
+            "?cycle_square" => beat().iter().map(|b| if b.fract() < 0.4 { 1.0 } else { -0.667 }).collect(),
+            "?cycle_saw" => beat().iter().map(|b| b.fract() - 0.5).collect(),
+            "?cycle_charge" => beat()
                 .iter()
                 .map(|b| {
                     // Charged in a third of the cycle, discharged in the rest; both ends meet.
@@ -95,8 +103,8 @@ impl Source {
             "?chirp" => {
                 let (slow, fast, phase) =
                     (dice.within(0.8, 2.5), dice.within(5.0, 14.0), dice.within(0.0, TAU));
-                all(&|i| {
-                    let x = (p[i] + 1.0) / 2.0;
+                bent(&|x| {
+                    let x = f64::midpoint(x, 1.0);
                     (TAU * (slow * x + (fast - slow) * x * x / 2.0) + phase).sin()
                 })
             }
@@ -104,17 +112,17 @@ impl Source {
                 let many: Vec<[f64; 3]> = (0..dice.int(4, 6))
                     .map(|_| [dice.log(1.3, 12.0), dice.within(0.0, TAU), dice.within(0.6, 1.0)])
                     .collect();
-                all(&|i| many.iter().map(|[f, ph, g]| g * (TAU * f * (p[i] + 1.0) / 2.0 + ph).sin()).sum())
+                bent(&|x| many.iter().map(|[f, ph, g]| g * (TAU * f * (x + 1.0) / 2.0 + ph).sin()).sum())
             }
             "?kinks" => {
                 let many: Vec<[f64; 2]> =
                     (0..dice.int(2, 4)).map(|_| [dice.within(-0.7, 0.7), dice.normal()]).collect();
-                all(&|i| many.iter().map(|[at, g]| g * (p[i] - at).abs()).sum())
+                bent(&|x| many.iter().map(|[at, g]| g * (x - at).abs()).sum())
             }
             "?stairs" => {
                 let many: Vec<[f64; 2]> =
                     (0..dice.int(2, 6)).map(|_| [dice.within(-0.8, 0.8), dice.normal()]).collect();
-                all(&|i| many.iter().map(|[at, g]| if p[i] > *at { *g } else { 0.0 }).sum())
+                bent(&|x| many.iter().map(|[at, g]| if x > *at { *g } else { 0.0 }).sum())
             }
             "?breathing" => {
                 let many: Vec<[f64; 4]> = (0..dice.int(4, 7))

@@ -22,8 +22,8 @@ const SHAPES: [(&str, Kind, bool, bool); 10] = [
 ];
 
 /// A random scene, or none where the draw was no case.
-pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
-    let (shape, kind, sensors, speeds) = *dice.pick(&SHAPES);
+pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
+    let (shape, kind, sensors, speeds) = SHAPES[(choice * SHAPES.len() as f64) as usize];
     let rows = dice.log(120.0, 600.0) as usize;
     let rig = (sensors || dice.chance(0.2)).then(|| Heat::new(dice));
     let responses = dice.int(1, 2);

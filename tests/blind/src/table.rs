@@ -89,8 +89,8 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
         all().filter(many).map(|o| f(o.counts[k])).fold(Share(0, 0), |s, [a, b]| Share(s.0 + a, s.1 + b))
     };
     let covered = |o: &Outcome| match k {
-        0 => o.covered[0],
-        3 => o.covered[1],
+        0 => [o.covered.iter().filter(|c| c.1).count(), o.covered.len()],
+        3 => o.oracle_covered,
         _ => [0, 0],
     };
     let shares = vec![
@@ -104,7 +104,9 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
         ("precision", if k == 3 { Share::default() } else { sum(&|c| [c.true_names, c.named]) }),
         ("in the 95 % interval", all().map(covered).fold(Share(0, 0), |s, [a, b]| Share(s.0 + a, s.1 + b))),
     ];
+    // What has no name is not closed by one, and where nothing is missing there is no gap.
     let closed: Vec<f64> = all()
+        .filter(|o| !is(o, Hides::Nothing) && !is(o, Hides::Stranger))
         .filter_map(|o| match k {
             0 => o.closed,
             3 => o.oracle_closed,
