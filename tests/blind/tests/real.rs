@@ -61,7 +61,9 @@ fn a_plate_that_was_turned_is_called_turned() {
 fn a_plate_that_is_too_small_alike_may_be_cold() {
     let Some(text) = data("plate_cmm/D2130A1") else { return };
     let r = reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &Options::default()).unwrap();
-    assert_eq!(r.verdict, Verdict::NotSeparable);
+    // The owners' fit has a quadrupole beside scale: a shape over the plane that the dictionary has no name for.
+    assert_eq!(r.verdict, Verdict::UnknownEffect);
+    assert!(r.unexplained.iter().any(|s| s.manner == "smooth over the plane"), "{:?}", r.unexplained);
     let (scale, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "scale.x").unwrap();
     assert!(scale.rivals.iter().any(|v| v.name == "thermal_expansion.x"));
     assert!(scale.effect.scalar(0) < -10.0 && scale.effect.scalar(0) > -40.0);
@@ -183,36 +185,35 @@ fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<
     Record::new(&PathBuf::from("spindle.run.toml"), Kind::Drift, columns).unwrap()
 }
 
-/// Learned from the rows before a moment, the model predicts those after it: always far better than the mean it
-/// learned, and from the moment on at which the machine has once been warm and cooler again, better than the later
-/// rows' own mean, which nobody knew. Sensors that cannot be separated are called that.
+/// Learned from the rows before a moment, the model predicts those after it, whichever moment it is: far better than the mean
+/// it learned. Which of its sensors is the cause these rows do not say, and several are weighed.
 #[test]
 fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
     let Some(text) = data("spindle_thermal/first_half.csv") else { return };
     let model = Machine::ideal("spindle");
-    for (split, better_than_own_mean) in [(1200, false), (1600, true), (1800, true)] {
+    let mut sum = 0.0;
+    let splits = [1000, 1200, 1400, 1600, 1800];
+    for split in splits {
         let (early, late) = (spindle(&text, 0..split, &[]), spindle(&text, split..2341, &[]));
         let about = |r: &Record, centre: f64| -> f64 {
             let e = r.data(&Role::Error(axis("z"))).unwrap();
             (e.iter().map(|x| (x - centre).powi(2)).sum::<f64>() / e.len() as f64).sqrt()
         };
-        let mean = |r: &Record| -> f64 {
-            let e = r.data(&Role::Error(axis("z"))).unwrap();
-            e.iter().sum::<f64>() / e.len() as f64
-        };
-        let (learned, own) = (about(&late, mean(&early)), about(&late, mean(&late)));
+        let e = early.data(&Role::Error(axis("z"))).unwrap();
+        let learned = about(&late, e.iter().sum::<f64>() / e.len() as f64);
         let r = reconcile(&[early], &[late], &model, &Options::default()).unwrap();
         let after = r.gap[0].holdout.unwrap()[1];
         println!(
-            "{split} min: {} {:?}, later {after:.3} µm; by the mean learned {learned:.3}, by their own {own:.3}",
+            "{split} min: {} {:?}, later {after:.3} µm; by the mean learned {learned:.3}",
             r.verdict,
             r.effects.iter().map(|(f, _)| (f.effect.name(), &f.effect.delta)).collect::<Vec<_>>()
         );
         assert_eq!(r.verdict, Verdict::NotSeparable);
-        assert_eq!(names(&r)[0], "thermal_lag.z");
-        assert!(after < 0.3 * learned, "{after} and {learned}");
-        assert!(!better_than_own_mean || after < own, "{after} and {own}");
+        assert!(names(&r)[0].starts_with("thermal_"), "{:?}", names(&r));
+        assert!(after < 0.25 * learned && after < 1.3, "{after} and {learned}");
+        sum += after;
     }
+    assert!(sum / (splits.len() as f64) < 0.95, "{sum}");
 }
 
 /// Every fourth minute of the whole run, with a random walk and a sensor whose rows were shuffled among the temperatures, and a random walk

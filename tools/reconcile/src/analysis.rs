@@ -1,7 +1,7 @@
 //! From runs and a model to the answer: the search is done again with better values of the model's own parameters and of
 //! the noise's size until neither changes, then what it found is named.
 
-use crate::answer::{Answer, ROUNDS};
+use crate::answer::Answer;
 use crate::hypotheses::Hypotheses;
 use crate::naming;
 use crate::problem::{Known, Stack, known, rms};
@@ -31,25 +31,6 @@ fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
             (rms(&steps) / 2f64.sqrt()).clamp(0.1 * size, size)
         })
         .collect()
-}
-
-/// The runs as one stack, the model's effects, and rounds of noise made from what the model leaves once its own
-/// parameters are fitted.
-pub(crate) fn noise_of<'r>(
-    records: &'r [Record],
-    machine: &Machine,
-) -> (Stack<'r>, Vec<Effect>, Vec<Vec<f64>>) {
-    let mut stack = Stack::new(records);
-    let file: Vec<Effect> = machine.effects().cloned().collect();
-    let mut missing = stack.missing(&file);
-    stack.sigma = noise_guess(&stack, &missing);
-    stack.weigh(&mut missing);
-    let parameters = known(&stack, 1.0, &file, &file);
-    let none = Hypotheses::default();
-    let mut search = Search::new(&stack, &none, &[]);
-    search.begin(1.0, parameters, missing);
-    let noise = search.chance(&search.empty(), ROUNDS).draws;
-    (stack, file, noise)
 }
 
 /// Finds and names what is missing. With `thinnable`, `None` when the rows are too close together for that: fewer of
@@ -169,7 +150,7 @@ impl Model {
         for s in &mut answer.sigma {
             *s *= self.noise;
         }
-        for r in answer.residual.iter_mut().chain(answer.draws.iter_mut().flatten()) {
+        for r in &mut answer.residual {
             *r /= self.noise;
         }
         answer

@@ -53,8 +53,6 @@ pub struct Answer {
     pub phi: f64,
     /// Size of the noise per response.
     pub sigma: Vec<f64>,
-    /// Noise made by moving the residual's blocks about, weighed: what `where` is judged by.
-    pub draws: Vec<Vec<f64>>,
 }
 
 /// A name that was tried.

@@ -40,8 +40,6 @@ pub(crate) struct Chance {
     /// The same of waves, of a name and of any: the best of so many frequencies, each of which gains more than x with
     /// probability e⁻ˣ; logarithm of their number less their price.
     waves: [f64; 2],
-    /// The rounds of noise.
-    pub(crate) draws: Vec<Vec<f64>>,
 }
 
 /// By how much a search finds a gain more often than its grid alone: it goes on between the grid's points, over a
@@ -65,7 +63,7 @@ impl Chance {
 }
 
 /// A uniform number below `n`.
-fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
+pub(crate) fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
 }
 
@@ -124,7 +122,6 @@ impl Search<'_, '_> {
                 }
             }
         }
-        let draws = draws.into_iter().map(|d| d.data).collect();
         let waves = |any: bool| -> f64 {
             let of = self.waves.iter().filter(|w| w.span() > 0.0 && (any || w.effect.is_some()));
             of.map(|w| (w.independent().ln() - self.wave_cost(w) - self.dimension_cost(2)).exp())
@@ -132,7 +129,7 @@ impl Search<'_, '_> {
                 .ln()
         };
         let waves = [waves(false), waves(true)];
-        Chance { named: Extreme::fit(&best_named), any: Extreme::fit(&best_any), waves, draws }
+        Chance { named: Extreme::fit(&best_named), any: Extreme::fit(&best_any), waves }
     }
 }
 
@@ -253,7 +250,6 @@ mod tests {
         let mut search = Search::new(&stack, &all, &waves);
         search.begin(1.0, Vec::new(), stack.missing(&[]));
         let chance = search.chance(&search.empty(), 20);
-        assert_eq!((chance.draws.len(), chance.draws[0].len()), (20, 200));
         assert!(chance.of_name(-40.0, true) > 0.99 && chance.of_anything(-40.0) > 0.99);
         assert!(
             chance.of_name(60.0, true) < 1e-6 && chance.of_name(60.0, false) <= chance.of_name(60.0, true)

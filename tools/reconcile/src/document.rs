@@ -4,7 +4,7 @@ use crate::SEED;
 use crate::answer::{Finding, Rival};
 use crate::gap::Gap;
 use crate::verdict::{Reconciliation, Refined};
-use crate::where_found::Place;
+use crate::where_found::{LEAST_P, Place};
 use rtec_model::effect::{Against, Difference, Effect, Search};
 use serde_json::{Map, Value, json};
 
@@ -65,7 +65,7 @@ fn rival(r: &Rival) -> Value {
 
 fn finding((f, half): &(Finding, Vec<f64>)) -> Value {
     let mut map = effect(&f.effect, half, None);
-    map.insert("p_value".into(), json!(f.p_value));
+    map.insert("p_value".into(), json!(f.p_value.max(LEAST_P)));
     map.insert("log_evidence".into(), json!(f.evidence));
     map.insert("alternatives".into(), f.rivals.iter().map(rival).collect());
     Value::Object(map)

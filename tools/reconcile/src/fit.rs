@@ -4,6 +4,8 @@ use crate::gram::{Cholesky, Products, Vector};
 use crate::problem::{Stack, rms};
 use rtec_model::effect::{Effect, Search};
 
+/// Autocorrelation from row to row beyond which what is left is structure and no noise.
+const STRUCTURE: f64 = 0.72;
 /// Half width of an interval in standard errors: 95 %.
 const HALF_WIDTH: f64 = 1.96;
 
@@ -82,6 +84,7 @@ pub(crate) fn residual(stack: &Stack<'_>, terms: &[Term]) -> Vec<f64> {
 
 /// Gauss–Newton steps under noise of coefficient `phi`, each halved until it helps.
 pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize, keep: Keep<'_>) {
+    let (phi, wider) = weights(phi);
     for _ in 0..steps {
         let before = cost(stack, terms, phi, keep);
         let Some(step) = newton(stack, terms, phi, keep) else { return };
@@ -118,13 +121,20 @@ pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize,
                 let mut shares: Vec<f64> = places.iter().zip(&scale).map(|(p, s)| share(p, s)).collect();
                 factor.forward(&mut shares);
                 let variance: f64 = shares.iter().map(|x| x * x).sum();
-                term.half[v] = HALF_WIDTH * (variance * noise).sqrt();
+                term.half[v] = HALF_WIDTH * (variance * noise * wider).sqrt();
             }
         }
     }
     for term in terms {
         tidy(term);
     }
+}
+
+/// The coefficient that a fit weighs its rows by, and how much larger the variances are than it says. What only wanders
+/// slowly is structure that no effect explains: weighed by it a fit would see nothing but the quickest changes, where
+/// such structure is worst. Then all rows weigh the same, and as few of them count as are independent.
+fn weights(phi: f64) -> (f64, f64) {
+    if phi > STRUCTURE { (0.0, (1.0 + phi) / (1.0 - phi)) } else { (phi, 1.0) }
 }
 
 fn apply(terms: &mut [Term], start: &[Term], step: &Step, share: f64) {

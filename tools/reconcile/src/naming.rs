@@ -69,8 +69,12 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     let mut tried = TriedList::of(search, &set);
     let conclusion = Conclusion { found, set, chance, level, unexplained, equals };
     let findings = conclusion.findings(search, &mut tried);
-    let Conclusion { set, chance, unexplained, .. } = conclusion;
-    let (residual, phi) = search.residual(if any.score > set.score { &any } else { &set });
+    let Conclusion { set, unexplained, .. } = conclusion;
+    let best = if any.score > set.score { any } else { set };
+    // What only wanders slowly makes values less certain.
+    let best = search.wandering(true, best);
+    let (residual, phi) = search.residual(&best);
+    search.wandering(false, best);
     Answer {
         findings,
         unexplained,
@@ -81,7 +85,6 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
         residual,
         phi,
         sigma: search.stack.sigma.clone(),
-        draws: chance.draws,
     }
 }
 

@@ -1,5 +1,6 @@
 //! `report.html`: the answer for a person, in one file, plots inside.
 
+use crate::where_found::LEAST_P;
 use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
 use std::fmt::Write as _;
@@ -167,7 +168,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
                 p.name, p.unit
             );
         }
-        let p = if f.p_value < 1e-6 { "below 10⁻⁶".to_owned() } else { number(f.p_value) };
+        let p = if f.p_value <= LEAST_P { "below 0.001".to_owned() } else { number(f.p_value) };
         let _ = write!(
             h,
             "<tr><td colspan=6><small>{}: {}. Probability that chance alone explains as much: {p}.</small>",
@@ -255,7 +256,7 @@ fn places(h: &mut String, r: &Reconciliation) {
             escape(&p.response),
             escape(&p.against),
             100.0 * p.statistic,
-            if p.p_value < 1e-6 { "&lt; 10⁻⁶".to_owned() } else { number(p.p_value) },
+            if p.p_value <= LEAST_P { "&lt; 0.001".to_owned() } else { number(p.p_value) },
             number(hi),
             number(lo)
         );

@@ -2,7 +2,7 @@
 
 use crate::Options;
 use crate::advice::advice;
-use crate::analysis::{analyse, noise_of};
+use crate::analysis::analyse;
 use crate::answer::{Answer, Finding, Rival};
 use crate::cause::Shape;
 use crate::doubt::{self, doubts};
@@ -27,8 +27,7 @@ const FEWEST_ROWS: usize = 300;
 const STEPS: usize = 12;
 const CURVE_STEPS: usize = 6;
 
-/// The first stage alone: where measured and simulated disagree. Noise is taken from what the model leaves, so that
-/// structure which is named later counts as noise here: less is found than beside an answer, never more.
+/// The first stage alone: where measured and simulated disagree.
 ///
 /// # Errors
 /// The model reads a sensor or channel that a record lacks.
@@ -36,8 +35,9 @@ pub fn find(train: &[Record], machine: &Machine) -> Result<Vec<Place>, InputErro
     for record in train {
         machine.predict(record)?;
     }
-    let (stack, file, noise) = noise_of(train, machine);
-    Ok(where_found::places(&stack, &file, &noise))
+    let stack = Stack::new(train);
+    let file: Vec<Effect> = machine.effects().cloned().collect();
+    Ok(where_found::places(&stack, &file))
 }
 
 /// Reconciles: the whole workflow.
@@ -111,7 +111,7 @@ pub fn reconcile(
     }
     Ok(Reconciliation {
         verdict,
-        places: where_found::places(&stack, &answer.file, &answer.draws),
+        places: where_found::places(&stack, &answer.file),
         advice,
         suspicions: said,
         effects,

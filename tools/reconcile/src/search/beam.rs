@@ -14,6 +14,8 @@ const OFFERS_TO_SHAPES: [usize; 2] = [3, 0];
 
 /// Most effects that are looked for at once.
 const DEPTH: usize = 14;
+/// Sets of more members are polished only where they lead.
+const POLISHED: usize = 2;
 /// A set so far behind the best of its kind is not grown.
 const BEHIND: f64 = 60.0;
 
@@ -88,9 +90,11 @@ impl Search<'_, '_> {
                 continue;
             }
             seen.push(key);
+            let leads = room[usize::from(pure)] == [BEAM_UNNAMED, BEAM_NAMED][usize::from(pure)];
             room[usize::from(pure)] -= 1;
             let set = self.take(set, &offer);
-            grown.push(self.polish(set));
+            // The others are polished once they lead.
+            grown.push(if leads || set.members.len() <= POLISHED { self.polish(set) } else { set });
         }
         grown
     }

@@ -12,6 +12,10 @@ const MOST_WAVES: usize = 3;
 /// Turns by which two waves must differ over the whole travel.
 const RESOLVED: f64 = 1.0;
 
+/// How far behind the best an offer is refined: nats, or as a share of the best one's gain.
+const NEAR_NATS: f64 = 25.0;
+const NEAR_SHARE: f64 = 0.4;
+
 /// An explanation that could join a set.
 #[derive(Debug, Clone)]
 pub(crate) struct Offer {
@@ -160,7 +164,7 @@ impl Search<'_, '_> {
         let top = out.iter().map(|r| r.evidence).fold(f64::NEG_INFINITY, f64::max);
         for (i, r) in out.iter_mut().enumerate() {
             // Far behind, no refinement will bring it back.
-            let close = r.evidence > top - 40.0 || i < 3;
+            let close = near(set, top, r.evidence) || i < 2;
             let offers = std::mem::take(&mut r.offers);
             r.offers = offers
                 .into_iter()
@@ -179,10 +183,17 @@ impl Search<'_, '_> {
         let mut left = [unnamed, named];
         let mut out = Vec::new();
         let mut sensors: Vec<(String, usize)> = Vec::new();
+        let mut top = [f64::NEG_INFINITY; 2];
         for offer in self.scan(set, fresh) {
             let hypothesis = &self.all.list[offer.hypothesis];
-            let room = &mut left[usize::from(hypothesis.named())];
+            let kind = usize::from(hypothesis.named());
+            let room = &mut left[kind];
             if *room == 0 || self.repeats(set, &offer) {
+                continue;
+            }
+            top[kind] = top[kind].max(offer.score);
+            if !near(set, top[kind], offer.score) {
+                *room = 0;
                 continue;
             }
             // Many sensors of one law must not crowd out other laws.
@@ -198,6 +209,12 @@ impl Search<'_, '_> {
         out.sort_by(|a, b| b.score.total_cmp(&a.score));
         out
     }
+}
+
+/// Whether an offer is so near the best that refining it may make it the best: refined, an effect gains a few nats, or a
+/// share of what it gains anyway.
+fn near(set: &Set, top: f64, score: f64) -> bool {
+    score > top - NEAR_NATS.max(NEAR_SHARE * (top - set.score))
 }
 
 /// log(eᵃ + eᵇ)

@@ -130,6 +130,11 @@ fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) 
     Ok(())
 }
 
+/// A probability as a person reads it: permutations show none smaller than one in a thousand.
+fn chance(p: f64) -> String {
+    if p <= 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
+}
+
 /// Nothing is said for so long, and then as often.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -156,11 +161,11 @@ fn found(places: &[Place]) -> String {
     for p in found.iter().take(8) {
         let _ = writeln!(
             s,
-            "  {} against {}: {:.1} %, p {:.1e}",
+            "  {} against {}: {:.1} %, p {}",
             p.response,
             p.against,
             100.0 * p.statistic,
-            p.p_value
+            chance(p.p_value)
         );
     }
     if found.is_empty() {
@@ -175,7 +180,7 @@ fn summary(r: &Reconciliation) -> String {
     let _ = writeln!(s, "Verdict: {}", r.verdict);
     for (f, half) in &r.effects {
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
-        let _ = writeln!(s, "  {}{sensor}, p {:.1e}", f.effect.name(), f.p_value);
+        let _ = writeln!(s, "  {}{sensor}, p {}", f.effect.name(), chance(f.p_value));
         for (i, p) in f.effect.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
             let _ = writeln!(s, "    {} = {:.5} ± {:.2} {}", p.name, f.effect.scalar(i), half[i], p.unit);
         }
