@@ -114,7 +114,6 @@ pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyh
     }
     let mistake = mistake.map(|(m, clean)| {
         let (twin, _) = judge::answer(&clean);
-        if std::env::var_os("RTEC_DEBUG").is_some() { eprintln!("TWIN {} {}", case.seed, twin.document["suspicions"]); }
         let kind = crate::mistakes::KINDS.iter().position(|(_, text)| *text == m.text).unwrap_or(0);
         (kind, judge::heard(&v, &m, &case), judge::suspicions(&twin.document))
     });

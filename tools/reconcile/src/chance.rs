@@ -166,7 +166,7 @@ impl Rounds {
             .collect();
         let null = start.iter().map(|of| {
             let values = empty.fits.iter().zip(of).map(|(at, (_, rss))| search.loglik_of(at.phi, *rss));
-            search.best_phi(&values.collect::<Vec<f64>>()).0
+            search.best_phi(&values.collect::<Vec<f64>>(), 0).0
         });
         let null = null.collect();
         Self { empty, with_bank, start, null }
@@ -189,7 +189,7 @@ impl Rounds {
                 values.push(search.loglik_of(at.phi, (rss - gain).max(1e-9 * rss)));
             }
         }
-        values.iter().map(|v| search.best_phi(v).0).collect()
+        values.iter().map(|v| search.best_phi(v, 0).0).collect()
     }
 
     /// A grid point's columns less what the model's own parameters explain of them: their share, and the factor of what

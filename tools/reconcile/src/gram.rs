@@ -45,9 +45,25 @@ impl Vector {
     }
 
     pub(crate) fn products(&self, other: &[f64], segments: &[Range<usize>]) -> Products {
-        let [plain, lagged] = dots(&self.data, &self.neighbours, other);
+        let Some(rows) = rows_of(segments) else { return Products::default() };
+        let [plain, lagged] =
+            dots(&self.data[rows.clone()], &self.neighbours[rows.clone()], &other[rows]);
         Products { plain, lagged, ends: ends(&self.data, other, segments) }
     }
+}
+
+/// From the first of these segments, which stand one after the other, to the last.
+fn rows_of(segments: &[Range<usize>]) -> Option<Range<usize>> {
+    Some(segments.first()?.start..segments.last()?.end)
+}
+
+/// The segments from the first to the last in which some of the columns are not zero all along: most columns are one
+/// response's.
+pub(crate) fn covered<'s>(columns: &[Vec<f64>], segments: &'s [Range<usize>]) -> &'s [Range<usize>] {
+    let zero = |s: &Range<usize>| columns.iter().all(|c| c[s.clone()].iter().all(|x| *x == 0.0));
+    let from = segments.iter().position(|s| !zero(s)).unwrap_or(0);
+    let to = segments.iter().rposition(|s| !zero(s)).map_or(from, |to| to + 1);
+    &segments[from..to]
 }
 
 fn ends(x: &[f64], v: &[f64], segments: &[Range<usize>]) -> f64 {
@@ -64,7 +80,8 @@ pub(crate) fn products(x: &[f64], v: &[f64], segments: &[Range<usize>]) -> Produ
             dot(&x[1..], &v[..last]) + dot(&x[..last], &v[1..])
         })
         .sum();
-    Products { plain: dot(x, v), lagged, ends: ends(x, v, segments) }
+    let rows = rows_of(segments).unwrap_or(0..0);
+    Products { plain: dot(&x[rows.clone()], &v[rows]), lagged, ends: ends(x, v, segments) }
 }
 
 /// Lanes of a dot product: enough for the additions not to wait for one another.

@@ -55,9 +55,11 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
         named = search.with_references(named);
     }
     if !search.physical(&named) {
-        // Outside its bounds nothing is named, however well it fits: the best set that a machine may have.
-        let best = found.visited.iter().find(|set| search.physical(set)).cloned();
-        named = standing_out(search, best.unwrap_or_else(|| search.empty()), &chance, level);
+        // Outside its bounds nothing is named, however well it fits: what is left of the set, or the best that a machine may
+        // have.
+        let left = search.bounded(named);
+        let best = found.visited.iter().find(|set| search.physical(set) && set.score > left.score).cloned();
+        named = standing_out(search, best.unwrap_or(left), &chance, level);
         named = search.bounded(named);
     }
     let (named, crowd) = without_crowds(search, named);

@@ -15,7 +15,7 @@ const SHAPE_COST: f64 = 2.0;
 /// Either half of a channel's range is divided into so many parts; a knee is tried where they meet.
 const KNEES: i32 = 5;
 /// Numbers of hats over the position that are more than a map's.
-const FINE: [usize; 3] = [32, 48, 72];
+const FINE: [usize; 2] = [64, 96];
 /// Fewest rows that saw teeth are looked for in.
 const ROWS_FOR_TEETH: usize = 40;
 /// Fewest rows, but one, that a knee is looked for in.

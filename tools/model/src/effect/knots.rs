@@ -72,7 +72,7 @@ impl Law for BrokenLine {
 }
 
 /// Numbers of even knots that a search tries.
-const SIZES: [usize; 13] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24];
+const SIZES: [usize; 17] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24, 28, 34, 40, 48];
 /// Numbers of places that may each have a knot.
 const PLACES: std::ops::RangeInclusive<usize> = 4..=48;
 

@@ -2,7 +2,7 @@
 
 use super::Search;
 use super::sets::Set;
-use crate::gram::{self, Products, dot, products};
+use crate::gram::{self, Products, covered, dot, products};
 
 /// Room for the sums of one fit after the other.
 #[derive(Default)]
@@ -64,7 +64,8 @@ impl Search<'_, '_> {
         a.resize(k * b, 0.0);
         m.resize(k * k, 0.0);
         g.resize(k, 0.0);
-        for at in &set.fits {
+        let near = set.near();
+        for at in &set.fits[near.clone()] {
             for c in 0..k {
                 let row = &mut a[c * b..(c + 1) * b];
                 for (i, x) in row.iter_mut().enumerate() {
@@ -87,11 +88,11 @@ impl Search<'_, '_> {
             let gain: f64 = g.iter().filter(|x| x.is_finite()).map(|x| x * x).sum();
             values.push(self.loglik(at, gain));
         }
-        self.best_phi(values).0
+        self.best_phi(values, near.start).0
     }
 
     pub(super) fn made_cross(&self, set: &Set, columns: &[Vec<f64>]) -> Cross {
-        let ranges = &self.stack.ranges;
+        let ranges = covered(columns, &self.stack.ranges);
         let mut own = Vec::new();
         for i in 0..columns.len() {
             own.extend((0..=i).map(|j| products(&columns[i], &columns[j], ranges)));

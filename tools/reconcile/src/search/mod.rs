@@ -70,6 +70,8 @@ pub(crate) struct Search<'p, 'r> {
     places_seen: Vec<OnceCell<Vec<OnPlaces>>>,
     /// Frequencies worth a look, per wave: the highest peaks met so far.
     peaks: RefCell<Vec<Vec<f64>>>,
+    /// Per wave: its rows when its peaks were last looked for.
+    looked_at: RefCell<Vec<Option<Vec<f64>>>>,
     /// Waves that were looked at, by hypothesis and frequency.
     seen: RefCell<HashMap<(usize, u64), Seen>>,
     /// Values that the waves may still keep.
@@ -111,6 +113,7 @@ impl<'p, 'r> Search<'p, 'r> {
             transform: RefCell::new(Transform::new()),
             places_seen: waves.iter().map(|_| OnceCell::new()).collect(),
             peaks: RefCell::new(Vec::new()),
+            looked_at: RefCell::new(Vec::new()),
             seen: RefCell::new(HashMap::new()),
             room: Cell::new(ROOM),
             rankings: RefCell::default(),
@@ -126,6 +129,7 @@ impl<'p, 'r> Search<'p, 'r> {
         self.nu = (self.stack.n as f64 - known.len() as f64).max(self.stack.n as f64 / 2.0);
         self.known = known;
         *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
+        *self.looked_at.borrow_mut() = vec![None; self.waves.len()];
         self.rankings.borrow_mut().clear();
     }
 

@@ -38,6 +38,9 @@ const VISIBLE_MEMORY: f64 = 0.3;
 /// What a wave without a name costs beyond one with a name, nats.
 const UNNAMED: f64 = 3.0;
 
+/// Rows of which so much of the mean square changed have the same peaks.
+const SAME: f64 = 1e-3;
+
 /// Even frequencies.
 struct Band {
     from: f64,
@@ -82,6 +85,9 @@ impl Search<'_, '_> {
             return;
         }
         let (residual, phi) = self.residual(set);
+        if self.as_before(at, &residual[wave.rows.clone()]) {
+            return;
+        }
         let step = FREQUENCY_STEP / span;
         let wanted = ((wave.to - from) / step).ceil().max(2.0);
         let x: Vec<f64> = wave.along.iter().map(|x| x - wave.places[0]).collect();
@@ -108,6 +114,20 @@ impl Search<'_, '_> {
             let mut power: Vec<f64> = sums.map(|z| f64::from(z.norm_sqr())).collect();
             peaks(&mut power, from, step, list);
         }
+    }
+
+    /// Whether a wave's rows are as they were when its peaks were last looked for: what joined the set acts elsewhere.
+    fn as_before(&self, at: usize, rows: &[f64]) -> bool {
+        let mut last = self.looked_at.borrow_mut();
+        let same = last[at].as_ref().is_some_and(|before| {
+            let squares = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>();
+            let off = squares(&mut before.iter().zip(rows).map(|(a, b)| a - b));
+            off < SAME * squares(&mut rows.iter().copied())
+        });
+        if !same {
+            last[at] = Some(rows.to_vec());
+        }
+        same
     }
 
     /// Peaks of a wave's periodogram at the lower frequencies, how waves lie on the places taken into account.

@@ -7,6 +7,7 @@ use crate::gram::{Cholesky, Products, dot};
 use crate::hypotheses::Atom;
 use crate::problem::rms;
 use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
+use std::ops::Range;
 
 /// Autocorrelation from row to row beyond which rows say the same thing over and over.
 const CLOSE: f64 = 0.8;
@@ -46,6 +47,16 @@ pub(crate) struct Set {
     pub(crate) loglik: f64,
     pub(crate) fits: Vec<AtPhi>,
     pub(crate) ids: Vec<usize>,
+    /// Which of its fits is the best.
+    top: usize,
+}
+
+impl Set {
+    /// Its best fit and the two beside it: what joins it is looked at there first.
+    pub(super) fn near(&self) -> Range<usize> {
+        let to = (self.top + 2).clamp(3.min(self.fits.len()), self.fits.len());
+        to.saturating_sub(3)..to
+    }
 }
 
 impl Search<'_, '_> {
@@ -90,15 +101,16 @@ impl Search<'_, '_> {
     }
 
     /// Best over the noise coefficient, from values on its grid: a parabola through the best three.
-    pub(crate) fn best_phi(&self, loglik: &[f64]) -> (f64, f64) {
+    /// `from`: where on the grid the first of the values is.
+    pub(crate) fn best_phi(&self, loglik: &[f64], from: usize) -> (f64, f64) {
         let top = (0..loglik.len()).max_by(|a, b| loglik[*a].total_cmp(&loglik[*b])).unwrap_or(0);
         if top == 0 || top + 1 == loglik.len() {
-            return (loglik[top], self.phis[top]);
+            return (loglik[top], self.phis[from + top]);
         }
         let (a, b, c) = (loglik[top - 1], loglik[top], loglik[top + 1]);
         let bend = a - 2.0 * b + c;
         let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
-        let at = (f64::from(*NOISE_GRID.start()) + top as f64 + shift) * NOISE_STEP;
+        let at = (f64::from(*NOISE_GRID.start()) + (from + top) as f64 + shift) * NOISE_STEP;
         (b - 0.25 * (a - c) * shift, at.tanh())
     }
 
@@ -114,10 +126,11 @@ impl Search<'_, '_> {
         ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
         let fits = self.fits(&ids);
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
-        let (loglik, _) = self.best_phi(&values);
+        let (loglik, _) = self.best_phi(&values, 0);
+        let top = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
         let price: f64 =
             members.iter().map(|m| m.cost + self.dimension_cost(m.vectors.len())).sum();
-        Set { members, score: loglik - price, loglik, fits, ids }
+        Set { members, score: loglik - price, loglik, fits, ids, top }
     }
 
     pub(crate) fn empty(&self) -> Set {
