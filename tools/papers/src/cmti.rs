@@ -38,7 +38,7 @@ pub(crate) fn run(
     let board = figures(&circuit, seed)?;
     table_1(&mut rows, &circuit, seed)?;
     lines(&mut rows, &board);
-    shown_pulses(&mut rows, &circuit, &board);
+    shown_pulses(&mut rows, &board);
     progress("CMTI: the PLL's range");
     frequencies(&mut rows, &circuit, seed)?;
     fifteen(&mut rows, &circuit, seed)?;
@@ -140,8 +140,7 @@ fn lines(rows: &mut Rows, board: &Board) {
     );
 }
 
-fn shown_pulses(rows: &mut Rows, circuit: &Circuit, board: &Board) {
-    let n = f64::from(circuit.shown_pulses);
+fn shown_pulses(rows: &mut Rows, board: &Board) {
     let place = "Figures 8 and 9";
     let other = "the machine file shows another number of pulses";
     // The first order subtracts on X, the third adds on Z alone.
@@ -184,7 +183,6 @@ fn shown_pulses(rows: &mut Rows, circuit: &Circuit, board: &Board) {
         Is::Within(0.0),
         "",
     );
-    let _ = n;
 }
 
 fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperError> {
@@ -257,14 +255,14 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         0.7,
         edge(middle, 100.0) / 1e3,
         Is::Share(0.2),
-        put_in,
+        edge_of_range,
     );
     rows.number(
         (place, "it goes on to (XOR)", "kHz"),
         160.0,
         edge(middle, 1e6) / 1e3,
         Is::Share(0.05),
-        put_in,
+        edge_of_range,
     );
     rows.not(
         (place, "centre frequency", "kHz"),

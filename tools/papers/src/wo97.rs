@@ -18,7 +18,6 @@ use std::path::Path;
 struct Centre {
     machine: String,
     redundant: f64,
-    sensors: usize,
     equation: Vec<Equation>,
 }
 
@@ -167,42 +166,41 @@ const TABLE_1: [Circle; 9] = [
     ((2, 0), 100, [Some(17.0), Some(14.0)], [Some(9.0), Some(1.0)]),
 ];
 
-/// Table 1: total error of each circle, largest minus smallest radial deviation about its own centre.
+/// Table 1: total error of each circle, largest minus smallest radial deviation about its own centre; and the largest step
+/// of either axis where it turns.
 fn circles(rows: &mut Rows, found: &Findings) {
-    for ((i, j), inches, totals, reversals) in TABLE_1 {
-        let names = ["x", "y", "z"];
-        let Ok(record) = record(found, &format!("ballbar-{}{}-{inches}", names[i], names[j])) else {
-            continue;
-        };
+    let names = ["x", "y", "z"];
+    let each = || {
+        TABLE_1.iter().flat_map(|circle| {
+            let ((i, j), inches, ..) = *circle;
+            let record = record(found, &format!("ballbar-{}{}-{inches}", names[i], names[j])).ok();
+            // Clockwise is the second cycle of the experiment.
+            record.into_iter().flat_map(move |r| [(circle, r, 0, "CW", 2.0), (circle, r, 1, "CCW", 1.0)])
+        })
+    };
+    for (&((i, j), inches, totals, _), record, k, way, cycle) in each() {
         let angles = record.columns.iter().find(|c| c.role == Role::Angle).map_or(&[][..], |c| &c.data);
-        let (a, b, cycle) = (error_of(record, i), error_of(record, j), column(record, &Role::Cycle));
-        for (k, way) in [(0, "CW"), (1, "CCW")] {
-            let wanted = if k == 0 { 2.0 } else { 1.0 };
-            let radial: Vec<(f64, f64)> = (0..angles.len())
-                .filter(|n| (cycle[*n] - wanted).abs() < 0.5)
-                .map(|n| (angles[n], a[n] * angles[n].cos() + b[n] * angles[n].sin()))
-                .collect();
-            let um = about_its_centre(&radial);
-            let what = format!("{}{} {way}, {inches} in/min: total error", AXES[i], AXES[j]);
-            let why = "squareness, scale, reversal and following errors of the machine file are fitted to this column by six numbers; \
-                       its circles have no vibration, and their radius is ours (150 mm)";
-            match totals[k] {
-                Some(says) => {
-                    rows.number(("Table 1", &what, "in"), says * 1e-4, um / INCH_UM, Is::Within(0.0006), why)
-                }
-                None => {
-                    rows.not(("Table 1", &what, "in"), "unreadable", &shown(um / INCH_UM), "lost in the scan")
-                }
-            }
-            let step = reversal(record, i, j, wanted).max(reversal(record, j, i, wanted)) / INCH_UM;
-            let what = format!("{}{} {way}, {inches} in/min: largest reversal error", AXES[i], AXES[j]);
-            let why = "the machine file's reversal is the same at every speed; on the real machine that of Z grew ninefold";
-            match reversals[k] {
-                Some(says) => {
-                    rows.number(("Table 1", &what, "in"), says * 1e-4, step, Is::Within(0.0004), why)
-                }
-                None => rows.not(("Table 1", &what, "in"), "unreadable", &shown(step), "lost in the scan"),
-            }
+        let (a, b, n) = (error_of(record, i), error_of(record, j), column(record, &Role::Cycle));
+        let radial: Vec<(f64, f64)> = (0..angles.len())
+            .filter(|row| (n[*row] - cycle).abs() < 0.5)
+            .map(|row| (angles[row], a[row] * angles[row].cos() + b[row] * angles[row].sin()))
+            .collect();
+        let inch = about_its_centre(&radial) / INCH_UM;
+        let what = format!("{}{} {way}, {inches} in/min: total error", AXES[i], AXES[j]);
+        let why = "squareness, scale, reversal and following errors of the machine file are fitted to this column by six numbers; its \
+                   circles have no vibration, and their radius is ours (150 mm)";
+        match totals[k] {
+            Some(says) => rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Is::Within(0.0006), why),
+            None => rows.not(("Table 1", &what, "in"), "unreadable", &shown(inch), "lost in the scan"),
+        }
+    }
+    for (&((i, j), inches, _, reversals), record, k, way, cycle) in each() {
+        let inch = reversal(record, i, cycle).max(reversal(record, j, cycle)) / INCH_UM;
+        let what = format!("{}{} {way}, {inches} in/min: largest reversal error", AXES[i], AXES[j]);
+        let why = "the machine file's reversal is the same at every speed; on the real machine that of Z grew ninefold";
+        match reversals[k] {
+            Some(says) => rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Is::Within(0.0004), why),
+            None => rows.not(("Table 1", &what, "in"), "unreadable", &shown(inch), "lost in the scan"),
         }
     }
 }
@@ -218,21 +216,19 @@ fn about_its_centre(radial: &[(f64, f64)]) -> f64 {
     (hi - lo).max(0.0)
 }
 
-/// The step of an axis' own error where it turns, µm: between the rows a few degrees before and after.
-fn reversal(record: &Record, axis: usize, _other: usize, cycle: f64) -> f64 {
+/// The step of an axis' own error where it turns, µm: between the rows a few degrees before and after. The first and the last
+/// degrees speed up and slow down.
+fn reversal(record: &Record, axis: usize, cycle: f64) -> f64 {
     let (error, n) = (error_of(record, axis), column(record, &Role::Cycle));
     let wanted = ["x", "y", "z"][axis];
     let direction =
         record.columns.iter().find(|c| matches!(&c.role, Role::Direction(a) if a.as_str() == wanted));
     let Some(direction) = direction.map(|c| &c.data) else { return 0.0 };
-    let turns = (4..error.len().saturating_sub(4)).filter(|k| {
-        (n[*k] - cycle).abs() < 0.5 && direction[*k] * direction[*k - 1] < 0.0 && direction[*k - 1] != 0.0
-    });
-    let step = |k: usize| {
-        let mean = |r: std::ops::Range<usize>| error[r.clone()].iter().sum::<f64>() / r.len() as f64;
-        (mean(k + 1..k + 3) - mean(k - 3..k - 1)).abs()
-    };
-    turns.map(step).fold(0.0, f64::max)
+    let own: Vec<usize> = (0..error.len()).filter(|k| (n[*k] - cycle).abs() < 0.5).collect();
+    let steady = own.get(8..own.len().saturating_sub(8)).unwrap_or_default();
+    let mean = |r: std::ops::Range<usize>| error[r.clone()].iter().sum::<f64>() / r.len() as f64;
+    let turns = steady.iter().filter(|k| direction[**k] * direction[**k - 1] < 0.0);
+    turns.map(|k| (mean(k + 1..k + 3) - mean(k - 3..k - 1)).abs()).fold(0.0, f64::max)
 }
 
 /// Table 2: the mean of both directions over the travel, and what sets the directions apart.
@@ -599,8 +595,8 @@ fn wet_model(
         &format!("{}", ranked.first().map_or("", |r| r.1)),
         "which sensor leads depends on where it sits",
     );
-    rows.number(("CASC", "sensors to begin with", ""), 20.0, SENSORS.len() as f64, Is::Within(0.0), "");
-    let _ = centre.sensors;
+    let offered = wet.names(&Role::Temperature).count();
+    rows.number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Is::Within(0.0), "");
     let options = Options { base: Some(geometry(run.truth)?), date: 20_000, lag: true, ..Options::default() };
     let (model, reports) = thermal::fit(&[wet], &[], &options)?;
     for report in &reports {

@@ -141,12 +141,17 @@ pub fn run(
                 circuit.poll(wires, now_ns, &mut |_| true)?;
             }
         }
-        let over = under_way.is_none_or(|(order, since_ns, before)| {
-            let circuit = &circuits[usize::from(!order.x)];
-            if order.s1 { circuit.acknowledged() > before } else { now_ns >= since_ns + idle_ns }
-        });
-        if over && now_ns >= from_ns {
-            under_way = orders.next().map(|order| {
+        if now_ns < from_ns {
+            continue;
+        }
+        // One step of its program to see that an order is over, another one to give the next.
+        under_way = match under_way {
+            Some((order, since_ns, before)) => {
+                let acknowledged = circuits[usize::from(!order.x)].acknowledged() > before;
+                let over = if order.s1 { acknowledged } else { now_ns >= since_ns + idle_ns };
+                (!over).then_some((order, since_ns, before))
+            }
+            None => orders.next().map(|order| {
                 for (n, circuit) in circuits.iter_mut().enumerate() {
                     circuit.select((n == 0) == order.x);
                 }
@@ -154,8 +159,8 @@ pub fn run(
                 let circuit = &mut circuits[usize::from(!order.x)];
                 circuit.set_lines(order.s1, order.s0, order.value);
                 (*order, now_ns, circuit.acknowledged())
-            });
-        }
+            }),
+        };
     }
     for (n, (circuit, wires)) in circuits.iter().zip(&mut wires).enumerate() {
         board.mtc_minus_scale[n] = wires.mtc.count() - wires.scale.count();

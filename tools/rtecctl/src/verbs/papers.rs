@@ -91,9 +91,10 @@ fn table(c: &Compared, differ: bool) -> String {
             (place, why) = (&row.place, "");
         }
         let mark = match row.verdict {
-            Verdict::Agrees => "",
-            Verdict::Differs => "  DIFFERS",
-            Verdict::NotCompared => "  not compared",
+            Verdict::Agrees if row.why.is_empty() => String::new(),
+            Verdict::Agrees => format!("  ({})", row.agreement),
+            Verdict::Differs => format!("  DIFFERS: not {}", row.agreement),
+            Verdict::NotCompared => "  not compared".to_owned(),
         };
         let gets = if row.gets.is_empty() { "-" } else { &row.gets };
         let _ = writeln!(text, "  {:<76} {:>16}  {gets:>16} {}{mark}", row.what, row.says, row.unit);
