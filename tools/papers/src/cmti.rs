@@ -226,6 +226,8 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         put_in,
     );
     rows.number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Is::Share(0.01), put_in);
+    let edge_of_range = "beyond its lock range the VCO runs on its own at the end of the range, and a compensation may still come out \
+                         right by chance: the number of counts alone is looked at here";
     // Doubling at all: the right number, whatever the phase.
     let counts = |xor_hz: f64| {
         let edges = constant(1_000_000, xor_hz / 2.0, 6000, 1);

@@ -36,8 +36,11 @@ pub struct Paper {
     pub name: &'static str,
     /// What it is.
     pub title: &'static str,
-    run: fn(&Described, u64, &mut dyn FnMut(&str)) -> Result<Rows, PaperError>,
+    run: Run,
 }
+
+/// From a source's description, a seed, and whoever is told of progress.
+type Run = fn(&Described, u64, &mut dyn FnMut(&str)) -> Result<Rows, PaperError>;
 
 /// The four sources.
 pub const PAPERS: [Paper; 4] = [

@@ -228,6 +228,12 @@ fn form(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
         Is::Within(1.0),
         "the probe here repeats better than 1.7 µm, and the flanks of the bump are left out",
     );
+    corrected(rows, o);
+}
+
+/// The finish cut, and what is drawn of it.
+fn corrected(rows: &mut Rows, o: &TurningOutcome) {
+    let report = &o.reports[0].1;
     let place = "Compensating for the Part-Form Error";
     rows.number(
         (place, "one correction", "µm"),
@@ -466,6 +472,12 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
         longest.unwrap_or(0) as f64,
         Is::Within(0.0),
         "",
+    );
+    rows.not(
+        ("Operating Procedure", "the program is down-loaded to the MTC", ""),
+        "on striking D",
+        "part program --download",
+        "over the controller's own interface: here LinuxCNC's `linuxcncrsh`, a line of text each over TCP, and its program folder",
     );
     let controller = Controller::built_in("report").transpose()?;
     let template = controller.map(|c| c.template).unwrap_or_default();

@@ -367,3 +367,82 @@ fn the_steps_follow_each_other_through_their_files() {
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains("point 1: tripped 0.2"), "{output:?}");
 }
+
+/// A server that answers as LinuxCNC's `linuxcncrsh` does: echo until it is told not to, acknowledgements in verbose mode.
+fn linuxcncrsh(opens: bool) -> (std::net::SocketAddr, std::thread::JoinHandle<Vec<String>>) {
+    use std::io::{BufRead as _, Write as _};
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let server = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut heard = Vec::new();
+        let (mut echo, mut verbose, mut open) = (true, false, "none".to_owned());
+        for line in std::io::BufReader::new(stream.try_clone().unwrap()).lines() {
+            let Ok(line) = line else { break };
+            let line = line.trim().to_owned();
+            let words: Vec<&str> = line.split(' ').collect();
+            let mut say = |text: String| stream.write_all((text + "\r\n").as_bytes()).unwrap();
+            if echo {
+                say(line.clone());
+            }
+            match words[..] {
+                ["hello", "EMC", ..] => say("HELLO ACK EMCNETSVR 1.1".into()),
+                ["hello", ..] => say("HELLO NAK".into()),
+                ["set", "echo", "off"] => echo = false,
+                ["set", "open", _] if !opens => say("SET OPEN NAK".into()),
+                ["set", what, value] => {
+                    verbose |= what == "verbose";
+                    if what == "open" {
+                        value.clone_into(&mut open);
+                    }
+                    if verbose {
+                        say(format!("SET {} ACK", what.to_uppercase()));
+                    }
+                }
+                ["get", "program"] => say(format!("PROGRAM {open}")),
+                ["quit"] => break,
+                _ => {}
+            }
+            heard.push(line);
+        }
+        heard
+    });
+    (address, server)
+}
+
+/// NISTIR 4854, Operating Procedure: the program is down-loaded to the MTC; here over LinuxCNC's own network interface.
+#[test]
+fn the_program_is_opened_in_linuxcnc() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("nose.dxf"), drawing(38.1)).unwrap();
+    std::fs::create_dir(folder.join("nc_files")).unwrap();
+    json(folder, &["points", "nose.dxf", "--feature", "F1:5", "--tip-mm", "2.5", "--out", "o", "--json"]);
+    let program = |more: &str| {
+        let line = format!("program --path o/pathfin.cdl --dialect linuxcnc --set part=6304 --out o {more}");
+        part(folder, &line.split_whitespace().collect::<Vec<_>>())
+    };
+    let (address, server) = linuxcncrsh(true);
+    let done = program(&format!("--program-folder nc_files --folder-there /nc --download {address}"));
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let heard = server.join().unwrap();
+    let place = heard.iter().position(|l| l == "set open /nc/pt6304s2.dnc").unwrap();
+    assert!(
+        heard[..place].contains(&"set enable EMCTOO".to_owned()) && heard.contains(&"get program".to_owned())
+    );
+    let text = |at: &str| std::fs::read_to_string(folder.join(at)).unwrap();
+    assert_eq!(text("nc_files/pt6304s2.dnc"), text("o/pt6304s2.dnc"));
+    // Refused, let in by another password, nobody there, no folder.
+    let (address, server) = linuxcncrsh(false);
+    let refused = program(&format!("--program-folder nc_files --download {address}"));
+    assert_eq!(refused.status.code(), Some(1), "{}", String::from_utf8_lossy(&refused.stderr));
+    drop(server);
+    let (address, server) = linuxcncrsh(true);
+    let other = program(&format!("--program-folder nc_files --download {address} --passwords x,y"));
+    assert_eq!(other.status.code(), Some(1));
+    drop(server);
+    let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    assert_eq!(program(&format!("--program-folder nc_files --download {nobody}")).status.code(), Some(3));
+    assert_eq!(program("--program-folder none").status.code(), Some(2));
+    assert_eq!(program("--download x").status.code(), Some(2));
+}

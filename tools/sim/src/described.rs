@@ -38,13 +38,12 @@ impl Described {
             return Ok((file, text));
         }
         let path = PathBuf::from(name);
-        match FILES.iter().find(|f| f.0 == name) {
-            Some((_, text)) => Ok((path, (*text).to_owned())),
-            None => {
-                let names = FILES.map(|f| f.0).join(", ");
-                Err(InputError::whole(&path, "no such description", format!("one of {names}")))
-            }
-        }
+        let within = FILES.iter().find(|f| f.0 == name);
+        let text = within.map(|f| f.1.to_owned()).ok_or_else(|| {
+            let names = FILES.map(|f| f.0).join(", ");
+            InputError::whole(&path, "no such description", format!("one of {names}"))
+        })?;
+        Ok((path, text))
     }
 
     /// A description.

@@ -54,6 +54,7 @@ impl Default for Pll {
 pub const ACK_NS: u64 = 1000;
 
 /// The lines between the embedded controller and the circuit (CMTI 2014, section 2).
+#[allow(clippy::struct_excessive_bools, reason = "each is a wire")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct ControlLines {
     /// X/Z: the controller speaks to this axis.

@@ -129,7 +129,9 @@ pub fn run(
     });
     let [x, z] = &mut wires;
     let mut circuits = [Ecc::new(pll, seed, x)?, Ecc::new(pll, seed + 1, z)?];
-    circuits.iter_mut().for_each(|c| c.set_lines(false, false, 0));
+    for circuit in &mut circuits {
+        circuit.set_lines(false, false, 0);
+    }
     let end_ns = edges.iter().filter_map(|e| e.last()).map(|e| e.0).max().unwrap_or(0);
     let (mut orders, mut under_way) = (orders.iter(), None::<(Order, u64, u64)>);
     let mut board = Board::default();

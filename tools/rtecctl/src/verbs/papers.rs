@@ -1,8 +1,10 @@
 //! `rtecctl papers`: what the sources say, what the simulated machines give now, and why it is not the same.
 
 use anyhow::Context;
-use rtec_papers::{Compared, PAPERS, Paper, Verdict};
+use rtec_papers::{Compared, PAPERS, Paper, PaperError, Verdict};
 use rtec_sim::described::{Described, FILES};
+use rtec_sim::experiment::ExperimentError;
+use rtec_sim::sim::SimError;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -49,7 +51,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if let Some(folder) = &args.write {
         std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
-        let trace = rtec_papers::cmti::trace(&described, args.seed)?;
+        let trace = rtec_papers::cmti::trace(&described, args.seed).map_err(explain)?;
         for (name, text) in FILES.iter().copied().chain([("cmti.vcd", trace.as_str())]) {
             let file = folder.join(name);
             rtec_files::write::whole(&file, text.as_bytes())
@@ -66,7 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let mut all = Vec::new();
     for paper in PAPERS.iter().filter(|p| args.paper.is_none_or(|own| own.name == p.name)) {
-        let compared = paper.compare(&described, args.seed, &mut progress)?;
+        let compared = paper.compare(&described, args.seed, &mut progress).map_err(explain)?;
         if !args.json {
             print!("{}", table(&compared, args.differ));
         }
@@ -76,6 +78,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&serde_json::json!({ "papers": all }))?);
     }
     Ok(())
+}
+
+/// A description that is not right is bad input, wherever it was found.
+fn explain(error: PaperError) -> anyhow::Error {
+    match error {
+        PaperError::Input(input)
+        | PaperError::Experiment(
+            ExperimentError::Record(input) | ExperimentError::Sim(SimError::Model(input)),
+        )
+        | PaperError::Sim(SimError::Model(input)) => input.into(),
+        other => other.into(),
+    }
 }
 
 /// A source as a table: place, what, paper, we; beneath a row why it is not the same, once for rows that share it.

@@ -3,6 +3,7 @@
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
+use rtec_model::record::Kind;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::job::RunError;
 use rtec_sim::sim::SimError;
@@ -83,6 +84,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     eprintln!("rtecctl: simulating {}, without and with compensation", experiment.name);
     let setting = Setting { truth: &truth, known: &known, seed: args.seed, out };
     let mut findings = experiment.run(&setting).map_err(|e| explain(e, &truth.path))?;
+    for record in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {
+        // What an experiment measures and the machine does not do wrong is the instrument's noise: better said than shown.
+        let Ok(said) = truth.predict(record) else { continue };
+        let still = said.columns.iter().filter(|c| c.1.iter().all(|e| e.abs() < 1e-9)).map(|c| c.0.as_str());
+        let still: Vec<&str> = still.collect();
+        if record.kind != Kind::Dynamics && record.kind != Kind::Probing && !still.is_empty() {
+            let file = record.path.file_name().unwrap_or_default().to_string_lossy();
+            eprintln!(
+                "rtecctl: {file}: {} shows noise alone, nothing of the machine acts on it here",
+                still.join(", ")
+            );
+        }
+    }
     let writing = |file: &Path| format!("writing {}", file.display());
     let mut files = Vec::new();
     for record in &mut findings.records {

@@ -1,6 +1,7 @@
 //! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854). One file per step.
 
 mod bench;
+mod download;
 mod errors;
 mod features;
 mod finish;
