@@ -549,13 +549,14 @@ impl Setup {
     /// begins at rest in the first point would show where the axes came from.
     fn program_moves(&self, table: &FinishTable) -> Vec<Move> {
         let mut corners = table.straight_moves(0.0015, 4);
-        if let [first, second, .., before, last] = corners[..] {
-            let beyond = |end: Zx, inner: Zx| {
-                let along = (end - inner).unit().unwrap_or(Zx::new(0.0, 0.0));
-                end + along * (BEYOND_RAD * table.cut.radius_mm)
+        // Along the same arc as the one move of the arc comes, so that the axes turn where they turn there.
+        if let [first, .., last] = corners[..] {
+            let beyond = |end: Zx, by_rad: f64| {
+                let from = end - table.cut.centre;
+                table.cut.centre + Zx::at_angle(from.angle_rad() + by_rad) * from.norm()
             };
-            corners.insert(0, beyond(first, second));
-            corners.push(beyond(last, before));
+            corners.insert(0, beyond(first, -BEYOND_RAD));
+            corners.push(beyond(last, BEYOND_RAD));
         }
         let line = |w: &[Zx]| Move {
             segment: Segment::Line { a: w[0], b: w[1] },

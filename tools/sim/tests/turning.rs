@@ -190,15 +190,15 @@ fn trips_that_are_not_as_planned_name_their_point() {
     assert!(matches!(judge(surplus, vec![]), Err(TripFault::Outside { point: 6, .. })));
 }
 
-/// The same compensation as G01 lines meets the arc's conditions: a cut that began at rest in its first point would show the
-/// reversal that the machine has not made yet.
+/// The same compensation as G01 lines comes from where the arc comes: a cut that began at rest in its first point would show
+/// the reversal that the machine has not made yet (27 µm with this machine). What is left is at the pole, where Z turns.
 #[test]
 fn g01_lines_begin_beyond_the_arc() {
     let wrong = machine(
-        "[[effect]]\nname = \"reversal.x\"\num = 30.0\n[[effect]]\nname = \"scale.z\"\nppm = 150.0\n",
+        "[[effect]]\nname = \"reversal.x\"\num = 30.0\n[[effect]]\nname = \"reversal.z\"\num = 40.0\n",
     );
     let o = run(&Setup { machine: wrong.clone(), model: Some(wrong), ..setup("c", 1) });
-    assert!(o.program.largest_um <= 2.5 && o.finish.largest_um <= 2.5, "{:?} {:?}", o.program, o.finish);
-    assert!(o.program.true_form_um < 5.0, "{:?}", o.program);
+    assert!(o.program.largest_um <= 7.0 && o.finish.largest_um <= 2.5, "{:?} {:?}", o.program, o.finish);
+    assert!(o.program.true_form_um < 8.0, "{:?}", o.program);
     assert!((88..=92).contains(&o.program_lines), "{}", o.program_lines);
 }
