@@ -202,3 +202,16 @@ fn g01_lines_begin_beyond_the_arc() {
     assert!(o.program.true_form_um < 8.0, "{:?}", o.program);
     assert!((88..=92).contains(&o.program_lines), "{}", o.program_lines);
 }
+
+/// The Original RTEC may stand where it cannot insert; the cut begins all the same and it catches up in the air.
+#[test]
+fn the_original_is_not_waited_for_at_rest() {
+    let wrong =
+        machine("[[effect]]\nname = \"offset.x\"\num = 9.0\n[[effect]]\nname = \"offset.z\"\num = 13.0\n");
+    for flat_um in [12.0, 25.0] {
+        let mut known = Setup { machine: wrong.clone(), model: Some(wrong.clone()), ..setup("original", 1) };
+        known.bench.flat_um = flat_um;
+        let o = run(&known);
+        assert!(o.finish.largest_um <= 4.0 && o.balanced(), "{flat_um}: {:?}", o.finish);
+    }
+}
