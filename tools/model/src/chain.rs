@@ -84,6 +84,33 @@ impl Chain {
         self.joints.iter().flat_map(|j| &j.components).filter_map(|c| c.delta.as_ref())
     }
 
+    /// The axes that move its joints, each once.
+    #[must_use]
+    pub fn axes(&self) -> Vec<Axis> {
+        let mut axes: Vec<Axis> = Vec::new();
+        for (axis, _) in self.joints.iter().filter_map(|j| j.axis.as_ref()) {
+            if !axes.contains(axis) {
+                axes.push(axis.clone());
+            }
+        }
+        axes
+    }
+
+    /// The positions that it reads and a record does not log.
+    #[must_use]
+    pub fn taken_as_zero(&self, record: &Record) -> Vec<Role> {
+        let roles = self.axes().into_iter().map(Role::Position);
+        roles.filter(|role| record.data(role).is_none()).collect()
+    }
+
+    /// The same chain with its tool point moved, mm along x, y, z: where a gauge stands.
+    #[must_use]
+    pub fn with_tool_moved(&self, by_mm: [f64; 3]) -> Self {
+        let mut moved = self.clone();
+        moved.tool_mm.iter_mut().zip(by_mm).for_each(|(t, by)| *t += by);
+        moved
+    }
+
     /// Error of the tool point in the frame of the work, µm (x, y, z of the machine), at axis positions (mm) and
     /// temperature differences (K) that the two functions look up. Allocates nothing.
     pub fn error_um(
@@ -144,8 +171,15 @@ impl Chain {
     /// # Errors
     /// The first finding, with file, line and column.
     pub fn read(path: &Path) -> Result<Self, InputError> {
-        let text = rtec_files::text::read(path)?;
-        let doc = Document::parse(path, &text)?;
+        Self::parse(path, &rtec_files::text::read(path)?)
+    }
+
+    /// As [`Chain::read`], from text; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Chain::read`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
+        let doc = Document::parse(path, text)?;
         let root = doc.root();
         root.only(&["note", "tool_mm", "joint"])?;
         let tool_mm = triple(root.get("tool_mm"), "tool_mm = [x, y, z], mm")?.unwrap_or_default();
@@ -164,8 +198,10 @@ impl Chain {
 
     /// Adds the chain's errors to the error responses x, y and z of a record, or to the radial one of a circle, row by row.
     ///
+    /// The position of an axis that the record does not log is zero ([`Chain::taken_as_zero`]).
+    ///
     /// # Errors
-    /// A sensor or the position of an axis that the record does not have.
+    /// A sensor that the record does not have.
     pub fn add(&self, record: &Record, response: &Role, out: &mut [f64]) -> Result<(), Missing> {
         let Role::Error(axis) = response else { return Ok(()) };
         let place = |axis: &Axis| ["x", "y", "z"].iter().position(|n| *n == axis.as_str());
@@ -178,12 +214,6 @@ impl Chain {
             _ => return Ok(()),
         };
         let missing = |what: String| Missing { effect: "chain".to_owned(), what, has: String::new() };
-        for joint in &self.joints {
-            if let Some((axis, _)) = &joint.axis {
-                let role = Role::Position(axis.clone());
-                record.data(&role).ok_or_else(|| missing(role.to_string()))?;
-            }
-        }
         for s in self.deltas().flat_map(Difference::sensors) {
             record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
         }

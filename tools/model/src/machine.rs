@@ -208,6 +208,19 @@ impl Machine {
     /// # Errors
     /// As [`Machine::read`].
     pub fn parse_with(path: &Path, text: &str, given: Dictionary) -> Result<Self, InputError> {
+        Self::parse_from(path, text, given, &|beside| rtec_files::text::read(beside))
+    }
+
+    /// As [`Machine::parse_with`]; `read` gives the text of the chain that it names: for files that a program holds in itself.
+    ///
+    /// # Errors
+    /// As [`Machine::read`].
+    pub fn parse_from(
+        path: &Path,
+        text: &str,
+        given: Dictionary,
+        read: &dyn Fn(&Path) -> Result<String, InputError>,
+    ) -> Result<Self, InputError> {
         let doc = Document::parse(path, text)?;
         let root = doc.root();
         root.only(&["name", "note", "dictionary", "chain", "fit", "effect"])?;
@@ -219,17 +232,20 @@ impl Machine {
         // The files it names are part of it.
         let mut beside = |file: &str| {
             let path = path.parent().unwrap_or(Path::new("")).join(file);
-            rtec_files::text::read(&path).map(|text| {
+            read(&path).map(|text| {
                 hash.update(&text);
-                path
+                (path, text)
             })
         };
         let mut dictionary = given.clone();
         if let Some(own) = root.get("dictionary") {
-            dictionary.read_own(&beside(own.str("a file of the project's own laws")?)?)?;
+            dictionary.read_own(&beside(own.str("a file of the project's own laws")?)?.0)?;
         }
         let chain = match root.get("chain") {
-            Some(e) => Some(Chain::read(&beside(e.str("a file with a kinematic chain")?)?)?),
+            Some(e) => {
+                let (file, text) = beside(e.str("a file with a kinematic chain")?)?;
+                Some(Chain::parse(&file, &text)?)
+            }
             None => None,
         };
         let sha256 = hex(&hash.finalize());
@@ -284,6 +300,12 @@ impl Machine {
     #[must_use]
     pub fn chain(&self) -> Option<&Chain> {
         self.chain.as_ref()
+    }
+
+    /// The same machine with another chain, or none; what is written of it goes on naming the file that it was read from.
+    #[must_use]
+    pub fn with_chain(&self, chain: Option<Chain>) -> Self {
+        Self { chain, ..self.clone() }
     }
 
     /// What fits say about themselves.
@@ -563,6 +585,11 @@ impl Machine {
             taken_as_zero.extend(bound.taken_as_zero().iter().map(|r| (effect.name(), r.to_string())));
         }
         if let Some(chain) = &self.chain {
+            let acts = |r: &Role| matches!(r, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str()));
+            if record.responses().any(|c| acts(&c.role)) {
+                let zero = chain.taken_as_zero(record).into_iter();
+                taken_as_zero.extend(zero.map(|role| ("chain".to_owned(), role.to_string())));
+            }
             for (column, (_, out)) in record.responses().zip(&mut columns) {
                 chain.add(record, &column.role, out).map_err(|m| {
                     InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))

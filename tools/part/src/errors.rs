@@ -80,7 +80,8 @@ pub struct ErrorReport {
     /// Radius of the surface, in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_mm: Option<f64>,
-    /// Fitted minus nominal radius, in µm.
+    /// Fitted minus nominal radius, in µm; of a straight feature how far it lies outside its expected points, where those
+    /// were given. `errors` are without it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub size_error_um: Option<f64>,
     /// Inclination of a straight feature to the Z axis, in degrees, −90 < angle ≤ 90.
@@ -211,6 +212,37 @@ impl Probed {
         Ok(())
     }
 
+    /// Do the points lie on a straight line rather than on an arc? A circle that explains them hardly better than a line is
+    /// none: its radius would be whatever the noise makes of it.
+    ///
+    /// # Errors
+    /// Too few points to tell, or points that determine no shape.
+    pub fn is_straight(&self) -> Result<bool, InputError> {
+        let points = &self.tip_centre;
+        let spread = |shape: FitShape| {
+            fit::least_squares(shape, points, None)
+                .map(|f| fit::sd(&fit::deviations_um(&f, points), |_| true))
+        };
+        let as_input = |e: FitError| {
+            InputError::whole(self.sheet.file(), e.to_string(), "points that determine the feature")
+        };
+        if points.len() < 4 {
+            return Err(as_input(FitError::TooFew { found: points.len(), needed: 4 }));
+        }
+        let line_um = spread(FitShape::Line).map_err(as_input)?;
+        // A circle that cannot be fitted to points of a line: they lie on it exactly.
+        Ok(spread(FitShape::Circle).map_or(true, |circle_um| circle_um >= STRAIGHT * line_um))
+    }
+
+    /// How far the points lie outside the expected ones on average, along the normals, µm: of a straight feature its
+    /// constant error, which its form is without.
+    #[must_use]
+    pub fn outside_um(&self, report: &ErrorReport, expected: &[Zx]) -> Option<f64> {
+        let FittedShape::Line { normal, .. } = report.outline else { return None };
+        let off = self.tip_centre.iter().zip(expected).map(|(p, e)| (*p - *e).dot(normal) * 1e3);
+        Some(off.sum::<f64>() / self.tip_centre.len().min(expected.len()).max(1) as f64)
+    }
+
     /// Part errors of a feature probed with a tip of radius `tip_mm`.
     ///
     /// The tip touches where its surface is normal to the part's, whatever the direction it came from; the
@@ -323,6 +355,9 @@ impl Probed {
     }
 }
 
+/// The share of a line's deviations that a circle must leave at most to be one.
+const STRAIGHT: f64 = 0.25;
+
 /// A sensor's column: T and a number, or `temperature.` and its name.
 fn is_sensor(name: &str) -> bool {
     name.strip_prefix(TEMPERATURE).is_some_and(|n| !n.is_empty()) || is_numbered(name)
@@ -356,6 +391,79 @@ fn place(fitted: &FittedShape) -> ([f64; 2], Option<f64>) {
         FittedShape::Circle { centre, radius_mm } => ([centre.z, centre.x], Some(radius_mm)),
         FittedShape::Line { through, .. } => ([through.z, through.x], None),
     }
+}
+
+/// One line of a straight feature's `error.cor`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LineError {
+    /// Direction of the surface normal from the part's +Z axis, in rad.
+    pub angle_rad: f64,
+    /// Deviation along that normal, in µm; positive: too much material outside.
+    pub error_um: f64,
+    /// Place along the feature, in mm from the points' centroid.
+    pub along_mm: f64,
+    /// The surface there, in part coordinates.
+    pub place: Zx,
+}
+
+impl ErrorReport {
+    /// `error.cor`: of an arc by angle, as the report has it; of a straight feature, whose angle is one, five numbers a line:
+    /// angle (rad), error (µm), place along it (mm), and the surface's Z and X there (mm). With `with_size` the constant
+    /// error is in it too.
+    #[must_use]
+    pub fn error_cor(&self, with_size: bool) -> String {
+        let size_um = self.size_error_um.filter(|_| with_size).unwrap_or(0.0);
+        match self.outline {
+            FittedShape::Circle { .. } => {
+                let sized = |e: &PointError| PointError { error_um: e.error_um + size_um, ..*e };
+                error_cor(&self.errors.iter().map(sized).collect::<Vec<_>>())
+            }
+            FittedShape::Line { through, normal } => {
+                let mut sorted = self.errors.clone();
+                sorted.sort_by(|a, b| a.along_mm.unwrap_or(0.0).total_cmp(&b.along_mm.unwrap_or(0.0)));
+                sorted.iter().fold(String::new(), |mut text, e| {
+                    let along = e.along_mm.unwrap_or(0.0);
+                    let p = through + Zx::new(normal.x, -normal.z) * along;
+                    let error_um = e.error_um + size_um;
+                    let _ =
+                        writeln!(text, "{:.6} {error_um:.3} {along:.5} {:.5} {:.5}", e.angle_rad, p.z, p.x);
+                    text
+                })
+            }
+        }
+    }
+}
+
+/// Read a straight feature's `error.cor`; `None` where the file is one by angle.
+///
+/// # Errors
+/// Not five finite numbers in a line after a first one with five, places that do not ascend.
+pub fn read_line_cor(file: &Path) -> Result<Option<Vec<LineError>>, InputError> {
+    let text = rtec_files::text::read(file)?;
+    let rows = text.lines().enumerate().filter_map(|(i, line)| {
+        let content = line.split('#').next().unwrap_or_default();
+        let words: Vec<&str> = content.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
+        (!words.is_empty()).then_some((i + 1, words))
+    });
+    let mut errors: Vec<LineError> = Vec::new();
+    for (line, words) in rows {
+        if errors.is_empty() && words.len() != 5 {
+            return Ok(None);
+        }
+        let numbers: Option<Vec<f64>> =
+            words.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
+        let Some([angle_rad, error_um, along_mm, z, x]) = numbers.as_deref() else {
+            let expected = "angle in rad, error in µm, place along the feature, Z and X in mm";
+            return Err(InputError::at(file, line, 1, format!("'{}'", words.join(" ")), expected));
+        };
+        if errors.last().is_some_and(|e| e.along_mm >= *along_mm) {
+            let found = format!("place {along_mm} after a larger or equal one");
+            return Err(InputError::at(file, line, 1, found, "ascending places"));
+        }
+        let place = Zx::new(*z, *x);
+        errors.push(LineError { angle_rad: *angle_rad, error_um: *error_um, along_mm: *along_mm, place });
+    }
+    Ok((!errors.is_empty()).then_some(errors))
 }
 
 /// The table of NISTIR 4854, section 5: one line per point, angle from the part's +Z axis in rad and error in µm,

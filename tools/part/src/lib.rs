@@ -7,7 +7,7 @@
 //! | [`program`] | the NC probing program: template, parameters, dialects |
 //! | [`probe`] | captured trips against the plan |
 //! | [`fit`], [`errors`] | circle and line through points; probed points to `error.cor` and whiskers |
-//! | [`table`] | the finish cut's corrections, or the same as G01 moves |
+//! | [`table`], [`line_table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |
 //! | [`svg`] | drawings as SVG |
 //! | [`page`] | two probing sessions side by side |
@@ -22,6 +22,7 @@ pub mod contour;
 pub mod drawing;
 pub mod errors;
 pub mod fit;
+pub mod line_table;
 pub mod page;
 pub mod path;
 pub mod probe;

@@ -230,13 +230,15 @@ const SAMPLED: f64 = 0.998;
 /// More straight moves than any program should have.
 const MAX_MOVES: usize = 100_000;
 
+/// The columns of a finish cut's table.
+pub(crate) const HEADER: &str = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machine_x_mm,send_z_mm,send_x_mm,\
+                                 requested_z,requested_x,left_um\n";
+
 /// The table as CSV. `lead_mm` is how far before each position its totals are to be sent along the cut, which runs
 /// towards larger angles, or with `backwards` towards smaller ones.
 #[must_use]
 pub fn csv(table: &FinishTable, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
-    let mut text = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machine_x_mm,send_z_mm,send_x_mm,\
-                    requested_z,requested_x,left_um\n"
-        .to_owned();
+    let mut text = HEADER.to_owned();
     let lead_rad = lead_mm / (table.cut.radius_mm + table.cut.nose_mm) * if backwards { 1.0 } else { -1.0 };
     for r in rows {
         let send = table.cut.machine_at(r.angle_rad + lead_rad);

@@ -7,11 +7,21 @@
 //!
 //! What must not live here: a formula, a file format, a decision: verbs connect the crates below and print.
 
+// Before the modules, so that all of them print this way.
+macro_rules! print {
+    ($($what:tt)*) => { $crate::say(&format!($($what)*)) };
+}
+macro_rules! println {
+    () => { $crate::say("\n") };
+    ($($what:tt)*) => { $crate::say(&(format!($($what)*) + "\n")) };
+}
+
 mod daemon;
 mod verbs;
 
 use clap::{Parser, Subcommand};
 use rtec_files::InputError;
+use std::io::{ErrorKind, Write as _};
 use std::process::ExitCode;
 
 /// Real-time error corrector: correct a machine tool's repeatable errors in its position feedback.
@@ -42,6 +52,7 @@ enum Verb {
     Probe(verbs::probe::Args),
     Hold(verbs::hold::Args),
     Clear(verbs::clear::Args),
+    Papers(verbs::papers::Args),
     Park(verbs::park::Args),
     Part(verbs::part::Args),
     Model(verbs::model::Args),
@@ -90,6 +101,7 @@ fn main() -> ExitCode {
         Verb::Probe(args) => verbs::probe::run(&args),
         Verb::Hold(args) => verbs::hold::run(&args),
         Verb::Clear(args) => verbs::clear::run(&args),
+        Verb::Papers(args) => verbs::papers::run(&args),
         Verb::Park(args) => verbs::park::run(&args),
         Verb::Part(args) => verbs::part::run(&args),
         Verb::Model(args) => verbs::model::run(&args),
@@ -103,6 +115,19 @@ fn main() -> ExitCode {
     let Err(error) = done else { return ExitCode::SUCCESS };
     eprintln!("rtecctl: {error:#}");
     ExitCode::from(exit_code(&error))
+}
+
+/// Prints to standard output. A reader that has gone away (`| head`) is no error: what is to be done goes on, and its exit
+/// code is what it would have been. Standard output that takes nothing for another reason ends the command.
+pub(crate) fn say(text: &str) {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => {
+            eprintln!("rtecctl: writing to standard output: {e}");
+            std::process::exit(1);
+        }
+        _ => {}
+    }
 }
 
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.

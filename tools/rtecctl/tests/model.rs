@@ -233,3 +233,69 @@ fn returns_to_one_position_are_told_of_their_own_evaluation() {
     let (code, text) = evaluate(&["--standard", "repeatability"]);
     assert!(code == Some(0) && text.contains("x.range_um") && text.contains("1.0000"), "{code:?} {text}");
 }
+
+/// A chain is shown, and exported for one axis with the others where they are said to be; both against the law by hand.
+#[test]
+fn a_chain_is_shown_and_exported_along_an_axis() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("m.toml"), "name = \"lathe\"\nchain = \"chain.toml\"\n").unwrap();
+    std::fs::write(
+        at.join("chain.toml"),
+        "tool_mm = [0.0, 0.0, 0.0]\n[[joint]]\nname = \"carriage\"\nbranch = \"tool\"\naxis = \"z\"\n\
+         component = [{ of = \"ey\", terms = [{ value = 50.0 }] },\n\
+         { of = \"dz\", sensor = \"T2\", terms = [{ p = 1, dT = 1, value = 1.2 }] }]\n\
+         [[joint]]\nname = \"cross-slide\"\nbranch = \"tool\"\naxis = \"x\"\n",
+    )
+    .unwrap();
+    let run = |line: &str| {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .args(line.split_whitespace())
+            .current_dir(at)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{line}: {said}");
+        (String::from_utf8_lossy(&output.stdout).into_owned(), said)
+    };
+    let (shown, _) = run("model show --machine m.toml");
+    for line in [
+        "carriage (tool), offset 0, 0, 0 mm, moved by z along 0, 0, 1",
+        "ey = +50 µrad",
+        "dz = +1.2·(p/100 mm)·ΔT µm   ΔT = T2",
+    ] {
+        assert!(shown.contains(line), "{line} in {shown}");
+    }
+    let document: serde_json::Value =
+        serde_json::from_str(&run("model show --machine m.toml --json").0).unwrap();
+    assert_eq!(document["chain"]["joints"][0]["components"][1]["terms"][0]["value"], 1.2);
+    let export =
+        "model export --machine m.toml --axis z --from 0 --to 200 --step 100 --format csv --out t.csv";
+    let table = |more: &str| -> Vec<f64> {
+        let (_, said) = run(&format!("{export} {more}"));
+        assert_eq!(said.contains("x at 0 mm"), !more.contains("--at"), "{said}");
+        let text = std::fs::read_to_string(at.join("t.csv")).unwrap();
+        text.lines().skip(1).map(|l| l.split(',').nth(1).unwrap().parse().unwrap()).collect()
+    };
+    // dz = 1.2 µm per 100 mm and K; the carriage's yaw of 50 µrad at the cross-slide's 80 mm: −ey·x = −4 µm.
+    for (more, wants) in
+        [("--temperatures T2=25", [0.0, 6.0, 12.0]), ("--temperatures T2=25 --at x=80", [-4.0, 2.0, 8.0])]
+    {
+        let got = table(more);
+        assert!(got.iter().zip(wants).all(|(g, w)| (g - w).abs() < 1e-3), "{more}: {got:?}");
+    }
+    let bad = std::process::Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(format!("{export} --at y=1").split_whitespace())
+        .current_dir(at)
+        .output()
+        .unwrap();
+    assert_eq!(bad.status.code(), Some(2));
+    // Simulated: with nothing known the axis is off by its chain, with the chain known it is not.
+    let (said, _) = run("simulate linear-displacement --machine m.toml --out s --json");
+    let document: serde_json::Value = serde_json::from_str(&said).unwrap();
+    let summary = &document["summary"]["linear-displacement-x"];
+    let worst = |key: &str| summary[key]["max"].as_f64().unwrap();
+    assert!(worst("x_without") < 1.0, "{summary}");
+    let z = &document["summary"]["linear-displacement-z"];
+    assert!(z["z_without"]["max"].as_f64().is_some(), "{z}");
+}

@@ -104,25 +104,96 @@ fn a_table_is_checked_before_the_daemon_is_asked_and_no_daemon_is_said() {
     }
 }
 
-/// A taper has one normal: what is by angle cannot tell its points apart.
-#[test]
-fn a_straight_feature_gets_whiskers_and_no_table() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
+/// A taper of −20° with 8 µm too much at one of twelve points, 30 µm outside its drawing throughout.
+fn taper(folder: &Path) {
     let (sin, cos) = (-20.0_f64).to_radians().sin_cos();
-    let mut text = String::from("z_mm,x_mm\n");
+    let (mut text, mut expected) = (String::from("z_mm,x_mm\n"), String::new());
     for k in 0..12 {
-        let (s, off) = (2.0 * f64::from(k), if k == 5 { 0.008 } else { 0.0 });
-        let _ = writeln!(text, "{:.6},{:.6}", 100.0 - s * cos - off * sin, 30.0 - s * sin + off * cos);
+        let (s, off) = (2.0 * f64::from(k), 0.03 + if k == 5 { 0.008 } else { 0.0 });
+        let (z, x) = (100.0 - s * cos, 30.0 - s * sin);
+        let _ = writeln!(text, "{:.6},{:.6}", z - off * sin, x + off * cos);
+        let _ = writeln!(expected, "POINT touch {}, {z:.6}, {x:.6}, 0.000000", k + 1);
     }
     std::fs::write(folder.join("taper.csv"), text).unwrap();
-    let document = json(
-        folder,
-        &["errors", "--points", "taper.csv", "--feature", "line", "--taper-deg=-20", "--out", "o", "--json"],
-    );
-    assert!(document["inclination_error_deg"].as_f64().unwrap().abs() < 1e-3, "{document}");
-    assert!((document["errors"][5]["error_um"].as_f64().unwrap() - 8.0).abs() < 0.01, "{document}");
-    assert!(folder.join("o/whisker.svg").exists() && !folder.join("o/error.cor").exists());
+    std::fs::write(folder.join("expected.cdl"), expected).unwrap();
+}
+
+/// A taper needs no radius, and gets whiskers, errors by place and a table; an arc asked of it is refused.
+#[test]
+fn a_straight_feature_is_recognised_and_gets_its_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    taper(folder);
+    for asked in [&["--feature", "line"][..], &[]] {
+        let mut arguments =
+            vec!["errors", "--points", "taper.csv", "--taper-deg=-20", "--out", "o", "--json"];
+        arguments.extend(asked);
+        let document = json(folder, &arguments);
+        assert_eq!(document["feature"], "line");
+        assert!(document["inclination_error_deg"].as_f64().unwrap().abs() < 1e-3, "{document}");
+        assert!((document["errors"][5]["error_um"].as_f64().unwrap() - 8.0).abs() < 0.01, "{document}");
+    }
+    for arguments in [
+        &["errors", "--points", "taper.csv", "--radius-mm", "38.1", "--out", "no"][..],
+        &["errors", "--points", "taper.csv", "--feature", "circle", "--radius-mm", "38.1", "--out", "no"],
+        &["errors", "--points", "taper.csv", "--with-size", "--out", "no"],
+    ] {
+        let output = part(folder, arguments);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(said.contains("line") || said.contains("--expected"), "{said}");
+        assert!(output.stdout.is_empty() && !folder.join("no").exists());
+    }
+    // The table: Z and X counts that together move the tool by the error along the normal at 20° to X.
+    let line =
+        "table --errors o/error.cor --nose-mm 0.8 --tool-z-mm 300 --between 0 --g01-um 1 --out t --json";
+    let table = json(folder, &line.split_whitespace().collect::<Vec<_>>());
+    let rows = table["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 12);
+    let row = &rows.iter().find(|r| r["error_um"].as_f64().unwrap() > 7.0).unwrap();
+    let (z_um, x_um) = (8.0 * 20.0_f64.to_radians().sin(), 8.0 * 20.0_f64.to_radians().cos());
+    let counts = |um: f64| 2 * (um / 2.0).round() as i64;
+    assert_eq!((&row["requested"][0], &row["requested"][1]), (&counts(z_um).into(), &counts(x_um).into()));
+    // The nose's centre is 0.8 mm outside the place that was probed.
+    let (sin, cos) = (-20.0_f64).to_radians().sin_cos();
+    let place = |key: &str| row["part_mm"][key].as_f64().unwrap();
+    let off = 0.03 + 0.8;
+    assert!((place("z") - (100.0 - 10.0 * cos - off * sin)).abs() < 1e-3, "{row}");
+    assert!((place("x") - (30.0 - 10.0 * sin + off * cos)).abs() < 1e-3, "{row}");
+    assert_eq!(std::fs::read_to_string(folder.join("t/g01.nc")).unwrap().lines().count(), 12);
+    // What is by place is no table by angle: the daemon's is refused it before it is asked.
+    let load = "load --socket none --centre-z-mm 127 --radius-mm 38.1 --errors o/error.cor";
+    let output = part(folder, &load.split_whitespace().collect::<Vec<_>>());
+    assert_eq!(output.status.code(), Some(2));
+    // An arc's table wants its arc.
+    std::fs::write(folder.join("arc.cor"), "0.0 -1.3\n0.1 2.5\n").unwrap();
+    let output = part(folder, &["table", "--errors", "arc.cor", "--out", "no"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--radius-mm"));
+    // A file's name is no folder.
+    let output = part(folder, &["table", "--errors", "o/error.cor", "--out", "x.csv"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(!folder.join("x.csv").exists());
+}
+
+/// What is constant is no form: it is said to be left, or put into the table on request.
+#[test]
+fn a_constant_error_is_said_to_be_left_or_taken_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    taper(folder);
+    let first = |file: &str| -> f64 {
+        let text = std::fs::read_to_string(folder.join(file)).unwrap();
+        text.lines().next().unwrap().split(' ').nth(1).unwrap().parse().unwrap()
+    };
+    let errors = "errors --points taper.csv --expected expected.cdl";
+    let run = |more: &str| part(folder, &format!("{errors} {more}").split_whitespace().collect::<Vec<_>>());
+    let plain = run("--out plain");
+    assert!(plain.status.success(), "{}", String::from_utf8_lossy(&plain.stderr));
+    let said = String::from_utf8_lossy(&plain.stdout).into_owned();
+    assert!(said.contains("size            +30.7 µm constant, left by error.cor"), "{said}");
+    assert!(run("--with-size --out sized").status.success());
+    assert!((first("sized/error.cor") - first("plain/error.cor") - 30.67).abs() < 0.01);
 }
 
 #[test]
@@ -295,4 +366,83 @@ fn the_steps_follow_each_other_through_their_files() {
     );
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains("point 1: tripped 0.2"), "{output:?}");
+}
+
+/// A server that answers as LinuxCNC's `linuxcncrsh` does: echo until it is told not to, acknowledgements in verbose mode.
+fn linuxcncrsh(opens: bool) -> (std::net::SocketAddr, std::thread::JoinHandle<Vec<String>>) {
+    use std::io::{BufRead as _, Write as _};
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let server = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut heard = Vec::new();
+        let (mut echo, mut verbose, mut open) = (true, false, "none".to_owned());
+        for line in std::io::BufReader::new(stream.try_clone().unwrap()).lines() {
+            let Ok(line) = line else { break };
+            let line = line.trim().to_owned();
+            let words: Vec<&str> = line.split(' ').collect();
+            let mut say = |text: String| stream.write_all((text + "\r\n").as_bytes()).unwrap();
+            if echo {
+                say(line.clone());
+            }
+            match words[..] {
+                ["hello", "EMC", ..] => say("HELLO ACK EMCNETSVR 1.1".into()),
+                ["hello", ..] => say("HELLO NAK".into()),
+                ["set", "echo", "off"] => echo = false,
+                ["set", "open", _] if !opens => say("SET OPEN NAK".into()),
+                ["set", what, value] => {
+                    verbose |= what == "verbose";
+                    if what == "open" {
+                        value.clone_into(&mut open);
+                    }
+                    if verbose {
+                        say(format!("SET {} ACK", what.to_uppercase()));
+                    }
+                }
+                ["get", "program"] => say(format!("PROGRAM {open}")),
+                ["quit"] => break,
+                _ => {}
+            }
+            heard.push(line);
+        }
+        heard
+    });
+    (address, server)
+}
+
+/// NISTIR 4854, Operating Procedure: the program is down-loaded to the MTC; here over LinuxCNC's own network interface.
+#[test]
+fn the_program_is_opened_in_linuxcnc() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("nose.dxf"), drawing(38.1)).unwrap();
+    std::fs::create_dir(folder.join("nc_files")).unwrap();
+    json(folder, &["points", "nose.dxf", "--feature", "F1:5", "--tip-mm", "2.5", "--out", "o", "--json"]);
+    let program = |more: &str| {
+        let line = format!("program --path o/pathfin.cdl --dialect linuxcnc --set part=6304 --out o {more}");
+        part(folder, &line.split_whitespace().collect::<Vec<_>>())
+    };
+    let (address, server) = linuxcncrsh(true);
+    let done = program(&format!("--program-folder nc_files --folder-there /nc --download {address}"));
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let heard = server.join().unwrap();
+    let place = heard.iter().position(|l| l == "set open /nc/pt6304s2.dnc").unwrap();
+    assert!(
+        heard[..place].contains(&"set enable EMCTOO".to_owned()) && heard.contains(&"get program".to_owned())
+    );
+    let text = |at: &str| std::fs::read_to_string(folder.join(at)).unwrap();
+    assert_eq!(text("nc_files/pt6304s2.dnc"), text("o/pt6304s2.dnc"));
+    // Refused, let in by another password, nobody there, no folder.
+    let (address, server) = linuxcncrsh(false);
+    let refused = program(&format!("--program-folder nc_files --download {address}"));
+    assert_eq!(refused.status.code(), Some(1), "{}", String::from_utf8_lossy(&refused.stderr));
+    drop(server);
+    let (address, server) = linuxcncrsh(true);
+    let other = program(&format!("--program-folder nc_files --download {address} --passwords x,y"));
+    assert_eq!(other.status.code(), Some(1));
+    drop(server);
+    let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    assert_eq!(program(&format!("--program-folder nc_files --download {nobody}")).status.code(), Some(3));
+    assert_eq!(program("--program-folder none").status.code(), Some(2));
+    assert_eq!(program("--download x").status.code(), Some(2));
 }

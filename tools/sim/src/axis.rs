@@ -41,6 +41,9 @@ pub struct AxisSpec {
     pub position_gain_per_s: f64,
     /// Bandwidth of the speed loop, 1/s.
     pub speed_gain_per_s: f64,
+    /// How far the servo dithers at rest, counts from one side to the other: "servo gain or some amplifier zero-offset" altered
+    /// (NISTIR 4832, The "Original RTEC"); zero for a good servo.
+    pub dither_counts: f64,
     /// Share of the commanded speed that is fed forward; the rest is following error: (1 − share)·v/gain.
     pub feed_forward: f64,
     /// The position loop is closed on what the gates send; if not, on an encoder of the motor's own.
@@ -70,6 +73,7 @@ impl AxisSpec {
             max_force_n: 4000.0,
             position_gain_per_s: 60.0,
             speed_gain_per_s: 600.0,
+            dither_counts: 0.0,
             feed_forward: 1.0,
             on_feedback: true,
         }
@@ -112,7 +116,12 @@ pub(crate) struct AxisSim {
     pub direction: f64,
     turned_at: f64,
     interpolation: Vec<f64>,
+    /// Servo periods at rest.
+    rested: u32,
 }
+
+/// Servo periods from one side of a dither to the other.
+const DITHER_TICKS: u32 = 200;
 
 /// Friction and force of the true machine, as its model names them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -165,6 +174,7 @@ impl AxisSim {
             direction: 0.0,
             turned_at: table,
             interpolation,
+            rested: 0,
         }
     }
 
@@ -201,6 +211,11 @@ impl AxisSim {
         let count = self.count_mm();
         let error = (p_mm - self.counted_mm()) / count;
         let rests = v_mm_s == 0.0 && a_mm_s2 == 0.0;
+        let mut error = error;
+        self.rested = if rests { self.rested.wrapping_add(1) } else { 0 };
+        if self.spec.dither_counts > 0.0 && (self.rested / DITHER_TICKS) % 2 == 1 {
+            error += self.spec.dither_counts;
+        }
         // In position within its resolution: a good servo does not dither.
         let error = if rests && error.abs() <= 0.6 { 0.0 } else { error };
         self.wanted = (

@@ -107,7 +107,8 @@ where
             to,
         ),
         AnyDesign::Ecc => {
-            let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?);
+            let accel = config.max_accel_counts_s2;
+            let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?.guarded(accel));
             replay_with(Through, start, trace, totals, large, to)
         }
     }
@@ -314,6 +315,8 @@ pub struct BenchRun<'a> {
     pub seed: u64,
     /// Keep every change for a plot.
     pub keep_log: bool,
+    /// The ECC's PLL.
+    pub pll: Pll,
 }
 
 /// What came of a run on the bench.
@@ -372,6 +375,7 @@ impl BenchRun<'_> {
             ungated: false,
             seed: 1,
             keep_log: false,
+            pll: Pll::default(),
         }
     }
 
@@ -410,7 +414,7 @@ impl BenchRun<'_> {
             }
             AnyDesign::Ecc => self.go(
                 Through,
-                |card| Ecc::new(Pll::default(), self.seed, card).ok(),
+                |card| Ecc::new(self.pll, self.seed, card).ok(),
                 |ecc| (ecc.worst_phase_deg(), ecc.pulse_ns()),
             ),
         }

@@ -2,6 +2,7 @@
 
 use crate::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant, insert_at_rest, there_and_back};
 use crate::computer::Computer;
+use crate::ecc::Pll;
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
 use serde::Serialize;
@@ -176,6 +177,18 @@ pub fn safe_at(
     encoder_hz: f64,
     seed: u64,
 ) -> bool {
+    safe_with(design, computer, config, Pll::default(), encoder_hz, seed)
+}
+
+/// As [`safe_at`], with the ECC's PLL.
+fn safe_with(
+    design: AnyDesign,
+    computer: &Computer,
+    config: AxisConfig,
+    pll: Pll,
+    encoder_hz: f64,
+    seed: u64,
+) -> bool {
     let counts = 3000;
     (0..4_u8).all(|phase| {
         [1, -1].into_iter().all(|direction| {
@@ -188,6 +201,7 @@ pub fn safe_at(
                 edges: &edges,
                 totals: &totals,
                 seed: seed + u64::from(phase),
+                pll,
                 ..BenchRun::new(design, computer)
             };
             run.run().is_some_and(|seen| clean(&seen, run.config().min_separation_ns))
@@ -208,7 +222,19 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
 /// The lowest and the highest encoder frequency at which the design is safe, Hz, by bisection to 0.1 %. (0, 0): none.
 #[must_use]
 pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, seed: u64) -> (f64, f64) {
-    let safe = |hz: f64| safe_at(design, computer, config, hz, seed);
+    safe_range_of(design, computer, config, Pll::default(), seed)
+}
+
+/// As [`safe_range`], with the ECC's PLL.
+#[must_use]
+pub fn safe_range_of(
+    design: AnyDesign,
+    computer: &Computer,
+    config: AxisConfig,
+    pll: Pll,
+    seed: u64,
+) -> (f64, f64) {
+    let safe = |hz: f64| safe_with(design, computer, config, pll, hz, seed);
     // From the slowest that is of interest upwards; the ECC is not safe at the slow end.
     let from = [100.0, 10_000.0].into_iter().find(|&hz| safe(hz));
     let Some(from) = from else { return (0.0, 0.0) };
@@ -224,7 +250,9 @@ pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, se
     (low, high)
 }
 
-fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig, state: State) -> bool {
+/// Are corrections served at rest in this state, exactly and without an illegal transition?
+#[must_use]
+pub fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig, state: State) -> bool {
     let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
     let config = insert_at_rest(config);
     let run = BenchRun { config, start: state, totals: &totals, ..BenchRun::new(design, computer) };

@@ -9,6 +9,7 @@
 //! | direction detector and corrector (fig. 7) | the last count's direction decides which way a tick counts |
 //! | full adder, counter, comparator | after twice the compensation value in pulses the encoder's own are passed again |
 //! | acknowledgement, 4-bit value | the controller asks for at most 15 pulses at a time and books them when acknowledged |
+//! | X/Z, S1, S0 (table 1), ACK | [`ControlLines`]; two circuits behind one controller: [`crate::ecc_board`] |
 //!
 //! The PLL is a behavioural model of what the paper measured of it, not of its parts.
 
@@ -17,10 +18,11 @@ use crate::replay::CorrectedAxis;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// What the paper measured of its PLL: frequencies of the XOR of A and B, which is twice the encoder's.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Pll {
     /// Lowest input frequency at which the PLL doubles at all, Hz.
     pub lock_from_hz: f64,
@@ -46,6 +48,25 @@ impl Default for Pll {
             follow_ns: 76_000.0,
         }
     }
+}
+
+/// How long the acknowledgement is on, ns: "a short duration pulse" (CMTI 2014, section 2.3), which the paper gives no figure of.
+pub const ACK_NS: u64 = 1000;
+
+/// The lines between the embedded controller and the circuit (CMTI 2014, section 2).
+#[allow(clippy::struct_excessive_bools, reason = "each is a wire")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct ControlLines {
+    /// X/Z: the controller speaks to this axis.
+    pub selected: bool,
+    /// A compensation is asked for.
+    pub s1: bool,
+    /// Pulses are to be added; off: subtracted.
+    pub s0: bool,
+    /// The compensation value, pulses; four bits.
+    pub value: u8,
+    /// The circuit's answer: the compensation is over.
+    pub ack: bool,
 }
 
 /// The largest compensation value, pulses (CMTI 2014, section 2.2.7: four bits).
@@ -94,6 +115,15 @@ pub struct Ecc {
     begun_ns: u64,
     /// Shortest and longest time per pulse, ns.
     pulse_ns: Option<(u64, u64)>,
+    /// The controller's lines as they are, and every change of them.
+    control: ControlLines,
+    lines_log: Vec<(u64, ControlLines)>,
+    /// S1, S0 and the value are set from outside instead of by the totals.
+    by_hand: bool,
+    /// The controller asks only where, at this acceleration at most, the axis neither leaves the PLL's clean range nor turns
+    /// back before the compensation is over, counts/s².
+    accel_counts_s2: Option<f64>,
+    waited: u64,
 }
 
 impl Ecc {
@@ -127,9 +157,47 @@ impl Ecc {
             acknowledged: 0,
             begun_ns: 0,
             pulse_ns: None,
+            control: ControlLines { selected: true, ..ControlLines::default() },
+            lines_log: Vec::new(),
+            by_hand: false,
+            accel_counts_s2: None,
+            waited: 0,
         };
         ecc.send(state, card)?;
         Ok(ecc)
+    }
+
+    /// With a controller that asks only when the compensation is sure to end well on an axis that never accelerates by
+    /// more than this, counts/s²: the paper's circuit miscounts when its PLL loses lock or the axis turns back in the middle.
+    #[must_use]
+    pub fn guarded(mut self, accel_counts_s2: f64) -> Self {
+        self.accel_counts_s2 = Some(accel_counts_s2.max(1.0));
+        self
+    }
+
+    /// The controller's lines, set by hand: nothing is asked for by totals from now on. S1 goes off with the acknowledgement.
+    pub fn set_lines(&mut self, s1: bool, s0: bool, value: u8) {
+        self.by_hand = true;
+        let value = value.min(MAX_PULSES as u8);
+        self.put(self.look_ns, ControlLines { s1, s0, value, ..self.control });
+    }
+
+    /// X/Z: whether the controller speaks to this axis. Compensations begin on a selected axis alone.
+    pub fn select(&mut self, selected: bool) {
+        self.put(self.look_ns, ControlLines { selected, ..self.control });
+    }
+
+    /// Every change of the controller's lines and of the acknowledgement: when (ns), and how they stood from then on.
+    #[must_use]
+    pub fn lines_log(&self) -> &[(u64, ControlLines)] {
+        &self.lines_log
+    }
+
+    fn put(&mut self, t_ns: u64, to: ControlLines) {
+        if to != self.control {
+            self.control = to;
+            self.lines_log.push((t_ns, to));
+        }
     }
 
     /// Acknowledgements so far: compensations brought to their end.
@@ -182,6 +250,10 @@ impl Ecc {
         self.asked = 0;
         self.insertions += 1;
         self.acknowledged += 1;
+        // The controller takes S1 back when it sees the pulse.
+        self.put(self.look_ns, ControlLines { ack: true, ..self.control });
+        let off = ControlLines { s1: false, s0: false, value: 0, ack: false, ..self.control };
+        self.put(self.look_ns + ACK_NS, off);
         if self.out.state() != self.scale.state() {
             let state = self.scale.state();
             self.send(state, card)?;
@@ -250,16 +322,44 @@ impl Ecc {
         Ok(())
     }
 
+    /// How many pulses are over before the axis can turn back, or with `adds` before the PLL can leave its clean range.
+    fn sure_pulses(&self, adds: bool) -> i64 {
+        let Some(a) = self.accel_counts_s2 else { return MAX_PULSES };
+        // The XOR of A and B has one cycle in two counts.
+        let rate = |xor_hz: f64| 2.0 * xor_hz;
+        let v = rate(self.input_hz);
+        let slowest = if adds { rate(self.pll.clean_from_hz) } else { 0.0 };
+        let fastest = if adds { rate(self.pll.clean_to_hz) } else { f64::INFINITY };
+        let travel = ((v * v - slowest * slowest).min(fastest * fastest - v * v) / (2.0 * a)).max(0.0);
+        // A pulse is four counts; two more until the last edge is out.
+        ((travel - 2.0) / 4.0).clamp(0.0, MAX_PULSES as f64) as i64
+    }
+
     /// At A = B = low the controller's next request may begin.
     fn begin(&mut self, state: State, edge_ns: u64) {
-        let pulses = ((self.requested - self.completed) / 4).clamp(-MAX_PULSES, MAX_PULSES);
-        if pulses == 0 || state != State::default() {
+        if state != State::default() || !self.control.selected {
             return;
         }
+        let sign = if self.positive { 1 } else { -1 };
+        let pulses = if self.by_hand {
+            let ControlLines { s1, s0, value, .. } = self.control;
+            i64::from(s1) * i64::from(value) * if s0 { sign } else { -sign }
+        } else {
+            ((self.requested - self.completed) / 4).clamp(-MAX_PULSES, MAX_PULSES)
+        };
+        // More counts in the direction of motion are added pulses, fewer are blocked ones.
+        let adds = pulses * sign > 0;
+        let sure = if pulses == 0 { 0 } else { self.sure_pulses(adds).min(pulses.abs()) };
+        self.waited += u64::from(sure < pulses.abs());
+        if sure == 0 {
+            return;
+        }
+        let pulses = sure * pulses.signum();
         self.asked = pulses;
         self.begun_ns = edge_ns;
-        // More counts in the direction of motion are added pulses, fewer are blocked ones.
-        if (pulses > 0) == self.positive {
+        let value = pulses.unsigned_abs() as u8;
+        self.put(edge_ns, ControlLines { s1: true, s0: adds, value, ..self.control });
+        if adds {
             self.passing = Passing::Split { left: 8 * pulses.abs() };
             self.schedule_half(edge_ns);
         } else {
@@ -326,6 +426,7 @@ impl CorrectedAxis for Ecc {
             in_effect: self.completed,
             homed: true,
             insertions: self.insertions,
+            waited_for_gate: self.waited,
             illegal: self.scale.illegal(),
             ..AxisStatus::default()
         }

@@ -2,6 +2,7 @@
 //! run record and a plot.
 
 use crate::axis::AxisSpec;
+use crate::described::Described;
 use crate::errors::NAMES;
 use crate::gcode::Block;
 use crate::heat::{FIGURE_9, SENSORS};
@@ -11,9 +12,9 @@ use crate::sim::{Moment, Sim, SimError, Spec};
 use crate::turning::{Setup, TurningError};
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
-use rtec_model::effect::Effect;
-use rtec_model::effect::laws::scale;
-use rtec_model::machine::{Machine, Provenance};
+use rtec_model::chain::Chain;
+use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
+use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::axis::{Design, RestPolicy};
 use serde_json::{Map, Value, json};
@@ -37,10 +38,26 @@ pub struct Setting<'a> {
 pub struct Findings {
     /// Run records, not yet written: as measured without compensation, and with it (`…-compensated`).
     pub records: Vec<Record>,
-    /// Plots: file name and SVG.
+    /// Plots and tables beside the records: file name and text.
     pub plots: Vec<(String, String)>,
+    /// What gauges on a mandrel showed, by record: its name and a row for each of its own.
+    pub gauges: Vec<(String, Vec<Gauged>)>,
     /// The figures that the experiment is run for, by name with unit.
     pub summary: Map<String, Value>,
+}
+
+/// Distance between the two gauges of each direction on the mandrel, mm (WO 97/43703, figure 7, gives none).
+pub const GAUGE_SPACING_MM: f64 = 100.0;
+
+/// Five gauges at a mandrel in the spindle (WO 97/43703, figure 7): 2 and 5 in X, 1 and 4 in Y, near and far, 3 in Z.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gauged {
+    /// Time of the simulation, s.
+    pub t_s: f64,
+    /// Gauges 1 to 5, µm.
+    pub um: [f64; 5],
+    /// Tilt of the spindle, by the two gauges of X and those of Y, arcseconds.
+    pub tilt_arcsec: [f64; 2],
 }
 
 /// Why an experiment failed.
@@ -69,8 +86,25 @@ pub struct Experiment {
     pub name: &'static str,
     /// What it does, in one line.
     pub what: &'static str,
+    /// The machine that it is about, where a source describes one.
+    pub own: Option<Own>,
     run: Run,
 }
+
+/// An experiment's own machine.
+#[derive(Debug, Clone, Copy)]
+pub struct Own {
+    file: &'static str,
+    /// The machine is the experiment: another one is another experiment.
+    pub fixed: bool,
+}
+
+/// The turning centre of NISTIR 4832: what is to come out depends on its one error.
+const NIST_4832: Option<Own> = Some(Own { file: "4832-machine.toml", fixed: true });
+/// The turning centre of NISTIR 4854.
+const NIST_4854: Option<Own> = Some(Own { file: "4854-machine.toml", fixed: false });
+/// The machining centre of WO 97/43703.
+const WO_97: Option<Own> = Some(Own { file: "wo97-machine.toml", fixed: false });
 
 impl Experiment {
     /// Runs it.
@@ -78,7 +112,21 @@ impl Experiment {
     /// # Errors
     /// The machine's effects read what the simulation does not have, or the controller gave up.
     pub fn run(&self, setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-        (self.run)(setting)
+        match self.own {
+            Some(own) if own.fixed => {
+                let machine = Described::default().machine(own.file)?;
+                (self.run)(&Setting { truth: &machine, known: &machine, ..*setting })
+            }
+            _ => (self.run)(setting),
+        }
+    }
+
+    /// The machine that it brings; none where the user's is wanted.
+    ///
+    /// # Errors
+    /// Never: the files are within the program, and a test reads them.
+    pub fn own_machine(&self) -> Result<Option<Machine>, InputError> {
+        self.own.map(|own| Described::default().machine(own.file)).transpose()
     }
 
     /// The experiment of this name.
@@ -93,62 +141,74 @@ pub const EXPERIMENTS: [Experiment; 13] = [
     Experiment {
         name: "linear-displacement",
         what: "ISO 230-2: 5 cycles over 13 targets, both directions, each axis against a laser",
+        own: WO_97,
         run: linear_displacement,
     },
     Experiment {
         name: "ballbar",
         what: "circles of 150 mm in three planes, both ways, at 10, 50 and 100 in/min (WO 97/43703, table 1)",
+        own: WO_97,
         run: ballbar,
     },
     Experiment {
         name: "drift",
         what: "the spindle cycle of WO 97/43703, figure 9, dry and wet: spindle growth and 20 temperatures",
+        own: WO_97,
         run: drift,
     },
     Experiment {
         name: "production-cycle",
         what: "a wet spindle cycle that no characterisation runs: four hours of changing speeds and rests",
+        own: WO_97,
         run: production,
     },
     Experiment {
         name: "tool-change-repeatability",
         what: "ten tool changes with arbitrary moves in between, back to a reference (WO 97/43703, table 3)",
+        own: WO_97,
         run: tool_change,
     },
     Experiment {
         name: "drilling",
         what: "12 holes and counterbores, cold, warm and hot, wet (WO 97/43703, figure 12 and table 7)",
+        own: WO_97,
         run: |setting| drilling(setting, false),
     },
     Experiment {
         name: "drilling-warm",
         what: "the same after three hours at 5000 rpm, wet, the corrector on throughout (WO 97/43703, test 2)",
+        own: WO_97,
         run: |setting| drilling(setting, true),
     },
     Experiment {
         name: "hemisphere",
         what: "a 38.1 mm nose turned with a worn tool (25 µm flat) and probed at 2.5 m/min (NISTIR 4854)",
+        own: NIST_4854,
         run: hemisphere,
     },
-    Experiment { name: "plate", what: "a grid of holes over the XY plane", run: plate },
+    Experiment { name: "plate", what: "a grid of holes over the XY plane", own: None, run: plate },
     Experiment {
         name: "feed-sweep",
         what: "the same stretch at feeds from 0.1 to 10 m/min, both directions",
+        own: None,
         run: feed_sweep,
     },
     Experiment {
         name: "dynamics",
         what: "drive force over moves of rising speed and acceleration, 1 kHz",
+        own: None,
         run: dynamics,
     },
     Experiment {
         name: "linear-error-240um",
         what: "240 µm per metre over a quarter of a metre: 15 corrections of 4 µm (NISTIR 4832, The \"Original RTEC\")",
+        own: NIST_4832,
         run: linear_error,
     },
     Experiment {
         name: "rapid-catch-up",
         what: "a rapid too fast for insertions: corrections catch up before the tool enters the part (NISTIR 4832)",
+        own: NIST_4832,
         run: rapid_catch_up,
     },
 ];
@@ -272,27 +332,15 @@ struct Both {
     channels: Vec<String>,
 }
 
-/// A model with further effects, those left out that it has already.
-fn with(model: &Machine, extra: &[Effect]) -> Machine {
-    let mut model = model.clone();
-    for effect in extra {
-        // Refused only where the model has such an effect.
-        let _ = model.push(effect.clone(), Provenance::default());
-    }
-    model
-}
-
 fn both(
     setting: &Setting<'_>,
     spec: &Spec,
     at_mm: [f64; AXES],
-    extra: &[Effect],
     mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
 ) -> Result<Both, ExperimentError> {
     let mut done = Both { logs: [Log::default(), Log::default()], channels: Vec::new() };
     for (n, log) in done.logs.iter_mut().enumerate() {
-        let (truth, known) = (with(setting.truth, extra), with(setting.known, extra));
-        let mut sim = Sim::new(spec, &truth, (n == 1).then_some(&known), at_mm, setting.seed)?;
+        let mut sim = Sim::new(spec, setting.truth, (n == 1).then_some(setting.known), at_mm, setting.seed)?;
         run(&mut sim, log)?;
         done.channels = sim.channel_names().to_vec();
     }
@@ -362,7 +410,7 @@ impl Findings {
 }
 
 fn nothing() -> Findings {
-    Findings { records: Vec::new(), plots: Vec::new(), summary: Map::new() }
+    Findings { records: Vec::new(), plots: Vec::new(), gauges: Vec::new(), summary: Map::new() }
 }
 
 fn along(axis: usize, p: f64) -> [f64; AXES] {
@@ -389,7 +437,7 @@ fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, ExperimentErro
         // WO 97/43703, text before table 2: 64 in/min.
         let mm_min = 64.0 * 25.4;
         let over = 4.0;
-        let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
             sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
             for cycle in 0..5 {
                 for up in [true, false] {
@@ -424,7 +472,7 @@ fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
             let feed_mm_s = inches * 25.4 / 60.0;
             let mut start = [0.0; AXES];
             start[i] = radius;
-            let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+            let runs = both(setting, &spec, [0.0; 3], |sim, log| {
                 sim.run([Block::Rapid { to: start }])?;
                 for clockwise in [false, true] {
                     let arc =
@@ -475,12 +523,50 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
     Ok(())
 }
 
+/// What the five gauges show: the near ones where the tool is, the far ones where a tilt of the true machine's chain takes the
+/// mandrel as well.
+fn gauged(rows: &[Row], setting: &Setting<'_>) -> Vec<Gauged> {
+    let arcsec = |um: f64| um / (GAUGE_SPACING_MM * 1e3) * 648_000.0 / std::f64::consts::PI;
+    let mut noise = Noise::new(setting.seed, 0x6A06E);
+    let chain = setting.truth.chain();
+    let far = chain.map(|c| c.with_tool_moved([0.0, 0.0, GAUGE_SPACING_MM]));
+    let row = |r: &Row| {
+        let leans = match (chain, &far) {
+            (Some(near), Some(far)) => {
+                let um = |c: &Chain| c.error_um(|a| placed(r, a), |d| difference(&r.temperatures, d));
+                let (near, far) = (um(near), um(far));
+                [far[0] - near[0], far[1] - near[1]]
+            }
+            _ => [0.0; 2],
+        };
+        let mut gauge = |um: f64| um + 0.1 * noise.normal();
+        let [x, y, z] = [0, 1, 2].map(|p| r.now.off_um(p));
+        let um = [gauge(y), gauge(x), gauge(z), gauge(y + leans[1]), gauge(x + leans[0])];
+        Gauged { t_s: r.now.t_s, um, tilt_arcsec: [arcsec(um[4] - um[1]), arcsec(um[3] - um[0])] }
+    };
+    rows.iter().map(row).collect()
+}
+
+fn placed(row: &Row, axis: &Axis) -> f64 {
+    NAMES.iter().position(|n| *n == axis.as_str()).map_or(0.0, |p| row.now.position_mm[p])
+}
+
+/// A temperature difference by what the sensors read, K.
+fn difference(degc: &[f64], of: &Difference) -> f64 {
+    let read = |name: &str| SENSORS.iter().position(|s| s.0 == name).map_or(STANDARD_DEGC, |k| degc[k]);
+    read(&of.sensor)
+        - match &of.against {
+            Against::Sensor(m) => read(m),
+            Against::Reference(degc) => *degc,
+            Against::Standard => STANDARD_DEGC,
+        }
+}
+
 fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
-        let runs = both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| {
-            soak(sim, log, FIGURE_9, coolant)
-        })?;
+        let runs =
+            both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| soak(sim, log, FIGURE_9, coolant))?;
         let x = |r: &Row| r.now.t_s / 60.0;
         runs.publish(setting, name, Kind::Drift, (&[0, 1, 2], 0.1), ("time, min", &x), &mut findings)?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time, min", "temperature, °C");
@@ -490,6 +576,15 @@ fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
             chart = chart.with(Series::new(sensor, Style::Line, points));
         }
         findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
+        let gauged = gauged(&runs.logs[0].rows, setting);
+        let line = |g: &Gauged| {
+            let cells = std::iter::once(g.t_s).chain(g.um).chain(g.tilt_arcsec);
+            cells.map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(",") + "\n"
+        };
+        let head = "t_s,gauge1_um,gauge2_um,gauge3_um,gauge4_um,gauge5_um,tilt_x_arcsec,tilt_y_arcsec\n";
+        let table = gauged.iter().map(line).collect::<String>();
+        findings.plots.push((format!("{name}-gauges.csv"), head.to_owned() + &table));
+        findings.gauges.push((name.to_owned(), gauged));
     }
     Ok(findings)
 }
@@ -509,7 +604,7 @@ const PRODUCTION: &[(f64, f64)] = &[
 fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     let runs =
-        both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| soak(sim, log, PRODUCTION, true))?;
+        both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| soak(sim, log, PRODUCTION, true))?;
     let x = |r: &Row| r.now.t_s / 60.0;
     let axes = &[0, 1, 2][..];
     runs.publish(setting, "production-cycle", Kind::Drift, (axes, 0.1), ("time, min", &x), &mut findings)?;
@@ -520,7 +615,7 @@ fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
-    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| {
+    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| {
         let mut moves = Noise::new(setting.seed, 0x7001);
         let reference = [50.0, 20.0, -100.0];
         for cycle in 1..=10 {
@@ -565,7 +660,7 @@ fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, ExperimentErr
         let x = if left { -11.0 } else { 9.0 } + cycle as f64;
         [x * inch, if low { -3.0 * inch } else { 3.0 * inch }, 0.0]
     };
-    let runs = both(setting, &Spec::machining_centre(), [0.0, 0.0, 100.0], &[], |sim, log| {
+    let runs = both(setting, &Spec::machining_centre(), [0.0, 0.0, 100.0], |sim, log| {
         sim.machine.load([Block::Coolant { on: true }]);
         if warm {
             soak(sim, 180.0)?;
@@ -668,7 +763,7 @@ fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
 
 fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], &[], |sim, log| {
+    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
                 let column = if row % 2 == 0 { k } else { 8 - k };
@@ -689,7 +784,7 @@ fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     let spec = Spec::machining_centre();
     for (p, axis) in spec.axes.iter().enumerate() {
-        let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
             let half = 60.0;
             sim.run([Block::Rapid { to: along(p, -half) }])?;
             for (n, mm_min) in
@@ -721,7 +816,7 @@ fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     let spec = Spec::machining_centre();
     for (p, axis) in spec.axes.iter().enumerate() {
-        let runs = both(setting, &spec, [0.0; 3], &[], |sim, log| {
+        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
             for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
                 for way in [40.0 + 10.0 * n as f64, -40.0] {
                     sim.machine.load([feed(along(p, way), mm_min)]);
@@ -741,33 +836,37 @@ fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     Ok(findings)
 }
 
-/// An axis of one metre, and its error of 240 µm per metre where the model names no scale error of its own.
-fn one_metre(setting: &Setting<'_>) -> (Spec, Vec<Effect>) {
-    let mut spec = Spec::new(vec![AxisSpec::new("x", 1000.0)]);
+/// The report's machine: one axis of a metre, corrected by the Original RTEC.
+#[must_use]
+pub fn one_metre(count_um: f64, travel_mm: f64) -> Spec {
+    let mut spec = Spec::new(vec![AxisSpec { count_um, ..AxisSpec::new("x", travel_mm) }]);
     spec.design = Design::Original;
     spec.rest = RestPolicy::Wait;
-    let mut extra = Vec::new();
-    let name = format!("{}.x", scale::NAME);
-    let names_one = |m: &Machine| m.effects().any(|e| e.name() == name);
-    if !names_one(setting.truth)
-        && !names_one(setting.known)
-        && let Ok(mut effect) = setting.truth.dictionary().effect(&name)
-        && effect.set("ppm", &[240.0]).is_ok()
-    {
-        extra.push(effect);
-    }
-    (spec, extra)
+    spec
 }
 
 fn linear_error(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    // A quarter of the travel at a cutting feed.
+    over_a_part(setting, &one_metre(1.0, 1000.0), 250.0, 500.0)
+}
+
+/// X over the length of a part at a cutting feed: how often something is inserted, and where.
+///
+/// # Errors
+/// As [`Experiment::run`].
+pub fn over_a_part(
+    setting: &Setting<'_>,
+    spec: &Spec,
+    length_mm: f64,
+    mm_min: f64,
+) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let (spec, extra) = one_metre(setting);
     let mut insertions = 0;
-    let runs = both(setting, &spec, [0.0; 3], &extra, |sim, log| {
-        // A quarter of the travel at a cutting feed.
-        sim.machine.load([feed([250.0, 0.0, 0.0], 500.0)]);
+    let runs = both(setting, spec, [0.0; 3], |sim, log| {
+        sim.machine.load([feed(along(0, length_mm), mm_min)]);
         while !sim.machine.finished() {
-            sim.advance(0.12)?;
+            // A row every millimetre.
+            sim.advance(60.0 / mm_min)?;
             log.take(sim, 1.0);
         }
         sim.finish()?;
@@ -789,13 +888,13 @@ fn linear_error(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
 
 fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let (mut spec, extra) = one_metre(setting);
+    let mut spec = one_metre(1.0, 1000.0);
     // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
     let nine =
         crate::computer::Computer::i8051().configure(Design::Original, rtec_rt::axis::AxisConfig::default());
     (spec.detect_ns, spec.write_ns) = (nine.detect_ns + nine.guard_ns, 500);
     let (mut waited, mut entering) = (0, Vec::new());
-    let runs = both(setting, &spec, [0.0; 3], &extra, |sim, log| {
+    let runs = both(setting, &spec, [0.0; 3], |sim, log| {
         let rapid = [
             Block::Rapid { to: [400.0, 0.0, 0.0] },
             feed([410.0, 0.0, 0.0], 500.0),

@@ -16,7 +16,7 @@ use rtec_model::machine::Machine;
 use rtec_part::fit::Zx;
 use rtec_part::probe::Captured;
 use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
-use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Event, EventKind, Request, Status};
 
@@ -196,7 +196,14 @@ pub fn run(
             }
         }
         // Cycle start: the operator waits until what is known is in force.
-        if waiting && law.as_ref().is_none_or(|law| law.settled(&engine.status())) {
+        let mut status = engine.status();
+        if stand.design == Design::Original {
+            // It inserts where A and B are low: at rest perhaps never. It catches up on the way to the part (NISTIR 4832).
+            for axis in &mut status.axes {
+                axis.completed = axis.requested;
+            }
+        }
+        if waiting && law.as_ref().is_none_or(|law| law.settled(&status)) {
             waiting = false;
             card.attended.start();
         } else if waiting && now_ns as f64 * 1e-9 > SETTLES_S {

@@ -189,12 +189,14 @@ pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
         .collect()
 }
 
+/// How far a cut round the nose goes beyond both ends, where the tool is at speed.
+pub const BEYOND_RAD: f64 = 0.025;
+
 /// One pass round the nose with a single arc, as `G02` makes it.
 #[must_use]
 pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
-    let beyond_rad = 0.025; // beyond both ends, where the tool is at speed
     let segment =
-        Segment::Arc { centre, radius_mm, start_rad: -beyond_rad, sweep_rad: FRAC_PI_2 + 2.0 * beyond_rad };
+        Segment::Arc { centre, radius_mm, start_rad: -BEYOND_RAD, sweep_rad: FRAC_PI_2 + 2.0 * BEYOND_RAD };
     vec![Move { segment, feed_mm_s, cutting: true }]
 }
 

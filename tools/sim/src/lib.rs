@@ -6,11 +6,12 @@
 //! | module | what |
 //! |---|---|
 //! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
-//! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
+//! | [`ecc`], [`ecc_board`] | the Error Correction Circuit of CMTI (2014); two of them behind one controller |
 //! | [`mod@bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
 //! | [`through`] | Design B: the signals pass through the computer |
 //! | [`replay`] | the engine over a recording, and what the MTC would have counted |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
+//! | [`described`] | the machines that the sources describe, as files within the program |
 //! | [`path`], [`gcode`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
@@ -31,9 +32,11 @@ pub mod axis;
 pub mod bench;
 pub mod computer;
 mod control;
+pub mod described;
 pub mod designs;
 pub mod duty;
 pub mod ecc;
+pub mod ecc_board;
 mod errors;
 pub mod experiment;
 pub mod gcode;

@@ -31,6 +31,9 @@ pub struct ReplayOutcome {
     pub waited_for_gate: u64,
     /// Real edges that fell into an insertion, with a certain outcome.
     pub overlaps: u64,
+    /// Requests that were given.
+    #[serde(skip)]
+    pub requests: u64,
     /// Requests that were not accepted.
     pub refused: Vec<Refused>,
     /// Faults that the engine latched, in order.
@@ -225,7 +228,10 @@ where
 {
     let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
     let mut card = ReplayCard::new(gates, trace, mtc).map_err(ReplayError::Input)?;
-    let mut corrector = start(&mut card)?;
+    let mut corrector = start(&mut card).map_err(|error| {
+        // The recording may have ended in a bad row already.
+        card.take_error().map_or_else(|| error.into(), ReplayError::Input)
+    })?;
     let mut outcome = ReplayOutcome::default();
     let mut report = |event: Event| {
         match event.kind {
@@ -237,11 +243,12 @@ where
         }
         true
     };
-    let mut totals = totals;
+    let (mut totals, mut requests) = (totals, 0);
     let mut next = totals.next().transpose().map_err(ReplayError::Input)?;
     loop {
         while let Some(total) = next.filter(|t| t.t_ns <= corrector.now_ns()) {
             corrector.correct(total.requested, large, &mut card, &mut report).map_err(StartError::Card)?;
+            requests += 1;
             next = totals.next().transpose().map_err(ReplayError::Input)?;
         }
         match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut report) {
@@ -254,6 +261,7 @@ where
         return Err(ReplayError::Input(error));
     }
     let axis = corrector.axis();
+    outcome.requests = requests;
     outcome.edges = card.edges();
     let mtc = card.into_listener();
     let decoder = mtc.decoder.unwrap_or_default();

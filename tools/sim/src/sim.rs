@@ -72,6 +72,25 @@ impl Spec {
         CONTROL_NS as f64 * 1e-9 + 1.0 / gain
     }
 
+    /// The control side, told of the errors in `known`.
+    fn control(
+        &self,
+        configs: &[AxisConfig],
+        channels: &[String],
+        known: &Machine,
+    ) -> Result<Control, InputError> {
+        let axes = self.axes.iter().zip(configs).map(|(axis, config)| AxisSetup {
+            name: axis.name.to_owned(),
+            count_um: axis.count_um,
+            increment_counts: config.design.increment_counts(),
+            window_counts: config.window_counts,
+            max_counts: config.max_correction_counts,
+        });
+        let mut control = Control::new(axes.collect(), channels, self.lead_s());
+        control.load(known, &[])?;
+        Ok(control)
+    }
+
     /// The engine's configuration of one axis.
     fn config(&self, n: usize, machine: &SimMachine) -> AxisConfig {
         let axis = &self.axes[n];
@@ -215,18 +234,7 @@ impl Sim {
         let mut engine = Engine::new(&mut machine, &configs, rt, &[])?;
         let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.origin_counts(n)).collect();
         engine.start_homed_at(&mut machine, |n| origins[n], &mut |_| true)?;
-        let axes = spec.axes.iter().zip(&configs).map(|(axis, config)| AxisSetup {
-            name: axis.name.to_owned(),
-            count_um: axis.count_um,
-            increment_counts: config.design.increment_counts(),
-            window_counts: config.window_counts,
-            max_counts: config.max_correction_counts,
-        });
-        let mut control = None;
-        if let Some(known) = known {
-            let control = control.insert(Control::new(axes.collect(), &channels, spec.lead_s()));
-            control.load(known, &[])?;
-        }
+        let control = known.map(|known| spec.control(&configs, &channels, known)).transpose()?;
         let heat = Heat::cold(spec.ambient_degc, 0.02, seed);
         let mut sim = Self {
             machine,
@@ -242,6 +250,17 @@ impl Sim {
         };
         sim.act();
         Ok(sim)
+    }
+
+    /// From now on the corrector is told of the errors in `known`, where it was told nothing before.
+    ///
+    /// # Errors
+    /// An effect reads what the machine does not have.
+    pub fn know(&mut self, spec: &Spec, known: &Machine) -> Result<(), SimError> {
+        let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &self.machine)).collect();
+        let channels = self.errors.channel_names().to_vec();
+        self.control = Some(spec.control(&configs, &channels, known)?);
+        Ok(())
     }
 
     /// Names of the logged channels.

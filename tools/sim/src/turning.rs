@@ -4,7 +4,7 @@
 use crate::errors::{layout, of_the_probe};
 use crate::heat::SENSORS;
 use crate::job::{Job, Ran, RunError, captured, run};
-use crate::lathe::{self, Bench, Move, Stand, arc_moves, probing_moves};
+use crate::lathe::{self, BEYOND_RAD, Bench, Move, Stand, arc_moves, probing_moves};
 use crate::machine::ControllerSpec;
 use crate::path::AXES;
 use crate::workpiece::Workpiece;
@@ -422,7 +422,25 @@ impl Setup {
         let table = if corrected { Some(self.table(&self.errors(&session, semi_mm)?.errors)?) } else { None };
         let ran = now.turn(&mut part, self.radius_mm, table.as_ref(), self.seed + 2)?;
         now = now.later(ran.seconds + PAUSE_S);
-        now.probe(&part, &self.plan(self.radius_mm), self.motion.feed_mm_min, self.seed + 3)
+        let plan = self.plan(self.radius_mm);
+        let mut session = now.probe(&part, &plan, self.motion.feed_mm_min, self.seed + 3)?;
+        self.correct_off_line(&mut session, &plan)?;
+        Ok(session)
+    }
+
+    /// The session's record less what is known of the machine: probing runs uncorrected, so that a part which is right
+    /// shows the machine's errors (NISTIR 4832, probing mode).
+    fn correct_off_line(&self, session: &mut ProbingSession, plan: &Plan) -> Result<(), TurningError> {
+        let (Some(model), Some(record)) = (&self.model, &mut session.record) else { return Ok(()) };
+        let mut probed = Probed::parse(Path::new("probed.csv"), &session.csv)?;
+        let read = probed.tip_centre.clone();
+        probed.correct_geometric_thermal(model, ORIGIN)?;
+        for column in record.columns.iter_mut().filter(|c| c.role.is_response()) {
+            for (row, e) in column.data.iter_mut().enumerate() {
+                *e += (probed.tip_centre[row] - read[row]).dot(plan.points[row].place.normal) * 1e3;
+            }
+        }
+        Ok(())
     }
 
     /// All steps, one after the other.
@@ -482,25 +500,17 @@ impl Setup {
         self.add(&mut files, "inspection", self.radius_mm, &inspection, &inspected)?;
 
         progress("the same by G01 lines");
-        let corners = table.straight_moves(0.0015, 4);
         let mut other = before_finish;
-        let moves: Vec<Move> = corners
-            .windows(2)
-            .map(|w| Move {
-                segment: Segment::Line { a: w[0], b: w[1] },
-                feed_mm_s: self.cut_feed_mm_min / 60.0,
-                cutting: true,
-            })
-            .collect();
+        let moves = self.program_moves(&table);
+        // As with the arc, a move beyond each end is none of the program's own.
+        let program_lines = moves.len().saturating_sub(2);
         now.go(&mut other, self.radius_mm, &moves, self.job(None), self.seed + 4)?;
         let by_program = self
             .errors(&after.probe(&other, &plan, self.motion.feed_mm_min, self.seed + 5)?, self.radius_mm)?;
         let program = self.result(&by_program, &other, self.radius_mm)?;
         decisions.push(format!(
             "corrector: {:.2} µm left at most; program of {} lines: {:.2} µm",
-            finish.largest_um,
-            moves.len(),
-            program.largest_um
+            finish.largest_um, program_lines, program.largest_um
         ));
         let off_machine = if self.machine.effects().next().is_none() {
             None
@@ -522,7 +532,7 @@ impl Setup {
             insertions: [0, 1].map(|n| ran.status.axes[n].insertions),
             mtc_minus_scale: ran.mtc_minus_scale,
             completed: [0, 1].map(|n| ran.status.axes[n].completed),
-            program_lines: moves.len(),
+            program_lines,
             program,
             probing: [compare(self.motion.feed_mm_min, &session), compare(slow_feed, &slow)],
             off_machine,
@@ -533,6 +543,27 @@ impl Setup {
         let html = page(&outcome);
         outcome.files.push(("report.html".into(), html.into_bytes()));
         Ok(outcome)
+    }
+
+    /// The finish cut with the table's corrections in its G01 lines, from beyond one end to beyond the other: a cut that
+    /// begins at rest in the first point would show where the axes came from.
+    fn program_moves(&self, table: &FinishTable) -> Vec<Move> {
+        let mut corners = table.straight_moves(0.0015, 4);
+        // Along the same arc as the one move of the arc comes, so that the axes turn where they turn there.
+        if let [first, .., last] = corners[..] {
+            let beyond = |end: Zx, by_rad: f64| {
+                let from = end - table.cut.centre;
+                table.cut.centre + Zx::at_angle(from.angle_rad() + by_rad) * from.norm()
+            };
+            corners.insert(0, beyond(first, -BEYOND_RAD));
+            corners.push(beyond(last, BEYOND_RAD));
+        }
+        let line = |w: &[Zx]| Move {
+            segment: Segment::Line { a: w[0], b: w[1] },
+            feed_mm_s: self.cut_feed_mm_min / 60.0,
+            cutting: true,
+        };
+        corners.windows(2).map(line).collect()
     }
 
     /// A batch measured off the machine against what probing saw on it.

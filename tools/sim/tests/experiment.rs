@@ -187,3 +187,78 @@ fn every_experiment_is_listed_once_and_tool_changes_repeat() {
     assert_eq!((findings.records.len(), findings.plots.len()), (2, 1));
     assert!(findings.plots[0].1.contains("<svg"));
 }
+
+/// A nose that is cut right with the machine's errors known must be found right: its probing runs uncorrected, and what is
+/// known is taken out off line (NISTIR 4832, probing mode; NISTIR 4854, On-Machine Gauging).
+#[test]
+fn a_perfect_model_shows_the_part_not_the_machine() {
+    let truth = model(
+        &(effect("scale.z", "ppm = 150")
+            + &effect("squareness.x.z", "urad = -80")
+            + &effect("reversal.x", "um = 20")),
+    );
+    let findings = run("hemisphere", &truth, &truth, 1);
+    let after = worst(record(&findings, "hemisphere-compensated"));
+    assert!(after <= 4.0, "{after} µm, of a machine that is 20 to 70 µm off");
+    // Nothing known: probe and tool trace the same wrong path, and the bump is what shows.
+    let before = worst(record(&findings, "hemisphere"));
+    assert!(before >= 19.0, "{before} µm");
+}
+
+/// A chain is simulated like effects are: what its tool point is off by, out of positions and temperatures, by hand.
+#[test]
+fn a_chain_acts_in_an_experiment_and_is_corrected() {
+    let chain = "tool_mm = [0.0, 0.0, -100.0]\n[[joint]]\nname = \"x slide\"\nbranch = \"tool\"\naxis = \"x\"\n\
+                 component = [{ of = \"dx\", terms = [{ p = 1, value = 6.0 }] }, { of = \"ey\", terms = [{ p = 1, value = 40.0 }] }]\n";
+    let chain = rtec_model::chain::Chain::parse(Path::new("c.toml"), chain).unwrap();
+    let truth = Machine::ideal("m").with_chain(Some(chain));
+    let findings = run("linear-displacement", &truth, &truth, 1);
+    let plain = record(&findings, "linear-displacement-x");
+    let x = plain.data(&Role::Position(rtec_model::record::Axis::new("x").unwrap())).unwrap();
+    let e = &plain.responses().next().unwrap().data;
+    for (x, e) in x.iter().zip(e) {
+        // dx 6 µm and ey 40 µrad per 100 mm; the tool point is 100 mm below: ey·z = −4 µm.
+        let wants = (6.0 - 4.0) * x / 100.0;
+        assert!((e - wants).abs() < 0.6, "{x} mm: {e} and {wants} µm");
+    }
+    assert!(worst(plain) > 5.0);
+    assert!(worst(record(&findings, "linear-displacement-x-compensated")) < 2.0);
+}
+
+/// Five gauges at the mandrel: a tilt of the spindle shows between the near and the far ones, and only there.
+#[test]
+fn gauges_show_the_tilt() {
+    let chain = "[[joint]]\nname = \"spindle\"\nbranch = \"tool\"\ncomponent = [\
+                 { of = \"ey\", sensor = \"T13\", minus = \"T18\", terms = [{ dT = 1, value = 4.0 }] },\
+                 { of = \"ex\", sensor = \"T13\", minus = \"T18\", terms = [{ dT = 1, value = -2.0 }] }]\n";
+    let chain = rtec_model::chain::Chain::parse(Path::new("c.toml"), chain).unwrap();
+    let truth = Machine::ideal("m").with_chain(Some(chain));
+    let findings = run("drift", &truth, &Machine::ideal("m"), 1);
+    let (name, gauges) = &findings.gauges[0];
+    assert_eq!((name.as_str(), gauges.len()), ("drift-dry", 436));
+    let r = record(&findings, "drift-dry");
+    let delta = |m: usize| r.temperature("T13").unwrap()[m] - r.temperature("T18").unwrap()[m];
+    let last = &gauges[180];
+    // 4 µrad/K are 0.825 arcseconds; the gauges' own 0.1 µm over 100 mm are 0.3.
+    let arcsec = 180.0 * 3600.0 / std::f64::consts::PI * 1e-6;
+    assert!((last.tilt_arcsec[0] - 4.0 * delta(180) * arcsec).abs() < 1.2, "{last:?}");
+    assert!((last.tilt_arcsec[1] - 2.0 * delta(180) * arcsec).abs() < 1.2, "{last:?}");
+    // The near gauges do not move, and neither does Z.
+    assert!(last.um[0].abs() < 0.5 && last.um[1].abs() < 0.5 && last.um[2].abs() < 0.5);
+    assert!(findings.plots.iter().any(|(n, t)| n == "drift-dry-gauges.csv" && t.lines().count() == 437));
+}
+
+/// The experiments of the sources bring their machine; the one that is about its machine takes no other.
+#[test]
+fn experiments_of_the_sources_bring_their_machine() {
+    for e in EXPERIMENTS {
+        let own = e.own_machine().unwrap();
+        assert_eq!(own.is_some(), e.own.is_some());
+        if e.what.contains("NISTIR") || e.what.contains("WO 97") {
+            assert!(own.is_some(), "{}", e.name);
+        }
+    }
+    // Whatever is handed to it: 15 insertions.
+    let other = model(&(effect("scale.x", "ppm = 12") + &effect("offset.x", "um = 30")));
+    assert_eq!(run("linear-error-240um", &other, &other, 1).summary["insertions"], 15);
+}

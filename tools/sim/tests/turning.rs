@@ -189,3 +189,29 @@ fn trips_that_are_not_as_planned_name_their_point() {
     surplus.push(([0.0, 0.0], 0.0, 9.0));
     assert!(matches!(judge(surplus, vec![]), Err(TripFault::Outside { point: 6, .. })));
 }
+
+/// The same compensation as G01 lines comes from where the arc comes: a cut that began at rest in its first point would show
+/// the reversal that the machine has not made yet (27 µm with this machine). What is left is at the pole, where Z turns.
+#[test]
+fn g01_lines_begin_beyond_the_arc() {
+    let wrong = machine(
+        "[[effect]]\nname = \"reversal.x\"\num = 30.0\n[[effect]]\nname = \"reversal.z\"\num = 40.0\n",
+    );
+    let o = run(&Setup { machine: wrong.clone(), model: Some(wrong), ..setup("c", 1) });
+    assert!(o.program.largest_um <= 7.0 && o.finish.largest_um <= 2.5, "{:?} {:?}", o.program, o.finish);
+    assert!(o.program.true_form_um < 8.0, "{:?}", o.program);
+    assert!((88..=92).contains(&o.program_lines), "{}", o.program_lines);
+}
+
+/// The Original RTEC may stand where it cannot insert; the cut begins all the same and it catches up in the air.
+#[test]
+fn the_original_is_not_waited_for_at_rest() {
+    let wrong =
+        machine("[[effect]]\nname = \"offset.x\"\num = 9.0\n[[effect]]\nname = \"offset.z\"\num = 13.0\n");
+    for flat_um in [12.0, 25.0] {
+        let mut known = Setup { machine: wrong.clone(), model: Some(wrong.clone()), ..setup("original", 1) };
+        known.bench.flat_um = flat_um;
+        let o = run(&known);
+        assert!(o.finish.largest_um <= 4.0 && o.balanced(), "{flat_um}: {:?}", o.finish);
+    }
+}

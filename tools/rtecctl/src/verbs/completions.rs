@@ -11,6 +11,8 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    clap_complete::generate(args.shell, &mut crate::Cli::command(), "rtecctl", &mut std::io::stdout());
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut crate::Cli::command(), "rtecctl", &mut script);
+    crate::say(&String::from_utf8_lossy(&script));
     Ok(())
 }

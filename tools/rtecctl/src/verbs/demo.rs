@@ -233,17 +233,17 @@ struct View {
 impl View {
     fn draw(&mut self, at: Duration, status: &Status, without_um: f64, with_um: f64) -> std::io::Result<()> {
         let axis = &status.axes[0];
-        let mut out = std::io::stdout().lock();
         let seconds = at.as_secs_f64();
         if !self.live {
-            return writeln!(
-                out,
+            println!(
                 "{seconds:5.1} s  X {:8.3} mm  requested {:+4}  completed {:+4}  error {without_um:+6.2} µm without, {with_um:+6.2} µm with",
                 axis.position_counts as f64 * COUNT_UM / 1000.0,
                 axis.requested,
                 axis.completed,
             );
+            return Ok(());
         }
+        let mut out = std::io::stdout().lock();
         if self.lines > 0 {
             write!(out, "\x1b[{}A", self.lines)?;
         }

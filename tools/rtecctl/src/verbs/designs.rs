@@ -16,10 +16,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "computer")]
     latency: Option<PathBuf>,
     /// Speed of the motion, as encoder frequency in Hz (a quarter of the count rate)
-    #[arg(long, value_name = "HZ", default_value_t = TestMotion::default().encoder_hz, value_parser = positive)]
+    #[arg(long, value_name = "HZ", default_value_t = TestMotion::default().encoder_hz, value_parser = encoder_hz)]
     encoder_hz: f64,
     /// Acceleration of the motion, counts/s²
-    #[arg(long, value_name = "A", default_value_t = TestMotion::default().accel_counts_s2, value_parser = positive)]
+    #[arg(long, value_name = "A", default_value_t = TestMotion::default().accel_counts_s2, value_parser = accel)]
     accel: f64,
     /// Length of each way of the motion, counts
     #[arg(long, value_name = "N", default_value_t = TestMotion::default().counts,
@@ -45,10 +45,19 @@ enum Model {
     Dsp,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+/// A motion takes hours at the slow end and no real edge comes faster than at the other.
+fn encoder_hz(text: &str) -> Result<f64, String> {
+    within(text, 0.1, 1e8, "Hz")
+}
+
+fn accel(text: &str) -> Result<f64, String> {
+    within(text, 1.0, 1e12, "counts/s²")
+}
+
+fn within(text: &str, low: f64, high: f64, unit: &str) -> Result<f64, String> {
     match text.parse() {
-        Ok(v) if v > 0.0 && f64::is_finite(v) => Ok(v),
-        _ => Err("expected a number above zero".into()),
+        Ok(v) if (low..=high).contains(&v) => Ok(v),
+        _ => Err(format!("expected a number from {low:e} to {high:e} {unit}")),
     }
 }
 
@@ -78,5 +87,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let text =
         if args.json { serde_json::to_string_pretty(&comparison)? + "\n" } else { comparison.to_table() };
-    super::simulate::say(&text)
+    crate::say(&text);
+    Ok(())
 }

@@ -16,6 +16,7 @@ pub(crate) mod hold;
 pub(crate) mod home;
 pub(crate) mod man;
 pub(crate) mod model;
+pub(crate) mod papers;
 pub(crate) mod park;
 pub(crate) mod part;
 pub(crate) mod platform;

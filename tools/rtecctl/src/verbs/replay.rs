@@ -109,7 +109,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
         return Err(Outcome::No(message).into());
     }
+    if outcome.requests > 0 && outcome.refused.len() as u64 == outcome.requests {
+        let why: Vec<String> = outcome.refused.iter().map(|r| word(r.why)).collect();
+        let message =
+            format!("nothing was corrected: every request was refused ({})", distinct(why).join(", "));
+        return Err(Outcome::No(message).into());
+    }
     Ok(())
+}
+
+fn distinct(mut words: Vec<String>) -> Vec<String> {
+    words.sort();
+    words.dedup();
+    words
 }
 
 /// The axis to play, and whether its requests are flagged large.

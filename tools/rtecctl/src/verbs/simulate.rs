@@ -3,11 +3,11 @@
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
+use rtec_model::record::Kind;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::job::RunError;
 use rtec_sim::sim::SimError;
 use rtec_sim::turning::TurningError;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Run an experiment on the simulated machine, without and with compensation
@@ -19,8 +19,8 @@ pub(crate) struct Args {
     /// List the experiments
     #[arg(long, conflicts_with_all = ["name", "machine", "model", "out"])]
     list: bool,
-    /// The true machine
-    #[arg(long, value_name = "true.toml", required_unless_present = "list")]
+    /// The true machine [default: the one that the experiment's source describes, where there is one]
+    #[arg(long, value_name = "true.toml")]
     machine: Option<PathBuf>,
     /// What the corrector knows of it [default: all of it]
     #[arg(long, value_name = "known.toml")]
@@ -49,18 +49,54 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         } else {
             EXPERIMENTS.map(|e| format!("{:<26} {}\n", e.name, e.what)).concat()
         };
-        return say(&text);
+        crate::say(&text);
+        return Ok(());
     }
     // Usage errors are clap's: both are required unless the experiments are listed.
-    let (Some(experiment), Some(machine), Some(out)) = (args.name, &args.machine, &args.out) else {
-        anyhow::bail!("NAME, --machine and --out are needed");
+    let (Some(experiment), Some(out)) = (args.name, &args.out) else {
+        anyhow::bail!("NAME and --out are needed");
     };
-    let truth = Machine::read(machine)?;
-    let known = args.model.as_deref().map_or_else(|| Ok(truth.clone()), Machine::read)?;
+    let own = experiment.own_machine()?;
+    let fixed = experiment.own.is_some_and(|o| o.fixed);
+    if fixed && (args.machine.is_some() || args.model.is_some()) {
+        eprintln!(
+            "rtecctl: {} brings its own machine, which it is about: --machine and --model are not used; \
+             linear-displacement takes any",
+            experiment.name
+        );
+    }
+    let truth = match (&args.machine, own) {
+        (Some(file), own) if !fixed || own.is_none() => Machine::read(file)?,
+        (_, Some(own)) => {
+            eprintln!("rtecctl: the true machine is {}", own.name());
+            own
+        }
+        (_, None) => {
+            let expected = format!("--machine true.toml: {} brings no machine of its own", experiment.name);
+            return Err(InputError::whole(Path::new("simulate"), "no machine", expected).into());
+        }
+    };
+    let known = match &args.model {
+        Some(file) if !fixed => Machine::read(file)?,
+        _ => truth.clone(),
+    };
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
     eprintln!("rtecctl: simulating {}, without and with compensation", experiment.name);
     let setting = Setting { truth: &truth, known: &known, seed: args.seed, out };
     let mut findings = experiment.run(&setting).map_err(|e| explain(e, &truth.path))?;
+    for record in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {
+        // What an experiment measures and the machine does not do wrong is the instrument's noise: better said than shown.
+        let Ok(said) = truth.predict(record) else { continue };
+        let still = said.columns.iter().filter(|c| c.1.iter().all(|e| e.abs() < 1e-9)).map(|c| c.0.as_str());
+        let still: Vec<&str> = still.collect();
+        if record.kind != Kind::Dynamics && record.kind != Kind::Probing && !still.is_empty() {
+            let file = record.path.file_name().unwrap_or_default().to_string_lossy();
+            eprintln!(
+                "rtecctl: {file}: {} shows noise alone, nothing of the machine acts on it here",
+                still.join(", ")
+            );
+        }
+    }
     let writing = |file: &Path| format!("writing {}", file.display());
     let mut files = Vec::new();
     for record in &mut findings.records {
@@ -84,15 +120,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let figures = findings.summary.iter().map(|(what, figures)| format!("{what}: {figures}\n"));
         figures.collect::<Vec<_>>().concat()
     };
-    say(&text)
-}
-
-/// Prints to standard output; a reader that has gone away (`| head`) is no error.
-pub(super) fn say(text: &str) -> anyhow::Result<()> {
-    match std::io::stdout().write_all(text.as_bytes()) {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(e).context("writing to standard output"),
-        _ => Ok(()),
-    }
+    crate::say(&text);
+    Ok(())
 }
 
 /// An effect that reads what the machine does not have is bad input, not a failed run.

@@ -2,8 +2,8 @@
 
 use anyhow::Context;
 use rtec_files::InputError;
+use rtec_model::along::Standing;
 use rtec_model::date;
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
 use std::fmt::Write as _;
@@ -30,6 +30,10 @@ pub(crate) struct Args {
     /// Temperatures that the table holds for, as T8=31.5; others stand at 20 degC
     #[arg(long, value_delimiter = ',', value_name = "SENSOR=degC")]
     temperatures: Vec<String>,
+    /// Where the other axes stand, as z=100,y=0 in mm; others stand at 0. What a chain or a cross error says of this axis
+    /// depends on it
+    #[arg(long, value_delimiter = ',', value_name = "AXIS=mm", allow_negative_numbers = true)]
+    at: Vec<String>,
     /// What to write
     #[arg(long, value_enum, default_value = "linuxcnc")]
     format: Format,
@@ -68,36 +72,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             usage(format!("{points} points"), "at most 256, as LinuxCNC takes; a larger --step").into()
         );
     }
-    let names = machine.sensors();
-    let mut degc = vec![20.0; names.len()];
-    for given in &args.temperatures {
-        let parsed = given.split_once('=').and_then(|(n, v)| Some((n, v.parse::<f64>().ok()?)));
-        let place = parsed.and_then(|(n, v)| Some((names.iter().position(|x| x == n)?, v)));
-        let (place, v) = place.ok_or_else(|| {
-            usage(
-                format!("--temperatures {given}"),
-                &format!("SENSOR=degC, a sensor of {}", names.join(", ")),
-            )
-        })?;
-        degc[place] = v;
-    }
-    let layout = Layout { axes: vec![axis], sensors: names, channels: Vec::new() };
-    let mut errors = Vec::new();
-    for direction in [1.0, -1.0] {
-        // At rest at every point, approached from one side: what depends on speed, time and load stays out.
-        let mut live =
-            Live::of(&machine, layout.clone()).map_err(|e| usage(e.to_string(), "sensors and axes only"))?;
-        let at = |i: usize| args.from + args.step * i as f64;
-        let mut column = vec![0.0; points];
-        let order: Vec<usize> =
-            if direction > 0.0 { (0..points).collect() } else { (0..points).rev().collect() };
-        for i in order {
-            let now = AxisNow { position_mm: at(i), direction, ..AxisNow::default() };
-            live.evaluate(&Frame { axes: &[now], temperatures_degc: &degc, ..Frame::default() });
-            column[i] = live.errors_um()[0];
-        }
-        errors.push(column);
-    }
+    let standing = standing(args, &machine, &axis)?;
+    let positions: Vec<f64> = (0..points).map(|i| args.from + args.step * i as f64).collect();
+    let along = |direction: f64| {
+        let errors = machine.along_um(&axis, &positions, direction, &standing);
+        errors.map_err(|e| usage(e.to_string(), "sensors and axes only"))
+    };
+    let errors = [along(1.0)?, along(-1.0)?];
     let mut text = match args.format {
         Format::Linuxcnc => {
             format!("# COMP_FILE_TYPE = 0 for axis {}, from {}\n", args.axis, args.machine.display())
@@ -105,7 +86,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Format::Csv => "position_mm,error_up_um,error_down_um\n".to_owned(),
     };
     for (i, (up, down)) in errors[0].iter().zip(&errors[1]).enumerate() {
-        let p = args.from + args.step * i as f64;
+        let p = positions[i];
         let _ = match args.format {
             Format::Linuxcnc => writeln!(text, "{p:.6} {:.6} {:.6}", p + up / 1000.0, p + down / 1000.0),
             Format::Csv => writeln!(text, "{p},{up},{down}"),
@@ -113,4 +94,38 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     rtec_files::write::whole(&args.out, text.as_bytes())
         .with_context(|| format!("writing {}", args.out.display()))
+}
+
+/// Temperatures and the other axes' places, as the command line gives them.
+fn standing(args: &Args, machine: &Machine, axis: &Axis) -> Result<Standing, InputError> {
+    let usage =
+        |found: String, expected: String| InputError::whole(Path::new("model export"), found, expected);
+    let pairs = |given: &[String], option: &str, names: &[String], what: &str, unit: &str| {
+        let mut pairs = Vec::new();
+        for one in given {
+            let parsed = one.split_once('=').and_then(|(n, v)| Some((n, v.parse::<f64>().ok()?)));
+            let known = parsed.filter(|(n, v)| v.is_finite() && names.iter().any(|x| x == n));
+            let (n, v) = known.ok_or_else(|| {
+                let of = if names.is_empty() { "the model reads none".to_owned() } else { names.join(", ") };
+                usage(format!("{option} {one}"), format!("{what}={unit}, {what} of: {of}"))
+            })?;
+            pairs.push((n.to_owned(), v));
+        }
+        Ok(pairs)
+    };
+    let others = machine.other_axes(axis);
+    let names: Vec<String> = others.iter().map(|a| a.as_str().to_owned()).collect();
+    let at = pairs(&args.at, "--at", &names, "axis", "mm")?;
+    let not_stated: Vec<&str> =
+        (names.iter().filter(|n| !at.iter().any(|(a, _)| a == *n))).map(String::as_str).collect();
+    if !not_stated.is_empty() && (machine.chain().is_some() || !at.is_empty()) {
+        eprintln!(
+            "warning: the table holds with {} at 0 mm; --at states another place",
+            not_stated.join(", ")
+        );
+    }
+    Ok(Standing {
+        others_mm: at.into_iter().filter_map(|(n, v)| Some((Axis::new(&n)?, v))).collect(),
+        degc: pairs(&args.temperatures, "--temperatures", &machine.sensors(), "SENSOR", "degC")?,
+    })
 }

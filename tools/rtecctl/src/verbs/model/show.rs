@@ -1,10 +1,12 @@
 //! `rtecctl model show` and `compare`: what a model says, and what sets two apart.
 
+use rtec_model::chain::{Branch, COMPONENTS, Chain, Component, Term};
 use rtec_model::date;
 use rtec_model::effect::Effect;
 use rtec_model::machine::{Listed, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::path::PathBuf;
 
 /// Show a model: effects, parameters, intervals, where they come from, how long they hold
@@ -48,7 +50,8 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
                        "half_width_um": f.half_width_um})
             })
             .collect();
-        let document = json!({"name": machine.name(), "effects": effects, "fits": fits});
+        let document = json!({"name": machine.name(), "effects": effects, "fits": fits,
+                              "chain": machine.chain().map(chain_json)});
         println!("{}", serde_json::to_string_pretty(&document)?);
         return Ok(());
     }
@@ -72,6 +75,9 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             println!("    by {by} {} from {}", l.provenance.date.as_deref().unwrap_or(""), from.join(", "));
         }
     }
+    if let Some(chain) = machine.chain() {
+        print!("{}", chain_text(chain));
+    }
     for f in machine.fits() {
         println!(
             "{}: fitted {}, good until {}; {:.3} µm RMS on unseen blocks, 95 % within ±{:.3} µm",
@@ -79,6 +85,66 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         );
     }
     Ok(())
+}
+
+/// A chain: every joint in order from the bed, and every component that is not zero, term by term.
+fn chain_text(chain: &Chain) -> String {
+    let [x, y, z] = chain.tool_mm;
+    let mut text = format!("chain to a tool point at {x}, {y}, {z} mm of the last frame\n");
+    for joint in &chain.joints {
+        let [x, y, z] = joint.offset_mm;
+        let _ = write!(text, "{} ({}), offset {x}, {y}, {z} mm", joint.name, branch(joint.branch));
+        if let Some((axis, [x, y, z])) = &joint.axis {
+            let _ = write!(text, ", moved by {axis} along {x}, {y}, {z}");
+        }
+        text.push('\n');
+        for c in &joint.components {
+            let terms: Vec<String> = c.terms.iter().map(term).collect();
+            let delta = c.delta.as_ref().map_or(String::new(), |d| format!("   ΔT = {d}"));
+            let _ =
+                writeln!(text, "    {} = {} {}{delta}", COMPONENTS[c.kind], terms.join(" "), unit(c.kind));
+        }
+    }
+    text
+}
+
+/// One term, as +1.15·(p/100 mm)·ΔT.
+fn term(t: &Term) -> String {
+    let power = |what: &str, n: u8| match n {
+        0 => String::new(),
+        1 => format!("·{what}"),
+        n => format!("·{what}^{n}"),
+    };
+    format!("{:+}{}{}", t.coefficient, power("(p/100 mm)", t.position), power("ΔT", t.temperature))
+}
+
+fn unit(kind: usize) -> &'static str {
+    if kind < 3 { "µm" } else { "µrad" }
+}
+
+fn branch(branch: Branch) -> &'static str {
+    match branch {
+        Branch::Work => "work",
+        Branch::Tool => "tool",
+    }
+}
+
+fn chain_json(chain: &Chain) -> Value {
+    let component = |c: &Component| {
+        let terms: Vec<Value> = (c.terms.iter())
+            .map(|t| json!({"p": t.position, "dT": t.temperature, "value": t.coefficient}))
+            .collect();
+        json!({"of": COMPONENTS[c.kind], "unit": unit(c.kind), "delta": c.delta.as_ref().map(ToString::to_string),
+               "terms": terms})
+    };
+    let joints: Vec<Value> = (chain.joints.iter())
+        .map(|j| {
+            json!({"name": j.name, "branch": branch(j.branch), "offset_mm": j.offset_mm,
+                   "axis": j.axis.as_ref().map(|a| a.0.as_str()), "direction": j.axis.as_ref().map(|a| a.1),
+                   "components": j.components.iter().map(component).collect::<Vec<_>>()})
+        })
+        .collect();
+    json!({"tool_mm": chain.tool_mm, "joints": joints})
 }
 
 /// A name with its sensor.

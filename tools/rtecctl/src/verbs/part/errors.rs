@@ -4,7 +4,7 @@ use super::features::Units;
 use super::points::positive;
 use super::{print, usage, write_all};
 use rtec_model::machine::Machine;
-use rtec_part::errors::{ErrorReport, Nominal, Probed, error_cor};
+use rtec_part::errors::{ErrorReport, Nominal, Probed};
 use rtec_part::fit::Zx;
 use rtec_part::path::read_expected;
 use std::fmt::Write as _;
@@ -16,15 +16,15 @@ pub(crate) struct Args {
     /// Probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`, the tip's centre at each trip
     #[arg(long)]
     points: PathBuf,
-    /// Nominal radius of the circle, in mm
-    #[arg(long, required_if_eq("feature", "circle"))]
+    /// Nominal radius of the circle, in mm; a straight feature has none
+    #[arg(long)]
     radius_mm: Option<f64>,
     /// Radius of the probe's tip, in mm: 0 where the points already are on the surface
     #[arg(long, default_value_t = 0.0)]
     tip_mm: f64,
-    /// What was probed
-    #[arg(long, value_enum, default_value_t = Feature::Circle)]
-    feature: Feature,
+    /// What was probed [default: recognised from the points]
+    #[arg(long, value_enum)]
+    feature: Option<Feature>,
     /// Nominal inclination of a taper to the part's axis, in degrees
     #[arg(long, allow_negative_numbers = true)]
     taper_deg: Option<f64>,
@@ -43,7 +43,10 @@ pub(crate) struct Args {
     /// How near a trip must be to its expected place, in mm
     #[arg(long, default_value_t = 1.0)]
     trip_window_mm: f64,
-    /// Write whisker.svg, whisker.dxf and, of a circle, error.cor into this folder
+    /// Put the constant error (size) into error.cor too; without it the table takes out the form alone
+    #[arg(long)]
+    with_size: bool,
+    /// Write error.cor, whisker.svg and whisker.dxf into this folder
     #[arg(long)]
     out: Option<PathBuf>,
     /// Print one JSON document
@@ -59,21 +62,46 @@ enum Feature {
     Line,
 }
 
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let nominal = match (args.feature, args.radius_mm) {
-        (Feature::Circle, Some(radius_mm)) if radius_mm.is_finite() && radius_mm > 0.0 => {
-            Nominal::Circle { radius_mm }
-        }
-        (Feature::Circle, _) => return Err(usage("--radius-mm", "no positive radius", "a radius in mm")),
-        (Feature::Line, _) => Nominal::Line { taper_deg: args.taper_deg },
+/// What was probed, as it was said or as the points have it.
+fn nominal(args: &Args, probed: &Probed) -> anyhow::Result<Nominal> {
+    let straight = match args.feature {
+        Some(feature) => feature == Feature::Line,
+        None => probed.is_straight()?,
     };
+    match (straight, args.radius_mm) {
+        (true, Some(radius_mm)) if args.feature.is_none() => {
+            let found = "points on a straight line";
+            let expected = format!(
+                "an arc of {radius_mm} mm; a cylinder, face or taper is --feature line and has no --radius-mm"
+            );
+            Err(rtec_files::InputError::whole(&args.points, found, expected).into())
+        }
+        (true, _) => {
+            if args.feature.is_none() {
+                eprintln!("rtecctl: the points lie on a straight line: taken as a cylinder, face or taper");
+            }
+            Ok(Nominal::Line { taper_deg: args.taper_deg })
+        }
+        (false, Some(radius_mm)) if radius_mm.is_finite() && radius_mm > 0.0 => {
+            Ok(Nominal::Circle { radius_mm })
+        }
+        (false, _) => Err(usage("--radius-mm", "no positive radius", "the arc's nominal radius in mm")),
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if !(args.tip_mm.is_finite() && args.tip_mm >= 0.0) {
         return Err(usage("--tip-mm", format!("{}", args.tip_mm), "a radius in mm, 0 or more"));
     }
+    if args.radius_mm.is_some_and(|r| !(r.is_finite() && r > 0.0)) {
+        return Err(usage("--radius-mm", "no positive radius", "the arc's nominal radius in mm"));
+    }
     let mut probed = Probed::read(&args.points)?;
+    let mut places = None;
     if let Some(file) = &args.expected {
         let expected = read_expected(file, args.path_units.unit())?;
         probed.check_expected(&expected, positive("--trip-window-mm", args.trip_window_mm)?)?;
+        places = Some(expected);
     }
     if let Some(file) = &args.machine {
         let origin = match args.origin_mm.as_deref() {
@@ -82,21 +110,39 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         probed.correct_geometric_thermal(&Machine::read(file)?, origin)?;
     }
-    let report = probed.errors(nominal, args.tip_mm)?;
+    let mut report = probed.errors(nominal(args, &probed)?, args.tip_mm)?;
+    if let (Some(nominal), Some(radius)) = (args.radius_mm, report.radius_mm)
+        && !(0.5..=2.0).contains(&(radius / nominal))
+    {
+        let found = format!("a circle of {radius:.3} mm through the points");
+        let expected = format!("one near {nominal} mm; points of a straight feature are --feature line");
+        return Err(rtec_files::InputError::whole(&args.points, found, expected).into());
+    }
+    if let (None, Some(expected)) = (report.size_error_um, &places) {
+        report.size_error_um = probed.outside_um(&report, expected);
+    }
+    if args.with_size && report.size_error_um.is_none() {
+        let expected = "--expected PROBPATH.CDL beside it: without places to compare with, a straight feature has no size";
+        return Err(usage("--with-size", "a straight feature", expected));
+    }
     if let Some(folder) = &args.out {
-        let (table, svg, dxf) = (error_cor(&report.errors), report.whisker_svg(), report.whisker_dxf()?);
-        let mut files = vec![("whisker.svg", svg.as_bytes()), ("whisker.dxf", dxf.as_slice())];
-        if args.feature == Feature::Circle {
-            files.push(("error.cor", table.as_bytes()));
-        } else {
-            eprintln!("rtecctl: no error.cor, which is by angle: a straight feature has only one");
-        }
+        let (table, svg, dxf) =
+            (report.error_cor(args.with_size), report.whisker_svg(), report.whisker_dxf()?);
+        let files = [
+            ("error.cor", table.as_bytes()),
+            ("whisker.svg", svg.as_bytes()),
+            ("whisker.dxf", dxf.as_slice()),
+        ];
         write_all(folder, &files)?;
     }
-    if args.json { print(&(serde_json::to_string_pretty(&report)? + "\n")) } else { print(&text(&report)) }
+    if args.json {
+        print(&(serde_json::to_string_pretty(&report)? + "\n"))
+    } else {
+        print(&text(&report, args.with_size))
+    }
 }
 
-fn text(r: &ErrorReport) -> String {
+fn text(r: &ErrorReport, with_size: bool) -> String {
     let mut t = String::new();
     let [z, x] = r.centre_mm;
     let _ = writeln!(
@@ -109,6 +155,14 @@ fn text(r: &ErrorReport) -> String {
     let _ = writeln!(t, "centre          Z {z:.5} mm  X {x:.5} mm");
     if let (Some(radius), Some(off)) = (r.radius_mm, r.size_error_um) {
         let _ = writeln!(t, "radius          {radius:.5} mm ({off:+.1} µm from nominal)");
+    }
+    if let Some(off) = r.size_error_um {
+        let left = if with_size {
+            "in error.cor too: the finish cut takes it out"
+        } else {
+            "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in"
+        };
+        let _ = writeln!(t, "size            {off:+.1} µm {left}");
     }
     if let Some(deg) = r.inclination_deg {
         let _ = writeln!(t, "inclination     {deg:.5}°");

@@ -1,6 +1,7 @@
 //! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854). One file per step.
 
 mod bench;
+mod download;
 mod errors;
 mod features;
 mod finish;
@@ -60,9 +61,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
+/// How the names of files end that the steps read and write; no folder is made of such a name.
+const FILES: [&str; 10] = ["csv", "cor", "nc", "ngc", "dnc", "svg", "dxf", "cdl", "html", "toml"];
+
 /// Write files of one result into a folder, making the folder where it is not there.
 fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
     use anyhow::Context as _;
+    let ends = folder.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    if !folder.is_dir() && FILES.contains(&ends) {
+        let names = files.iter().map(|f| f.0).collect::<Vec<_>>().join(", ");
+        let expected = format!("a folder, for {names}");
+        return Err(usage("--out", format!("the name of a file, {}", folder.display()), expected));
+    }
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for (name, content) in files {
@@ -74,13 +84,11 @@ fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Print a whole result; a reader that has seen enough (`| head`) is no fault.
+/// Print a whole result.
+#[allow(clippy::unnecessary_wraps, reason = "the last thing that every step does")]
 fn print(text: &str) -> anyhow::Result<()> {
-    use std::io::Write as _;
-    match std::io::stdout().write_all(text.as_bytes()) {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(e.into()),
-        _ => Ok(()),
-    }
+    crate::say(text);
+    Ok(())
 }
 
 /// A usage finding that clap cannot express: exit code 2.

@@ -1,5 +1,6 @@
 //! `rtecctl part program`: the NC probing program from the path and a template.
 
+use super::download::{DownloadArgs, warn_of_dialect};
 use super::features::Units;
 use super::points::positive;
 use super::{print, usage, write_all};
@@ -51,6 +52,8 @@ pub(crate) struct Args {
     /// Folder for the program
     #[arg(long, default_value = ".")]
     out: PathBuf,
+    #[command(flatten)]
+    download: DownloadArgs,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -118,6 +121,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let text = job.text(template)?;
     let name = parameters.file_name();
     write_all(&args.out, &[(&name, text.as_bytes())])?;
+    warn_of_dialect(args.download.asked(), &controller.dialect.name);
+    args.download.bring(&name, &text)?;
     let points = records.iter().filter(|r| matches!(r.role, PathRole::Touch(_))).count();
     if args.json {
         let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,

@@ -2,8 +2,9 @@
 
 use super::points::positive;
 use super::{print, usage, write_all};
-use rtec_part::errors::read_error_cor;
+use rtec_part::errors::{read_error_cor, read_line_cor};
 use rtec_part::fit::Zx;
+use rtec_part::line_table::LineTable;
 use rtec_part::table::{AxisCounts, FinishCut, FinishTable, csv};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -11,7 +12,7 @@ use std::path::PathBuf;
 /// Turn part errors into the table of corrections for the finish cut
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Errors by angle, as `part errors` writes them
+    /// Errors as `part errors` writes them: by angle of an arc, by place of a straight feature
     #[arg(long, value_name = "ERROR.COR")]
     errors: PathBuf,
     #[command(flatten)]
@@ -45,15 +46,15 @@ pub(crate) struct Args {
 #[allow(clippy::struct_field_names, reason = "units belong in names")]
 #[derive(Debug, clap::Args)]
 pub(crate) struct CutArgs {
-    /// Centre of the arc on the part's axis, in mm of part coordinates
+    /// Centre of the arc on the part's axis, in mm of part coordinates; a straight feature's errors bring their places
     #[arg(long, allow_negative_numbers = true)]
-    centre_z_mm: f64,
+    centre_z_mm: Option<f64>,
     /// Distance of the arc's centre from the part's axis, in mm
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     centre_x_mm: f64,
-    /// Radius of the finished surface, in mm
+    /// Radius of the finished surface, in mm; not for a straight feature
     #[arg(long)]
-    radius_mm: f64,
+    radius_mm: Option<f64>,
     /// Radius of the tool's nose, in mm
     #[arg(long, default_value_t = 0.0)]
     nose_mm: f64,
@@ -67,27 +68,30 @@ pub(crate) struct CutArgs {
 
 impl CutArgs {
     pub(crate) fn cut(&self) -> anyhow::Result<FinishCut> {
-        positive("--radius-mm", self.radius_mm)?;
-        for (name, value) in [
-            ("--centre-z-mm", self.centre_z_mm),
-            ("--centre-x-mm", self.centre_x_mm),
-            ("--tool-z-mm", self.tool_z_mm),
-            ("--tool-x-mm", self.tool_x_mm),
-        ] {
-            if !value.is_finite() {
-                return Err(usage(name, value.to_string(), "a finite number"));
-            }
-        }
+        let given = |name: &str, value: Option<f64>| {
+            value.ok_or_else(|| {
+                usage(name, "nothing", "a number in mm: the errors are those of an arc, by angle")
+            })
+        };
+        let radius_mm = positive("--radius-mm", given("--radius-mm", self.radius_mm)?)?;
+        let centre_z_mm = finite("--centre-z-mm", given("--centre-z-mm", self.centre_z_mm)?)?;
+        let (nose_mm, origin) = self.tool()?;
+        let centre = Zx::new(centre_z_mm, finite("--centre-x-mm", self.centre_x_mm)?);
+        Ok(FinishCut { centre, radius_mm, nose_mm, origin })
+    }
+
+    /// Radius of the tool's nose, and the machine position at which its centre is at the part's origin.
+    fn tool(&self) -> anyhow::Result<(f64, Zx)> {
         if !(self.nose_mm.is_finite() && self.nose_mm >= 0.0) {
             return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 or more"));
         }
-        Ok(FinishCut {
-            centre: Zx::new(self.centre_z_mm, self.centre_x_mm),
-            radius_mm: self.radius_mm,
-            nose_mm: self.nose_mm,
-            origin: Zx::new(self.tool_z_mm, self.tool_x_mm),
-        })
+        let (z, x) = (finite("--tool-z-mm", self.tool_z_mm)?, finite("--tool-x-mm", self.tool_x_mm)?);
+        Ok((self.nose_mm, Zx::new(z, x)))
     }
+}
+
+fn finite(name: &str, value: f64) -> anyhow::Result<f64> {
+    if value.is_finite() { Ok(value) } else { Err(usage(name, value.to_string(), "a finite number")) }
 }
 
 /// The corrector's counts
@@ -119,19 +123,27 @@ impl CountArgs {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let table = FinishTable::new(args.cut.cut()?, args.counts.axes()?, read_error_cor(&args.errors)?);
+    let axes = args.counts.axes()?;
     let feed_mm_s = positive("--feed-mm-min", args.feed_mm_min)? / 60.0;
     if !(args.lead_ms.is_finite() && args.lead_ms >= 0.0) {
         return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 or more"));
     }
     let lead_mm = feed_mm_s * args.lead_ms * 1e-3;
-    let rows = table.rows(args.between);
-    let text = csv(&table, &rows, lead_mm, args.backwards);
-    let mut made: Vec<(&str, &[u8])> = vec![("table.csv", text.as_bytes())];
-    let moves = match args.g01_um {
-        Some(off_um) => table.straight_moves(positive("--g01-um", off_um)? * 1e-3, 4),
-        None => Vec::new(),
+    let off_mm = args.g01_um.map(|um| positive("--g01-um", um)).transpose()?.map(|um| um * 1e-3);
+    let (rows, text, moves) = if let Some(errors) = read_line_cor(&args.errors)? {
+        let (nose_mm, origin) = args.cut.tool()?;
+        let table = LineTable { errors, axes, nose_mm, origin };
+        let rows = table.rows(args.between);
+        let text = table.csv(&rows, lead_mm, args.backwards);
+        (rows, text, off_mm.map(|_| table.straight_moves()))
+    } else {
+        let table = FinishTable::new(args.cut.cut()?, axes, read_error_cor(&args.errors)?);
+        let rows = table.rows(args.between);
+        let text = csv(&table, &rows, lead_mm, args.backwards);
+        (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))
     };
+    let moves = moves.unwrap_or_default();
+    let mut made: Vec<(&str, &[u8])> = vec![("table.csv", text.as_bytes())];
     let program = g01(&moves, args.feed_mm_min);
     if !moves.is_empty() {
         made.push(("g01.nc", program.as_bytes()));

@@ -1,0 +1,185 @@
+//! NISTIR 4832: the Original RTEC and the alternative Designs A, B and C.
+
+mod belief;
+mod designs;
+mod signals;
+
+use crate::PaperError;
+use crate::rows::{Is, Rows, shown};
+use rtec_driver::quadrature::State;
+use rtec_model::machine::Machine;
+use rtec_model::record::Role;
+use rtec_sim::computer::Computer;
+use rtec_sim::described::Described;
+use rtec_sim::experiment::{Setting, one_metre, over_a_part};
+use rtec_sim::gcode::Block;
+use rtec_sim::sim::Sim;
+use serde::Deserialize;
+use std::path::Path;
+
+/// The machine as its file describes it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Bench {
+    machine: String,
+    count_um: f64,
+    travel_mm: f64,
+    rapid_mm_min: f64,
+    cutting_mm_min: f64,
+    probing_mm_min: f64,
+    slower_probing: f64,
+    part_share: f64,
+    correction_bits: u32,
+    window_corrections: i64,
+    update_every_mm: f64,
+    dither_counts: f64,
+    computer: Timing,
+    faster_computer: Timing,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Timing {
+    name: String,
+    react_ns: u64,
+    step_ns: u64,
+    after_ns: u64,
+    pass_ns: u64,
+}
+
+impl Timing {
+    fn computer(&self) -> Computer {
+        let Self { name, react_ns, step_ns, after_ns, pass_ns } = self.clone();
+        Computer { name, react_ns, step_ns, after_ns, pass_ns, looks: Vec::new(), write_ns: 0 }
+    }
+}
+
+/// A look of a run: time, scale, MTC, its count.
+type Change = (u64, State, State, i64);
+
+pub(crate) fn run(
+    described: &Described,
+    seed: u64,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Rows, PaperError> {
+    let bench: Bench = described.read("4832.toml")?;
+    let machine = described.machine(&bench.machine)?;
+    let (computer, faster) = (bench.computer.computer(), bench.faster_computer.computer());
+    let mut rows = Rows::default();
+    progress("NISTIR 4832: the axis over its travel, the pulses");
+    introduction(&mut rows, &bench);
+    signals::signals(&mut rows, &bench, seed)?;
+    signals::pulses(&mut rows, &bench, &computer)?;
+    progress("NISTIR 4832: the linear error over a part");
+    linear(&mut rows, &bench, &machine, seed)?;
+    progress("NISTIR 4832: at rest, and with dither");
+    designs::at_rest(&mut rows, &bench, &computer, seed)?;
+    progress("NISTIR 4832: Designs A, B and C");
+    designs::design_b(&mut rows, &computer, &faster);
+    designs::design_c(&mut rows, &computer)?;
+    progress("NISTIR 4832: range, belief window, switches");
+    belief::range(&mut rows, &bench, &computer)?;
+    belief::belief(&mut rows, &bench)?;
+    belief::switches(&mut rows)?;
+    diagrams(&mut rows);
+    Ok(rows)
+}
+
+fn cannot(what: &str) -> PaperError {
+    PaperError::Cannot(format!("NISTIR 4832: {what} cannot be run on the machine as described"))
+}
+
+fn introduction(rows: &mut Rows, bench: &Bench) {
+    let place = "Introduction";
+    rows.not(
+        (place, "probing feed", "m/min"),
+        "2.5",
+        &shown(bench.probing_mm_min / 1e3),
+        "a choice, put in; what it costs and saves is measured in 4854",
+    );
+    rows.not(
+        (place, "faster than the rate commonly used", "times"),
+        "20",
+        &shown(bench.slower_probing),
+        "put in; NISTIR 4854 says 10 to 20 and is run at both feeds",
+    );
+}
+
+/// 240 µm over one metre, one correction every 16 700 µm, fifteen over a quarter of the travel.
+fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Result<(), PaperError> {
+    let place = "The \"Original RTEC\"";
+    let setting = Setting { truth: machine, known: machine, seed, out: Path::new("") };
+    let spec = one_metre(bench.count_um, bench.travel_mm);
+    let length_mm = bench.part_share * bench.travel_mm;
+    let found = over_a_part(&setting, &spec, length_mm, bench.cutting_mm_min)?;
+    let data = |n: usize| -> (Vec<f64>, Vec<f64>) {
+        let record = &found.records[n];
+        let x = record.columns.iter().find(|c| matches!(c.role, Role::Position(_)));
+        let e = record.responses().next();
+        (x.map_or_else(Vec::new, |c| c.data.clone()), e.map_or_else(Vec::new, |c| c.data.clone()))
+    };
+    let ((x, e), (cx, ce)) = (data(0), data(1));
+    let whole = e.last().copied().unwrap_or(0.0) / (x.last().copied().unwrap_or(1.0) / bench.travel_mm);
+    let other = "the machine file has another error";
+    rows.number((place, "error over one metre", "µm"), 240.0, whole, Is::Within(1.0), other);
+    let half_um = 2.0 * bench.count_um;
+    let steps: Vec<f64> =
+        (1..ce.len()).filter(|&k| (ce[k - 1] - ce[k]).abs() > half_um).map(|k| cx[k]).collect();
+    let spacing = match (steps.first(), steps.last()) {
+        (Some(a), Some(b)) if steps.len() > 1 => (b - a) / (steps.len() - 1) as f64,
+        _ => 0.0,
+    };
+    rows.number((place, "one correction every", "mm"), 16.7, spacing, Is::Within(0.2), other);
+    rows.number(
+        (place, "corrections over a quarter of the travel", ""),
+        15.0,
+        found.summary.get("insertions").and_then(serde_json::Value::as_f64).unwrap_or(0.0),
+        Is::Within(0.0),
+        other,
+    );
+    let worst = |e: &[f64]| e.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
+    rows.not(
+        (place, "largest error of the part, corrected", "µm"),
+        "-",
+        &shown(worst(&ce)),
+        "the report gives none; half a correction of 4 µm is the least",
+    );
+    // A new value only every so often.
+    let place = "Alternate Configurations";
+    let mut sim = Sim::new(&spec, machine, Some(machine), [0.0; 3], seed)?;
+    let v_mm_s = bench.cutting_mm_min / 60.0;
+    sim.set_control_period((bench.update_every_mm / v_mm_s * 1e9) as u64);
+    sim.machine.load([Block::Feed { to: [length_mm, 0.0, 0.0], feed_mm_s: v_mm_s }]);
+    let mut late: f64 = 0.0;
+    while !sim.machine.finished() {
+        sim.advance(0.12)?;
+        late = late.max(sim.moment().off_um(0).abs());
+    }
+    rows.number(
+        (place, "a new value every 1 to 2 mm is sufficient: the error stays below one correction", "µm"),
+        4.0 * bench.count_um,
+        late,
+        Is::AtMost,
+        "with a value every 2 mm",
+    );
+    let every_ms = rtec_sim::sim::CONTROL_NS as f64 / 1e6;
+    rows.number(
+        (place, "a new value every 10 to 20 ms: our control period", "ms"),
+        20.0,
+        every_ms,
+        Is::AtMost,
+        "10 ms",
+    );
+    Ok(())
+}
+
+fn diagrams(rows: &mut Rows) {
+    rows.not(("Figure 1", "system overview", ""), "diagram", "", "no figures in it");
+    rows.not(("Figure 3", "generic RTEC: block diagram", ""), "diagram", "", "no figures in it");
+    rows.not(
+        ("The \"Right Way\"", "response to a probe's trip", ""),
+        "microseconds rather than milliseconds",
+        "",
+        "4854 gives the figure, 25 µs, and is measured there",
+    );
+}

@@ -1,0 +1,196 @@
+//! One figure of a source beside what came out.
+
+use serde::Serialize;
+
+/// How a figure compares.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Within what is stated.
+    Agrees,
+    /// Not, for a reason that is stated.
+    Differs,
+    /// It cannot be compared, for a reason that is stated.
+    NotCompared,
+}
+
+/// One table entry, figure, or figure in the text.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Table, figure or section.
+    pub place: String,
+    /// What it is a figure of.
+    pub what: String,
+    /// Its unit; empty for words and plain numbers.
+    pub unit: &'static str,
+    /// What the paper says, as it is shown.
+    pub says: String,
+    /// The same as a number, where it is one.
+    pub paper: Option<f64>,
+    /// What came out, as it is shown; empty where nothing can be compared.
+    pub gets: String,
+    /// The same as a number, where it is one.
+    pub we: Option<f64>,
+    /// What counts as agreement.
+    pub agreement: String,
+    /// How the two compare.
+    pub verdict: Verdict,
+    /// Why they are not the same; empty where they are.
+    pub why: String,
+}
+
+/// What counts as agreement.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Is {
+    /// As many units apart at most.
+    Within(f64),
+    /// As large a share of the paper's figure apart at most.
+    Share(f64),
+    /// At most the paper's figure.
+    AtMost,
+    /// At least the paper's figure.
+    AtLeast,
+}
+
+impl Is {
+    fn met(self, says: f64, gets: f64) -> bool {
+        // What is equal but for rounding is equal.
+        let hair = 1e-9 * (1.0 + says.abs());
+        match self {
+            Self::Within(apart) => (gets - says).abs() <= apart + hair,
+            Self::Share(share) => (gets - says).abs() <= share * says.abs() + hair,
+            Self::AtMost => gets <= says + hair,
+            Self::AtLeast => gets >= says - hair,
+        }
+    }
+
+    fn words(self, unit: &str) -> String {
+        match self {
+            Self::Within(0.0) => "equal".to_owned(),
+            Self::Within(apart) => format!("within {} {unit}", shown(apart)).trim_end().to_owned(),
+            Self::Share(share) => format!("within {} %", shown(100.0 * share)),
+            Self::AtMost => "at most".to_owned(),
+            Self::AtLeast => "at least".to_owned(),
+        }
+    }
+}
+
+/// Rows in the making.
+#[derive(Debug, Default)]
+pub(crate) struct Rows(pub(crate) Vec<Row>);
+
+/// A number as people read it: four digits that count.
+pub(crate) fn shown(v: f64) -> String {
+    if v == 0.0 {
+        return "0".to_owned();
+    }
+    if v.fract() == 0.0 && v.abs() < 1e7 {
+        return format!("{v}");
+    }
+    let digits = (3 - v.abs().log10().floor() as i32).clamp(0, 6) as usize;
+    let text = format!("{v:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+impl Rows {
+    /// A number. `why` says what sets the two apart, and is shown where they are not the same.
+    pub(crate) fn number(
+        &mut self,
+        (place, what, unit): (&str, &str, &'static str),
+        says: f64,
+        gets: f64,
+        is: Is,
+        why: &str,
+    ) {
+        let met = is.met(says, gets);
+        let same = shown(says) == shown(gets);
+        self.0.push(Row {
+            place: place.to_owned(),
+            what: what.to_owned(),
+            unit,
+            says: match is {
+                Is::AtMost => format!("≤ {}", shown(says)),
+                Is::AtLeast => format!("≥ {}", shown(says)),
+                _ => shown(says),
+            },
+            paper: Some(says),
+            gets: shown(gets),
+            we: Some(gets),
+            agreement: is.words(unit),
+            verdict: if met { Verdict::Agrees } else { Verdict::Differs },
+            why: if same { String::new() } else { why.to_owned() },
+        });
+    }
+
+    /// Words, or a whole sequence: the same or not.
+    pub(crate) fn words(&mut self, (place, what): (&str, &str), says: &str, gets: &str, why: &str) {
+        self.holds((place, what), says, gets, says == gets, why);
+    }
+
+    /// A statement that holds or does not.
+    pub(crate) fn holds(
+        &mut self,
+        (place, what): (&str, &str),
+        says: &str,
+        gets: &str,
+        holds: bool,
+        why: &str,
+    ) {
+        self.0.push(Row {
+            place: place.to_owned(),
+            what: what.to_owned(),
+            unit: "",
+            says: says.to_owned(),
+            paper: None,
+            gets: gets.to_owned(),
+            we: None,
+            agreement: "holds".to_owned(),
+            verdict: if holds { Verdict::Agrees } else { Verdict::Differs },
+            why: if holds && says == gets { String::new() } else { why.to_owned() },
+        });
+    }
+
+    /// A figure that cannot be compared; what is known of it all the same may stand in `gets`.
+    pub(crate) fn not(
+        &mut self,
+        (place, what, unit): (&str, &str, &'static str),
+        says: &str,
+        gets: &str,
+        why: &str,
+    ) {
+        self.0.push(Row {
+            place: place.to_owned(),
+            what: what.to_owned(),
+            unit,
+            says: says.to_owned(),
+            paper: says.parse().ok(),
+            gets: gets.to_owned(),
+            we: gets.parse().ok(),
+            agreement: String::new(),
+            verdict: Verdict::NotCompared,
+            why: why.to_owned(),
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_shown_short_and_judged_as_stated() {
+        for (v, text) in
+            [(0.0048, "0.0048"), (29166.666, "29167"), (23.46, "23.46"), (-0.0001, "-0.0001"), (4.0, "4")]
+        {
+            assert_eq!(shown(v), text);
+        }
+        assert!(Is::Within(0.5).met(8.0, 8.333) && !Is::Within(0.1).met(8.0, 8.333));
+        assert!(Is::Share(0.05).met(30.0, 29.167) && !Is::Share(0.01).met(30.0, 29.167));
+        assert!(Is::AtMost.met(4.0, 2.9) && !Is::AtMost.met(4.0, 4.1) && Is::AtLeast.met(10.0, 14.0));
+        let mut rows = Rows::default();
+        rows.number(("t", "w", ""), 1.0, 1.0, Is::Within(0.0), "never shown");
+        rows.number(("t", "w", ""), 1.0, 2.0, Is::Within(0.0), "shown");
+        assert_eq!((rows.0[0].why.as_str(), rows.0[0].verdict), ("", Verdict::Agrees));
+        assert_eq!((rows.0[1].why.as_str(), rows.0[1].verdict), ("shown", Verdict::Differs));
+    }
+}

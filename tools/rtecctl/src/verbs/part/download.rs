@@ -1,0 +1,136 @@
+//! The NC program into the controller: LinuxCNC's network interface `linuxcncrsh` (one command a line over TCP, port 5007) has it
+//! open a program that lies in its own program folder.
+
+use super::usage;
+use crate::Outcome;
+use anyhow::Context as _;
+use std::io::{BufRead, BufReader, Write as _};
+use std::net::{TcpStream, ToSocketAddrs as _};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Into the controller
+#[derive(Debug, clap::Args)]
+pub(crate) struct DownloadArgs {
+    /// Have LinuxCNC open the program, over its `linuxcncrsh` at this address; the port is 5007 where it is not given
+    #[arg(long, value_name = "HOST[:PORT]", requires = "program_folder")]
+    download: Option<String>,
+    /// LinuxCNC's program folder, as it is reached from here; the program is written there too
+    #[arg(long, value_name = "DIR")]
+    program_folder: Option<PathBuf>,
+    /// The same folder as LinuxCNC names it, where that is another computer's
+    #[arg(long, value_name = "DIR", requires = "download")]
+    folder_there: Option<PathBuf>,
+    /// Password with which `linuxcncrsh` lets a client in, and the one with which it lets it command
+    #[arg(long, value_name = "CONNECT,ENABLE", default_value = "EMC,EMCTOO")]
+    passwords: String,
+}
+
+/// LinuxCNC is asked for no longer than this.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+impl DownloadArgs {
+    /// Writes the program into the controller's folder and has it opened there, where that is asked for.
+    ///
+    /// # Errors
+    /// The folder cannot be written; nobody answers (exit code 3); LinuxCNC refuses (exit code 1).
+    pub(crate) fn bring(&self, name: &str, text: &str) -> anyhow::Result<()> {
+        let Some(folder) = &self.program_folder else { return Ok(()) };
+        if !folder.is_dir() {
+            let found = format!("no folder {}", folder.display());
+            return Err(usage("--program-folder", found, "the controller's program folder"));
+        }
+        let file = folder.join(name);
+        rtec_files::write::whole(&file, text.as_bytes())
+            .with_context(|| format!("cannot write {}", file.display()))?;
+        eprintln!("wrote {}", file.display());
+        let Some(address) = &self.download else { return Ok(()) };
+        let there = self.folder_there.as_ref().unwrap_or(folder).join(name);
+        let (connect, enable) = self.passwords.split_once(',').unwrap_or((&self.passwords, "EMCTOO"));
+        let unreachable =
+            |e: &dyn std::fmt::Display| Outcome::Unreachable(format!("LinuxCNC at {address}: {e}"));
+        let mut client = Client::connect(address).map_err(|e| unreachable(&e))?;
+        let mut ask = |command: &str, answer: &str| {
+            client.ask(command, answer).map_err(|e| anyhow::Error::from(unreachable(&e)))
+        };
+        let path = there.display().to_string();
+        for (command, answer) in [
+            (format!("hello {connect} rtecctl 1.0"), "HELLO"),
+            ("set echo off".to_owned(), ""),
+            ("set verbose on".to_owned(), "SET VERBOSE"),
+            (format!("set enable {enable}"), "SET ENABLE"),
+            ("set mode auto".to_owned(), "SET MODE"),
+            (format!("set open {path}"), "SET OPEN"),
+        ] {
+            let said = ask(&command, answer)?;
+            if said.contains("NAK") {
+                return Err(Outcome::No(format!("LinuxCNC at {address} refuses `{command}`: {said}")).into());
+            }
+        }
+        let open = ask("get program", "PROGRAM")?;
+        if !open.to_lowercase().ends_with(&path.to_lowercase()) {
+            return Err(Outcome::No(format!("LinuxCNC at {address} has another program open: {open}")).into());
+        }
+        // It hangs up; what comes of it is of no interest.
+        let _ = ask("quit", "");
+        eprintln!("LinuxCNC at {address} has opened {}", there.display());
+        Ok(())
+    }
+}
+
+/// A conversation with `linuxcncrsh`.
+struct Client {
+    lines: BufReader<TcpStream>,
+}
+
+impl Client {
+    fn connect(address: &str) -> std::io::Result<Self> {
+        let address = if address.contains(':') { address.to_owned() } else { format!("{address}:5007") };
+        let mut last = std::io::Error::new(std::io::ErrorKind::NotFound, "no such host");
+        for place in address.to_socket_addrs()? {
+            match TcpStream::connect_timeout(&place, PATIENCE) {
+                Ok(stream) => {
+                    stream.set_read_timeout(Some(PATIENCE))?;
+                    stream.set_write_timeout(Some(PATIENCE))?;
+                    return Ok(Self { lines: BufReader::new(stream) });
+                }
+                Err(error) => last = error,
+            }
+        }
+        Err(last)
+    }
+
+    /// Sends a command and reads up to the line that answers it; commands may be echoed before. Without an expected answer
+    /// nothing is waited for.
+    fn ask(&mut self, command: &str, answer: &str) -> std::io::Result<String> {
+        self.lines.get_mut().write_all(format!("{command}\r\n").as_bytes())?;
+        if answer.is_empty() {
+            return Ok(String::new());
+        }
+        loop {
+            let mut line = String::new();
+            if self.lines.read_line(&mut line)? == 0 {
+                return Err(std::io::Error::new(std::io::ErrorKind::UnexpectedEof, "it has hung up"));
+            }
+            let line = line.trim();
+            // Answers are in capitals, an echo is as we wrote it; a refusal need not name what it refuses.
+            if line.starts_with(answer) || line.starts_with("SET") && line.ends_with("NAK") {
+                return Ok(line.to_owned());
+            }
+        }
+    }
+}
+
+/// Whether a download is asked for with a name that LinuxCNC reads.
+pub(crate) fn warn_of_dialect(asked: bool, dialect: &str) {
+    if asked && Path::new(dialect).file_stem().is_none_or(|d| d != "linuxcnc") {
+        eprintln!("rtecctl: the program is in the dialect {dialect}; LinuxCNC reads --dialect linuxcnc");
+    }
+}
+
+impl DownloadArgs {
+    /// LinuxCNC is to open the program.
+    pub(crate) fn asked(&self) -> bool {
+        self.download.is_some()
+    }
+}

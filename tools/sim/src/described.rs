@@ -1,0 +1,91 @@
+//! The machines that the sources describe, as files within the program: what `rtecctl papers` runs, and what the experiments of
+//! the sources bring with them. A folder with files of the same names stands for them.
+
+use rtec_files::InputError;
+use rtec_model::effect::Dictionary;
+use rtec_model::machine::Machine;
+use serde::de::DeserializeOwned;
+use std::path::{Path, PathBuf};
+
+/// Every file: name and text.
+pub const FILES: [(&str, &str); 9] = [
+    ("4832.toml", include_str!("../papers/4832.toml")),
+    ("4832-machine.toml", include_str!("../papers/4832-machine.toml")),
+    ("4854.toml", include_str!("../papers/4854.toml")),
+    ("4854-machine.toml", include_str!("../papers/4854-machine.toml")),
+    ("4854-chain.toml", include_str!("../papers/4854-chain.toml")),
+    ("cmti.toml", include_str!("../papers/cmti.toml")),
+    ("wo97.toml", include_str!("../papers/wo97.toml")),
+    ("wo97-machine.toml", include_str!("../papers/wo97-machine.toml")),
+    ("wo97-chain.toml", include_str!("../papers/wo97-chain.toml")),
+];
+
+/// Where descriptions are read from.
+#[derive(Debug, Clone, Default)]
+pub struct Described {
+    /// A folder with files of one's own; one that is not there is the program's.
+    pub folder: Option<PathBuf>,
+}
+
+impl Described {
+    /// The text of a file, and the path that messages name it by.
+    ///
+    /// # Errors
+    /// No such file.
+    fn text(&self, name: &str) -> Result<(PathBuf, String), InputError> {
+        if let Some(file) = self.folder.as_ref().map(|f| f.join(name)).filter(|f| f.exists()) {
+            let text = rtec_files::text::read(&file)?;
+            return Ok((file, text));
+        }
+        let path = PathBuf::from(name);
+        let within = FILES.iter().find(|f| f.0 == name);
+        let text = within.map(|f| f.1.to_owned()).ok_or_else(|| {
+            let names = FILES.map(|f| f.0).join(", ");
+            InputError::whole(&path, "no such description", format!("one of {names}"))
+        })?;
+        Ok((path, text))
+    }
+
+    /// A description.
+    ///
+    /// # Errors
+    /// Not such a file: file, line, column, what was found and expected.
+    pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, InputError> {
+        let (path, text) = self.text(name)?;
+        rtec_files::toml::from_str(&path, &text, "keys of this description, see `rtecctl papers --write`")
+    }
+
+    /// A machine model, with its chain.
+    ///
+    /// # Errors
+    /// As [`Machine::read`].
+    pub fn machine(&self, name: &str) -> Result<Machine, InputError> {
+        let (path, text) = self.text(name)?;
+        let beside = |file: &Path| {
+            let name = file.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+            self.text(name).map(|t| t.1)
+        };
+        Machine::parse_from(&path, &text, Dictionary::default(), &beside)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_machine_can_be_read_and_a_folder_stands_for_the_program() {
+        for (name, _) in FILES.iter().filter(|f| f.0.ends_with("-machine.toml")) {
+            let machine = Described::default().machine(name).unwrap();
+            assert!(machine.effects().next().is_some() || machine.chain().is_some(), "{name}");
+        }
+        assert!(Described::default().machine("wo97-machine.toml").unwrap().chain().is_some());
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("4832-machine.toml");
+        std::fs::write(&file, "name = \"mine\"\n").unwrap();
+        let own = Described { folder: Some(dir.path().to_owned()) };
+        assert_eq!(own.machine("4832-machine.toml").unwrap().name(), "mine");
+        assert_eq!(own.machine("4854-machine.toml").unwrap().name(), "turning centre of NISTIR 4854");
+        assert!(own.machine("none.toml").is_err());
+    }
+}

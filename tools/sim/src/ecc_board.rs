@@ -1,0 +1,228 @@
+//! The Error Correction Circuit on both axes behind one embedded controller (CMTI 2014, section 2): X/Z selects the axis, S1
+//! and S0 say what is to be done, four bits how often, and a short acknowledgement says that it is over.
+
+use crate::bench::Edge;
+use crate::ecc::{ControlLines, Ecc, Pll};
+use crate::replay::CorrectedAxis;
+use rtec_driver::card::{AxisLines, Card, CardError, Sample};
+use rtec_driver::quadrature::{Decoder, State};
+use std::fmt::Write as _;
+
+/// A compensation that the embedded controller asks for, one after the other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Order {
+    /// X/Z: for the X axis; else for the Z axis.
+    pub x: bool,
+    /// S1: compensation is required.
+    pub s1: bool,
+    /// S0: addition; else subtraction.
+    pub s0: bool,
+    /// The compensation value, pulses.
+    pub value: u8,
+}
+
+/// What came of one axis, or of the line X/Z.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Board {
+    /// Counts to the MTC minus counts of the scale, X and Z.
+    pub mtc_minus_scale: [i64; 2],
+    /// Pulses of A, rising edges, of the scale and at the MTC, X and Z.
+    pub pulses: [[u64; 2]; 2],
+    /// Acknowledgements of X and Z.
+    pub acknowledged: [u64; 2],
+    /// Illegal transitions at the MTC, X and Z.
+    pub illegal: [u64; 2],
+    /// Largest deviation from 90° between two edges of a split pulse, thousandths of a degree.
+    pub worst_phase_mdeg: u64,
+    /// Every change: time, ns; signal; level.
+    pub changes: Vec<(u64, &'static str, bool)>,
+}
+
+/// Signals of a board's trace.
+pub const SIGNALS: [&str; 12] =
+    ["x_a", "x_b", "x_a_mtc", "x_b_mtc", "z_a", "z_b", "z_a_mtc", "z_b_mtc", "xz", "s1", "s0", "ack"];
+
+/// One axis' wires: the scale's edges in, A' and B' out.
+#[derive(Debug)]
+struct Wires<'a> {
+    edges: &'a [Edge],
+    next: usize,
+    t_ns: u64,
+    scale: Decoder,
+    mtc: Decoder,
+    pulses: [u64; 2],
+    names: [&'static str; 4],
+    changes: Vec<(u64, &'static str, bool)>,
+}
+
+impl Wires<'_> {
+    fn changed(&mut self, from: State, to: State, which: usize) {
+        self.pulses[which] += u64::from(to.a() && !from.a());
+        for (name, was, is) in
+            [(self.names[2 * which], from.a(), to.a()), (self.names[2 * which + 1], from.b(), to.b())]
+        {
+            if was != is {
+                self.changes.push((self.t_ns, name, is));
+            }
+        }
+    }
+}
+
+impl Card for Wires<'_> {
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        let edge = self.edges.get(self.next).copied().filter(|e| e.0 <= wake_ns);
+        let mut edge_ns = None;
+        if let Some((t_ns, step)) = edge {
+            self.next += 1;
+            self.t_ns = t_ns;
+            let (from, to) = (self.scale.state(), self.scale.state().next(step > 0));
+            self.scale.update(to);
+            self.changed(from, to, 0);
+            edge_ns = Some(t_ns);
+        } else {
+            self.t_ns = self.t_ns.max(wake_ns);
+        }
+        Ok(Sample::stamped(self.t_ns, u64::from(self.scale.state().bits()), edge_ns))
+    }
+
+    fn write(&mut self, _mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        let lines = AxisLines::standard(0, false);
+        let (from, to) = (self.mtc.state(), State::from_bits(lines.inverters(value)));
+        self.mtc.update(to);
+        self.changed(from, to, 1);
+        Ok(Some(self.t_ns))
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(u64::from(self.mtc.state().bits()))
+    }
+}
+
+/// How long the controller takes from one step of its program to the next, ns.
+const STEP_NS: u64 = 1000;
+
+/// Runs both axes over their edges (X, Z) while the controller works through its orders, the first given at `from_ns`; an
+/// order without S1 stands for `idle_ns`.
+///
+/// # Errors
+/// Never on these wires; a card may fail.
+pub fn run(
+    pll: Pll,
+    edges: [&[Edge]; 2],
+    orders: &[Order],
+    (from_ns, idle_ns): (u64, u64),
+    seed: u64,
+) -> Result<Board, CardError> {
+    let mut wires = [0, 1].map(|n| Wires {
+        edges: edges[n],
+        next: 0,
+        t_ns: 0,
+        scale: Decoder::default(),
+        mtc: Decoder::default(),
+        pulses: [0; 2],
+        names: if n == 0 {
+            [SIGNALS[0], SIGNALS[1], SIGNALS[2], SIGNALS[3]]
+        } else {
+            [SIGNALS[4], SIGNALS[5], SIGNALS[6], SIGNALS[7]]
+        },
+        changes: Vec::new(),
+    });
+    let [x, z] = &mut wires;
+    let mut circuits = [Ecc::new(pll, seed, x)?, Ecc::new(pll, seed + 1, z)?];
+    for circuit in &mut circuits {
+        circuit.set_lines(false, false, 0);
+    }
+    let end_ns = edges.iter().filter_map(|e| e.last()).map(|e| e.0).max().unwrap_or(0);
+    let (mut orders, mut under_way) = (orders.iter(), None::<(Order, u64, u64)>);
+    let mut board = Board::default();
+    let mut now_ns = 0;
+    while now_ns < end_ns {
+        now_ns += STEP_NS;
+        for (circuit, wires) in circuits.iter_mut().zip(&mut wires) {
+            while wires.t_ns < now_ns {
+                circuit.poll(wires, now_ns, &mut |_| true)?;
+            }
+        }
+        if now_ns < from_ns {
+            continue;
+        }
+        // One step of its program to see that an order is over, another one to give the next.
+        under_way = match under_way {
+            Some((order, since_ns, before)) => {
+                let acknowledged = circuits[usize::from(!order.x)].acknowledged() > before;
+                let over = if order.s1 { acknowledged } else { now_ns >= since_ns + idle_ns };
+                (!over).then_some((order, since_ns, before))
+            }
+            None => orders.next().map(|order| {
+                for (n, circuit) in circuits.iter_mut().enumerate() {
+                    circuit.select((n == 0) == order.x);
+                }
+                board.changes.push((now_ns, "xz", order.x));
+                let circuit = &mut circuits[usize::from(!order.x)];
+                circuit.set_lines(order.s1, order.s0, order.value);
+                (*order, now_ns, circuit.acknowledged())
+            }),
+        };
+    }
+    for (n, (circuit, wires)) in circuits.iter().zip(&mut wires).enumerate() {
+        board.mtc_minus_scale[n] = wires.mtc.count() - wires.scale.count();
+        board.pulses[n] = wires.pulses;
+        board.acknowledged[n] = circuit.acknowledged();
+        board.illegal[n] = wires.mtc.illegal();
+        board.worst_phase_mdeg = board.worst_phase_mdeg.max((circuit.worst_phase_deg() * 1e3) as u64);
+        board.changes.append(&mut wires.changes);
+        // One set of lines: what is said to the selected axis, and its answer.
+        let mut was = ControlLines::default();
+        for (t_ns, is) in circuit.lines_log() {
+            for (name, was, is) in [("s1", was.s1, is.s1), ("s0", was.s0, is.s0), ("ack", was.ack, is.ack)] {
+                if was != is {
+                    board.changes.push((*t_ns, name, is));
+                }
+            }
+            was = *is;
+        }
+    }
+    board.changes.sort_by_key(|c| c.0);
+    Ok(board)
+}
+
+impl Board {
+    /// How long each acknowledgement was on, ns.
+    #[must_use]
+    pub fn ack_ns(&self) -> Vec<u64> {
+        let mut on = None;
+        let acks = self.changes.iter().filter(|c| c.1 == "ack");
+        acks.filter_map(|&(t_ns, _, is)| {
+            let began = std::mem::replace(&mut on, is.then_some(t_ns));
+            (!is).then_some(t_ns - began?)
+        })
+        .collect()
+    }
+
+    /// The board's signals as a value change dump (IEEE 1364): [`SIGNALS`], all low at the start.
+    #[must_use]
+    pub fn to_vcd(&self) -> String {
+        let code = |n: usize| char::from(b'!' + n as u8);
+        let mut text = "$timescale 1 ns $end\n$scope module ecc $end\n".to_owned();
+        for (n, name) in SIGNALS.iter().enumerate() {
+            let _ = writeln!(text, "$var wire 1 {} {name} $end", code(n));
+        }
+        text += "$upscope $end\n$enddefinitions $end\n#0\n";
+        for n in 0..SIGNALS.len() {
+            let _ = writeln!(text, "0{}", code(n));
+        }
+        let (mut last_ns, mut levels) = (0, [false; SIGNALS.len()]);
+        for &(t_ns, name, is) in &self.changes {
+            let n = SIGNALS.iter().position(|s| *s == name).unwrap_or_default();
+            if std::mem::replace(&mut levels[n], is) == is {
+                continue;
+            }
+            if t_ns != last_ns {
+                let _ = writeln!(text, "#{t_ns}");
+                last_ns = t_ns;
+            }
+            let _ = writeln!(text, "{}{}", u8::from(is), code(n));
+        }
+        text
+    }
+}
