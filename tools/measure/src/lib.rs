@@ -4,12 +4,14 @@
 //! |---|---|
 //! | [`record`] | run records, read strictly and written whole |
 //! | [`import`] | other tools' files as run records |
+//! | [`derive`](mod@derive) | velocity and acceleration from positions |
 //! | [`plan`] | the test sequence a machine is characterised with |
 //! | [`iso230`], [`plate`] | evaluations as the standards define them |
 //! | [`plot`] | charts as SVG |
 //!
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
 
+pub mod derive;
 pub mod import;
 pub mod iso230;
 pub mod plan;
