@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`record`] | run records, read strictly and written whole |
+//! | [`export`] | one axis' errors as a table for a controller that compensates by itself |
 //! | [`import`] | other tools' files as run records |
 //! | [`derive`](mod@derive) | velocity and acceleration from positions |
 //! | [`plan`] | the test sequence a machine is characterised with |
@@ -12,6 +13,7 @@
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
 
 pub mod derive;
+pub mod export;
 pub mod import;
 pub mod iso230;
 pub mod plan;
