@@ -26,6 +26,8 @@ use std::path::Path;
 const LONGEST_MM: f64 = 100_000.0;
 /// Places between two points at which a table is judged, and in all.
 const PLACES: (usize, usize) = (24, 40_000);
+/// No controller takes more points.
+const MANY: usize = 100_000;
 /// Steps that read well, as parts of a power of ten.
 const ROUND: [f64; 6] = [8.0, 5.0, 4.0, 2.5, 2.0, 1.0];
 
@@ -84,7 +86,7 @@ pub struct Csv;
 
 impl Format for Csv {
     fn rules(&self) -> Rules {
-        Rules { most: 100_000, position_mm: 1e-6, value_um: 1e-6, both: true, zero_at_mm: None }
+        Rules { most: MANY, position_mm: 1e-6, value_um: 1e-6, both: true, zero_at_mm: None }
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {
@@ -368,10 +370,10 @@ impl Table {
             return Err(usage(format!("--reference-mm {zero}"), expected));
         }
         let most = wanted.most.unwrap_or(rules.most);
-        if !(2..=rules.most).contains(&most) {
+        if !(2..=rules.most.min(MANY)).contains(&most) {
             return Err(usage(
                 format!("--max-points {most}"),
-                format!("from 2 to {}, as the format takes", rules.most),
+                format!("from 2 to {}, as the format takes", rules.most.min(MANY)),
             ));
         }
         let dense = Dense::of(errors, from, to, most)?;
@@ -495,27 +497,32 @@ impl Dense {
     }
 }
 
-/// Steps to try, from the widest on: round ones, and the narrowest of all.
+/// Steps to try, from the widest on, so that the last point is the end of the travel: round ones that divide it, and parts of it.
 fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
-    let narrowest = span_mm / (most - 1) as f64;
+    let up = |step: f64| round_to((step / position_mm - 1e-6).ceil().max(1.0) * position_mm, position_mm);
     let mut steps = Vec::new();
-    for power in (-7..=5).rev() {
+    for power in -7..=5 {
         for part in ROUND {
-            let step = round_to(part * 10f64.powi(power), position_mm.min(1e-7));
-            let whole = (step / position_mm - (step / position_mm).round()).abs() < 1e-6;
-            if whole && step <= span_mm && step >= narrowest * (1.0 - 1e-9) && step >= position_mm {
+            let step = part * 10f64.powi(power);
+            let parts = span_mm / step;
+            let divides = (parts - parts.round()).abs() < 1e-6 && parts.round() >= 1.0;
+            if divides && parts < most as f64 - 0.5 && (up(step) - step).abs() < 1e-9 {
                 steps.push(step);
             }
         }
     }
-    let last = (narrowest / position_mm - 1e-6).ceil().max(1.0) * position_mm;
-    if steps.last().is_none_or(|s| last < s * (1.0 - 1e-9)) {
-        steps.push(last);
+    let mut parts = 1;
+    while parts < most {
+        steps.push(up(span_mm / parts as f64));
+        parts = (parts * 9 / 8).max(parts + 1);
     }
+    steps.push(up(span_mm / (most - 1) as f64));
+    steps.sort_by(|a, b| b.total_cmp(a));
+    steps.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     steps
 }
 
-/// A text without line breaks, for what stands in one line of a file.
+/// A number as it is written.
 pub(crate) fn number(value: f64, decimals: usize) -> String {
     // No minus before a zero.
     let text = format!("{value:.decimals$}");

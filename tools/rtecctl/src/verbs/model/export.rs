@@ -4,7 +4,7 @@ use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::export::linuxcnc::{LinuxCnc, Unit};
 use rtec_measure::export::own::Own;
-use rtec_measure::export::{Csv, Errors, Format as _, Table, Wanted, beckhoff, siemens};
+use rtec_measure::export::{Csv, Errors, Table, Wanted, beckhoff, siemens};
 use rtec_model::date;
 use rtec_model::machine::Machine;
 use serde_json::json;
