@@ -92,8 +92,7 @@ fn linuxcnc_takes_out_the_models_errors_in_both_units_types_and_directions() {
             let at_point = points.iter().any(|p| (p - place).abs() < 1e-4) || !(-40.0..=62.0).contains(place);
             let kind = usize::from(!at_point);
             worst[kind] = worst[kind].max(off);
-            // LinuxCNC looks the table up while the axis moves: the last time a micrometre or two before the place. Between
-            // the points a straight line: 4 µm·(2π/10)²·0.4²/8 mm² off at most.
+            // LinuxCNC looks the table up while the axis moves, the last time a micrometre before the place. Between the points a straight line: 4 µm·(2π/10)²·0.4²/8 mm² off at most.
             let allowed = 0.01 + if at_point { 0.0 } else { 0.0316 };
             assert!(off < allowed, "{unit}, type {joint}, {place} mm, up {up}: {motor} µm, model {expected}");
         }
