@@ -34,8 +34,9 @@ pub fn read(path: &Path) -> Result<Record, InputError> {
 pub fn read_log(path: &Path) -> Result<Record, InputError> {
     let sidecar = Sidecar::read(path)?;
     let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
-    let bytes = std::fs::read(&csv_path).map_err(|e| {
-        sidecar.file_error.clone().with(format!("`{}` ({e})", csv_path.display()), "a CSV that can be read")
+    let bytes = rtec_files::text::bytes(&csv_path).map_err(|e| {
+        let found = format!("`{}` ({})", csv_path.display(), e.found);
+        sidecar.file_error.clone().with(found, "a CSV that can be read")
     })?;
     let columns = parse_csv(&csv_path, &bytes, &sidecar)?;
     let mut record = Record::of_checked(path, sidecar.kind, columns);
