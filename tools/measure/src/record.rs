@@ -133,6 +133,16 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
 fn parse_csv(path: &Path, bytes: &[u8], sidecar: &Sidecar) -> Result<Vec<Column>, InputError> {
     let mut reader = Reader::new(path, bytes)?;
     let header = reader.header("a header line")?;
+    if let Some((by, name)) =
+        [(';', "semicolons"), ('\t', "tabs")].into_iter().find(|(by, _)| header.text().contains(*by))
+        && !header.text().contains(',')
+        && sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
+    {
+        let found = format!("columns parted by {name} ('{}')", by.escape_default());
+        let expected =
+            "commas and decimal points; `rtecctl characterise import --format csv` takes such a table";
+        return Err(InputError::at(path, header.line(), 0, found, expected));
+    }
     // For every field of the CSV the listed column it belongs to.
     let mut slots: Vec<Option<usize>> = vec![None; header.names().count()];
     for listed in &sidecar.columns {

@@ -1,0 +1,120 @@
+//! A log of MTConnect's SHDR lines: `TIME|KEY|VALUE`, several pairs a line; what is not a sample of a wanted key is passed over.
+
+use super::table::ImportColumn;
+use super::time::{day, iso8601_ns};
+use super::{add_note, column, record_of};
+use rtec_files::InputError;
+use rtec_model::record::{Column, Kind, Record, Role};
+use std::path::Path;
+
+/// Reads the wanted keys: a row whenever one of them is told, the others as they were told last. Rows begin when all are
+/// known, and pause while one is `UNAVAILABLE`. Times are ISO 8601, or seconds; time 0 is the first row's.
+///
+/// # Errors
+/// A time that is none or runs backwards, a wanted value that is no number, a wanted key that is never told.
+pub fn shdr(
+    from: &Path,
+    text: &str,
+    wanted: &[ImportColumn],
+    kind: Kind,
+    log: bool,
+    to: &Path,
+) -> Result<Record, InputError> {
+    if let Some(w) = wanted.iter().find(|w| w.role == Role::Time) {
+        return Err(InputError::whole(
+            from,
+            format!("`{}` as time", w.column),
+            "no column for the time: it stands in front of every line",
+        ));
+    }
+    let mut now: Vec<Option<f64>> = vec![None; wanted.len()];
+    let mut told = vec![false; wanted.len()];
+    let mut data: Vec<Vec<f64>> = vec![Vec::new(); wanted.len()];
+    let (mut times, mut start): (Vec<i128>, Option<(i128, String)>) = (Vec::new(), None);
+    for (i, line) in text.lines().enumerate() {
+        // Lines of the protocol itself (`* PING`) and empty ones.
+        if line.trim().is_empty() || line.starts_with('*') {
+            continue;
+        }
+        let mut fields = line.split('|');
+        let stamp = fields.next().unwrap_or_default();
+        // A duration may follow the time behind an @.
+        let time = stamp.split('@').next().unwrap_or(stamp);
+        let seconds = || time.parse::<f64>().ok().filter(|t| t.is_finite() && t.abs() < 1e12);
+        let ns = iso8601_ns(time).or_else(|| seconds().map(|s| (s * 1e9).round() as i128));
+        let ns = ns.ok_or_else(|| {
+            InputError::at(
+                from,
+                i + 1,
+                1,
+                format!("`{stamp}`"),
+                "a time as 2022-08-08T13:51:37.25Z, or seconds, then |",
+            )
+        })?;
+        let fields: Vec<&str> = fields.collect();
+        let mut changed = false;
+        let mut rest = &fields[..];
+        while let [key, value, more @ ..] = rest {
+            if let Some(place) = wanted.iter().position(|w| w.column == *key) {
+                let value = value.trim();
+                (told[place], changed) = (true, true);
+                now[place] = if value.eq_ignore_ascii_case("UNAVAILABLE") {
+                    None
+                } else {
+                    let number = value.parse::<f64>().ok().filter(|v| v.is_finite());
+                    let number = number.ok_or_else(|| {
+                        let at = line.find(key).unwrap_or(0) + 1;
+                        InputError::at(
+                            from,
+                            i + 1,
+                            at,
+                            format!("`{value}` of {key}"),
+                            "a number, or UNAVAILABLE",
+                        )
+                    })?;
+                    Some(number * wanted[place].scale[0] + wanted[place].scale[1])
+                };
+            }
+            rest = more;
+        }
+        if !changed || now.iter().any(Option::is_none) {
+            continue;
+        }
+        if times.last().is_some_and(|last| ns < *last) {
+            let found = format!("`{stamp}` before the time of the row in front");
+            return Err(InputError::at(from, i + 1, 1, found, "times that never decrease"));
+        }
+        if times.last() == Some(&ns) {
+            // Told at one time: one row.
+            times.pop();
+            for data in &mut data {
+                data.pop();
+            }
+        }
+        start.get_or_insert_with(|| (ns, time.to_owned()));
+        times.push(ns);
+        for (data, v) in data.iter_mut().zip(now.iter().flatten()) {
+            data.push(*v);
+        }
+    }
+    if let Some((w, _)) = wanted.iter().zip(&told).find(|(_, told)| !**told) {
+        return Err(InputError::whole(from, format!("no `{}`", w.column), "every wanted key at least once"));
+    }
+    let Some((first, text)) = start else {
+        return Err(InputError::whole(from, "no time at which all wanted keys are known", "at least one"));
+    };
+    let mut columns =
+        vec![column("t", Role::Time, times.iter().map(|t| (t - first) as f64 * 1e-9).collect())];
+    columns.extend(
+        wanted
+            .iter()
+            .zip(data)
+            .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) }),
+    );
+    let mut record = record_of(to, kind, columns, log)?;
+    if text.contains('-') {
+        record.date = Some(day(first));
+    }
+    add_note(&mut record, &format!("time 0 is {text}; values hold until the next is told"));
+    Ok(record)
+}
