@@ -309,6 +309,11 @@ fn shdr_values_hold_until_the_next_is_told() {
     assert_eq!(data(&record, "error.x"), [1.0, 2.0, 2.0]);
     assert_eq!(record.temperature("Xtemp").unwrap(), [20.0, 20.0, 21.0]);
     assert_eq!(record.date.as_deref(), Some("2022-08-08"));
+    // Documents between the lines, older than they; conditions; texts that are empty: as an Okuma's log has them.
+    let asset = "2022-08-08T10:33:04.97Z|@ASSET@|123456.2201|CuttingTool|--multiline--ABCD\n<CuttingTool toolId=\"1\">\n--multiline--ABCD\n\
+                 2022-08-08T13:51:34.7167146Z|system|NORMAL||||\n2022-08-08T13:51:34.7167146Z|p1block||Xpos||e|UNAVAILABLE\n";
+    assert_eq!(data(&read(&format!("{asset}{text}")).unwrap(), "position.x"), [1.0, 2.0, 3.0]);
+    refused(read(&asset.replace("\n--multi", "\n--multy")), 1, "the same mark at the end");
     // Relative times, as a simulator replays them.
     let record = read("1|Xpos|1|e|0|Xtemp|20\n2.5|Xpos|2\n").unwrap();
     assert_eq!((data(&record, "time"), record.date), (vec![0.0, 1.5], None));

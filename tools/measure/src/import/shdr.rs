@@ -31,7 +31,8 @@ pub fn shdr(
     let mut told = vec![false; wanted.len()];
     let mut data: Vec<Vec<f64>> = vec![Vec::new(); wanted.len()];
     let (mut times, mut start): (Vec<i128>, Option<(i128, String)>) = (Vec::new(), None);
-    for (i, line) in text.lines().enumerate() {
+    let mut lines = text.lines().enumerate();
+    while let Some((i, line)) = lines.next() {
         // Lines of the protocol itself (`* PING`) and empty ones.
         if line.trim().is_empty() || line.starts_with('*') {
             continue;
@@ -52,13 +53,26 @@ pub fn shdr(
             )
         })?;
         let fields: Vec<&str> = fields.collect();
+        // A document, up to the line that repeats its mark.
+        if let Some(mark) = fields.last().filter(|f| f.starts_with("--multiline--")) {
+            if !lines.any(|(_, line)| line.trim_end() == mark.trim_end()) {
+                return Err(InputError::at(
+                    from,
+                    i + 1,
+                    1,
+                    format!("`{mark}`"),
+                    "the same mark at the end of what it begins",
+                ));
+            }
+            continue;
+        }
         let mut changed = false;
         let mut rest = &fields[..];
         while let [key, value, more @ ..] = rest {
             if let Some(place) = wanted.iter().position(|w| w.column == *key) {
                 let value = value.trim();
                 (told[place], changed) = (true, true);
-                now[place] = if value.eq_ignore_ascii_case("UNAVAILABLE") {
+                now[place] = if value.is_empty() || value.eq_ignore_ascii_case("UNAVAILABLE") {
                     None
                 } else {
                     let number = value.parse::<f64>().ok().filter(|v| v.is_finite());
