@@ -41,11 +41,10 @@ pub fn prediction_chart(
     predicted: &[f64],
     half_widths_um: Option<&[f64]>,
 ) -> Chart {
-    let over_time = |v: &mut dyn Iterator<Item = f64>| {
-        record.time_s().iter().map(|t| t / 60.0).zip(v).collect::<Vec<(f64, f64)>>()
-    };
+    let (name, x) = record.over_time();
+    let over_time = |v: &mut dyn Iterator<Item = f64>| x.iter().copied().zip(v).collect::<Vec<(f64, f64)>>();
     let title = format!("{}: {} measured and predicted", record.file, response.role);
-    let mut chart = Chart::new(&title, "time, min", "error, µm")
+    let mut chart = Chart::new(&title, name, "error, µm")
         .with(Series::new("measured", Style::Dots, over_time(&mut response.data.iter().copied())))
         .with(Series::new("predicted", Style::Line, over_time(&mut predicted.iter().copied())));
     if let Some(widths) = half_widths_um {
@@ -68,7 +67,10 @@ pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after
     let along = moves.max_by(|a, b| span(&a.data).total_cmp(&span(&b.data)));
     let (name, x): (String, Vec<f64>) = match along {
         Some(c) => (format!("{}, mm", c.role), c.data.clone()),
-        None => ("time, min".to_owned(), record.time_s().iter().map(|t| t / 60.0).collect()),
+        None => {
+            let (name, x) = record.over_time();
+            (name.to_owned(), x)
+        }
     };
     let points = |v: &[f64]| {
         let m = mean(v);
