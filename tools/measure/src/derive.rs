@@ -41,7 +41,7 @@ pub fn derive(record: &mut Record) -> Vec<String> {
         else {
             continue;
         };
-        if wanted.is_empty() || p.iter().all(|v| *v == p[0]) {
+        if wanted.is_empty() || p.iter().all(|v| v - p[0] == 0.0) {
             continue;
         }
         let names: Vec<String> = wanted.iter().map(|(role, _)| role.to_string()).collect();
@@ -93,7 +93,7 @@ fn runs(t: &[f64], kind: Kind) -> Result<Vec<Range<usize>>, String> {
         return Err(format!("{} rows are too few", t.len()));
     }
     let step = median(t.windows(2).map(|w| w[1] - w[0]));
-    if !(step > 0.0) {
+    if step <= 0.0 {
         return Err("most rows have the same time as the row before".to_owned());
     }
     let moving = matches!(kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
@@ -133,7 +133,7 @@ fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
     for run in runs {
         for start in run.start..=run.end - FEWEST {
             let (t, p) = (&t[start..start + FEWEST], &p[start..start + FEWEST]);
-            if t.windows(2).any(|w| w[1] <= w[0]) || p[0] == p[4] {
+            if t.windows(2).any(|w| w[1] <= w[0]) || p[4] - p[0] == 0.0 {
                 continue;
             }
             // Divided differences of fourth order vanish for a cubic.

@@ -20,6 +20,7 @@ use rtec_model::effect::{Effect, Naming, Need, Quantity};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
+use std::fmt::Write as _;
 use std::path::Path;
 
 /// Nothing longer is a machine tool, mm.
@@ -92,7 +93,8 @@ impl Format for Csv {
     fn text(&self, table: &Table) -> Result<String, InputError> {
         let mut text = "position_mm,error_up_um,error_down_um\n".to_owned();
         for p in &table.points {
-            text.push_str(&format!("{},{},{}\n", p.position_mm, p.up_um, p.down_um));
+            // Writing to a String does not fail.
+            let _ = writeln!(text, "{},{},{}", p.position_mm, p.up_um, p.down_um);
         }
         Ok(text)
     }
@@ -370,10 +372,11 @@ impl Table {
             return Err(usage(format!("--reference-mm {zero}"), expected));
         }
         let most = wanted.most.unwrap_or(rules.most);
-        if !(2..=rules.most.min(MANY)).contains(&most) {
+        let takes = rules.most.clamp(2, MANY);
+        if !(2..=takes).contains(&most) {
             return Err(usage(
                 format!("--max-points {most}"),
-                format!("from 2 to {}, as the format takes", rules.most.min(MANY)),
+                format!("from 2 to {takes}, as the format takes"),
             ));
         }
         let dense = Dense::of(errors, from, to, most)?;

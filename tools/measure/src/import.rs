@@ -7,7 +7,7 @@
 //! | `renishaw` | `.rtl`: linear targets of a laser interferometer | programs that read it; no file of the maker's was seen |
 //! | `etalon` | Etalon's exchange format | ISG kernel documentation, 296430091 |
 //! | `halsampler` | LinuxCNC's `halsampler` | its source, `sampler_usr.c` |
-//! | `shdr` | a log of MTConnect's SHDR lines | the agent's own logs |
+//! | `shdr` | a log of `MTConnect`'s SHDR lines | the agent's own logs |
 //! | `linuxcnc` | LinuxCNC's compensation file | its loader, `usrmotintf.cc` |
 //! | `ecmc` | ecmc's ISO 230-2 test | |
 //! | `cmm` | tables of holes | |

@@ -44,7 +44,7 @@ fn stroke(t: f64) -> [f64; 3] {
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (n, sum) = values.fold((0.0, 0.0), |(n, s), v| (n + 1.0, s + v * v));
-    (sum / n as f64).sqrt()
+    (sum / n).sqrt()
 }
 
 /// Derivatives of a record, and their errors against the formula, both RMS; the lag in s that explains most of the velocity's.

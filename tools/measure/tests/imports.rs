@@ -1,6 +1,6 @@
 //! Other programs' files as run records: each structure written down here by hand, with what it means.
 
-#![allow(clippy::unwrap_used)] // a test's own helpers
+#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers; directions are 1 or -1
 
 use rtec_files::InputError;
 use rtec_measure::export::linuxcnc::Unit;
@@ -140,7 +140,7 @@ fn linuxcnc_files_of_both_types_mean_the_same_errors() {
     refused(read("0 0 0\n1 2\n3 3 3\n", false, Unit::Mm), 2, "`1 2`");
     refused(read("0 0 0\n1 2\n", false, Unit::Mm), 2, "two points at least");
     refused(read("0 0 0\n0 1 1\n", false, Unit::Mm), 2, "positions that rise");
-    let many: String = (0..257).map(|i| format!("{i} {i} {i}\n")).collect();
+    let many: String = (0..257).map(|i| [format!("{i} {i} {i}"), String::new()].join("\n")).collect();
     refused(read(&many, false, Unit::Mm), 257, "at most 256 points");
 }
 

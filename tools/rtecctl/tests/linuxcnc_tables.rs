@@ -1,7 +1,7 @@
 //! Exported tables in a whole LinuxCNC: what it adds to the motors' command, read back at the tables' points and between them, both
 //! directions, both types, millimetres and inches, against the model's laws written down here.
 
-#![allow(clippy::unwrap_used)] // a test's own helpers
+#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
 
 use std::path::Path;
 use std::process::Command;
@@ -33,8 +33,8 @@ fn available() -> bool {
 /// Place (mm), joint, trim by HAL and motor command minus command (µm), in the order of the places.
 fn visited(dir: &Path, unit: &str, places_mm: &[f64]) -> Vec<(f64, usize, f64, f64)> {
     let mm = if unit == "inch" { 25.4 } else { 1.0 };
-    let text: String = places_mm.iter().map(|p| format!("{:.9}\n", p / mm)).collect();
-    std::fs::write(dir.join("places"), text).unwrap();
+    let lines: Vec<String> = places_mm.iter().map(|p| format!("{:.9}", p / mm)).collect();
+    std::fs::write(dir.join("places"), lines.join("\n") + "\n").unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/linuxcnc/run-compensation");
     let out = Command::new(script).arg(dir).arg(unit).output().unwrap();
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));

@@ -1,6 +1,6 @@
 //! What verbs print for a person: no JSON without --json, and things called what they are.
 
-#![allow(clippy::unwrap_used)] // a test's own helpers
+#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -93,7 +93,7 @@ fn a_fit_is_called_what_it_is_and_rows_are_rows() {
             dir.path(),
             &format!("model validate --machine {name}.toml --record {name}.run.toml --plot {name}.svg"),
         );
-        let svg = std::fs::read_to_string(dir.path().join(format!("{name}.svg"))).unwrap().replace("\n", "");
+        let svg = std::fs::read_to_string(dir.path().join(format!("{name}.svg"))).unwrap().replace('\n', "");
         assert!(svg.contains(axis) && !svg.contains(other), "{name}");
     }
     rtecctl(

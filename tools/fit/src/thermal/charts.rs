@@ -65,12 +65,9 @@ pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after
     };
     let moves = record.columns.iter().filter(|c| matches!(c.role, Role::Position(_)) && span(&c.data) > 0.0);
     let along = moves.max_by(|a, b| span(&a.data).total_cmp(&span(&b.data)));
-    let (name, x): (String, Vec<f64>) = match along {
+    let (name, x) = match along {
         Some(c) => (format!("{}, mm", c.role), c.data.clone()),
-        None => {
-            let (name, x) = record.over_time();
-            (name.to_owned(), x)
-        }
+        None => over_time(record),
     };
     let points = |v: &[f64]| {
         let m = mean(v);
@@ -79,4 +76,9 @@ pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after
     Chart::new(&format!("{}: {response} before and after the fit", record.file), &name, "error, µm")
         .with(Series::new("before", Style::Dots, points(before_um)))
         .with(Series::new("left", Style::Dots, points(after_um)))
+}
+
+fn over_time(record: &Record) -> (String, Vec<f64>) {
+    let (name, x) = record.over_time();
+    (name.to_owned(), x)
 }

@@ -150,9 +150,9 @@ impl Own {
             _ => return Err(value.mismatch(expected)),
         };
         let most = root.required("max_points", "max_points, the most points that the controller takes")?;
-        let most = match most.integer::<usize>("a whole number from 2 to 100000")? {
-            n @ 2..=100_000 => n,
-            _ => return Err(most.mismatch("a whole number from 2 to 100000")),
+        let expected = "a whole number from 2 to 100000";
+        let Some(count) = Some(most.integer::<usize>(expected)?).filter(|n| (2..=100_000).contains(n)) else {
+            return Err(most.mismatch(expected));
         };
         let line_end = match root.get("line_end") {
             None => "\n",
@@ -174,7 +174,7 @@ impl Own {
             value,
             position: (unit("position_unit", Some(1.0))?, decimals("position_decimals")?),
             values: (unit("value_unit", None)?, decimals("value_decimals")?),
-            most,
+            most: count,
             first_index: root.get("first_index").map_or(Ok(0), |e| e.integer("a whole number"))?,
             zero_at_mm: zero.then_some(reference_mm),
             both: !mean,
@@ -205,11 +205,9 @@ impl Own {
 impl Format for Own {
     fn rules(&self) -> Rules {
         let resolution = |(mm, decimals): (f64, usize)| mm * 10f64.powi(-(decimals as i32));
-        // In inches no step is a round one: the points are where a decimal of an inch is not asked for, and judged as written.
-        let fine = |r: f64, decimal: f64| if self.position.0 == 25.4 { decimal } else { r };
         Rules {
             most: self.most,
-            position_mm: fine(resolution(self.position), 1e-6),
+            position_mm: resolution(self.position),
             value_um: 1000.0 * resolution(self.values),
             both: self.both,
             zero_at_mm: self.zero_at_mm,

@@ -83,70 +83,8 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
     }
     let targets = targets(from, target_data, count(target_data, "Target-count")?)?;
     let runs = count(section("RUNS")?, "Run-count")?;
-    let mut listed: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); runs];
-    let deviations = section("DEVIATIONS")?;
-    for (line, text) in &deviations.lines {
-        if text.ends_with(':') {
-            continue; // `Run Target Data:`
-        }
-        let at = |found: String, expected: String| InputError::at(from, *line, 1, found, expected);
-        let words: Vec<&str> = text.split_whitespace().collect();
-        let parsed = match words[..] {
-            [run, target, value] => {
-                let value = value.parse::<f64>().ok().filter(|v| v.is_finite());
-                run.parse().ok().zip(target.parse().ok()).zip(value)
-            }
-            _ => None,
-        };
-        let ((run, target), um): ((usize, usize), f64) = parsed.ok_or_else(|| {
-            at(format!("`{text}`"), "run, target and deviation in um (with a decimal point)".to_owned())
-        })?;
-        if !(1..=runs).contains(&run) || !(1..=targets.len()).contains(&target) {
-            let expected =
-                format!("runs 1 to {runs} and targets 1 to {}, as the file counts them", targets.len());
-            return Err(at(format!("run {run}, target {target}"), expected));
-        }
-        if listed[run - 1].iter().any(|(_, t, _)| *t == target - 1) {
-            return Err(at(
-                format!("target {target} of run {run} a second time"),
-                "each target once a run".to_owned(),
-            ));
-        }
-        listed[run - 1].push((*line, target - 1, um));
-    }
-    if let Some(run) = listed.iter().position(|r| r.len() != targets.len()) {
-        let found = format!("{} deviations in run {}", listed[run].len(), run + 1);
-        return Err(InputError::whole(from, found, format!("one for each of the {} targets", targets.len())));
-    }
-    let mut rows: Vec<[f64; 4]> = Vec::new();
-    let (mut notes, mut seen) = (Vec::new(), [0.0, 0.0]);
-    let some = listed.iter().flatten().any(|(_, _, um)| *um != 0.0);
-    for (n, run) in listed.iter().enumerate() {
-        if some && run.iter().all(|(_, _, um)| *um == 0.0) {
-            notes.push(format!(
-                "run {} is all zeros and was left out: a direction that was not measured",
-                n + 1
-            ));
-            continue;
-        }
-        let place = |k: usize| targets[run[k].1];
-        let falls = if run.len() > 1 { place(run.len() - 1) < place(0) } else { n % 2 == 1 };
-        let steps = (1..run.len()).map(|k| place(k) - place(k - 1));
-        if let Some(k) = steps.into_iter().position(|s| (s < 0.0) != falls) {
-            let found = format!("run {} turns back at target {}", n + 1, run[k + 1].1 + 1);
-            return Err(InputError::at(
-                from,
-                run[k + 1].0,
-                1,
-                found,
-                "a run that goes through its targets one way",
-            ));
-        }
-        seen[usize::from(falls)] += 1.0;
-        for (_, target, um) in run {
-            rows.push([seen[usize::from(falls)], targets[*target], if falls { -1.0 } else { 1.0 }, *um]);
-        }
-    }
+    let listed = deviations(from, section("DEVIATIONS")?, targets.len(), runs)?;
+    let (rows, notes) = rows(from, &listed, &targets)?;
     let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
     let columns = vec![
         column("cycle", Role::Cycle, get(0)),
@@ -196,4 +134,88 @@ fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>,
         return Err(InputError::whole(from, found, "as many targets as the file counts"));
     }
     Ok(targets)
+}
+
+/// A deviation: its line, its target's place, µm.
+type Deviation = (usize, usize, f64);
+
+/// The deviations run by run, as many in each as there are targets.
+fn deviations(
+    from: &Path,
+    section: &Section<'_>,
+    targets: usize,
+    runs: usize,
+) -> Result<Vec<Vec<Deviation>>, InputError> {
+    let mut listed: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); runs];
+    for (line, text) in &section.lines {
+        if text.ends_with(':') {
+            continue; // `Run Target Data:`
+        }
+        let at = |found: String, expected: String| InputError::at(from, *line, 1, found, expected);
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let parsed = match words[..] {
+            [run, target, value] => {
+                let value = value.parse::<f64>().ok().filter(|v| v.is_finite());
+                run.parse().ok().zip(target.parse().ok()).zip(value)
+            }
+            _ => None,
+        };
+        let ((run, target), um): ((usize, usize), f64) = parsed.ok_or_else(|| {
+            at(format!("`{text}`"), "run, target and deviation in um (with a decimal point)".to_owned())
+        })?;
+        if !(1..=runs).contains(&run) || !(1..=targets).contains(&target) {
+            let expected = format!("runs 1 to {runs} and targets 1 to {targets}, as the file counts them");
+            return Err(at(format!("run {run}, target {target}"), expected));
+        }
+        if listed[run - 1].iter().any(|(_, t, _)| *t == target - 1) {
+            return Err(at(
+                format!("target {target} of run {run} a second time"),
+                "each target once a run".to_owned(),
+            ));
+        }
+        listed[run - 1].push((*line, target - 1, um));
+    }
+    if let Some(run) = listed.iter().position(|r| r.len() != targets) {
+        let found = format!("{} deviations in run {}", listed[run].len(), run + 1);
+        return Err(InputError::whole(from, found, format!("one for each of the {targets} targets")));
+    }
+    Ok(listed)
+}
+
+/// Rows of cycle, position, direction and error; and what was left out.
+fn rows(
+    from: &Path,
+    listed: &[Vec<Deviation>],
+    targets: &[f64],
+) -> Result<(Vec<[f64; 4]>, Vec<String>), InputError> {
+    let mut rows: Vec<[f64; 4]> = Vec::new();
+    let (mut notes, mut seen) = (Vec::new(), [0.0, 0.0]);
+    let some = listed.iter().flatten().any(|(_, _, um)| *um != 0.0);
+    for (n, run) in listed.iter().enumerate() {
+        if some && run.iter().all(|(_, _, um)| *um == 0.0) {
+            notes.push(format!(
+                "run {} is all zeros and was left out: a direction that was not measured",
+                n + 1
+            ));
+            continue;
+        }
+        let place = |k: usize| targets[run[k].1];
+        let falls = if run.len() > 1 { place(run.len() - 1) < place(0) } else { n % 2 == 1 };
+        let steps = (1..run.len()).map(|k| place(k) - place(k - 1));
+        if let Some(k) = steps.into_iter().position(|s| (s < 0.0) != falls) {
+            let found = format!("run {} turns back at target {}", n + 1, run[k + 1].1 + 1);
+            return Err(InputError::at(
+                from,
+                run[k + 1].0,
+                1,
+                found,
+                "a run that goes through its targets one way",
+            ));
+        }
+        seen[usize::from(falls)] += 1.0;
+        for (_, target, um) in run {
+            rows.push([seen[usize::from(falls)], targets[*target], if falls { -1.0 } else { 1.0 }, *um]);
+        }
+    }
+    Ok((rows, notes))
 }

@@ -1,4 +1,4 @@
-//! A log of MTConnect's SHDR lines: `TIME|KEY|VALUE`, several pairs a line; what is not a sample of a wanted key is passed over.
+//! A log of `MTConnect`'s SHDR lines: `TIME|KEY|VALUE`, several pairs a line; what is not a sample of a wanted key is passed over.
 
 use super::table::ImportColumn;
 use super::time::{day, iso8601_ns};
@@ -41,16 +41,9 @@ pub fn shdr(
         let stamp = fields.next().unwrap_or_default();
         // A duration may follow the time behind an @.
         let time = stamp.split('@').next().unwrap_or(stamp);
-        let seconds = || time.parse::<f64>().ok().filter(|t| t.is_finite() && t.abs() < 1e12);
-        let ns = iso8601_ns(time).or_else(|| seconds().map(|s| (s * 1e9).round() as i128));
-        let ns = ns.ok_or_else(|| {
-            InputError::at(
-                from,
-                i + 1,
-                1,
-                format!("`{stamp}`"),
-                "a time as 2022-08-08T13:51:37.25Z, or seconds, then |",
-            )
+        let ns = nanoseconds(time).ok_or_else(|| {
+            let expected = "a time as 2022-08-08T13:51:37.25Z, or seconds, then |";
+            InputError::at(from, i + 1, 1, format!("`{stamp}`"), expected)
         })?;
         let fields: Vec<&str> = fields.collect();
         // A document, up to the line that repeats its mark.
@@ -70,24 +63,12 @@ pub fn shdr(
         let mut rest = &fields[..];
         while let [key, value, more @ ..] = rest {
             if let Some(place) = wanted.iter().position(|w| w.column == *key) {
-                let value = value.trim();
                 (told[place], changed) = (true, true);
-                now[place] = if value.is_empty() || value.eq_ignore_ascii_case("UNAVAILABLE") {
-                    None
-                } else {
-                    let number = value.parse::<f64>().ok().filter(|v| v.is_finite());
-                    let number = number.ok_or_else(|| {
-                        let at = line.find(key).unwrap_or(0) + 1;
-                        InputError::at(
-                            from,
-                            i + 1,
-                            at,
-                            format!("`{value}` of {key}"),
-                            "a number, or UNAVAILABLE",
-                        )
-                    })?;
-                    Some(number * wanted[place].scale[0] + wanted[place].scale[1])
-                };
+                let scaled = |v: f64| v * wanted[place].scale[0] + wanted[place].scale[1];
+                now[place] = sample(value.trim()).map(|v| v.map(scaled)).ok_or_else(|| {
+                    let (at, value) = (line.find(key).unwrap_or(0) + 1, value.trim());
+                    InputError::at(from, i + 1, at, format!("`{value}` of {key}"), "a number, or UNAVAILABLE")
+                })?;
             }
             rest = more;
         }
@@ -131,4 +112,19 @@ pub fn shdr(
     }
     add_note(&mut record, &format!("time 0 is {text}; values hold until the next is told"));
     Ok(record)
+}
+
+/// ISO 8601, or seconds.
+fn nanoseconds(time: &str) -> Option<i128> {
+    let seconds = || time.parse::<f64>().ok().filter(|t| t.is_finite() && t.abs() < 1e12);
+    iso8601_ns(time).or_else(|| seconds().map(|s| (s * 1e9).round() as i128))
+}
+
+/// A sample's value, none where it is not available; `None` where it is no sample.
+#[allow(clippy::option_option)]
+fn sample(value: &str) -> Option<Option<f64>> {
+    if value.is_empty() || value.eq_ignore_ascii_case("UNAVAILABLE") {
+        return Some(None);
+    }
+    value.parse::<f64>().ok().filter(|v| v.is_finite()).map(Some)
 }

@@ -237,9 +237,8 @@ pub fn table(
         .collect::<Result<Vec<_>, _>>()?;
     let decimal = match form.decimal_comma {
         Some(true) => Decimal::Comma,
-        Some(false) => Decimal::Point,
         None if reader.separator() == ';' => Decimal::Either,
-        None => Decimal::Point,
+        _ => Decimal::Point,
     };
     let mut data = vec![Vec::new(); wanted.len()];
     let mut start: Option<(i128, String)> = None;
@@ -253,7 +252,7 @@ pub fn table(
                 Some(header) => header.named(*place, e),
                 None => InputError { found: format!("{} in column {}", e.found, place + 1), ..e },
             };
-            let is_time = w.role == Role::Time && w.scale == [1.0, 0.0];
+            let is_time = w.role == Role::Time && (w.scale[0] - 1.0 == 0.0) && w.scale[1] == 0.0;
             if is_time
                 && (start.is_some() || data.is_empty())
                 && let Some(ns) = iso8601_ns(cell.text())

@@ -77,7 +77,7 @@ enum Format {
     Etalon,
     /// What LinuxCNC's halsampler prints
     Halsampler,
-    /// A log of MTConnect's SHDR lines: TIME|KEY|VALUE
+    /// A log of `MTConnect`'s SHDR lines: TIME|KEY|VALUE
     Shdr,
 }
 

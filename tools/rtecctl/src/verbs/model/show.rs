@@ -183,7 +183,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
 fn figures(value: &Value) -> String {
     match value {
         Value::Array(all) => all.iter().map(figures).collect::<Vec<_>>().join(" "),
-        Value::Number(n) => n.as_f64().map_or_else(|| n.to_string(), |v| short(v)),
+        Value::Number(n) => n.as_f64().map_or_else(|| n.to_string(), short),
         other => other.to_string(),
     }
 }
