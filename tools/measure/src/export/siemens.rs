@@ -62,8 +62,8 @@ impl Format for EncComp {
 
     fn advice(&self, table: &Table) -> Vec<String> {
         vec![format!(
-            "loaded with MD32700 = 0, then MD32700 = 1; MD38000 at least {}; zero at the reference point {} mm; mm; no second \
-             compensation of the reversal is in it: it has the mean of both directions",
+            "loaded with MD32700 = 0, then MD32700 = 1; MD38000 at least {}; zero at the reference point {} mm; mm; it has the \
+             mean of both directions, so a backlash compensation may stand beside it",
             table.points.len(),
             self.reference_mm
         )]
