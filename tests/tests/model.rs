@@ -116,6 +116,13 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
             .expect(2, &["model", "load", "/nonexistent", "--yes"])
             .contains("expected a file that can be read")
     );
+    // What never ends, and what nobody writes to: told at once, and the daemon goes on.
+    let pipe = directory.path().join("pipe");
+    nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+    for special in [Path::new("/dev/zero"), &pipe] {
+        let said = daemon.expect(2, &["model", "load", special.to_str().unwrap(), "--yes"]);
+        assert!(said.contains("found a pipe, socket or device, expected a regular file"), "{said}");
+    }
     let bad = directory.path().join("bad.toml");
     std::fs::write(
         &bad,

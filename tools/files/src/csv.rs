@@ -121,6 +121,14 @@ impl<R: Read> Reader<R> {
         if header.names().eq(names) { Ok(()) } else { Err(header.finding(quoted(&header.text), expected)) }
     }
 
+    /// Rows whose cells are parted by another ASCII character than a comma.
+    #[must_use]
+    pub fn parted_by(mut self, by: char) -> Self {
+        self.by = u8::try_from(by).unwrap_or(b',');
+        self.parser = parser(self.by);
+        self
+    }
+
     /// What parts the cells: a comma unless [`Reader::header_by_any`] found another.
     #[must_use]
     pub fn separator(&self) -> char {

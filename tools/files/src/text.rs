@@ -1,14 +1,50 @@
-//! Text files read whole: UTF-8, a byte-order mark dropped.
+//! Text files read whole: UTF-8, a byte-order mark dropped. Whoever names a pipe or a device is told so: nobody waits for what
+//! never ends.
 
 use crate::input::InputError;
+use std::fs::{File, OpenOptions};
+use std::io::Read as _;
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
+
+/// Nothing longer is read whole, bytes.
+pub const LONGEST: u64 = 1 << 30;
 
 /// Reads a text file.
 ///
 /// # Errors
-/// It cannot be read or is not UTF-8.
+/// As [`bytes`], or it is not UTF-8.
 pub fn read(file: &Path) -> Result<String, InputError> {
-    decode(file, &std::fs::read(file).map_err(|e| unreadable(file, &e))?)
+    decode(file, &bytes(file)?)
+}
+
+/// Reads a file whole.
+///
+/// # Errors
+/// It cannot be read, is no regular file (a folder, a pipe, a device), or is longer than [`LONGEST`].
+pub fn bytes(file: &Path) -> Result<Vec<u8>, InputError> {
+    let mut content = Vec::new();
+    let opened = open(file)?;
+    opened.take(LONGEST + 1).read_to_end(&mut content).map_err(|e| unreadable(file, &e))?;
+    if content.len() as u64 > LONGEST {
+        return Err(InputError::whole(file, format!("more than {LONGEST} bytes"), "a shorter file"));
+    }
+    Ok(content)
+}
+
+fn open(file: &Path) -> Result<File, InputError> {
+    // Without waiting: a pipe that nobody writes to would hold us up before we could ask what it is.
+    let opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(file);
+    let opened = opened.map_err(|e| unreadable(file, &e))?;
+    let is = opened.metadata().map_err(|e| unreadable(file, &e))?;
+    let found = if is.is_file() {
+        return Ok(opened);
+    } else if is.is_dir() {
+        "a folder"
+    } else {
+        "a pipe, socket or device"
+    };
+    Err(InputError::whole(file, found, "a regular file"))
 }
 
 /// UTF-8 text without its byte-order mark; `file` is its name in error messages.
@@ -57,6 +93,14 @@ mod tests {
         assert!(error.is_ok());
         let error = decode(file, b"\xc2\xb5 = 1\nb = '\xe9'\n").unwrap_err();
         assert_eq!(error.to_string(), "a.toml:2:6: found byte 0xe9, expected text in UTF-8");
+        for (special, found) in [("/dev/zero", "a pipe, socket or device"), ("/tmp", "a folder")] {
+            assert_eq!(read(Path::new(special)).unwrap_err().found, found);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        // Returns, and says why.
+        assert_eq!(read(&pipe).unwrap_err().expected, "a regular file");
         assert!(read(Path::new("/nonexistent/a.toml")).unwrap_err().expected.contains("can be read"));
     }
 }

@@ -3,7 +3,9 @@
 //! | module | what |
 //! |---|---|
 //! | [`record`] | run records, read strictly and written whole |
+//! | [`export`] | one axis' errors as a table for a controller that compensates by itself |
 //! | [`import`] | other tools' files as run records |
+//! | [`derive`](mod@derive) | velocity and acceleration from positions |
 //! | [`plan`] | the test sequence a machine is characterised with |
 //! | [`iso230`], [`ballbar`], [`plate`] | evaluations as the standards define them |
 //! | [`plausible`] | mistakes that the records themselves show: units, signs, sensors that are off, doubled rows
@@ -12,6 +14,8 @@
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
 
 pub mod ballbar;
+pub mod derive;
+pub mod export;
 pub mod import;
 pub mod iso230;
 pub mod plan;

@@ -35,8 +35,9 @@ pub fn read(path: &Path) -> Result<Record, InputError> {
 pub fn read_log(path: &Path) -> Result<Record, InputError> {
     let sidecar = Sidecar::read(path)?;
     let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
-    let bytes = std::fs::read(&csv_path).map_err(|e| {
-        sidecar.file_error.clone().with(format!("`{}` ({e})", csv_path.display()), "a CSV that can be read")
+    let bytes = rtec_files::text::bytes(&csv_path).map_err(|e| {
+        let found = format!("`{}` ({})", csv_path.display(), e.found);
+        sidecar.file_error.clone().with(found, "a CSV that can be read")
     })?;
     let columns = parse_csv(&csv_path, &bytes, &sidecar)?;
     let mut record = Record::of_checked(path, sidecar.kind, columns);
@@ -147,6 +148,16 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
 fn parse_csv(path: &Path, bytes: &[u8], sidecar: &Sidecar) -> Result<Vec<Column>, InputError> {
     let mut reader = Reader::new(path, bytes)?;
     let header = reader.header("a header line")?;
+    if let Some((by, name)) =
+        [(';', "semicolons"), ('\t', "tabs")].into_iter().find(|(by, _)| header.text().contains(*by))
+        && !header.text().contains(',')
+        && sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
+    {
+        let found = format!("columns parted by {name} ('{}')", by.escape_default());
+        let expected =
+            "commas and decimal points; `rtecctl characterise import --format csv` takes such a table";
+        return Err(InputError::at(path, header.line(), 0, found, expected));
+    }
     // For every field of the CSV the listed column it belongs to.
     let mut slots: Vec<Option<usize>> = vec![None; header.names().count()];
     for listed in &sidecar.columns {

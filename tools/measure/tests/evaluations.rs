@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::{import, iso230};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_measure::iso230;
+use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
 fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
@@ -28,71 +28,4 @@ fn drift_ranges_and_rate() {
     near(d.t_min, 240.0);
     near(d.temperatures["T1"].range_k, 6.0);
     near(d.temperatures["T1"].gamma, 1.0);
-}
-
-#[test]
-fn a_csv_comes_in_with_its_own_names_units_and_commas() {
-    let text = "\u{feff}Zeit;T1;\"Luft\";Weg\r\n0;20,0;68,0;0,0000\r\n1;20,5;69,8;-0,0010\r\n";
-    let text = text.trim_start_matches('\u{feff}');
-    let wanted = |columns: &[&str]| {
-        columns.iter().map(|c| import::ImportColumn::parse(c).unwrap()).collect::<Vec<_>>()
-    };
-    let read = |text: &str, columns: &[&str]| {
-        import::csv(Path::new("g.csv"), text, &wanted(columns), Kind::Drift, Path::new("g.run.toml"))
-    };
-    let all = ["Zeit=time:min", "T1=temperature", "Luft=temperature:degF", "Weg=error.z:mm"];
-    let record = read(text, &all).unwrap();
-    assert_eq!(record.time_s(), [0.0, 60.0]);
-    assert_eq!(record.temperature("T1").unwrap(), [20.0, 20.5]);
-    assert!(record.temperature("Luft").unwrap().iter().zip([20.0, 21.0]).all(|(a, b)| (a - b).abs() < 1e-12));
-    assert_eq!(record.data(&Role::parse("error.z").unwrap()).unwrap(), [0.0, -1.0]);
-    let plain = "t\tx\te\n0\t1\t2\n1\t1\t3\n";
-    assert_eq!(read(plain, &["t=time", "x=position.x:in", "e=error.x"]).unwrap().rows(), 2);
-    for (text, line, column, found) in [
-        ("", 0, 0, "no header"),
-        ("t,e\n", 2, 0, "no rows"),
-        ("t,f\n0,1\n", 1, 1, "no column e"),
-        ("t,e,e\n0,1,1\n", 1, 5, "column 'e' a second time"),
-        ("t,e\n0,1\n1\n", 3, 2, "after 1 of 2 fields"),
-        ("t,e\n0,1\n1, ,\n", 3, 5, "nothing"),
-        ("t,e\n0,1\n1, x\n", 3, 4, "'x' in column e"),
-        ("t,e\n0,1\n1,\n", 3, 3, "nothing in column e"),
-        ("t,e\n0,inf\n", 2, 3, "'inf'"),
-    ] {
-        let e = read(text, &["t=time", "e=error.x"]).unwrap_err();
-        assert_eq!((e.line, e.column), (line, column), "{text:?}: {e}");
-        assert!(e.found.contains(found), "{text:?}: {e}");
-    }
-    assert!(read("t,e\n1,1\n0,1\n", &["t=time", "e=error.x"]).is_err(), "time runs backwards");
-    for (text, expected) in [
-        ("t", "NAME=ROLE"),
-        ("t=zeit", "a role"),
-        ("t=time:day", "s, ns, us, ms, min, h"),
-        ("t=cycle:s", "a unit of cycle: 1"),
-    ] {
-        let (_, wants) = import::ImportColumn::parse(text).unwrap_err();
-        assert!(wants.contains(expected), "{text}: {wants}");
-    }
-}
-
-#[test]
-fn linuxcnc_files_of_both_types_mean_the_same_errors() {
-    let x = Axis::new("x").unwrap();
-    let read = |text: &str, trims: bool| {
-        import::linuxcnc_comp(Path::new("x.comp"), text, &x, trims, Path::new("x.run.toml")).unwrap()
-    };
-    // At 10 mm it reached 10.004 going up and 9.998 coming down.
-    let positions = read("# x\n0 0 0\n10 10.004 9.998\n", false);
-    let trims = read("0 0 0\n10 -0.004 0.002 ; trim\n", true);
-    let errors = |r: &Record| {
-        r.responses().next().unwrap().data.iter().map(|v| (v * 1e6).round() / 1e6).collect::<Vec<_>>()
-    };
-    assert_eq!(errors(&positions), [0.0, 4.0, -2.0, 0.0]);
-    assert_eq!(
-        errors(&positions).iter().map(|v| v.abs()).collect::<Vec<_>>(),
-        errors(&trims).iter().map(|v| v.abs()).collect::<Vec<_>>()
-    );
-    assert_eq!(errors(&trims)[1..3], [4.0, -2.0]);
-    let bad = import::linuxcnc_comp(Path::new("x.comp"), "0 0 0\n1 2\n", &x, false, Path::new("x.run.toml"));
-    assert_eq!(bad.unwrap_err().line, 2);
 }

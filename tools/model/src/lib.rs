@@ -4,7 +4,6 @@
 //! |---|---|
 //! | [`effect`] | the dictionary: every effect's law, parameters, channels, derivative and experiment |
 //! | [`chain`] | the other way to build a model: error components of each joint, combined by homogeneous transforms |
-//! | [`along`] | a model along one axis, as a correction table holds it |
 //! | [`machine`] | `machine.toml`: a list of named effects, read strictly, written without losing a comment |
 //! | [`live`] | a model evaluated at one instant, without allocation |
 //! | [`record`] | a run in memory: what an effect is evaluated over, column by column |
@@ -14,7 +13,6 @@
 //! What must not live here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`), counts, ramps
 //! and limits (`rtec-correct`).
 
-pub mod along;
 pub mod chain;
 pub mod circle;
 pub mod date;

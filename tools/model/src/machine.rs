@@ -646,7 +646,7 @@ impl Machine {
         for source in fits.chain(self.listed.iter().flat_map(|l| &l.provenance.from)) {
             let folder = source.folder.clone().unwrap_or_default();
             let path = folder_of(&self.path).join(folder).join(&source.file);
-            if let Ok(bytes) = std::fs::read(path)
+            if let Ok(bytes) = rtec_files::text::bytes(&path)
                 && hex(&Sha256::digest(bytes)) != source.sha256
             {
                 found.push(format!("{} has changed since the model was fitted on it", source.file));

@@ -378,6 +378,16 @@ impl Record {
         &self.time_s
     }
 
+    /// Where the rows stand on a plot over time, and what that is called: minutes, or the row's number from 1 where the
+    /// record has no times.
+    #[must_use]
+    pub fn over_time(&self) -> (&'static str, Vec<f64>) {
+        match self.column(&Role::Time) {
+            Some(t) => ("time, min", t.data.iter().map(|t| t / 60.0).collect()),
+            None => ("row", (1..=self.rows()).map(|n| n as f64).collect()),
+        }
+    }
+
     /// The column of a role that can stand only once: listed, or following from a circle's angle.
     #[must_use]
     pub fn column(&self, role: &Role) -> Option<&Column> {

@@ -91,8 +91,9 @@ impl ErrorReport {
 /// No DXF, unknown units, an entity that is no part of a contour (or without length, or below the axis, or out of the
 /// plane), an entity that is there twice, a contour with a gap, a branch or in several pieces.
 pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
-    let bytes = std::fs::read(file)
-        .map_err(|e| InputError::whole(file, format!("an unreadable file ({e})"), "a readable DXF file"))?;
+    let bytes = rtec_files::text::bytes(file).map_err(|e| {
+        InputError::whole(file, format!("an unreadable file ({})", e.found), "a readable DXF file")
+    })?;
     let drawing = Drawing::load(&mut bytes.as_slice()).map_err(|e| {
         let found = e.to_string();
         let line = found.rsplit("line/offset ").next().and_then(|n| n.trim().parse().ok()).unwrap_or(0);

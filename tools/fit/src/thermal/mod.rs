@@ -123,8 +123,13 @@ pub fn fit(
     holdout: &[&Record],
     options: &Options,
 ) -> Result<(Machine, Vec<Report>), InputError> {
-    let name = train[0].path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let ideal = || Machine::ideal(name.strip_suffix(".run.toml").unwrap_or(&name));
+    // What it is; the records that it comes from stand with every effect.
+    let responses: Vec<String> = train[0]
+        .responses()
+        .filter(|c| matches!(c.role, Role::Error(_)))
+        .map(|c| c.role.to_string())
+        .collect();
+    let ideal = || Machine::ideal(&format!("growth of {} by temperatures", responses.join(", ")));
     let mut machine = options.base.clone().unwrap_or_else(ideal);
     // What the base explains is taken off first.
     let beyond = |records: &[&Record]| {

@@ -8,6 +8,8 @@ use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::job::RunError;
 use rtec_sim::sim::SimError;
 use rtec_sim::turning::TurningError;
+use serde_json::{Map, Value};
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Run an experiment on the simulated machine, without and with compensation
@@ -117,11 +119,46 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         for file in &files {
             eprintln!("rtecctl: wrote {file}");
         }
-        let figures = findings.summary.iter().map(|(what, figures)| format!("{what}: {figures}\n"));
-        figures.collect::<Vec<_>>().concat()
+        text(&findings.summary)
     };
     crate::say(&text);
     Ok(())
+}
+
+/// The findings as a person reads them: a line for what is one figure, a table for what is one a row.
+fn text(summary: &Map<String, Value>) -> String {
+    let mut text = String::new();
+    for (what, found) in summary {
+        let Value::Object(figures) = found else {
+            // Writing to a String does not fail.
+            let _ = writeln!(text, "{what}: {}", shown(found));
+            continue;
+        };
+        let _ = writeln!(text, "{what}");
+        for (name, value) in figures {
+            let value = match value {
+                Value::Object(of) => {
+                    let each = of.iter().map(|(key, v)| format!("{key} {}", shown(v)));
+                    each.collect::<Vec<_>>().join(", ")
+                }
+                one => shown(one),
+            };
+            let _ = writeln!(text, "  {:36} {value}", name.replace('_', " "));
+        }
+    }
+    text
+}
+
+/// A figure without what JSON needs.
+fn shown(value: &Value) -> String {
+    match value {
+        Value::Array(all) => all.iter().map(shown).collect::<Vec<_>>().join(" "),
+        Value::String(text) => text.clone(),
+        Value::Object(of) => {
+            of.iter().map(|(k, v)| format!("{k} {}", shown(v))).collect::<Vec<_>>().join(", ")
+        }
+        other => other.to_string(),
+    }
 }
 
 /// An effect that reads what the machine does not have is bad input, not a failed run.

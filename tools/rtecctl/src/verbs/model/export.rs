@@ -2,14 +2,15 @@
 
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_model::along::Standing;
+use rtec_measure::export::linuxcnc::{LinuxCnc, Unit};
+use rtec_measure::export::own::Own;
+use rtec_measure::export::{Csv, Errors, Table, Wanted, beckhoff, siemens};
 use rtec_model::date;
 use rtec_model::machine::Machine;
-use rtec_model::record::Axis;
-use std::fmt::Write as _;
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Write one axis' errors as a table: LinuxCNC compensation file or CSV
+/// Write one axis' errors as a table for a controller that compensates by itself
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The machine model
@@ -24,9 +25,15 @@ pub(crate) struct Args {
     /// Highest position, mm
     #[arg(long, allow_negative_numbers = true)]
     to: f64,
-    /// Distance between positions, mm
+    /// Distance between positions, mm; chosen from the model where it is not given
+    #[arg(long, allow_negative_numbers = true)]
+    step: Option<f64>,
+    /// How far the table may be off the model between its positions, um; a warning above
+    #[arg(long, default_value_t = 0.5, allow_negative_numbers = true)]
+    limit_um: f64,
+    /// Most positions (linuxcnc 256; siemens 200 unless MD38000 says more; ssfk 1500 unless P-COMP-00059 says more)
     #[arg(long)]
-    step: f64,
+    max_points: Option<usize>,
     /// Temperatures that the table holds for, as T8=31.5; others stand at 20 degC
     #[arg(long, value_delimiter = ',', value_name = "SENSOR=degC")]
     temperatures: Vec<String>,
@@ -37,95 +44,168 @@ pub(crate) struct Args {
     /// What to write
     #[arg(long, value_enum, default_value = "linuxcnc")]
     format: Format,
+    /// linuxcnc: the machine's `LINEAR_UNITS`
+    #[arg(long, value_enum, default_value = "mm")]
+    unit: UnitName,
+    /// siemens: the machine axis as the controller names it, as X1
+    #[arg(long, required_if_eq("format", "siemens"))]
+    axis_name: Option<String>,
+    /// siemens: number of the encoder
+    #[arg(long, default_value_t = 0)]
+    encoder: u8,
+    /// siemens, and forms that want a zero there: the reference point, mm
+    #[arg(long, allow_negative_numbers = true, required_if_eq("format", "siemens"))]
+    reference_mm: Option<f64>,
+    /// ssfk: the controller's logical axis number
+    #[arg(long, required_if_eq("format", "ssfk"))]
+    axis_number: Option<u16>,
+    /// own: the file that describes the form
+    #[arg(long, value_name = "FORM.toml", required_if_eq("format", "own"))]
+    form: Option<PathBuf>,
     /// The file
     #[arg(long)]
     out: PathBuf,
+    /// What was written and what it leaves, as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
-    /// `COMP_FILE` of type 0: nominal, forward and backward position, mm
+    /// `COMP_FILE` of type 0: nominal, forward and reverse position
     Linuxcnc,
+    /// `COMP_FILE` of type 1: nominal, forward and reverse trim
+    #[value(name = "linuxcnc-type1")]
+    LinuxcncType1,
+    /// Beckhoff TF5200 and ISG kernel: leadscrew error compensation `kw.ssfk.*`, both directions
+    Ssfk,
+    /// SINUMERIK: `$AA_ENC_COMP`, the mean of both directions
+    Siemens,
     /// `position_mm,error_up_um,error_down_um`
     Csv,
+    /// A form of your own: --form
+    Own,
 }
 
-/// LinuxCNC takes no more points than this.
-const LINUXCNC_POINTS: usize = 256;
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum UnitName {
+    Mm,
+    Inch,
+}
+
+fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
+    InputError::whole(Path::new("model export"), found, expected)
+}
+
+fn format(args: &Args) -> Result<Box<dyn rtec_measure::export::Format>, InputError> {
+    let unit = match args.unit {
+        UnitName::Mm => Unit::Mm,
+        UnitName::Inch => Unit::Inch,
+    };
+    let linuxcnc = matches!(args.format, Format::Linuxcnc | Format::LinuxcncType1);
+    if unit == Unit::Inch && !linuxcnc {
+        return Err(usage("--unit inch", "--unit with LinuxCNC's tables only; the others are in mm"));
+    }
+    let reference_mm = args.reference_mm.unwrap_or(0.0);
+    if !reference_mm.is_finite() {
+        return Err(usage(format!("--reference-mm {reference_mm}"), "a position in mm"));
+    }
+    Ok(match args.format {
+        Format::Linuxcnc | Format::LinuxcncType1 => {
+            Box::new(LinuxCnc { trims: args.format == Format::LinuxcncType1, unit })
+        }
+        Format::Ssfk => Box::new(beckhoff::Ssfk {
+            axis_number: args.axis_number.unwrap_or_default(),
+            most: args.max_points.unwrap_or(beckhoff::MOST),
+        }),
+        Format::Siemens => Box::new(siemens::EncComp {
+            axis: args.axis_name.clone().unwrap_or_default(),
+            reference_mm,
+            encoder: args.encoder,
+            most: args.max_points.unwrap_or(siemens::MOST),
+        }),
+        Format::Csv => Box::new(Csv),
+        Format::Own => {
+            let form = args.form.as_deref().unwrap_or(Path::new(""));
+            Box::new(Own::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
+        }
+    })
+}
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let usage = |found: String, expected: &str| InputError::whole(Path::new("model export"), found, expected);
     let machine = Machine::read(&args.machine)?;
-    for warning in machine.doubts(date::today()) {
-        eprintln!("warning: {}: {warning}", args.machine.display());
-    }
-    let axis =
-        Axis::new(&args.axis).ok_or_else(|| usage(format!("--axis {}", args.axis), "an axis' name"))?;
-    let span = args.to - args.from;
-    if !(span > 0.0 && args.step > 0.0 && span.is_finite()) {
-        let found = format!("--from {} --to {} --step {}", args.from, args.to, args.step);
-        return Err(usage(found, "a range that rises, and a step above zero").into());
-    }
-    let points = (span / args.step + 1e-9).floor() as usize + 1;
-    if args.format == Format::Linuxcnc && points > LINUXCNC_POINTS {
-        return Err(
-            usage(format!("{points} points"), "at most 256, as LinuxCNC takes; a larger --step").into()
-        );
-    }
-    let standing = standing(args, &machine, &axis)?;
-    let positions: Vec<f64> = (0..points).map(|i| args.from + args.step * i as f64).collect();
-    let along = |direction: f64| {
-        let errors = machine.along_um(&axis, &positions, direction, &standing);
-        errors.map_err(|e| usage(e.to_string(), "sensors and axes only"))
-    };
-    let errors = [along(1.0)?, along(-1.0)?];
-    let mut text = match args.format {
-        Format::Linuxcnc => {
-            format!("# COMP_FILE_TYPE = 0 for axis {}, from {}\n", args.axis, args.machine.display())
-        }
-        Format::Csv => "position_mm,error_up_um,error_down_um\n".to_owned(),
-    };
-    for (i, (up, down)) in errors[0].iter().zip(&errors[1]).enumerate() {
-        let p = positions[i];
-        let _ = match args.format {
-            Format::Linuxcnc => writeln!(text, "{p:.6} {:.6} {:.6}", p + up / 1000.0, p + down / 1000.0),
-            Format::Csv => writeln!(text, "{p},{up},{down}"),
+    let pairs = |option: &str, given: &[String], expected: &str| {
+        let pair = |one: &String| {
+            let parsed = one.split_once('=').and_then(|(n, v)| Some((n.to_owned(), v.parse::<f64>().ok()?)));
+            parsed.ok_or_else(|| usage(format!("{option} {one}"), expected))
         };
+        given.iter().map(pair).collect::<Result<Vec<_>, _>>()
+    };
+    let temperatures = pairs("--temperatures", &args.temperatures, "SENSOR=degC, as T8=31.5")?;
+    let others = pairs("--at", &args.at, "AXIS=mm, as z=100")?;
+    let errors = Errors::of(&machine, &args.axis, &temperatures, &others)?;
+    let format = format(args)?;
+    let wanted = Wanted {
+        from_mm: args.from,
+        to_mm: args.to,
+        step_mm: args.step,
+        limit_um: args.limit_um,
+        most: args.max_points,
+    };
+    let table = Table::of(&errors, &wanted, &format.rules())?;
+    let text = format.text(&table)?;
+    let mut warnings = machine.doubts(date::today());
+    warnings.extend(errors.doubts()?);
+    let (left, points) = (table.left, table.points.len());
+    if table.between_um > args.limit_um {
+        warnings.push(format!(
+            "between its positions the table is up to {:.2} um off the model, more than the limit of {} um{}",
+            table.between_um,
+            args.limit_um,
+            if args.step.is_some() {
+                ": a smaller --step, or none"
+            } else {
+                ": the format takes no more positions"
+            }
+        ));
+    }
+    if left.max_um() > table.between_um + args.limit_um {
+        warnings.push(format!(
+            "one value serves both directions: what they differ by stays, up to {:.2} um in each",
+            left.max_um()
+        ));
     }
     rtec_files::write::whole(&args.out, text.as_bytes())
-        .with_context(|| format!("writing {}", args.out.display()))
-}
-
-/// Temperatures and the other axes' places, as the command line gives them.
-fn standing(args: &Args, machine: &Machine, axis: &Axis) -> Result<Standing, InputError> {
-    let usage =
-        |found: String, expected: String| InputError::whole(Path::new("model export"), found, expected);
-    let pairs = |given: &[String], option: &str, names: &[String], what: &str, unit: &str| {
-        let mut pairs = Vec::new();
-        for one in given {
-            let parsed = one.split_once('=').and_then(|(n, v)| Some((n, v.parse::<f64>().ok()?)));
-            let known = parsed.filter(|(n, v)| v.is_finite() && names.iter().any(|x| x == n));
-            let (n, v) = known.ok_or_else(|| {
-                let of = if names.is_empty() { "the model reads none".to_owned() } else { names.join(", ") };
-                usage(format!("{option} {one}"), format!("{what}={unit}, {what} of: {of}"))
-            })?;
-            pairs.push((n.to_owned(), v));
-        }
-        Ok(pairs)
-    };
-    let others = machine.other_axes(axis);
-    let names: Vec<String> = others.iter().map(|a| a.as_str().to_owned()).collect();
-    let at = pairs(&args.at, "--at", &names, "axis", "mm")?;
-    let not_stated: Vec<&str> =
-        (names.iter().filter(|n| !at.iter().any(|(a, _)| a == *n))).map(String::as_str).collect();
-    if !not_stated.is_empty() && (machine.chain().is_some() || !at.is_empty()) {
-        eprintln!(
-            "warning: the table holds with {} at 0 mm; --at states another place",
-            not_stated.join(", ")
-        );
+        .with_context(|| format!("writing {}", args.out.display()))?;
+    for warning in &warnings {
+        eprintln!("warning: {}: {warning}", args.machine.display());
     }
-    Ok(Standing {
-        others_mm: at.into_iter().filter_map(|(n, v)| Some((Axis::new(&n)?, v))).collect(),
-        degc: pairs(&args.temperatures, "--temperatures", &machine.sensors(), "SENSOR", "degC")?,
-    })
+    eprintln!(
+        "{}: axis {}, {points} positions, {:.4} mm apart, {} to {} mm",
+        args.out.display(),
+        table.axis,
+        table.step_mm,
+        table.points[0].position_mm,
+        table.end_mm()
+    );
+    eprintln!(
+        "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS",
+        left.max_up_um, left.max_down_um, left.rms_um
+    );
+    if table.constant_um != 0.0 {
+        eprintln!("{:+.2} um were taken out to make it zero at the reference point", table.constant_um);
+    }
+    for advice in format.advice(&table) {
+        eprintln!("{advice}");
+    }
+    if args.json {
+        let document = json!({
+            "axis": table.axis.as_str(), "points": points, "step_mm": table.step_mm,
+            "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
+            "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
+            "between_um": table.between_um, "constant_um": table.constant_um, "warnings": warnings,
+        });
+        println!("{document:#}");
+    }
+    Ok(())
 }

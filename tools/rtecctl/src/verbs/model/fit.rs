@@ -10,7 +10,7 @@ use rtec_measure::plot::Chart;
 use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
-use rtec_model::record::Record;
+use rtec_model::record::{Record, Role};
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -157,8 +157,7 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     let base = if let Some(path) = &args.common.base {
         Machine::read(path)?
     } else {
-        let name = args.out.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        Machine::ideal(&name)
+        Machine::ideal(&format!("fit of {}", args.effects.join(", ")))
     };
     let date = date::format(day.unwrap_or_else(|| day_of(&records)));
     let records: Vec<&Record> = records.iter().collect();
@@ -217,6 +216,12 @@ fn run_fit(common: &Common, holdout: &[PathBuf], date: Option<i64>, valid_days: 
     let (train, holdout) = (read(&common.records)?, read(holdout)?);
     let doubts = suspicions::warn(&[train.as_slice(), &holdout].concat());
     let (train, _) = suspicions::usable(&train, &doubts);
+    for record in train.iter().chain(&holdout).filter(|r| r.column(&Role::Time).is_none()) {
+        let file = record.path.display();
+        eprintln!(
+            "warning: {file}: no column of role time: lags and spans of time in it are numbers of rows"
+        );
+    }
     let sensors = common.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
     let options = Options {
         sensors,
@@ -261,7 +266,7 @@ fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
     let places = text.match_indices('-').map(|(i, _)| (&text[..i], &text[i + 1..]));
     let pair = places.into_iter().find(|(a, b)| known(a) && known(b));
     pair.map(|(a, b)| Difference::pair(a, b)).ok_or_else(|| {
-        let has = record.names(&rtec_model::record::Role::Temperature).collect::<Vec<_>>().join(", ");
+        let has = record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
         InputError::whole(
             Path::new("--sensors"),
             format!("`{text}`"),

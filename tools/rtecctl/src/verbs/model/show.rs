@@ -222,13 +222,41 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
         println!("the same effects with the same parameters");
     }
     for r in &rows {
-        let values =
-            if r["first"].is_null() { String::new() } else { format!(": {} -> {}", r["first"], r["second"]) };
+        let values = match (&r["first"], &r["second"]) {
+            (Value::Null, _) => String::new(),
+            (a, b) => format!(": {} -> {}", figures(a), figures(b)),
+        };
         let what = r["parameter"].as_str().or(r["change"].as_str()).unwrap_or_default();
         println!("{:40} {what}{values}", r["effect"].as_str().unwrap_or_default());
     }
+    if let Some(record) = args.record.as_ref().filter(|_| !predictions.is_empty()) {
+        println!("on {}, RMS in the response's unit:", record.display());
+        println!(
+            "{:16} {:>12} {:>12} {:>12} {:>12}",
+            "", "left by 1st", "left by 2nd", "apart", "most apart"
+        );
+    }
     for p in &predictions {
-        println!("{}: {p}", args.record.as_ref().map_or(String::new(), |r| r.display().to_string()));
+        let [first, second, apart, most] = ["rms_first", "rms_second", "rms_apart", "most_apart"]
+            .map(|key| p[key].as_f64().unwrap_or_default());
+        let response = p["response"].as_str().unwrap_or_default();
+        println!("{response:16} {first:12.3} {second:12.3} {apart:12.3} {most:12.3}");
     }
     Ok(())
+}
+
+/// Numbers as a person reads them, with four digits behind the point that count.
+fn figures(value: &Value) -> String {
+    match value {
+        Value::Array(all) => all.iter().map(figures).collect::<Vec<_>>().join(" "),
+        Value::Number(n) => n.as_f64().map_or_else(|| n.to_string(), short),
+        other => other.to_string(),
+    }
+}
+
+fn short(v: f64) -> String {
+    if v != 0.0 && !(1e-3..1e7).contains(&v.abs()) {
+        return format!("{v:.3e}");
+    }
+    format!("{v:.4}").trim_end_matches('0').trim_end_matches('.').to_owned()
 }

@@ -159,10 +159,12 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
     let found = rehearse::rehearse(&present, &new, &shift, &options)?;
+    // Where the shift has no times, its rows' numbers stand for seconds, and are called what they are.
+    let timed = shift.column(&Role::Time).is_some();
     if let Some(path) = &args.plot {
         for axis in &found.axes {
             let path = path.with_extension(format!("{}.svg", axis.axis));
-            let svg = chart(axis).svg(900, 480)?;
+            let svg = chart(axis, timed).svg(900, 480)?;
             rtec_files::write::whole(&path, svg.as_bytes())
                 .with_context(|| format!("writing {}", path.display()))?;
         }
@@ -173,14 +175,15 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     }
     for a in &found.axes {
         println!(
-            "{}: largest correction {:.2} -> {:.2} µm; largest change {:+.2} µm at {:.0} s, RMS {:.2} µm; fastest {:.3} µm/s",
+            "{}: largest correction {:.2} -> {:.2} µm; largest change {:+.2} µm at {}, RMS {:.2} µm; fastest {:.3} µm/{}",
             a.axis,
             a.largest_um[0],
             a.largest_um[1],
             a.change_um,
-            a.change_at_s,
+            if timed { format!("{:.0} s", a.change_at_s) } else { format!("row {:.0}", a.change_at_s + 1.0) },
             a.change_rms_um,
-            a.fastest_um_per_s
+            a.fastest_um_per_s,
+            if timed { "s" } else { "row" }
         );
     }
     for a in found.axes.iter().filter(|a| a.held > 0.0) {
@@ -206,13 +209,18 @@ fn options(config: &Config) -> rehearse::Options {
 }
 
 /// The present and the new correction of an axis over time.
-fn chart(axis: &AxisChange) -> Chart {
+fn chart(axis: &AxisChange, timed: bool) -> Chart {
     let line = |name: &str, k: usize| {
         let um = |counts: i64| counts as f64 * axis.count_um;
-        let points = axis.rows.iter().map(|(t_s, totals)| (t_s / 60.0, um(totals[k])));
+        let points =
+            axis.rows.iter().map(|(t_s, totals)| (if timed { t_s / 60.0 } else { t_s + 1.0 }, um(totals[k])));
         Series::new(name, Style::Line, points.collect())
     };
-    Chart::new(&format!("Correction of axis {}", axis.axis), "time (min)", "correction (µm)")
-        .with(line("present model", 0))
-        .with(line("new model", 1))
+    Chart::new(
+        &format!("Correction of axis {}", axis.axis),
+        if timed { "time (min)" } else { "row" },
+        "correction (µm)",
+    )
+    .with(line("present model", 0))
+    .with(line("new model", 1))
 }

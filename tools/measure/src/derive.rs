@@ -1,0 +1,245 @@
+//! Velocity and acceleration from recorded positions, where a record has none of its own.
+//!
+//! Around every row a cubic is fitted to the positions in a window that reaches as far back as forward in time, near
+//! rows counting most (tricube): zero phase, and no need of evenly spaced rows (Cleveland, 1979; Fan and Gijbels, 1996).
+//! The window is chosen from the data, apart for velocity and acceleration: it is doubled as long as that changes the
+//! derivative by no more than the noise of the positions explains, and of those windows the one is taken whose noise and
+//! distortion together are smallest.
+
+use nalgebra::{Matrix4, Vector4};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::ops::Range;
+
+/// Rows that a window needs: a cubic, and one more for the noise.
+const FEWEST: usize = 5;
+/// Rows of the first window on each side.
+const FIRST: usize = 3;
+/// Rows by which the windows are judged: evenly spread, enough for a mean.
+const JUDGED: usize = 1500;
+/// Half a window still has a part of the whole one's distortion: a third of it where the acceleration has a corner, as at the
+/// ends of a stroke. So what the change says of the distortion falls short, by this factor in its square.
+const SHORT: f64 = 2.0;
+/// A gap in time this many times the usual one parts two runs.
+const GAP: f64 = 8.0;
+/// Rows further apart than this are readings at stops, not a motion, in the kinds of runs that are measured at stops, s.
+const AT_STOPS_S: f64 = 0.1;
+
+/// Adds velocity (mm/s) and acceleration (mm/s²) of every axis that has positions and times but not these. Returns one
+/// note per column added, with its window and standard error, and one per axis whose motion the rows do not show.
+///
+/// The columns are called `velocity_AXIS` and `acceleration_AXIS`. An axis that stands still gets none: it is at rest.
+pub fn derive(record: &mut Record) -> Vec<String> {
+    let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
+    let mut notes = Vec::new();
+    for axis in axes {
+        let wanted: Vec<(Role, usize)> =
+            [(Role::Velocity(axis.clone()), 1), (Role::Acceleration(axis.clone()), 2)]
+                .into_iter()
+                .filter(|(role, _)| record.column(role).is_none())
+                .collect();
+        let (Some(t), Some(p)) = (record.data(&Role::Time), record.data(&Role::Position(axis.clone())))
+        else {
+            continue;
+        };
+        if wanted.is_empty() || p.iter().all(|v| v - p[0] == 0.0) {
+            continue;
+        }
+        let names: Vec<String> = wanted.iter().map(|(role, _)| role.to_string()).collect();
+        let not = |why: String| format!("{} not derived: {why}", names.join(" and "));
+        let runs = match runs(t, record.kind) {
+            Ok(runs) => runs,
+            Err(why) => {
+                notes.push(not(why));
+                continue;
+            }
+        };
+        let noise_mm = noise(t, p, &runs).max(record.count_um.unwrap_or(0.0) / 1000.0 / 12f64.sqrt());
+        let motion = Motion { t, p, runs: &runs, noise_mm };
+        let mut columns = Vec::new();
+        for (role, order) in wanted {
+            let (rows, error) = motion.window(order);
+            let data = motion.all(order, rows);
+            let rms = (data.iter().map(|v| v * v).sum::<f64>() / data.len() as f64).sqrt();
+            let unit = role.unit().unwrap_or_default();
+            if rms < 2.0 * error {
+                let what =
+                    format!("{role} not derived: noise of {error:.2e} {unit} hides it ({rms:.2e} RMS)");
+                notes.push(what);
+                continue;
+            }
+            let step_s = median(steps(t, &runs));
+            notes.push(format!(
+                "{role} derived from position: local cubic, zero phase, ±{} rows (±{:.4} s), standard error {:.2e} {unit} from \
+                 position noise of {:.3} um",
+                rows,
+                rows as f64 * step_s,
+                error,
+                1000.0 * noise_mm
+            ));
+            let mut name = role.to_string().replace('.', "_");
+            while record.columns.iter().any(|c| c.name == name) {
+                name.push_str("_derived");
+            }
+            columns.push(Column::new(&name, role, data));
+        }
+        record.columns.extend(columns);
+    }
+    notes
+}
+
+/// The stretches of rows without a gap in time; or why they are no motion.
+fn runs(t: &[f64], kind: Kind) -> Result<Vec<Range<usize>>, String> {
+    if t.len() < 2 * FEWEST {
+        return Err(format!("{} rows are too few", t.len()));
+    }
+    let step = median(t.windows(2).map(|w| w[1] - w[0]));
+    if step <= 0.0 {
+        return Err("most rows have the same time as the row before".to_owned());
+    }
+    let moving = matches!(kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
+    if !moving && step > AT_STOPS_S {
+        let name = kind.name();
+        return Err(format!("rows {step} s apart in a run of kind {name} are readings at stops"));
+    }
+    let mut runs = Vec::new();
+    let mut start = 0;
+    for i in 1..=t.len() {
+        if i == t.len() || t[i] - t[i - 1] > GAP * step {
+            let distinct = 1 + t[start..i].windows(2).filter(|w| w[1] > w[0]).count();
+            if distinct < FEWEST {
+                return Err(format!("rows {} to {i} stand alone between gaps in time", start + 1));
+            }
+            runs.push(start..i);
+            start = i;
+        }
+    }
+    Ok(runs)
+}
+
+fn steps<'a>(t: &'a [f64], runs: &'a [Range<usize>]) -> impl Iterator<Item = f64> + 'a {
+    runs.iter().flat_map(|run| t[run.clone()].windows(2).map(|w| w[1] - w[0]))
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Standard deviation of the positions' noise, mm: what a cubic through its four neighbours leaves of a row, by the median, which
+/// a few jerks do not move; of rows that move, because a scale at rest says nothing of its noise.
+fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
+    let mut left = Vec::new();
+    for run in runs {
+        for start in run.start..=run.end - FEWEST {
+            let (t, p) = (&t[start..start + FEWEST], &p[start..start + FEWEST]);
+            if t.windows(2).any(|w| w[1] <= w[0]) || p[4] - p[0] == 0.0 {
+                continue;
+            }
+            // Divided differences of fourth order vanish for a cubic.
+            let of = |i: usize| (0..FEWEST).filter(|j| *j != i).map(|j| t[i] - t[j]).product::<f64>().recip();
+            let (value, square) =
+                (0..FEWEST).fold((0.0, 0.0), |(v, s), i| (v + of(i) * p[i], s + of(i) * of(i)));
+            left.push(value.abs() / square.sqrt());
+        }
+    }
+    // 0.6745: the median of the absolute value of a standard normal deviate.
+    median(left.into_iter()) / 0.6745
+}
+
+/// One axis' positions over time.
+struct Motion<'a> {
+    t: &'a [f64],
+    p: &'a [f64],
+    runs: &'a [Range<usize>],
+    noise_mm: f64,
+}
+
+impl Motion<'_> {
+    /// The window for a derivative: rows on each side, and the derivative's standard error with it: noise,
+    /// distortion, and what the rows cannot tell of the distortion.
+    fn window(&self, order: usize) -> (usize, f64) {
+        let longest = self.runs.iter().map(Range::len).max().unwrap_or(0);
+        let every = (self.t.len() / JUDGED).max(1);
+        let judged: Vec<(usize, &Range<usize>)> =
+            self.runs.iter().flat_map(|run| run.clone().step_by(every).map(move |i| (i, run))).collect();
+        let mut best = (FIRST, f64::INFINITY, f64::INFINITY);
+        let mut rows = FIRST;
+        while 2 * rows < longest {
+            let (mut variance, mut change, mut explained) = (0.0, 0.0, 0.0);
+            for (i, run) in &judged {
+                let (from, wide) = self.weights(order, rows, *i, run);
+                variance += wide.iter().map(|w| w * w).sum::<f64>();
+                if rows == FIRST {
+                    continue; // nothing smaller to compare with
+                }
+                let (inner_from, narrow) = self.weights(order, rows.div_ceil(2), *i, run);
+                let mut difference = wide;
+                // The narrow window lies inside the wide one.
+                for (place, w) in narrow.iter().enumerate() {
+                    difference[inner_from - from + place] -= w;
+                }
+                let value: f64 = difference.iter().zip(&self.p[from..]).map(|(w, p)| w * p).sum();
+                change += value * value;
+                explained += self.noise_mm.powi(2) * difference.iter().map(|w| w * w).sum::<f64>();
+            }
+            let n = judged.len() as f64;
+            let variance = self.noise_mm.powi(2) * variance / n;
+            let distortion = SHORT * ((change - explained) / n).max(0.0);
+            if variance + distortion < best.1 {
+                // A mean of squares over so many rows, of which those in a window tell the same.
+                let doubt = SHORT * explained / n * (4.0 * rows as f64 / self.t.len() as f64).sqrt();
+                best = (rows, variance + distortion, variance + distortion + doubt);
+            } else if distortion > 4.0 * best.1 {
+                break; // wider ones only agree with each other
+            }
+            rows = (rows * 5).div_ceil(4);
+        }
+        (best.0, best.2.sqrt())
+    }
+
+    /// The derivative at every row.
+    fn all(&self, order: usize, rows: usize) -> Vec<f64> {
+        let mut out = Vec::with_capacity(self.t.len());
+        for run in self.runs {
+            for i in run.clone() {
+                let (from, weights) = self.weights(order, rows, i, run);
+                // Differences of positions: a place far from zero costs no digits.
+                out.push(weights.iter().zip(&self.p[from..]).map(|(w, p)| w * (p - self.p[i])).sum());
+            }
+        }
+        out
+    }
+
+    /// What each position around row `i` counts in the derivative there: the first row, and the weights from it on. At the ends
+    /// of a run the window is the one-sided rest of it, reaching as far as a whole one.
+    fn weights(&self, order: usize, rows: usize, i: usize, run: &Range<usize>) -> (usize, Vec<f64>) {
+        let (mut from, mut to) = (i.saturating_sub(rows).max(run.start), (i + rows + 1).min(run.end));
+        // Never fewer distinct times than a cubic needs.
+        let distinct =
+            |from: usize, to: usize| 1 + self.t[from..to].windows(2).filter(|w| w[1] > w[0]).count();
+        while distinct(from, to) < FEWEST {
+            from = from.saturating_sub(1).max(run.start);
+            to = (to + 1).min(run.end);
+        }
+        let at = self.t[i];
+        // A little beyond the last row, which would count nothing otherwise.
+        let reach = 1.05 * (at - self.t[from]).max(self.t[to - 1] - at);
+        let near = |t: f64| (1.0 - ((t - at) / reach).abs().powi(3)).powi(3);
+        let powers = |t: f64| {
+            let u = (t - at) / reach;
+            Vector4::new(1.0, u, u * u, u * u * u)
+        };
+        let mut normal = Matrix4::zeros();
+        for &t in &self.t[from..to] {
+            let u = powers(t);
+            normal += near(t) * u * u.transpose();
+        }
+        let unit = Vector4::from_fn(|k, _| if k == order { 1.0 } else { 0.0 });
+        // Five distinct times: the cubic is determined.
+        let row = normal.cholesky().map_or_else(Vector4::zeros, |c| c.solve(&unit));
+        let factor = if order == 1 { reach.recip() } else { 2.0 / (reach * reach) };
+        let of = |t: &f64| factor * near(*t) * powers(*t).dot(&row);
+        (from, self.t[from..to].iter().map(of).collect())
+    }
+}

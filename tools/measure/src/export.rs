@@ -1,0 +1,563 @@
+//! One axis' errors as a table for a controller that compensates by itself: chosen from the model, and judged against it.
+//!
+//! | module | what | source |
+//! |---|---|---|
+//! | `linuxcnc` | `COMP_FILE` of type 0 and 1 | LinuxCNC 2.9, `usrmotintf.cc`, `command.c`, `control.c` |
+//! | `beckhoff` | TF5200 and ISG kernel, `kw.ssfk.*` | Beckhoff Infosys, TF5200, 308695435 and 308687883 |
+//! | `siemens` | `$AA_ENC_COMP` | Siemens 6FC5397-1BP40-3BA1, K3, 4.4.2; 808D function manual, p. 106 |
+//! | `own` | a form of the user's own, from a file | |
+//!
+//! A controller takes the table's value between its points by a straight line, and beyond them as at the last one. What
+//! that leaves of the model is computed with the values as they are written, at places that fall into step with no period.
+
+pub mod beckhoff;
+pub mod linuxcnc;
+pub mod own;
+pub mod siemens;
+
+use rtec_files::{InputError, nearest};
+use rtec_model::effect::{Effect, Naming, Need, Quantity};
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::machine::Machine;
+use rtec_model::record::Axis;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Nothing longer is a machine tool, mm.
+const LONGEST_MM: f64 = 100_000.0;
+/// Places between two points at which a table is judged, and in all.
+const PLACES: (usize, usize) = (24, 40_000);
+/// No controller takes more points.
+const MANY: usize = 100_000;
+/// Steps that read well, as parts of a power of ten.
+const ROUND: [f64; 6] = [8.0, 5.0, 4.0, 2.5, 2.0, 1.0];
+
+/// One place of a table: error of the axis there, approached from below and from above.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    /// Commanded position, mm.
+    pub position_mm: f64,
+    /// Position reached minus commanded one, moving up, µm.
+    pub up_um: f64,
+    /// The same moving down.
+    pub down_um: f64,
+}
+
+impl Point {
+    /// Mean of both directions, µm.
+    #[must_use]
+    pub fn mean_um(&self) -> f64 {
+        f64::midpoint(self.up_um, self.down_um)
+    }
+}
+
+/// What a format demands of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rules {
+    /// Most points it takes.
+    pub most: usize,
+    /// Positions are multiples of this, mm.
+    pub position_mm: f64,
+    /// Values are multiples of this, µm.
+    pub value_um: f64,
+    /// It has values for both directions; otherwise it takes their mean.
+    pub both: bool,
+    /// The position at which the value must be zero, mm.
+    pub zero_at_mm: Option<f64>,
+}
+
+/// A way to write a table.
+pub trait Format {
+    /// What it demands.
+    fn rules(&self) -> Rules;
+
+    /// The file's text.
+    ///
+    /// # Errors
+    /// The table cannot be written so.
+    fn text(&self, table: &Table) -> Result<String, InputError>;
+
+    /// What a person has to do and to know who loads it.
+    fn advice(&self, table: &Table) -> Vec<String>;
+}
+
+/// Plain columns: `position_mm,error_up_um,error_down_um`.
+#[derive(Debug)]
+pub struct Csv;
+
+impl Format for Csv {
+    fn rules(&self) -> Rules {
+        Rules { most: MANY, position_mm: 1e-6, value_um: 1e-6, both: true, zero_at_mm: None }
+    }
+
+    fn text(&self, table: &Table) -> Result<String, InputError> {
+        let mut text = "position_mm,error_up_um,error_down_um\n".to_owned();
+        for p in &table.points {
+            // Writing to a String does not fail.
+            let _ = writeln!(text, "{},{},{}", p.position_mm, p.up_um, p.down_um);
+        }
+        Ok(text)
+    }
+
+    fn advice(&self, _: &Table) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// What was asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Wanted {
+    /// Lowest position, mm.
+    pub from_mm: f64,
+    /// Highest position, mm.
+    pub to_mm: f64,
+    /// Distance between points, mm; chosen from the model where it is not given.
+    pub step_mm: Option<f64>,
+    /// How far the table may be off the model between its points, µm.
+    pub limit_um: f64,
+    /// Most points, where fewer than the format takes.
+    pub most: Option<usize>,
+}
+
+fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
+    InputError::whole(Path::new("model export"), found, expected)
+}
+
+/// The model's errors of one axis, at rest at every place, approached from one side; what depends on speed, time and load
+/// stays out.
+#[derive(Debug)]
+pub struct Errors<'m> {
+    machine: &'m Machine,
+    axis: Axis,
+    layout: Layout,
+    degc: Vec<f64>,
+    /// Where the axes stand, as the layout has them, mm; the table's own comes first.
+    places_mm: Vec<f64>,
+}
+
+impl<'m> Errors<'m> {
+    /// The axis' errors at these temperatures and places of the other axes; sensors that are not among them are at 20 °C, axes
+    /// at 0 mm.
+    ///
+    /// # Errors
+    /// An axis that the model knows no error of, a sensor or another axis that it does not read or that is given twice, no
+    /// temperature or place.
+    pub fn of(
+        machine: &'m Machine,
+        axis: &str,
+        temperatures: &[(String, f64)],
+        others_mm: &[(String, f64)],
+    ) -> Result<Self, InputError> {
+        let known = axes(machine);
+        let Some(axis) = Axis::new(axis).filter(|a| known.contains(a)) else {
+            let names: Vec<&str> = known.iter().map(Axis::as_str).collect();
+            let expected = match (nearest(axis, &names), names.is_empty()) {
+                (_, true) => "a model with position errors".to_owned(),
+                (Some(near), _) => format!("an axis that the model has errors of; did you mean {near}?"),
+                _ => format!("an axis that the model has errors of: {}", names.join(", ")),
+            };
+            return Err(usage(format!("--axis {axis}"), expected));
+        };
+        let names = machine.sensors();
+        let mut degc = vec![20.0; names.len()];
+        for (n, (name, value)) in temperatures.iter().enumerate() {
+            let given = || format!("--temperatures {name}={value}");
+            let place = names.iter().position(|x| x == name).ok_or_else(|| {
+                let expected = if names.is_empty() {
+                    "no temperatures: the model reads no sensor".to_owned()
+                } else {
+                    format!("SENSOR=degC with a sensor of the model: {}", names.join(", "))
+                };
+                usage(given(), expected)
+            })?;
+            if temperatures[..n].iter().any(|(other, _)| other == name) {
+                return Err(usage(format!("{} a second time", given()), "each sensor once"));
+            }
+            if !(-100.0..=200.0).contains(value) {
+                return Err(usage(given(), "a temperature from -100 to 200 degC"));
+            }
+            degc[place] = *value;
+        }
+        let mut axes = vec![axis.clone()];
+        axes.extend(machine.effects().flat_map(Effect::axes).cloned());
+        if let Some(chain) = machine.chain() {
+            axes.extend(chain.joints.iter().filter_map(|j| j.axis.as_ref().map(|(a, _)| a.clone())));
+        }
+        let mut layout = Layout { axes: Vec::new(), sensors: names, channels: Vec::new() };
+        for a in axes {
+            if !layout.axes.contains(&a) {
+                layout.axes.push(a);
+            }
+        }
+        for channel in machine.effects().filter_map(Effect::channel) {
+            if !layout.channels.iter().any(|c| c == channel) {
+                layout.channels.push(channel.to_owned());
+            }
+        }
+        let mut places_mm = vec![0.0; layout.axes.len()];
+        for (n, (name, value)) in others_mm.iter().enumerate() {
+            let given = || format!("--at {name}={value}");
+            let others: Vec<&str> = layout.axes[1..].iter().map(Axis::as_str).collect();
+            let place = others.iter().position(|a| a == name).ok_or_else(|| {
+                let of = if others.is_empty() { "the model reads none".to_owned() } else { others.join(", ") };
+                usage(given(), format!("AXIS=mm with another axis of the model: {of}"))
+            })?;
+            if others_mm[..n].iter().any(|(other, _)| other == name) {
+                return Err(usage(format!("{} a second time", given()), "each axis once"));
+            }
+            if !(-1e6..=1e6).contains(value) {
+                return Err(usage(given(), "a place from -1e6 to 1e6 mm"));
+            }
+            places_mm[place + 1] = *value;
+        }
+        Ok(Self { machine, axis, layout, degc, places_mm })
+    }
+
+    /// Errors at these rising places, µm: approached from below each (`up`) or from above.
+    ///
+    /// # Errors
+    /// The model needs what a table cannot give it.
+    pub fn along(&self, positions_mm: &[f64], up: bool) -> Result<Vec<f64>, InputError> {
+        let mut live = self.live()?;
+        let (mut column, n) = (vec![0.0; positions_mm.len()], positions_mm.len());
+        for k in 0..n {
+            let i = if up { k } else { n - 1 - k };
+            column[i] = self.at(&mut live, positions_mm[i], if up { 1.0 } else { -1.0 });
+        }
+        Ok(column)
+    }
+
+    fn live(&self) -> Result<Live, InputError> {
+        Live::of(self.machine, self.layout.clone()).map_err(|e| usage(e.to_string(), "sensors and axes only"))
+    }
+
+    fn at(&self, live: &mut Live, position_mm: f64, direction: f64) -> f64 {
+        let at = |p: &f64| AxisNow { position_mm: *p, ..AxisNow::default() };
+        let mut axes: Vec<AxisNow> = self.places_mm.iter().map(at).collect();
+        axes[0] = AxisNow { position_mm, direction, ..AxisNow::default() };
+        let channels = vec![0.0; self.layout.channels.len()];
+        let frame =
+            Frame { axes: &axes, temperatures_degc: &self.degc, channels: &channels, ..Frame::default() };
+        live.evaluate(&frame);
+        live.errors_um()[0]
+    }
+
+    /// What a person should know: effects of the axis that a table of positions cannot hold, and temperatures outside the
+    /// range that an effect was fitted on.
+    ///
+    /// # Errors
+    /// As [`Errors::along`].
+    pub fn doubts(&self) -> Result<Vec<String>, InputError> {
+        let mut live = self.live()?;
+        self.at(&mut live, 0.0, 1.0);
+        let mut doubts = Vec::new();
+        for part in live.parts().filter(|p| acts_on(p.effect, &self.axis)) {
+            let own = part.effect.axes().first() == Some(&self.axis);
+            let cause = |need: &Need| match need {
+                Need::Position(n) if part.effect.axes()[*n] != self.axis => Some("the other axes where --at has them, or at 0"),
+                Need::Direction if !own => Some("the other axes at rest"),
+                Need::Position(_) | Need::Direction | Need::Delta => None,
+                Need::Time => Some("time 0"),
+                Need::Velocity | Need::Acceleration => Some("at rest"),
+                Need::Load => Some("without load"),
+                Need::SpindleSpeed => Some("the spindle at rest"),
+                Need::Coolant => Some("dry"),
+                Need::Angle | Need::Channel => Some("its channel at 0"),
+            };
+            if let Some(cause) = part.effect.description().needs.iter().find_map(cause) {
+                doubts.push(format!("{} is in the table as it is {cause}", part.effect.name()));
+            }
+            if part.outside_k > 0.0 {
+                doubts.push(format!(
+                    "{}: the temperatures are {:.1} K outside the range that it was fitted on; {:.0} % of it is in the table",
+                    part.effect.name(),
+                    part.outside_k,
+                    100.0 * part.weight
+                ));
+            }
+        }
+        Ok(doubts)
+    }
+}
+
+fn acts_on(effect: &Effect, axis: &Axis) -> bool {
+    let description = effect.description();
+    let components = if description.naming == Naming::Pair { 2 } else { 1 };
+    description.quantity == Quantity::Error && effect.axes().iter().take(components).any(|a| a == axis)
+}
+
+/// The axes that a model knows errors of.
+fn axes(machine: &Machine) -> Vec<Axis> {
+    let mut known: Vec<Axis> = machine
+        .effects()
+        .flat_map(|e| e.axes().iter().filter(move |a| acts_on(e, a)).cloned())
+        .chain(machine.chain().iter().flat_map(|_| ["x", "y", "z"]).filter_map(Axis::new))
+        .collect();
+    known.sort();
+    known.dedup();
+    known
+}
+
+/// A table as it is written, and what it leaves of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// The axis.
+    pub axis: Axis,
+    /// Its points, positions rising, with the values as they are written.
+    pub points: Vec<Point>,
+    /// Distance between them, mm.
+    pub step_mm: f64,
+    /// What was taken from all values to make the one at the reference point zero, µm: it moves the axis' zero.
+    pub constant_um: f64,
+    /// What it leaves.
+    pub left: Left,
+    /// What it leaves of what it stands for (the mean, where it has one value for both directions): what more points
+    /// could mend. Largest, µm.
+    pub between_um: f64,
+}
+
+/// Model minus table, the constant left out, over the travel.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Left {
+    /// Largest absolute value moving up, µm.
+    pub max_up_um: f64,
+    /// Largest absolute value moving down, µm.
+    pub max_down_um: f64,
+    /// Root mean square over both directions, µm.
+    pub rms_um: f64,
+}
+
+impl Left {
+    /// Largest absolute value of both directions, µm.
+    #[must_use]
+    pub fn max_um(&self) -> f64 {
+        self.max_up_um.max(self.max_down_um)
+    }
+}
+
+/// The model at many places.
+struct Dense {
+    positions_mm: Vec<f64>,
+    up_um: Vec<f64>,
+    down_um: Vec<f64>,
+}
+
+/// The straight line between the points, or the value of the last one; for rising places.
+fn interpolate<'a>(
+    points: &'a [Point],
+    places_mm: &'a [f64],
+    value: fn(&Point) -> f64,
+) -> impl Iterator<Item = f64> + 'a {
+    let mut next = 0;
+    places_mm.iter().map(move |p| {
+        while next < points.len() && points[next].position_mm < *p {
+            next += 1;
+        }
+        match (next.checked_sub(1).map(|i| &points[i]), points.get(next)) {
+            (Some(a), Some(b)) => {
+                let part = (p - a.position_mm) / (b.position_mm - a.position_mm);
+                value(a) + part * (value(b) - value(a))
+            }
+            (Some(one), None) | (None, Some(one)) => value(one),
+            (None, None) => 0.0,
+        }
+    })
+}
+
+fn round_to(value: f64, resolution: f64) -> f64 {
+    // Divided by a whole number where the resolution is a decimal fraction: 0.1 and its like come out as they are written.
+    let inverse = resolution.recip().round();
+    if resolution < 1.0 && (inverse * resolution - 1.0).abs() < 1e-9 {
+        (value * inverse).round() / inverse
+    } else {
+        (value / resolution).round() * resolution
+    }
+}
+
+impl Table {
+    /// The table that a format takes, with the step given or with the widest that keeps within the limit; where none does,
+    /// the one that is least off.
+    ///
+    /// # Errors
+    /// A range or step that is none, more points than the format takes, a reference point outside the range, and what
+    /// [`Errors::along`] finds.
+    pub fn of(errors: &Errors<'_>, wanted: &Wanted, rules: &Rules) -> Result<Self, InputError> {
+        let (from, to) = (wanted.from_mm, wanted.to_mm);
+        if !(from.abs() <= LONGEST_MM && to.abs() <= LONGEST_MM && to - from >= rules.position_mm) {
+            let expected = format!(
+                "a range that rises, within {LONGEST_MM} mm of 0, in steps of {} mm",
+                rules.position_mm
+            );
+            return Err(usage(format!("--from {from} --to {to}"), expected));
+        }
+        if !(wanted.limit_um > 0.0 && wanted.limit_um.is_finite()) {
+            return Err(usage(format!("--limit-um {}", wanted.limit_um), "a limit above 0 um"));
+        }
+        if let Some(zero) = rules.zero_at_mm.filter(|z| !(from..=to).contains(z)) {
+            let expected = format!("the reference point within the range, {from} to {to} mm");
+            return Err(usage(format!("--reference-mm {zero}"), expected));
+        }
+        let most = wanted.most.unwrap_or(rules.most);
+        let takes = rules.most.clamp(2, MANY);
+        if !(2..=takes).contains(&most) {
+            return Err(usage(
+                format!("--max-points {most}"),
+                format!("from 2 to {takes}, as the format takes"),
+            ));
+        }
+        let dense = Dense::of(errors, from, to, most)?;
+        if let Some(step) = wanted.step_mm {
+            let smallest = rules.position_mm;
+            if !(step >= smallest && step.is_finite()) {
+                return Err(usage(format!("--step {step}"), format!("a step of at least {smallest} mm")));
+            }
+            let whole = |v: f64| (v / smallest - (v / smallest).round()).abs() < 1e-3;
+            if !whole(step) || !whole(from) {
+                let expected = format!("multiples of {smallest} mm, as the format writes positions");
+                return Err(usage(format!("--from {from} --step {step}"), expected));
+            }
+            let points = ((to - from) / step - 1e-9).ceil() + 1.0;
+            if points > most as f64 {
+                let step = (to - from) / (most - 1) as f64;
+                let expected = format!(
+                    "at most {most} points, that is a --step of at least {step:.4} mm; or none, to have it chosen"
+                );
+                return Err(usage(format!("{points} points"), expected));
+            }
+            return Self::with_step(errors, &dense, from, to, step, rules);
+        }
+        let mut best: Option<Self> = None;
+        for step in steps(to - from, most, rules.position_mm) {
+            let table = Self::with_step(errors, &dense, from, to, step, rules)?;
+            if table.between_um <= wanted.limit_um {
+                return Ok(table);
+            }
+            if best.as_ref().is_none_or(|b| table.between_um < b.between_um) {
+                best = Some(table);
+            }
+        }
+        best.ok_or_else(|| usage(format!("--max-points {most}"), "enough points for the range"))
+    }
+
+    fn with_step(
+        errors: &Errors<'_>,
+        dense: &Dense,
+        from: f64,
+        to: f64,
+        step_mm: f64,
+        rules: &Rules,
+    ) -> Result<Self, InputError> {
+        let intervals = (((to - from) / step_mm - 1e-9).ceil() as usize).max(1);
+        let places: Vec<f64> =
+            (0..=intervals).map(|i| round_to(from + step_mm * i as f64, rules.position_mm)).collect();
+        if places.windows(2).any(|w| w[1] <= w[0]) {
+            return Err(usage(
+                format!("steps of {step_mm} mm"),
+                format!("steps above {} mm", rules.position_mm),
+            ));
+        }
+        let (up, down) = (errors.along(&places, true)?, errors.along(&places, false)?);
+        let mut points: Vec<Point> = places
+            .iter()
+            .zip(up.iter().zip(&down))
+            .map(|(&position_mm, (&up_um, &down_um))| Point { position_mm, up_um, down_um })
+            .collect();
+        if !rules.both {
+            for p in &mut points {
+                (p.up_um, p.down_um) = (p.mean_um(), p.mean_um());
+            }
+        }
+        let mut constant_um = 0.0;
+        if let Some(zero) = rules.zero_at_mm {
+            constant_um = interpolate(&points, &[zero], Point::mean_um).next().unwrap_or(0.0);
+        }
+        for p in &mut points {
+            p.up_um = round_to(p.up_um - constant_um, rules.value_um);
+            p.down_um = round_to(p.down_um - constant_um, rules.value_um);
+        }
+        let mut table = Self {
+            axis: errors.axis.clone(),
+            points,
+            step_mm,
+            constant_um,
+            left: Left::default(),
+            between_um: 0.0,
+        };
+        table.judge(dense, rules.both);
+        if !(table.left.max_um().is_finite() && table.between_um.is_finite()) {
+            return Err(usage("errors that are no numbers there", "positions at which the model has values"));
+        }
+        Ok(table)
+    }
+
+    fn judge(&mut self, dense: &Dense, both: bool) {
+        let up = interpolate(&self.points, &dense.positions_mm, |p| p.up_um);
+        let down = interpolate(&self.points, &dense.positions_mm, |p| p.down_um);
+        let mut squares = 0.0;
+        for ((up, down), (model_up, model_down)) in up.zip(down).zip(dense.up_um.iter().zip(&dense.down_um)) {
+            let (u, d) = (model_up - self.constant_um - up, model_down - self.constant_um - down);
+            self.left.max_up_um = self.left.max_up_um.max(u.abs());
+            self.left.max_down_um = self.left.max_down_um.max(d.abs());
+            squares += u * u + d * d;
+            let between = if both { u.abs().max(d.abs()) } else { f64::midpoint(u, d).abs() };
+            self.between_um = self.between_um.max(between);
+        }
+        self.left.rms_um = (squares / (2 * dense.positions_mm.len()) as f64).sqrt();
+    }
+
+    /// The highest position, mm.
+    #[must_use]
+    pub fn end_mm(&self) -> f64 {
+        self.points.last().map_or(0.0, |p| p.position_mm)
+    }
+}
+
+impl Dense {
+    /// Evenly spread places, each moved within its own stretch by the golden ratio: no period falls into step with them.
+    fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self, InputError> {
+        const GOLDEN: f64 = 0.618_033_988_749_894_9;
+        let n = (most * PLACES.0).clamp(PLACES.1 / 4, PLACES.1);
+        let stretch = (to - from) / n as f64;
+        let mut positions_mm = vec![from];
+        positions_mm.extend((0..n).map(|i| from + stretch * (i as f64 + (i as f64 * GOLDEN).fract())));
+        positions_mm.push(to);
+        let (up_um, down_um) = (errors.along(&positions_mm, true)?, errors.along(&positions_mm, false)?);
+        Ok(Self { positions_mm, up_um, down_um })
+    }
+}
+
+/// Steps to try, from the widest on, so that the last point is the end of the travel: round ones that divide it, and parts of it.
+fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
+    let up = |step: f64| round_to((step / position_mm - 1e-6).ceil().max(1.0) * position_mm, position_mm);
+    let mut steps = Vec::new();
+    for power in -7..=5 {
+        for part in ROUND {
+            let step = part * 10f64.powi(power);
+            let parts = span_mm / step;
+            let divides = (parts - parts.round()).abs() < 1e-6 && parts.round() >= 1.0;
+            if divides && parts < most as f64 - 0.5 && (up(step) - step).abs() < 1e-9 {
+                steps.push(step);
+            }
+        }
+    }
+    let mut parts = 1;
+    while parts < most {
+        steps.push(up(span_mm / parts as f64));
+        parts = (parts * 9 / 8).max(parts + 1);
+    }
+    steps.push(up(span_mm / (most - 1) as f64));
+    steps.sort_by(|a, b| b.total_cmp(a));
+    steps.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    steps
+}
+
+/// A number as it is written.
+pub(crate) fn number(value: f64, decimals: usize) -> String {
+    // No minus before a zero.
+    let text = format!("{value:.decimals$}");
+    if text.trim_start_matches(['-', '0', '.']).is_empty() {
+        text.trim_start_matches('-').to_owned()
+    } else {
+        text
+    }
+}

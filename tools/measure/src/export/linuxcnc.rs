@@ -1,0 +1,85 @@
+//! LinuxCNC's `COMP_FILE`: `nominal forward reverse` a line, in machine units.
+//!
+//! Its loader (`usrmotLoadComp` in `src/emc/motion/usrmotintf.cc`) stops without a word at the first line that is not three
+//! numbers: nothing else may stand in the file. Type 0 has the positions reached, type 1 what is added to the motor's
+//! command; the loader turns the first into the second as nominal minus reached.
+
+use super::{Format, Rules, Table, number, usage};
+use rtec_files::InputError;
+
+/// LinuxCNC takes no more points than this (`EMCMOT_COMP_SIZE`).
+pub const MOST: usize = 256;
+/// It reads lines into a buffer of so many bytes, the end included.
+const LINE: usize = 255;
+
+/// What the machine's `[TRAJ] LINEAR_UNITS` are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// Millimetres.
+    Mm,
+    /// Inches.
+    Inch,
+}
+
+impl Unit {
+    /// What one of it is, mm.
+    #[must_use]
+    pub fn mm(self) -> f64 {
+        match self {
+            Self::Mm => 1.0,
+            Self::Inch => 25.4,
+        }
+    }
+}
+
+/// A `COMP_FILE`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LinuxCnc {
+    /// Type 1, trims; otherwise type 0, positions reached.
+    pub trims: bool,
+    /// The machine's unit.
+    pub unit: Unit,
+}
+
+impl Format for LinuxCnc {
+    fn rules(&self) -> Rules {
+        // Finer than a nanometre is nothing.
+        Rules { most: MOST, position_mm: 1e-6, value_um: 1e-6, both: true, zero_at_mm: None }
+    }
+
+    fn text(&self, table: &Table) -> Result<String, InputError> {
+        let (mm, decimals) = (self.unit.mm(), 9);
+        let mut text = String::new();
+        let mut before: Option<String> = None;
+        for p in &table.points {
+            let value = |um: f64| if self.trims { -um / 1000.0 } else { p.position_mm + um / 1000.0 };
+            let nominal = number(p.position_mm / mm, decimals);
+            if before.as_ref() == Some(&nominal) {
+                return Err(usage(format!("the position {nominal} twice"), "a larger --step"));
+            }
+            let line = format!(
+                "{nominal} {} {}\n",
+                number(value(p.up_um) / mm, decimals),
+                number(value(p.down_um) / mm, decimals)
+            );
+            if line.len() >= LINE {
+                return Err(usage(format!("a line of {} bytes", line.len()), "lines below 255 bytes"));
+            }
+            text.push_str(&line);
+            before = Some(nominal);
+        }
+        Ok(text)
+    }
+
+    fn advice(&self, _: &Table) -> Vec<String> {
+        let unit = match self.unit {
+            Unit::Mm => "mm",
+            Unit::Inch => "inch",
+        };
+        vec![format!(
+            "in the [JOINT_n] section: COMP_FILE = this file, COMP_FILE_TYPE = {}; the machine's LINEAR_UNITS are {unit}; BACKLASH is \
+             ignored then; add no comment: LinuxCNC stops at the first line that is not three numbers",
+            u8::from(self.trims)
+        )]
+    }
+}

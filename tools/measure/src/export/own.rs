@@ -1,0 +1,262 @@
+//! A table in a form of the user's own, described by a TOML file:
+//!
+//! ```toml
+//! header = "axis {axis}, {points} points\n"   # once, in front; optional, as footer
+//! line = "{n};{position};{forward};{reverse}" # for every point; or {mean} where one value serves both directions
+//! footer = "end\n"
+//! value = "error"             # reached minus commanded; or "correction", its negative; or "reached", the position itself
+//! position_unit = "mm"        # mm, um, inch; "mm" where it is not given
+//! value_unit = "um"           # mm, um, inch
+//! position_decimals = 3
+//! value_decimals = 1
+//! max_points = 128
+//! first_index = 1             # {n} of the first point; 0 where it is not given
+//! zero_at_reference = true    # the value at --reference-mm is zero; false where it is not given
+//! decimal_comma = true        # false where it is not given
+//! line_end = "crlf"           # "lf" where it is not given
+//! ```
+//!
+//! `{step}`, `{first}` and `{last}` are positions too; `{{` and `}}` stand for braces.
+
+use super::{Format, Point, Rules, Table, number, usage};
+use rtec_files::InputError;
+use rtec_files::toml::{Document, Entry};
+use std::path::Path;
+
+const UNITS: [(&str, f64); 3] = [("mm", 1.0), ("um", 1e-3), ("inch", 25.4)];
+const ONCE: [&str; 5] = ["axis", "points", "step", "first", "last"];
+const EACH: [&str; 5] = ["n", "position", "forward", "reverse", "mean"];
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Value {
+    Error,
+    Correction,
+    Reached,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Piece {
+    Text(String),
+    Place(&'static str),
+}
+
+/// A form read from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Own {
+    header: Vec<Piece>,
+    line: Vec<Piece>,
+    footer: Vec<Piece>,
+    value: Value,
+    /// One unit of positions and of values, mm; their decimals.
+    position: (f64, usize),
+    values: (f64, usize),
+    most: usize,
+    first_index: i64,
+    zero_at_mm: Option<f64>,
+    both: bool,
+    decimal_comma: bool,
+    line_end: &'static str,
+}
+
+fn template(entry: Entry<'_>, known: &[&'static str]) -> Result<Vec<Piece>, InputError> {
+    let names: Vec<String> = known.iter().map(|n| format!("{{{n}}}")).collect();
+    let expected = format!("text with {}; {{{{ and }}}} for braces", names.join(", "));
+    let text = entry.str(&expected)?;
+    let (mut pieces, mut plain) = (Vec::new(), String::new());
+    let mut rest = text;
+    while let Some(at) = rest.find(['{', '}']) {
+        plain.push_str(&rest[..at]);
+        let tail = &rest[at..];
+        if tail.starts_with("{{") || tail.starts_with("}}") {
+            plain.push_str(&tail[..1]);
+            rest = &tail[2..];
+            continue;
+        }
+        let end = tail.find('}').filter(|_| tail.starts_with('{'));
+        let end = end.ok_or_else(|| entry.error(format!("a brace alone in '{text}'"), &*expected))?;
+        let name = &tail[1..end];
+        let place = known.iter().find(|k| **k == name);
+        let place = place.ok_or_else(|| entry.error(format!("{{{name}}}"), &*expected))?;
+        pieces.push(Piece::Text(std::mem::take(&mut plain)));
+        pieces.push(Piece::Place(place));
+        rest = &tail[end + 1..];
+    }
+    plain.push_str(rest);
+    pieces.push(Piece::Text(plain));
+    Ok(pieces)
+}
+
+fn has(pieces: &[Piece], name: &str) -> bool {
+    pieces.iter().any(|p| matches!(p, Piece::Place(n) if *n == name))
+}
+
+impl Own {
+    /// Reads a form; `reference_mm` is the reference point, where it asks for one.
+    ///
+    /// # Errors
+    /// The first finding, with its place.
+    pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self, InputError> {
+        let document = Document::parse(file, text)?;
+        let root = document.root();
+        root.only(&[
+            "header",
+            "line",
+            "footer",
+            "value",
+            "position_unit",
+            "value_unit",
+            "position_decimals",
+            "value_decimals",
+            "max_points",
+            "first_index",
+            "zero_at_reference",
+            "decimal_comma",
+            "line_end",
+        ])?;
+        let once = |key: &str| root.get(key).map_or(Ok(Vec::new()), |entry| template(entry, &ONCE));
+        let line_entry =
+            root.required("line", "what a point's line is, as line = \"{position} {forward} {reverse}\"")?;
+        let line = template(line_entry, &EACH)?;
+        let (mean, forward, reverse) = (has(&line, "mean"), has(&line, "forward"), has(&line, "reverse"));
+        if mean == (forward || reverse) || forward != reverse {
+            let expected = "both {forward} and {reverse}, or {mean} where one value serves both directions";
+            return Err(line_entry.error(format!("'{}'", line_entry.text()), expected));
+        }
+        let unit = |key: &str, default: Option<f64>| -> Result<f64, InputError> {
+            let expected = format!("{key} = \"mm\", \"um\" or \"inch\"");
+            match (root.get(key), default) {
+                (None, Some(mm)) => Ok(mm),
+                (None, None) => root.required(key, &expected).map(|_| 1.0),
+                (Some(entry), _) => {
+                    let found = UNITS.iter().find(|(name, _)| entry.as_str() == Some(name));
+                    found.map(|(_, mm)| *mm).ok_or_else(|| entry.mismatch(expected))
+                }
+            }
+        };
+        let decimals = |key: &str| -> Result<usize, InputError> {
+            let expected = format!("{key}, 0 to 12");
+            let entry = root.required(key, &expected)?;
+            let n: usize = entry.integer(&expected)?;
+            if n > 12 { Err(entry.mismatch(expected)) } else { Ok(n) }
+        };
+        let flag = |key: &str| root.get(key).map_or(Ok(false), |e| e.bool("true or false"));
+        let expected =
+            "value = \"error\" (reached minus commanded), \"correction\" (its negative) or \"reached\"";
+        let value = root.required("value", expected)?;
+        let value = match value.as_str() {
+            Some("error") => Value::Error,
+            Some("correction") => Value::Correction,
+            Some("reached") => Value::Reached,
+            _ => return Err(value.mismatch(expected)),
+        };
+        let most = root.required("max_points", "max_points, the most points that the controller takes")?;
+        let expected = "a whole number from 2 to 100000";
+        let Some(count) = Some(most.integer::<usize>(expected)?).filter(|n| (2..=100_000).contains(n)) else {
+            return Err(most.mismatch(expected));
+        };
+        let line_end = match root.get("line_end") {
+            None => "\n",
+            Some(entry) => match entry.as_str() {
+                Some("lf") => "\n",
+                Some("crlf") => "\r\n",
+                _ => return Err(entry.mismatch("line_end = \"lf\" or \"crlf\"")),
+            },
+        };
+        let zero = flag("zero_at_reference")?;
+        if zero && value == Value::Reached {
+            let entry = root.required("zero_at_reference", "zero_at_reference")?;
+            return Err(entry.mismatch("no zero where the values are positions reached"));
+        }
+        Ok(Self {
+            header: once("header")?,
+            line,
+            footer: once("footer")?,
+            value,
+            position: (unit("position_unit", Some(1.0))?, decimals("position_decimals")?),
+            values: (unit("value_unit", None)?, decimals("value_decimals")?),
+            most: count,
+            first_index: root.get("first_index").map_or(Ok(0), |e| e.integer("a whole number"))?,
+            zero_at_mm: zero.then_some(reference_mm),
+            both: !mean,
+            decimal_comma: flag("decimal_comma")?,
+            line_end,
+        })
+    }
+
+    fn write(&self, number_: f64, decimals: usize) -> String {
+        let text = number(number_, decimals);
+        if self.decimal_comma { text.replace('.', ",") } else { text }
+    }
+
+    fn position(&self, mm: f64) -> String {
+        self.write(mm / self.position.0, self.position.1)
+    }
+
+    fn value(&self, point: &Point, um: f64) -> String {
+        let mm = match self.value {
+            Value::Error => um / 1000.0,
+            Value::Correction => -um / 1000.0,
+            Value::Reached => point.position_mm + um / 1000.0,
+        };
+        self.write(mm / self.values.0, self.values.1)
+    }
+}
+
+impl Format for Own {
+    fn rules(&self) -> Rules {
+        let resolution = |(mm, decimals): (f64, usize)| mm * 10f64.powi(-(decimals as i32));
+        Rules {
+            most: self.most,
+            position_mm: resolution(self.position),
+            value_um: 1000.0 * resolution(self.values),
+            both: self.both,
+            zero_at_mm: self.zero_at_mm,
+        }
+    }
+
+    fn text(&self, table: &Table) -> Result<String, InputError> {
+        let mut text = String::new();
+        let ends = (table.points.first().map_or(0.0, |p| p.position_mm), table.end_mm());
+        let once = |name: &str| match name {
+            "axis" => table.axis.to_string(),
+            "points" => table.points.len().to_string(),
+            "step" => self.position(table.step_mm),
+            "first" => self.position(ends.0),
+            _ => self.position(ends.1),
+        };
+        let fill = |pieces: &[Piece], of: &dyn Fn(&str) -> String| -> String {
+            pieces
+                .iter()
+                .map(|p| match p {
+                    Piece::Text(text) => text.clone(),
+                    Piece::Place(name) => of(name),
+                })
+                .collect()
+        };
+        text.push_str(&fill(&self.header, &once));
+        let mut before = String::new();
+        for (i, p) in table.points.iter().enumerate() {
+            let position = self.position(p.position_mm);
+            if position == before {
+                let expected = "more position_decimals, or a larger --step";
+                return Err(usage(format!("the position {position} twice"), expected));
+            }
+            let of = |name: &str| match name {
+                "n" => (self.first_index + i as i64).to_string(),
+                "position" => position.clone(),
+                "forward" => self.value(p, p.up_um),
+                "reverse" => self.value(p, p.down_um),
+                _ => self.value(p, p.mean_um()),
+            };
+            text.push_str(&fill(&self.line, &of));
+            text.push('\n');
+            before = position;
+        }
+        text.push_str(&fill(&self.footer, &once));
+        Ok(if self.line_end == "\n" { text } else { text.replace('\n', self.line_end) })
+    }
+
+    fn advice(&self, _: &Table) -> Vec<String> {
+        Vec::new()
+    }
+}

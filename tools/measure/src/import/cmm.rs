@@ -1,0 +1,56 @@
+//! Hole tables of coordinate measuring machines.
+
+use super::column;
+use crate::plate::NOMINAL_DIAMETER;
+use rtec_files::InputError;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::path::Path;
+
+/// Reads a hole table of a coordinate measuring machine (`Meas X`, `Meas Y`, `Nom X`, `Nom Y`, `Nom D`, …, mm) as a plate.
+///
+/// # Errors
+/// No line with the headings, a row that is too short or holds no numbers.
+pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputError> {
+    const HEADINGS: [&str; 5] = ["Meas X", "Meas Y", "Nom X", "Nom Y", "Nom D"];
+    let mut places: Option<[usize; 5]> = None;
+    let mut rows: Vec<[f64; 5]> = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let at = |found: String, expected: &str| InputError::at(from, i + 1, 1, found, expected);
+        let Some(places) = places else {
+            // Headings hold single spaces and stand two or more apart.
+            let heads: Vec<&str> = line.split("  ").map(str::trim).filter(|h| !h.is_empty()).collect();
+            if HEADINGS.iter().all(|h| heads.contains(h)) {
+                places = Some(HEADINGS.map(|h| heads.iter().position(|x| *x == h).unwrap_or_default()));
+            }
+            continue;
+        };
+        if line.trim().is_empty() {
+            continue;
+        }
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let mut row = [0.0; 5];
+        for (value, place) in row.iter_mut().zip(places) {
+            let word = words.get(place).ok_or_else(|| at(format!("{} values", words.len()), "a full row"))?;
+            let number = word.parse::<f64>().ok().filter(|v| v.is_finite());
+            *value = number.ok_or_else(|| at(format!("`{word}`"), "a number"))?;
+        }
+        rows.push(row);
+    }
+    if places.is_none() {
+        return Err(InputError::whole(
+            from,
+            "no table of holes",
+            format!("a line with {}", HEADINGS.join(", ")),
+        ));
+    }
+    let axis = |name: &str| Axis::new(name).unwrap_or_else(|| unreachable!("a letter is an axis name"));
+    let get = |of: fn(&[f64; 5]) -> f64| rows.iter().map(of).collect::<Vec<_>>();
+    let columns = vec![
+        column("x", Role::Position(axis("x")), get(|r| r[2])),
+        column("y", Role::Position(axis("y")), get(|r| r[3])),
+        column("ex", Role::Error(axis("x")), get(|r| 1000.0 * (r[0] - r[2]))),
+        column("ey", Role::Error(axis("y")), get(|r| 1000.0 * (r[1] - r[3]))),
+        Column { unit: "mm".to_owned(), ..column(NOMINAL_DIAMETER, Role::Channel, get(|r| r[4])) },
+    ];
+    Record::new(to, Kind::Plate, columns)
+}

@@ -1,0 +1,87 @@
+//! The data file of ecmc's ISO 230-2 test.
+
+use super::column;
+use rtec_files::InputError;
+use rtec_model::record::{Axis, Kind, Record, Role};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Reads the data file of ecmc's ISO 230-2 test (`TGT_DATA[i]`, `REF_DATA_FWD[i,j]`, `REF_DATA_BWD[i,j]`, mm).
+///
+/// Rows follow the test: cycle by cycle, forward up the targets, backward down them. *Forward* and *backward* are
+/// taken as the file names them.
+///
+/// # Errors
+/// An assignment that is not understood, an index outside its range, a reading or target that is missing.
+pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+    let mut targets: BTreeMap<usize, f64> = BTreeMap::new();
+    let mut readings: BTreeMap<(usize, bool, usize), f64> = BTreeMap::new();
+    for (i, line) in text.lines().enumerate() {
+        let at = |found: &str, expected: &str| InputError::at(from, i + 1, 1, format!("`{found}`"), expected);
+        let body = line.split('#').next().unwrap_or("").trim();
+        let Some((key, value)) = body.split_once('=').map(|(k, v)| (k.trim(), v.trim())) else {
+            if body.is_empty() {
+                continue;
+            }
+            return Err(at(body, "KEY=VALUE"));
+        };
+        let number =
+            || value.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| at(value, "a number"));
+        match key.split_once('[').map(|(k, rest)| (k, rest.trim_end_matches(']'))) {
+            None if key == "UNIT" && value != "mm" => return Err(at(body, "UNIT=mm")),
+            None => {} // names of the sources and counts; the data speak for themselves
+            Some(("TGT_DATA", index)) => {
+                let i = index.trim().parse().map_err(|_| at(index, "a target's number"))?;
+                targets.insert(i, number()?);
+            }
+            Some((name @ ("REF_DATA_FWD" | "REF_DATA_BWD"), index)) => {
+                let pair = index
+                    .split_once(',')
+                    .and_then(|(i, j)| Some((i.trim().parse().ok()?, j.trim().parse().ok()?)));
+                let (i, j): (usize, usize) = pair.ok_or_else(|| at(index, "target, cycle"))?;
+                readings.insert((j, name == "REF_DATA_BWD", i), number()?);
+            }
+            Some((name, _)) => return Err(at(name, "TGT_DATA, REF_DATA_FWD or REF_DATA_BWD")),
+        }
+    }
+    let whole = |found: String, expected: &str| InputError::whole(from, found, expected);
+    let mut rows: Vec<[f64; 4]> = Vec::new();
+    let cycles = readings.keys().map(|k| k.0).max().unwrap_or(0);
+    for cycle in 1..=cycles {
+        for back in [false, true] {
+            let mut order: Vec<(&usize, &f64)> = targets.iter().collect();
+            if back {
+                order.reverse();
+            }
+            for (i, target) in order {
+                let reading = readings.get(&(cycle, back, *i)).ok_or_else(|| {
+                    let name = if back { "BWD" } else { "FWD" };
+                    whole(
+                        format!("no REF_DATA_{name}[{i},{cycle}]"),
+                        "a reading per target, cycle and direction",
+                    )
+                })?;
+                rows.push([
+                    cycle as f64,
+                    *target,
+                    if back { -1.0 } else { 1.0 },
+                    (reading - target) * 1000.0,
+                ]);
+            }
+        }
+    }
+    if rows.len() != readings.len() {
+        return Err(whole(format!("{} readings for {} places", readings.len(), rows.len()), "one per place"));
+    }
+    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
+    let name = axis.as_str();
+    let columns = vec![
+        column("cycle", Role::Cycle, get(0)),
+        column(name, Role::Position(axis.clone()), get(1)),
+        column("direction", Role::Direction(axis.clone()), get(2)),
+        column("error", Role::Error(axis.clone()), get(3)),
+    ];
+    let mut record = Record::new(to, Kind::Positioning, columns)?;
+    record.note = Some("forward and backward as the imported file names them".to_owned());
+    Ok(record)
+}

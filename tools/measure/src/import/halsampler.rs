@@ -1,0 +1,91 @@
+//! What LinuxCNC's `halsampler` prints: values parted by blanks, a blank at the end; with `-t` the sample's number in front; a
+//! line `overrun` where samples were lost. Times are not in it: the period is given beside it.
+
+use super::table::{Form, ImportColumn, table};
+use super::{add_note, column};
+use rtec_files::InputError;
+use rtec_model::record::{Kind, Record, Role};
+use std::path::Path;
+
+/// How it was sampled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sampling {
+    /// Seconds a sample.
+    pub period_s: f64,
+    /// The sample's number stands in front (`-t`).
+    pub numbered: bool,
+}
+
+/// Reads a halsampler log of so many seconds a sample; columns are called by their numbers, from 1, the sample's number
+/// not counted.
+///
+/// # Errors
+/// A period that is none, an overrun in a log without numbers, numbers that do not rise, and what [`table`] finds.
+pub fn halsampler(
+    from: &Path,
+    text: &str,
+    wanted: &[ImportColumn],
+    sampling: &Sampling,
+    form: &Form,
+    kind: Kind,
+    to: &Path,
+) -> Result<Record, InputError> {
+    let Sampling { period_s, numbered } = *sampling;
+    if !(period_s > 0.0 && period_s.is_finite()) {
+        return Err(InputError::whole(from, format!("--period-s {period_s}"), "seconds a sample, above 0"));
+    }
+    let mut lost = Vec::new();
+    let mut times = Vec::new();
+    let mut plain = String::with_capacity(text.len());
+    for (i, line) in text.lines().enumerate() {
+        if line.trim() == "overrun" {
+            if !numbered {
+                let expected =
+                    "a log without gaps, or one with the samples' numbers (halsampler -t) and --numbered";
+                return Err(InputError::at(from, i + 1, 1, "`overrun`: samples are lost here", expected));
+            }
+            lost.push((i + 1).to_string());
+        } else if !line.trim().is_empty() {
+            let n = if numbered {
+                let word = line.split_whitespace().next().unwrap_or_default();
+                let n = word.parse::<u64>().ok();
+                n.ok_or_else(|| {
+                    InputError::at(from, i + 1, 1, format!("`{word}`"), "the sample's number in front")
+                })? as f64
+            } else {
+                times.len() as f64
+            };
+            times.push(n * period_s);
+            plain.push_str(line);
+        }
+        plain.push('\n');
+    }
+    // The number in front is a column of the file; whoever names the columns does not count it.
+    let shift = |w: &ImportColumn| match w.column.parse::<usize>() {
+        Ok(n) if numbered => ImportColumn { column: (n + 1).to_string(), ..w.clone() },
+        _ => w.clone(),
+    };
+    let shifted: Vec<ImportColumn> = wanted.iter().map(shift).collect();
+    let form = Form { by: Some(' '), nameless: true, ..form.clone() };
+    let mut record = table(from, &plain, &shifted, &form, kind, to)?;
+    if record.column(&Role::Time).is_some() {
+        return Err(InputError::whole(
+            from,
+            "a column of role time",
+            "none: the samples' period gives the time",
+        ));
+    }
+    let start = times.first().copied().unwrap_or(0.0);
+    if let Some(k) = times.windows(2).position(|w| w[1] <= w[0]) {
+        let (a, b) = (times[k] / period_s, times[k + 1] / period_s);
+        return Err(InputError::whole(from, format!("sample {b} after {a}"), "numbers that rise"));
+    }
+    let mut columns = vec![column("t", Role::Time, times.iter().map(|t| t - start).collect())];
+    columns.append(&mut record.columns);
+    let mut record = super::record_of(to, kind, columns, form.log)?;
+    add_note(&mut record, &format!("halsampler, {period_s} s a sample"));
+    if !lost.is_empty() {
+        add_note(&mut record, &format!("samples lost at line {}", lost.join(", ")));
+    }
+    Ok(record)
+}

@@ -1,0 +1,74 @@
+//! LinuxCNC's compensation file, read as LinuxCNC reads it.
+
+use super::column;
+use crate::export::linuxcnc::{MOST, Unit};
+use rtec_files::InputError;
+use rtec_model::record::{Axis, Kind, Record, Role};
+use std::path::Path;
+
+/// Reads a LinuxCNC compensation file (`COMP_FILE`): `nominal forward backward` per line, in machine units.
+/// Type 0 gives the positions reached, type 1 (`trims`) the trims added to the command; an error is position reached minus
+/// nominal either way.
+///
+/// # Errors
+/// A line that does not begin with three numbers while points stand behind it: LinuxCNC stops there without a word, and
+/// compensates by what stands before. Positions that do not rise, fewer than two points or more than LinuxCNC takes.
+pub fn linuxcnc_comp(
+    from: &Path,
+    text: &str,
+    axis: &Axis,
+    trims: bool,
+    unit: Unit,
+    to: &Path,
+) -> Result<Record, InputError> {
+    let mut rows: Vec<[f64; 3]> = Vec::new();
+    let mut stopped: Option<(usize, &str)> = None;
+    for (i, line) in text.lines().enumerate() {
+        let mut words = line.split_whitespace();
+        let mut next = || words.next().and_then(|w| w.parse::<f64>().ok()).filter(|v| v.is_finite());
+        let (Some(nominal), Some(forward), Some(backward)) = (next(), next(), next()) else {
+            stopped = stopped.or(Some((i + 1, line)));
+            continue;
+        };
+        if let Some((at, line)) = stopped {
+            let taken = match rows.len() {
+                0 => "has no point at all".to_owned(),
+                n => format!("has only the {n} points before it"),
+            };
+            let expected = format!(
+                "three numbers: LinuxCNC stops at this line without a word and {taken}; take the line out"
+            );
+            return Err(InputError::at(from, at, 1, format!("`{}`", line.trim()), expected));
+        }
+        if let Some(before) = rows.last().map(|r: &[f64; 3]| r[0] / unit.mm()).filter(|b| nominal <= *b) {
+            let found = format!("{nominal} after {before}");
+            return Err(InputError::at(from, i + 1, 1, found, "positions that rise, as LinuxCNC wants them"));
+        }
+        if rows.len() == MOST {
+            let expected = format!("at most {MOST} points, as LinuxCNC takes");
+            return Err(InputError::at(from, i + 1, 1, "one more point", expected));
+        }
+        rows.push([nominal, forward, backward].map(|v| v * unit.mm()));
+    }
+    if rows.len() < 2 {
+        let (line, found) =
+            stopped.map_or((0, "nothing".to_owned()), |(at, l)| (at, format!("`{}`", l.trim())));
+        return Err(InputError::at(
+            from,
+            line,
+            usize::from(line > 0),
+            found,
+            "nominal, forward, backward; two points at least",
+        ));
+    }
+    let error = |nominal: f64, v: f64| 1000.0 * if trims { -v } else { v - nominal };
+    let up = rows.iter().map(|r| (r[0], 1.0, error(r[0], r[1])));
+    let down = rows.iter().rev().map(|r| (r[0], -1.0, error(r[0], r[2])));
+    let all: Vec<(f64, f64, f64)> = up.chain(down).collect();
+    let columns = vec![
+        column(axis.as_str(), Role::Position(axis.clone()), all.iter().map(|r| r.0).collect()),
+        column("direction", Role::Direction(axis.clone()), all.iter().map(|r| r.1).collect()),
+        column("error", Role::Error(axis.clone()), all.iter().map(|r| r.2).collect()),
+    ];
+    Record::new(to, Kind::Positioning, columns)
+}

@@ -1,0 +1,221 @@
+//! `.rtl`, the linear targets of a laser interferometer: sections that end in `::`, deviations as `run target value`.
+//!
+//! The structure is that which programs read that other people wrote; no file of the maker's was seen, and the maker
+//! publishes none. Targets in mm, deviations in µm, measured minus target. The target's number is gone by, never the row.
+
+use super::{add_note, column};
+use rtec_files::InputError;
+use rtec_model::record::{Axis, Kind, Record, Role};
+use std::path::Path;
+
+/// A text whose names may be in any encoding of one byte a letter: UTF-8 where it is that, Latin-1 otherwise.
+///
+/// # Errors
+/// UTF-16.
+pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
+    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+        return Err(InputError::at(file, 1, 1, "UTF-16", "UTF-8 or a text of one byte a letter: save it so"));
+    }
+    Ok(rtec_files::text::decode(file, bytes)
+        .unwrap_or_else(|_| bytes.iter().map(|b| char::from(*b)).collect()))
+}
+
+/// What a section `NAME::` holds.
+struct Section<'t> {
+    name: &'t str,
+    /// Line number and text.
+    lines: Vec<(usize, &'t str)>,
+}
+
+fn sections(text: &str) -> Vec<Section<'_>> {
+    let mut sections: Vec<Section<'_>> = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if let Some(name) = line.strip_suffix("::") {
+            sections.push(Section { name: name.trim(), lines: Vec::new() });
+        } else if let Some(section) = sections.last_mut().filter(|_| !line.is_empty()) {
+            section.lines.push((i + 1, line));
+        }
+    }
+    sections
+}
+
+/// Reads a file of linear targets. Directions are those in which a run goes through its targets.
+///
+/// # Errors
+/// A section that is missing, a count that does not hold, a run without one of its targets, a file of angles.
+pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+    let sections = sections(text);
+    let section = |name: &str| {
+        let found = sections.iter().find(|s| s.name.eq_ignore_ascii_case(name));
+        found.ok_or_else(|| {
+            InputError::whole(from, format!("no section {name}::"), "a Renishaw .rtl file of linear targets")
+        })
+    };
+    let value = |section: &Section<'_>, key: &str| {
+        let found = section.lines.iter().find_map(|(n, l)| {
+            let (k, v) = l.split_once(':')?;
+            k.trim().eq_ignore_ascii_case(key).then(|| (*n, v.trim().to_owned()))
+        });
+        found.ok_or_else(|| {
+            InputError::whole(from, format!("no `{key}:` in {}::", section.name), format!("`{key}: …`"))
+        })
+    };
+    let count = |section: &Section<'_>, key: &str| {
+        let (line, text) = value(section, key)?;
+        let n = text.parse::<usize>().ok().filter(|n| *n > 0);
+        n.ok_or_else(|| InputError::at(from, line, 1, format!("`{key}: {text}`"), "a whole number from 1"))
+    };
+    let target_data = section("TARGET DATA")?;
+    let kinds = ["angular", "straightness", "squareness", "flatness", "rotary"];
+    let other = target_data.lines.iter().chain(&section("HEADER")?.lines).find(|(_, l)| {
+        let low = l.to_ascii_lowercase();
+        kinds.iter().any(|k| low.contains(k))
+    });
+    if let Some((n, line)) = other {
+        return Err(InputError::at(
+            from,
+            *n,
+            1,
+            format!("`{line}`"),
+            "linear targets: the units of other files are not known",
+        ));
+    }
+    let targets = targets(from, target_data, count(target_data, "Target-count")?)?;
+    let runs = count(section("RUNS")?, "Run-count")?;
+    let listed = deviations(from, section("DEVIATIONS")?, targets.len(), runs)?;
+    let (rows, notes) = rows(from, &listed, &targets)?;
+    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
+    let columns = vec![
+        column("cycle", Role::Cycle, get(0)),
+        column(axis.as_str(), Role::Position(axis.clone()), get(1)),
+        column("direction", Role::Direction(axis.clone()), get(2)),
+        column("error", Role::Error(axis.clone()), get(3)),
+    ];
+    let mut record = Record::new(to, Kind::Positioning, columns)?;
+    if let Ok(user) = section("USER-TEXT") {
+        for key in ["Machine", "Serial No", "Date", "By", "Axis", "Location", "TITLE"] {
+            // Free text: whatever it says, it is a note.
+            if let Ok((_, text)) = value(user, key)
+                && !text.is_empty()
+            {
+                add_note(&mut record, &format!("{key}: {text}"));
+            }
+        }
+    }
+    for note in notes {
+        add_note(&mut record, &note);
+    }
+    Ok(record)
+}
+
+/// The numbers behind `Targets :`, over as many lines as they take.
+fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>, InputError> {
+    let mut targets = Vec::new();
+    let mut inside = false;
+    for (line, text) in &section.lines {
+        let mut body = *text;
+        if let Some((key, rest)) = text.split_once(':') {
+            inside = key.trim().eq_ignore_ascii_case("Targets");
+            body = rest;
+        }
+        if !inside {
+            continue;
+        }
+        for word in body.split_whitespace() {
+            let target = word.parse::<f64>().ok().filter(|v| v.is_finite());
+            let expected = "a target in mm (with a decimal point)";
+            targets
+                .push(target.ok_or_else(|| InputError::at(from, *line, 1, format!("`{word}`"), expected))?);
+        }
+    }
+    if targets.len() != count {
+        let found = format!("{} targets, Target-count {count}", targets.len());
+        return Err(InputError::whole(from, found, "as many targets as the file counts"));
+    }
+    Ok(targets)
+}
+
+/// A deviation: its line, its target's place, µm.
+type Deviation = (usize, usize, f64);
+
+/// The deviations run by run, as many in each as there are targets.
+fn deviations(
+    from: &Path,
+    section: &Section<'_>,
+    targets: usize,
+    runs: usize,
+) -> Result<Vec<Vec<Deviation>>, InputError> {
+    let mut listed: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); runs];
+    for (line, text) in &section.lines {
+        if text.ends_with(':') {
+            continue; // `Run Target Data:`
+        }
+        let at = |found: String, expected: String| InputError::at(from, *line, 1, found, expected);
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let parsed = match words[..] {
+            [run, target, value] => {
+                let value = value.parse::<f64>().ok().filter(|v| v.is_finite());
+                run.parse().ok().zip(target.parse().ok()).zip(value)
+            }
+            _ => None,
+        };
+        let ((run, target), um): ((usize, usize), f64) = parsed.ok_or_else(|| {
+            at(format!("`{text}`"), "run, target and deviation in um (with a decimal point)".to_owned())
+        })?;
+        if !(1..=runs).contains(&run) || !(1..=targets).contains(&target) {
+            let expected = format!("runs 1 to {runs} and targets 1 to {targets}, as the file counts them");
+            return Err(at(format!("run {run}, target {target}"), expected));
+        }
+        if listed[run - 1].iter().any(|(_, t, _)| *t == target - 1) {
+            return Err(at(
+                format!("target {target} of run {run} a second time"),
+                "each target once a run".to_owned(),
+            ));
+        }
+        listed[run - 1].push((*line, target - 1, um));
+    }
+    if let Some(run) = listed.iter().position(|r| r.len() != targets) {
+        let found = format!("{} deviations in run {}", listed[run].len(), run + 1);
+        return Err(InputError::whole(from, found, format!("one for each of the {targets} targets")));
+    }
+    Ok(listed)
+}
+
+/// Rows of cycle, position, direction and error; and what was left out.
+fn rows(
+    from: &Path,
+    listed: &[Vec<Deviation>],
+    targets: &[f64],
+) -> Result<(Vec<[f64; 4]>, Vec<String>), InputError> {
+    let mut rows: Vec<[f64; 4]> = Vec::new();
+    let (mut notes, mut seen) = (Vec::new(), [0.0, 0.0]);
+    let some = listed.iter().flatten().any(|(_, _, um)| *um != 0.0);
+    for (n, run) in listed.iter().enumerate() {
+        if some && run.iter().all(|(_, _, um)| *um == 0.0) {
+            notes.push(format!(
+                "run {} is all zeros and was left out: a direction that was not measured",
+                n + 1
+            ));
+            continue;
+        }
+        let place = |k: usize| targets[run[k].1];
+        let falls = if run.len() > 1 { place(run.len() - 1) < place(0) } else { n % 2 == 1 };
+        let steps = (1..run.len()).map(|k| place(k) - place(k - 1));
+        if let Some(k) = steps.into_iter().position(|s| (s < 0.0) != falls) {
+            let found = format!("run {} turns back at target {}", n + 1, run[k + 1].1 + 1);
+            return Err(InputError::at(
+                from,
+                run[k + 1].0,
+                1,
+                found,
+                "a run that goes through its targets one way",
+            ));
+        }
+        seen[usize::from(falls)] += 1.0;
+        for (_, target, um) in run {
+            rows.push([seen[usize::from(falls)], targets[*target], if falls { -1.0 } else { 1.0 }, *um]);
+        }
+    }
+    Ok((rows, notes))
+}

@@ -1,0 +1,327 @@
+//! Any table whose columns somebody names: what parts them, how its numbers are written, which roles and units they have.
+
+use super::time::{day, iso8601_ns};
+use super::{add_note, column, record_of};
+use rtec_files::InputError;
+use rtec_files::csv::{Cell, Header, Reader, Row};
+use rtec_model::record::{Column, Kind, Record, Role};
+use std::borrow::Cow;
+use std::path::Path;
+
+/// A column of a table that is to be imported.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImportColumn {
+    /// The column's name in the header; its number from 1 where the table has none.
+    pub column: String,
+    /// The name it gets in the record.
+    pub name: String,
+    /// The role it takes in the record.
+    pub role: Role,
+    /// The unit it has in the record: the role's own, or any for a channel.
+    pub unit: String,
+    /// What the file has it in: factor to that unit, and what to add then.
+    pub scale: [f64; 2],
+}
+
+/// Name, factor, what to add.
+type Unit = (&'static str, f64, f64);
+
+/// Units that are turned into a role's own.
+const UNITS: [(&str, &[Unit]); 8] = [
+    ("s", &[("ns", 1e-9, 0.0), ("us", 1e-6, 0.0), ("ms", 1e-3, 0.0), ("min", 60.0, 0.0), ("h", 3600.0, 0.0)]),
+    ("mm", &[("um", 1e-3, 0.0), ("m", 1e3, 0.0), ("in", 25.4, 0.0), ("inch", 25.4, 0.0)]),
+    (
+        "um",
+        &[
+            ("nm", 1e-3, 0.0),
+            ("mm", 1e3, 0.0),
+            ("m", 1e6, 0.0),
+            ("in", 25_400.0, 0.0),
+            ("inch", 25_400.0, 0.0),
+        ],
+    ),
+    (
+        "mm/s",
+        &[
+            ("mm/min", 1.0 / 60.0, 0.0),
+            ("m/min", 1000.0 / 60.0, 0.0),
+            ("m/s", 1e3, 0.0),
+            ("in/min", 25.4 / 60.0, 0.0),
+            ("inch/min", 25.4 / 60.0, 0.0),
+            ("inch/s", 25.4, 0.0),
+        ],
+    ),
+    ("mm/s2", &[("m/s2", 1e3, 0.0)]),
+    ("degC", &[("K", 1.0, -273.15), ("degF", 5.0 / 9.0, -160.0 / 9.0)]),
+    ("rad", &[("deg", std::f64::consts::PI / 180.0, 0.0)]),
+    ("N", &[("kN", 1e3, 0.0), ("lbf", 4.448_221_615_260_5, 0.0)]),
+];
+
+impl ImportColumn {
+    /// `NAME=ROLE`, `NAME=ROLE:UNIT` or `NAME=ROLE:ANY*FACTOR=UNIT`, as `gauge=error.z:mm` or `volt=force.x:V*35.15=N`.
+    ///
+    /// # Errors
+    /// What was found and what was expected.
+    pub fn parse(text: &str) -> Result<Self, (String, String)> {
+        let form =
+            "NAME=ROLE, NAME=ROLE:UNIT or NAME=ROLE:V*FACTOR=UNIT, as t=time:min or volt=force.x:V*35.15=N";
+        let bad = |found: &str, expected: &str| (format!("`{found}`"), expected.to_owned());
+        // A name may hold equals signs: the one that a role stands behind is meant.
+        let parts = text.match_indices('=').map(|(at, _)| (&text[..at], &text[at + 1..]));
+        let role_of = |rest: &str| Role::parse(rest.split(':').next().unwrap_or(rest));
+        let (name, rest) = parts
+            .clone()
+            .find(|(_, rest)| role_of(rest).is_some())
+            .or_else(|| parts.clone().next())
+            .ok_or_else(|| bad(text, form))?;
+        let (role, unit) = rest.split_once(':').map_or((rest, None), |(r, u)| (r, Some(u)));
+        let role = Role::parse(role)
+            .ok_or_else(|| bad(role, "a role, as time, position.y, temperature, error.z"))?;
+        let Some(unit) = unit else { return Self::of(name, name, role, None, 1.0, 0.0) };
+        let Some((factor, unit)) =
+            unit.split_once('*').map(|(_, rest)| rest.split_once('=').unwrap_or((rest, "")))
+        else {
+            return Self::of(name, name, role, Some(unit), 1.0, 0.0);
+        };
+        let number = factor.parse().ok().filter(|v: &f64| v.is_finite() && *v != 0.0);
+        let number = number.ok_or_else(|| bad(factor, "a factor that is no zero, as in V*35.15=N"))?;
+        if unit.is_empty() {
+            return Err(bad(rest, "the unit that the factor leads to, as in V*35.15=N"));
+        }
+        Self::of(name, name, role, Some(unit), number, 0.0)
+    }
+
+    /// A column that holds a quantity in a unit, once its numbers are multiplied and added to.
+    ///
+    /// # Errors
+    /// What was found and what was expected.
+    pub fn of(
+        column: &str,
+        name: &str,
+        role: Role,
+        unit: Option<&str>,
+        factor: f64,
+        add: f64,
+    ) -> Result<Self, (String, String)> {
+        let own = role.unit();
+        let (unit_there, further) = match (own, unit) {
+            (None, any) => (any.unwrap_or("1"), [1.0, 0.0]),
+            (Some(own), None) => (own, [1.0, 0.0]),
+            (Some(own), Some(u)) if u == own => (own, [1.0, 0.0]),
+            (Some(own), Some(u)) => {
+                let others =
+                    UNITS.iter().find(|(unit, _)| *unit == own).map_or(&[][..], |(_, others)| others);
+                let known: Vec<&str> = std::iter::once(own).chain(others.iter().map(|o| o.0)).collect();
+                let (_, f, a) = others
+                    .iter()
+                    .find(|o| o.0 == u)
+                    .ok_or_else(|| (format!("`{u}`"), format!("a unit of {role}: {}", known.join(", "))))?;
+                (own, [*f, *a])
+            }
+        };
+        let scale = [factor * further[0], add * further[0] + further[1]];
+        Ok(Self {
+            column: column.to_owned(),
+            name: name.to_owned(),
+            unit: unit_there.to_owned(),
+            role,
+            scale,
+        })
+    }
+}
+
+/// How a table is written.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Form {
+    /// What parts its columns: `,`, `;`, a tab, or a blank for any number of blanks; `None`: what the header line shows.
+    pub by: Option<char>,
+    /// Numbers have a decimal comma; `None`: they may where semicolons part the columns.
+    pub decimal_comma: Option<bool>,
+    /// Lines in front that are not looked at.
+    pub skip: usize,
+    /// It has no line of names: columns are called by their numbers, from 1.
+    pub nameless: bool,
+    /// What a comment begins with, beside `#`.
+    pub comment: Option<String>,
+    /// A log: it need not have a response.
+    pub log: bool,
+}
+
+/// The text as the CSV reader takes it, line by line in its place.
+fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
+    if form.skip == 0 && form.comment.is_none() && form.by != Some(' ') {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len());
+    for (i, line) in text.lines().enumerate() {
+        let mut line = if i < form.skip { "" } else { line };
+        if let Some(at) = form.comment.as_ref().and_then(|c| line.find(c.as_str())) {
+            line = &line[..at];
+        }
+        if form.by == Some(' ') {
+            // A tab in place of the first blank behind every word: the cells keep their columns.
+            let mut inside = false;
+            for c in line.trim_end().chars() {
+                let blank = c.is_whitespace();
+                out.push(if blank && inside {
+                    '\t'
+                } else if blank {
+                    ' '
+                } else {
+                    c
+                });
+                inside = !blank;
+            }
+        } else {
+            out.push_str(line);
+        }
+        out.push('\n');
+    }
+    Cow::Owned(out)
+}
+
+/// Reads the wanted columns of a CSV with a header line. Fields are parted by commas, by semicolons (numbers may then have
+/// a decimal comma) or by tabs, whichever the header has.
+///
+/// # Errors
+/// As [`table`].
+pub fn csv(
+    from: &Path,
+    text: &str,
+    wanted: &[ImportColumn],
+    kind: Kind,
+    to: &Path,
+) -> Result<Record, InputError> {
+    table(from, text, wanted, &Form::default(), kind, to)
+}
+
+/// Reads the wanted columns of a table. Times may be ISO 8601: time 0 is then the first row's, and the record's note says
+/// when that was.
+///
+/// # Errors
+/// A wanted column that is not there or there twice, a row that is too short or too long, a field that is no number; and
+/// what [`Record::new`] finds.
+pub fn table(
+    from: &Path,
+    text: &str,
+    wanted: &[ImportColumn],
+    form: &Form,
+    kind: Kind,
+    to: &Path,
+) -> Result<Record, InputError> {
+    let text = prepared(text, form);
+    let mut reader = Reader::new(from, text.as_bytes())?;
+    match form.by {
+        Some(' ') => reader = reader.parted_by('\t'),
+        Some(by) => reader = reader.parted_by(by),
+        None => {}
+    }
+    let expected = "a header line";
+    let header = match (form.nameless, form.by) {
+        (true, _) => None,
+        (false, Some(_)) => Some(reader.header(expected)?),
+        (false, None) => Some(reader.header_by_any(expected)?),
+    };
+    let places = wanted
+        .iter()
+        .map(|w| match &header {
+            Some(header) => header.place(&w.column),
+            None => w.column.parse::<usize>().ok().filter(|n| *n > 0).map(|n| n - 1).ok_or_else(|| {
+                InputError::whole(
+                    from,
+                    format!("column `{}`", w.column),
+                    "a column's number, from 1: the table has no names",
+                )
+            }),
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let decimal = match form.decimal_comma {
+        Some(true) => Decimal::Comma,
+        None if reader.separator() == ';' => Decimal::Either,
+        _ => Decimal::Point,
+    };
+    let mut data = vec![Vec::new(); wanted.len()];
+    let mut start: Option<(i128, String)> = None;
+    while let Some(row) = reader.row()? {
+        let cells = cells(header.as_ref(), row, decimal)?;
+        for ((w, place), data) in wanted.iter().zip(&places).zip(&mut data) {
+            let cell = cells.get(*place).ok_or_else(|| {
+                row.finding(format!("{} fields", cells.len()), format!("a field {}", place + 1))
+            })?;
+            let named = |e: InputError| match &header {
+                Some(header) => header.named(*place, e),
+                None => InputError { found: format!("{} in column {}", e.found, place + 1), ..e },
+            };
+            let is_time = w.role == Role::Time && (w.scale[0] - 1.0 == 0.0) && w.scale[1] == 0.0;
+            if is_time
+                && (start.is_some() || data.is_empty())
+                && let Some(ns) = iso8601_ns(cell.text())
+            {
+                let first = start.get_or_insert_with(|| (ns, cell.text().to_owned())).0;
+                data.push((ns - first) as f64 * 1e-9);
+                continue;
+            }
+            if is_time && start.is_some() {
+                return Err(named(cell.finding("a time as in the rows before, 2022-08-08T13:51:37.25Z")));
+            }
+            data.push(decimal.number(cell).map_err(named)? * w.scale[0] + w.scale[1]);
+        }
+    }
+    if data.first().is_none_or(Vec::is_empty) {
+        return Err(match &header {
+            Some(header) => header.no_rows(),
+            None => InputError::whole(from, "no rows", "at least one"),
+        });
+    }
+    let columns = wanted
+        .iter()
+        .zip(data)
+        .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) });
+    let mut record = record_of(to, kind, columns.collect(), form.log)?;
+    if let Some((ns, text)) = start {
+        record.date = Some(day(ns));
+        add_note(&mut record, &format!("time 0 is {text}"));
+    }
+    Ok(record)
+}
+
+fn cells<'a>(header: Option<&Header>, row: Row<'a>, decimal: Decimal) -> Result<Vec<Cell<'a>>, InputError> {
+    let Some(header) = header else { return Ok(row.cells().collect()) };
+    header.cells(row).map_err(|e| {
+        let (fields, names) = (row.cells().count(), header.names().count());
+        if fields == 2 * names && decimal == Decimal::Point && row.text().contains(',') {
+            let found = format!("{fields} fields in {names} columns: decimal commas between commas?");
+            return row
+                .finding(found, "numbers with a decimal point, or columns parted by semicolons or tabs");
+        }
+        e
+    })
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Decimal {
+    Point,
+    Comma,
+    Either,
+}
+
+impl Decimal {
+    fn number(self, cell: &Cell<'_>) -> Result<f64, InputError> {
+        let text = cell.text();
+        let of = |text: &str| text.parse().ok().filter(|v: &f64| v.is_finite());
+        let with_comma = || of(&text.replace(',', ".")).filter(|_| text.contains(','));
+        let found = match self {
+            Self::Point => of(text),
+            Self::Comma => with_comma().or_else(|| of(text).filter(|_| !text.contains('.'))),
+            Self::Either => of(text).or_else(with_comma),
+        };
+        found.ok_or_else(|| match self {
+            Self::Point if with_comma().is_some() => {
+                cell.finding("a decimal point; or --decimal comma, which takes it as it stands")
+            }
+            Self::Comma if of(text).is_some() => cell.finding("a decimal comma, as was said"),
+            Self::Either => cell.finding("a finite number"),
+            _ => cell.finite().err().unwrap_or_else(|| cell.finding("a finite number")),
+        })
+    }
+}

@@ -1,0 +1,92 @@
+//! Times as ISO 8601 writes them, in nanoseconds.
+
+use rtec_model::date;
+
+const DAY_NS: i128 = 86_400_000_000_000;
+
+/// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`: a blank may stand for the T; Z, an offset or nothing
+/// (then taken as UTC) at the end; up to nine decimals of a second.
+pub(super) fn iso8601_ns(text: &str) -> Option<i128> {
+    let text = text.trim();
+    let (day, clock) = text.split_once(['T', 't', ' '])?;
+    let days = date::parse(day)?;
+    let (clock, offset_min) = match clock.rfind(['Z', 'z', '+', '-']) {
+        None => (clock, 0),
+        Some(at) => {
+            let (clock, zone) = clock.split_at(at);
+            (clock, offset(zone)?)
+        }
+    };
+    let mut parts = clock.split(':');
+    let (hour, minute) = (digits(parts.next()?, 2)?, digits(parts.next()?, 2)?);
+    let (second, ns) = match parts.next() {
+        None => (0, 0),
+        Some(seconds) => match seconds.split_once(['.', ',']) {
+            None => (digits(seconds, 2)?, 0),
+            Some((whole, fraction)) => {
+                let n = fraction.len();
+                let value = if n <= 9 { digits(fraction, n)? } else { return None };
+                (digits(whole, 2)?, value * 10i128.pow(9 - n as u32))
+            }
+        },
+    };
+    if parts.next().is_some() || hour > 24 || minute > 59 || second > 60 {
+        return None;
+    }
+    let minutes = i128::from(days) * 1440 + hour * 60 + minute - offset_min;
+    Some(minutes * (DAY_NS / 1440) + second * 1_000_000_000 + ns)
+}
+
+fn digits(text: &str, n: usize) -> Option<i128> {
+    (n > 0 && text.len() == n && text.bytes().all(|b| b.is_ascii_digit())).then(|| text.parse().ok())?
+}
+
+fn offset(zone: &str) -> Option<i128> {
+    if zone.eq_ignore_ascii_case("z") {
+        return Some(0);
+    }
+    let (sign, rest) = (if zone.starts_with('-') { -1 } else { 1 }, zone.get(1..)?);
+    let (hours, minutes) = match rest.split_once(':') {
+        Some((h, m)) => (digits(h, 2)?, digits(m, 2)?),
+        None if rest.len() == 4 => (digits(&rest[..2], 2)?, digits(&rest[2..], 2)?),
+        None => (digits(rest, 2)?, 0),
+    };
+    (hours <= 18 && minutes < 60).then_some(sign * (60 * hours + minutes))
+}
+
+/// The day of a time, as 2022-08-08.
+pub(super) fn day(ns: i128) -> String {
+    date::format(ns.div_euclid(DAY_NS) as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_as_other_programs_count_them() {
+        // date -u -d TIME +%s%N
+        for (text, ns) in [
+            ("2022-08-08T13:51:37.2515150Z", Some(1_659_966_697_251_515_000)),
+            ("2022-08-08T13:51:37Z", Some(1_659_966_697_000_000_000)),
+            ("2022-08-08 15:51:37+02:00", Some(1_659_966_697_000_000_000)),
+            ("2022-08-08T09:21:37.5-0430", Some(1_659_966_697_500_000_000)),
+            ("1970-01-01T00:00", Some(0)),
+            ("1969-12-31T23:59:59.999999999Z", Some(-1)),
+            ("2024-02-29T12:00:00,25", Some(1_709_208_000_250_000_000)),
+            ("2023-02-29T12:00:00", None),
+            ("2022-08-08", None),
+            ("2022-08-08T1:51:37", None),
+            ("2022-08-08T13:61:37", None),
+            ("2022-08-08T13:51:37.Z", None),
+            ("2022-08-08T13:51:37.1234567890Z", None),
+            ("2022-08-08T13:51:37+2", None),
+            ("12.5", None),
+            ("é2022-08-08T1", None),
+        ] {
+            assert_eq!(iso8601_ns(text), ns, "{text}");
+        }
+        assert_eq!(day(1_659_966_697_251_515_000), "2022-08-08");
+        assert_eq!(day(-1), "1969-12-31");
+    }
+}

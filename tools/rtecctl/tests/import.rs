@@ -1,0 +1,146 @@
+//! `characterise import`, as it is typed: real files and what other programs wrote.
+
+#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn rtecctl(dir: &Path, words: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rtecctl")).current_dir(dir).args(words).output().unwrap()
+}
+
+fn import(dir: &Path, words: &str) -> String {
+    let words: Vec<&str> = ["characterise", "import"].into_iter().chain(words.split(' ')).collect();
+    let out = rtecctl(dir, &words);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.success(), "{words:?}: {said}");
+    said
+}
+
+fn rows(file: &Path) -> (Vec<String>, Vec<Vec<f64>>) {
+    let text = std::fs::read_to_string(file).unwrap();
+    let mut lines = text.lines();
+    let names = lines.next().unwrap().split(',').map(str::to_owned).collect();
+    (names, lines.map(|l| l.split(',').map(|w| w.parse().unwrap()).collect()).collect())
+}
+
+fn skipped(what: &str) {
+    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "{what}");
+    eprintln!("SKIPPED: {what}");
+}
+
+/// A real axis' log comes in with one command: volts become newtons, metres millimetres, velocity and acceleration are derived.
+#[test]
+fn a_real_axis_comes_in_with_force_velocity_and_acceleration() {
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/axis_dynamics/identification.csv");
+    if !path.exists() {
+        return skipped(&format!("{} not there", path.display()));
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let said = import(
+        dir.path(),
+        &format!(
+            "{} --format csv --kind dynamics --derive --out emps.run.toml \
+             --columns t_s=time,position_m=position.x:m,motor_voltage_V=force.x:V*35.1507=N",
+            path.display()
+        ),
+    );
+    assert!(said.contains("velocity.x derived from position: local cubic, zero phase"), "{said}");
+    let (names, data) = rows(&dir.path().join("emps.csv"));
+    assert_eq!(names, ["t_s", "position_m", "motor_voltage_V", "velocity_x", "acceleration_x"]);
+    assert_eq!(data.len(), 24_841);
+    assert!((data[0][2] - 35.1507 * 2.53863).abs() < 1e-9);
+    let sidecar = std::fs::read_to_string(dir.path().join("emps.run.toml")).unwrap();
+    assert!(sidecar.contains("zero phase") && sidecar.contains("role = \"acceleration.x\""), "{sidecar}");
+    // Velocity and acceleration belong to the positions: what they sum up to, by the trapezium rule.
+    for (from, of) in [(1, 3), (3, 4)] {
+        let (mut sum, mut worst) = (0.0, 0.0f64);
+        for pair in data.windows(2) {
+            sum += (pair[1][0] - pair[0][0]) * f64::midpoint(pair[0][of], pair[1][of]);
+            worst = worst.max((pair[1][from] - data[0][from] - sum).abs());
+        }
+        println!("column {of} summed up is at most {worst:.4} off column {from}");
+        assert!(worst < [0.0, 0.05, 0.0, 1.0][from], "{worst}");
+    }
+}
+
+/// What LinuxCNC's own halsampler wrote of a sawtooth whose slope is known.
+#[test]
+fn what_halsampler_writes_comes_in() {
+    if !Path::new("/usr/bin/halsampler").exists() {
+        return skipped("no halsampler (Debian: linuxcnc-uspace)");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/linuxcnc/sample");
+    let out = Command::new(script).arg(dir.path()).output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    for (file, flag) in [("samples", ""), ("numbered", " --numbered")] {
+        import(
+            dir.path(),
+            &format!(
+                "{file} --format halsampler --period-s 0.001 --columns 1=position.x,2=channel,3=error.x --kind dynamics \
+                 --out s.run.toml{flag}"
+            ),
+        );
+        let (names, data) = rows(&dir.path().join("s.csv"));
+        assert_eq!(names, ["t", "1", "2", "3"]);
+        assert!(data.len() >= 299, "{}", data.len());
+        let mut slopes = 0;
+        for pair in data.windows(2) {
+            let (dt, dp) = (pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]);
+            // 5 mm in a fifth of a second, and back at its end.
+            if dp > 0.0 {
+                slopes += 1;
+                assert!((dp / dt - 25.0).abs() < 0.01, "{file}: {dp} mm in {dt} s");
+            }
+        }
+        assert!(slopes > 290, "{file}: {slopes}");
+    }
+}
+
+#[test]
+fn what_cannot_be_read_is_named_and_nothing_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+    write("g.csv", "t,e\n0,0,1,5\n");
+    write("x.comp", "# old\n0 0 0\n10 10 10\n");
+    write("s", "1 2 \noverrun\n");
+    write("f.toml", "kind = \"drift\"\nseparator = \",\"\n[columns]\nt = { role = \"tim\" }\n");
+    write("semi.csv", "t;e\n0;1,5\n");
+    write(
+        "semi.run.toml",
+        "file = \"semi.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\ne = { role = \"error.x\", unit = \"um\" }\n",
+    );
+    for (words, says) in [
+        ("g.csv --format csv --columns t=time,e=error.x", "decimal commas between commas?"),
+        ("g.csv --format csv --columns t=time,e=error.x:V*0=um", "a factor that is no zero"),
+        ("g.csv --format csv", "--columns"),
+        (
+            "x.comp --format linuxcnc-comp0 --axis x",
+            "x.comp:1:1: found `# old`, expected three numbers: LinuxCNC stops",
+        ),
+        ("x.comp --format linuxcnc-comp0", "no --axis"),
+        ("s --format halsampler --period-s 0.001 --columns 1=error.x", "s:2:1: found `overrun`"),
+        ("s --format halsampler --columns 1=error.x", "--period-s"),
+        ("s --format halsampler --period-s -1 --columns 1=error.x", "seconds a sample"),
+        ("g.csv --format own --form f.toml", "f.toml:4:14: found role `tim`"),
+        ("g.csv --format own", "--form"),
+        ("/dev/zero --format rtl --axis x", "a regular file"),
+        ("x.comp --format rtl --axis x", "no section TARGET DATA::"),
+    ] {
+        let words: Vec<&str> = ["characterise", "import"].into_iter().chain(words.split(' ')).collect();
+        let out = rtecctl(dir.path(), &[&words[..], &["--out", "o.run.toml"]].concat());
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert_eq!(out.status.code(), Some(2), "{words:?}: {said}");
+        assert!(said.contains(says), "{words:?}: {said}");
+        assert!(!dir.path().join("o.run.toml").exists() && !dir.path().join("o.csv").exists());
+    }
+    // A record whose CSV is parted by semicolons is told what it is.
+    let out = rtecctl(dir.path(), &["characterise", "evaluate", "semi.run.toml", "--standard", "iso230-3"]);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(
+        out.status.code() == Some(2) && said.contains("semi.csv:1: found columns parted by semicolons"),
+        "{said}"
+    );
+}

@@ -1,0 +1,105 @@
+//! What verbs print for a person: no JSON without --json, and things called what they are.
+
+#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Command;
+
+fn rtecctl(dir: &Path, words: &str) -> (String, String) {
+    let out = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .current_dir(dir)
+        .args(words.split_whitespace())
+        .output()
+        .unwrap();
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.success(), "{words}: {said}");
+    (String::from_utf8(out.stdout).unwrap(), said)
+}
+
+#[track_caller]
+fn readable(text: &str) {
+    let digits = text.split(|c: char| !c.is_ascii_digit()).map(str::len).max().unwrap_or(0);
+    assert!(!text.contains(['{', '}', '"']) && digits < 9, "{text}");
+}
+
+#[test]
+fn figures_are_for_people_and_json_for_programs() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+    write(
+        "a.toml",
+        "name = \"a\"\neffect = [{ name = \"scale.x\", ppm = 12.345678901234567 }, { name = \"reversal.x\", um = 4.0 }]\n",
+    );
+    write(
+        "b.toml",
+        "name = \"b\"\neffect = [{ name = \"scale.x\", ppm = 13.1 }, { name = \"position_map.x\", knots_mm = [0.0, 100.0], um = [0.0, 1.0] }]\n",
+    );
+    let (text, _) = rtecctl(dir.path(), "simulate linear-displacement --machine a.toml --out sim");
+    readable(&text);
+    assert!(
+        text.contains("linear-displacement-x\n  x with ") && text.contains("max ") && text.contains("rms "),
+        "{text}"
+    );
+    let (text, _) =
+        rtecctl(dir.path(), "model compare a.toml b.toml --record sim/linear-displacement-x.run.toml");
+    readable(&text);
+    assert!(text.contains("ppm: 12.3457 -> 13.1\n"), "{text}");
+    assert!(text.contains("left by 1st") && text.contains("\nerror.x "), "{text}");
+    for words in [
+        "simulate linear-displacement --machine a.toml --out sim --json",
+        "model compare a.toml b.toml --record sim/linear-displacement-x.run.toml --json",
+    ] {
+        let (json, _) = rtecctl(dir.path(), words);
+        serde_json::from_str::<serde_json::Value>(&json).unwrap();
+    }
+}
+
+#[test]
+fn a_fit_is_called_what_it_is_and_rows_are_rows() {
+    let dir = tempfile::tempdir().unwrap();
+    // Two hours of growth, a row a minute; the same without its times.
+    let (mut timed, mut bare) = ("t,T1,e\n".to_owned(), "T1,e\n".to_owned());
+    for n in 0..240 {
+        let warm = 8.0 * (1.0 - (-f64::from(n) / 50.0).exp()) + 0.05 * (f64::from(n) * 2.399).sin();
+        let (degc, um) = (20.0 + warm, 1.7 * warm + 0.05 * (f64::from(n) * 1.7).cos());
+        writeln!(timed, "{},{degc},{um}", n * 60).unwrap();
+        writeln!(bare, "{degc},{um}").unwrap();
+    }
+    let sidecar = |file: &str, time: &str| {
+        format!(
+            "file = \"{file}\"\nkind = \"drift\"\n[columns]\n{time}T1 = {{ role = \"temperature\", unit = \"degC\" }}\n\
+             e = {{ role = \"error.z\", unit = \"um\" }}\n"
+        )
+    };
+    std::fs::write(dir.path().join("timed.csv"), timed).unwrap();
+    std::fs::write(dir.path().join("bare.csv"), bare).unwrap();
+    let time = "t = { role = \"time\", unit = \"s\" }\n";
+    std::fs::write(dir.path().join("timed.run.toml"), sidecar("timed.csv", time)).unwrap();
+    std::fs::write(dir.path().join("bare.run.toml"), sidecar("bare.csv", "")).unwrap();
+    for (name, axis, other) in [("timed", "time, min", "row<"), ("bare", "row<", "time, min")] {
+        let (_, said) = rtecctl(
+            dir.path(),
+            &format!("model fit --record {name}.run.toml --out {name}.toml --no-lag --date 2026-05-01"),
+        );
+        assert_eq!(
+            said.contains("lags and spans of time in it are numbers of rows"),
+            name == "bare",
+            "{said}"
+        );
+        let model = std::fs::read_to_string(dir.path().join(format!("{name}.toml"))).unwrap();
+        assert!(model.contains("name = \"growth of error.z by temperatures\""), "{model}");
+        rtecctl(
+            dir.path(),
+            &format!("model validate --machine {name}.toml --record {name}.run.toml --plot {name}.svg"),
+        );
+        let svg = std::fs::read_to_string(dir.path().join(format!("{name}.svg"))).unwrap().replace('\n', "");
+        assert!(svg.contains(axis) && !svg.contains(other), "{name}");
+    }
+    rtecctl(
+        dir.path(),
+        "model fit --effects thermal_growth.z:T1 --record timed.run.toml --out named.toml --date 2026-05-01",
+    );
+    let model = std::fs::read_to_string(dir.path().join("named.toml")).unwrap();
+    assert!(model.contains("name = \"fit of thermal_growth.z:T1\""), "{model}");
+}
