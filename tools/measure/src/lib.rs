@@ -7,6 +7,7 @@
 //! | [`plan`] | the test sequence a machine is characterised with |
 //! | [`iso230`], [`ballbar`], [`plate`] | evaluations as the standards define them |
 //! | [`plot`] | charts as SVG |
+//! | [`report`] | an evaluation for a person, as text and as one page |
 //!
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
 
@@ -17,3 +18,4 @@ pub mod plan;
 pub mod plate;
 pub mod plot;
 pub mod record;
+pub mod report;

@@ -51,6 +51,10 @@ pub fn reconcile(
     for record in train.iter().chain(holdout) {
         machine.predict(record)?;
     }
+    if let Some(record) = train.first().filter(|_| train.iter().all(|r| r.responses().next().is_none())) {
+        let expected = "a column of role error.AXIS or force.AXIS: no effect of a model is a tilt";
+        return Err(InputError::whole(&record.path, "no response", expected));
+    }
     let (mut answer, used, every) = thinned(train, machine, options.level);
     let mut stack = Stack::new(&used);
     stack.sigma.clone_from(&answer.sigma);
