@@ -325,6 +325,16 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
             }
         }
     }
+    // Near a turning point the sense is either.
+    for i in 1..found.len() {
+        if (found[i].1 - found[i - 1].1).abs() > 0.5
+            && found[i].0.len() > 4 * look
+            && found[i - 1].0.len() > 4 * look
+        {
+            found[i - 1].0.end -= look;
+            found[i].0.start += look;
+        }
+    }
     let turned = |rows: &Range<usize>| -> f64 {
         rows.clone().skip(1).map(|i| ((angle[i] - angle[i - 1] + PI).rem_euclid(TAU) - PI).abs()).sum()
     };

@@ -15,6 +15,7 @@ mod positioning;
 pub use conditions::{Conditions, Contributor, Expansion, Uncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
 pub use drift::{Drift, Figures, Phase, SensorDrift, drift, drift_charts};
+pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 pub use positioning::{Options, Positioning, Target, positioning, positioning_with};
 
 use rtec_files::InputError;

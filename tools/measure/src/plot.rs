@@ -170,6 +170,9 @@ impl Chart {
             let span = if hi > lo { hi - lo } else { hi.abs().max(1.0) };
             [lo - by * span, hi + by * span]
         };
+        // Names of marks stand above the data.
+        let room = 0.05 * self.marks.len().min(4) as f64 * (y[1] - y[0]);
+        y[1] += if room.is_finite() { room } else { 0.0 };
         x[0].is_finite().then(|| (pad(x, if self.x_names.is_empty() { 0.02 } else { 0.0 }), pad(y, 0.06)))
     }
 
@@ -179,7 +182,7 @@ impl Chart {
         if longest == 0 {
             return (area.clone(), None);
         }
-        let (plot, legend) = area.split_horizontally(width - (34 + 8 * longest).min(width / 3));
+        let (plot, legend) = area.split_horizontally(width - (36 + 9 * longest).min(width / 3));
         (plot, Some(legend))
     }
 
@@ -204,8 +207,8 @@ impl Chart {
         let mut mesh = chart.configure_mesh();
         mesh.x_desc(&self.x)
             .y_desc(&self.y)
-            .label_style(("sans-serif", 13))
-            .axis_desc_style(("sans-serif", 14))
+            .label_style(("sans-serif", 15))
+            .axis_desc_style(("sans-serif", 16))
             .light_line_style(TRANSPARENT)
             .bold_line_style(BLACK.mix(0.12));
         if names.is_empty() {
@@ -239,7 +242,7 @@ impl Chart {
                 }
             }
         }
-        let small = ("sans-serif", 12).into_font().color(&BLACK.mix(0.6));
+        let small = ("sans-serif", 14).into_font().color(&BLACK.mix(0.6));
         for (i, (x, name)) in self.marks.iter().enumerate() {
             chart.draw_series(LineSeries::new([(*x, y0), (*x, y1)], BLACK.mix(0.3)))?;
             // One below the other, so that short phases do not write over each other.

@@ -71,7 +71,16 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
         warnings.push(format!("no squareness: it takes {all} of one box"));
     }
     let scales: Vec<f64> = all.iter().map(|d| d.slope_um / d.along.travel_mm * 1000.0).collect();
-    warnings.extend(all.iter().flat_map(|d| d.along.warnings.iter().map(|w| format!("{}: {w}", d.sense))));
+    for d in &all {
+        for w in &d.along.warnings {
+            // What holds for all is said once.
+            let common = all.iter().all(|o| o.along.warnings.contains(w));
+            let words = if common { w.clone() } else { format!("{}: {w}", d.sense) };
+            if !warnings.contains(&words) {
+                warnings.push(words);
+            }
+        }
+    }
     Ok(Diagonals {
         kind: if first == 3 { "body" } else { "face" },
         e_d: largest(|p| p.E),

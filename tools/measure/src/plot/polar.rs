@@ -99,11 +99,12 @@ impl Polar {
         // What a ring is worth, written outwards at 45°.
         for ring in [-rings, 0, rings] {
             let um = f64::from(ring) * division_um;
+            let name = if ring == 0 { "0".to_owned() } else { format!("{um:+}") };
             let (x, y) = at(TAU / 8.0, um);
             let _ = write!(
                 out,
                 "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"11\" fill=\"#505050\" stroke=\"white\" stroke-width=\"3\" \
-                 paint-order=\"stroke\">{um:+} µm</text>"
+                 paint-order=\"stroke\">{name} µm</text>"
             );
         }
         self.legend(&mut out, division_um, px_per_um);

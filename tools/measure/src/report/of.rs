@@ -185,8 +185,8 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         add("its period", &format!("cyclic.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
     }
     if let Some((a, c)) = b.plane.split_once('-') {
-        add("centre, first", &format!("centre_um.{a}"), Some(d.centre_um[0]), "µm", 2);
-        add("centre, second", &format!("centre_um.{c}"), Some(d.centre_um[1]), "µm", 2);
+        add(&format!("centre {a}"), &format!("centre_um.{a}"), Some(d.centre_um[0]), "µm", 2);
+        add(&format!("centre {c}"), &format!("centre_um.{c}"), Some(d.centre_um[1]), "µm", 2);
     }
     add("mean radius", "radius_um", Some(d.radius_um), "µm", 2);
     add("left over (RMS)", "", Some(d.rms).filter(|_| !d.interval_95.is_empty()), "µm", 2);
@@ -227,8 +227,7 @@ fn circles(b: &Ballbar) -> Vec<Polar> {
 /// A plot without a finite point.
 pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
     let mut report = Report::new("Thermal effects (ISO 230-3)", std::slice::from_ref(record), conditions);
-    let head =
-        ["response", "#time (min)", "#d60", "#dt", "#last hour", "#end", "#per hour", "#largest per hour"];
+    let head = ["response", "#time (min)", "#d60", "#dt", "#last hour", "#end", "#µm/h", "#most µm/h"];
     let cells = |f: &Figures| {
         let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h, f.max_rate_per_h].map(um);
         std::iter::once(format!("{:.0}", f.t_min)).chain(own).collect::<Vec<_>>()

@@ -1,6 +1,6 @@
 //! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
 
-use crate::daemon::{check, unreachable};
+use crate::daemon::{self, unreachable};
 use anyhow::Context;
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
@@ -8,7 +8,7 @@ use rtec_control::sources::{Bank, Feed};
 use rtec_correct::sensors::{self, SensorConfig, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role, check};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -70,11 +70,11 @@ impl Recorder {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    record(&args.out, &args.recorder)
+    record(&args.out, &args.recorder, false)
 }
 
-/// Records a run into `out`.
-pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
+/// Records a run into `out`; a shift's log need not have a response, unless it is asked for.
+pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("recording"), found, expected);
     let kind = args.kind.as_deref().unwrap_or("drift");
     let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
@@ -100,8 +100,15 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
             parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
         columns.push(column(name, role));
     }
-    if !columns.iter().any(|c| c.role.is_response()) {
+    if with_response && !columns.iter().any(|c| c.role.is_response()) {
         return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS").into());
+    }
+    if let Some(found) = twice(&columns) {
+        return Err(usage(found, "each column once").into());
+    }
+    if columns.len() == 1 {
+        let expected = "--sensors, --socket, or --feed with --columns";
+        return Err(usage("nothing to record".into(), expected).into());
     }
     let mut feed = args.feed.as_deref().map(Feed::new);
     // Rows go into a file of their own as they come: a long run is not lost with the power.
@@ -112,7 +119,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     let start = Instant::now();
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
-    let (mut taken, mut shown_s) = (0_u64, 0.0);
+    let (mut taken, mut left_out, mut shown_s) = (0_u64, 0_u64, 0.0);
     for row in 0..rows {
         let due = row as f64 * period;
         wait_until(start, due);
@@ -148,7 +155,15 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
         let whole = last.iter().zip(&columns).map(|(value, c)| {
             Some((*value)? + corrector.as_ref().map_or(Some(0.0), |r| r.in_effect_um(&c.role))?)
         });
-        if let Some(values) = whole.collect::<Option<Vec<f64>>>() {
+        let whole = whole.collect::<Option<Vec<f64>>>();
+        let faulty = whole.as_ref().and_then(|values| impossible(values, &columns));
+        if let Some((place, what)) = &faulty {
+            // One reading that is none costs its row, not the run; nor does it stand for the next one.
+            eprintln!("warning: row {} at {now:.3} s left out: {what}", row + 1);
+            left_out += 1;
+            last[*place] = None;
+        }
+        if let Some(values) = whole.filter(|_| faulty.is_none()) {
             let words: Vec<String> = values.iter().map(f64::to_string).collect();
             writeln!(file, "{}", words.join(",")).with_context(|| format!("writing {}", part.display()))?;
             for (c, v) in columns.iter_mut().zip(values) {
@@ -170,12 +185,38 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
                 .find_map(|c| f.value(&c.name).err().map(str::to_owned))
                 .unwrap_or_default()
         });
-        let found = format!("no complete row in {duration:.0} s ({what})");
+        let faulty =
+            if left_out > 0 { format!(", {left_out} with a reading that is none") } else { String::new() };
+        let found = format!("no complete row in {duration:.0} s ({what}{faulty})");
         return Err(crate::Outcome::Unreachable(found).into());
     }
-    let mut record = Record::new(out, kind, columns)?;
+    if left_out > 0 {
+        eprintln!("warning: {left_out} of {rows} rows left out");
+    }
+    // Every value was checked as it came.
+    let mut record = Record::of_checked(out, kind, columns);
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+/// The first value of a row that its column cannot hold: its place, and what is wrong with it.
+fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
+    values.iter().zip(columns).enumerate().find_map(|(place, (v, c))| {
+        let (found, expected) = check(&c.role, *v, c.data.last().copied()).err()?;
+        Some((place, format!("{} ({}) is {found}, expected {expected}", c.name, c.role)))
+    })
+}
+
+/// Two columns of one name, or of a role that stands only once: found before a run, not after it.
+fn twice(columns: &[Column]) -> Option<String> {
+    columns.iter().enumerate().find_map(|(i, c)| {
+        let before = &columns[..i];
+        if before.iter().any(|d| d.name == c.name) {
+            return Some(format!("two columns named {}", c.name));
+        }
+        let again = !c.role.may_repeat() && before.iter().any(|d| d.role == c.role);
+        again.then(|| format!("two columns of role {}", c.role))
+    })
 }
 
 /// The running daemon, asked once a row.
@@ -240,7 +281,7 @@ impl DaemonTotals {
 }
 
 fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
-    match check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
+    match daemon::check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
         Response::Status(status) => Ok(*status),
         other => Err(crate::Outcome::Unreachable(format!("an answer that is no status: {other:?}")).into()),
     }
