@@ -312,6 +312,27 @@ fn what_looks_wrong_is_named_and_exits_with_2() {
     );
 }
 
+#[test]
+fn an_imported_ballbar_has_its_bar_and_plane() {
+    let dir = tempfile::tempdir().unwrap();
+    ballbar(dir.path(), "b", 20.0);
+    let words =
+        ["import", "b.csv", "--format", "csv", "--kind", "ballbar", "--columns", "t=time,a=angle,e=error.r"];
+    let to = ["--out", "c.run.toml", "--radius-mm", "150", "--plane", "x,y"];
+    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &to].concat()));
+    assert_eq!(code, Some(0), "{err}");
+    let sidecar = std::fs::read_to_string(dir.path().join("c.run.toml")).unwrap();
+    assert!(sidecar.contains("radius_mm = 150.0\nplane = [\"x\", \"y\"]"), "{sidecar}");
+    for bad in ["x", "x,x", "1,y"] {
+        let to = ["--out", "d.run.toml", "--radius-mm", "150", "--plane", bad];
+        let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &to].concat()));
+        assert!(
+            code == Some(2) && err.contains("--plane") && !dir.path().join("d.run.toml").exists(),
+            "{bad}: {err}"
+        );
+    }
+}
+
 /// The keys that other people's scripts use.
 #[test]
 fn json_has_the_standard_s_keys() {

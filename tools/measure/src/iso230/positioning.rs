@@ -154,7 +154,8 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputE
 fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<(), InputError> {
     let n = position.len();
     let (places, values) = (targets(position).len(), targets(&error.data).len());
-    if n >= 10 && 2 * places > n && 4 * values <= n && values > 1 {
+    let wide = |v: &[f64]| range(v.iter().map(|v| (*v, *v))).unwrap_or(0.0);
+    if n >= 10 && 2 * places > n && 4 * values <= n && values > 1 && wide(&error.data) > wide(position) {
         let found = format!(
             "{places} targets in {n} rows, while `{}` (role {}) has {values} values again and again: position and error \
              look swapped",
@@ -244,11 +245,13 @@ impl Run<'_> {
         let role = &self.column.role;
         let bidirectional = list.iter().any(|t| t.reversal.is_some());
         if !bidirectional && !options.one_way {
-            let way = if list.iter().any(|t| t.mean_up.is_some()) { "upwards" } else { "downwards" };
-            let found = format!(
-                "targets of {} approached {way} only: no A, E, R, B or M without the other way",
-                self.axis
-            );
+            let seen = |m: fn(&Target) -> Option<f64>| list.iter().any(|t| m(t).is_some());
+            let how = match (seen(|t| t.mean_up), seen(|t| t.mean_down)) {
+                (true, true) => "approached upwards or downwards, none both ways",
+                (true, false) => "approached upwards only",
+                _ => "approached downwards only",
+            };
+            let found = format!("targets of {} {how}: no A, E, R, B or M", self.axis);
             let expected = "approaches from both sides; --one-way gives the one-sided figures alone";
             return Err(lacks(self.record, &found, expected));
         }
@@ -312,14 +315,13 @@ impl Run<'_> {
     /// What the standard asks of a test and this one does not have.
     fn warn(&mut self, list: &[Target], span: f64, long: bool) {
         let n = list.len();
+        let interval = span / (n.max(2) - 1) as f64;
+        if span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM {
+            self.notes.push(format!(
+                "targets {interval:.0} mm apart: ISO 230-2 asks for at most {LONG_INTERVAL_MM:.0} mm on an axis of more than 2 m"
+            ));
+        }
         if long {
-            let interval = span / (n.max(2) - 1) as f64;
-            if interval > LONG_INTERVAL_MM {
-                self.notes.push(format!(
-                    "targets {interval:.0} mm apart: ISO 230-2 asks for at most {LONG_INTERVAL_MM:.0} mm on an axis of more \
-                     than 2 m"
-                ));
-            }
             self.notes.push(
                 "more than 2 m with one approach from each side: E, B and M only, no A and R (ISO 230-2, 5.3.3)".to_owned(),
             );

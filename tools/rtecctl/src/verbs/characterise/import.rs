@@ -24,6 +24,8 @@ pub(crate) struct Args {
     /// CSV: what kind of run it is
     #[arg(long, default_value = "drift")]
     kind: String,
+    #[command(flatten)]
+    circle: super::CircleOptions,
     /// The run record to write; its CSV stands beside it
     #[arg(long, value_name = "NAME.run.toml")]
     out: PathBuf,
@@ -65,6 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         Format::CmmPlate => import::cmm_plate(&args.file, &text, &args.out)?,
     };
+    record = args.circle.apply(record)?;
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
     eprintln!("{}: {} rows, and {} beside it", args.out.display(), record.rows(), record.file);
     Ok(())

@@ -48,6 +48,8 @@ pub(crate) struct Recorder {
     /// How long to record, s
     #[arg(long)]
     duration: Option<f64>,
+    #[command(flatten)]
+    circle: super::CircleOptions,
     /// Where /sys is found
     #[arg(long, default_value = "/", hide = true)]
     root: PathBuf,
@@ -58,6 +60,7 @@ impl Recorder {
     pub(crate) fn given(&self) -> Option<&'static str> {
         let given = [
             (self.kind.is_some(), "--kind"),
+            (self.circle.radius_mm.is_some(), "--radius-mm"),
             (self.sensors.is_some(), "--sensors"),
             (self.socket.is_some(), "--socket"),
             (self.feed.is_some(), "--feed"),
@@ -105,6 +108,11 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     }
     if let Some(found) = twice(&columns) {
         return Err(usage(found, "each column once").into());
+    }
+    if args.circle.circle()?.is_some() {
+        // What a circle asks of a record is asked before the run.
+        let empty = columns.iter().map(|c| Column { data: vec![0.0], ..c.clone() }).collect();
+        args.circle.apply(Record::of_checked(out, kind, empty))?;
     }
     if columns.len() == 1 {
         let expected = "--sensors, --socket, or --feed with --columns";
@@ -194,7 +202,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         eprintln!("warning: {left_out} of {rows} rows left out");
     }
     // Every value was checked as it came.
-    let mut record = Record::of_checked(out, kind, columns);
+    let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
 }
