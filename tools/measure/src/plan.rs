@@ -108,7 +108,7 @@ fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
 /// whole number of leads (ISO 230-2:2014, 5.3.1).
 fn targets(from_mm: f64, length_mm: f64, count: usize) -> Vec<f64> {
     let step = length_mm / (count - 1) as f64;
-    let off = |k: usize| 0.07 * step * ((k * 3 % 5) as f64 - 2.0) * f64::from(k % (count - 1) != 0);
+    let off = |k: usize| 0.07 * step * ((k * 3 % 5) as f64 - 2.0) * f64::from(!k.is_multiple_of(count - 1));
     (0..count).map(|k| from_mm + k as f64 * step + off(k)).collect()
 }
 

@@ -250,15 +250,14 @@ impl Chart {
             chart.draw_series([Text::new(format!(" {name}"), (*x, y), small.clone())])?;
         }
         if let Some(legend) = legend {
-            let mut line = 0;
-            for (i, s) in self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty()) {
+            let named = self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty());
+            for (line, (i, s)) in (0..).zip(named) {
                 let (colour, y) = (s.colour.rgb(i), 52 + 20 * line);
                 let swatch = if s.style == Style::Band { colour.mix(0.25) } else { colour.mix(1.0) };
                 legend.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], swatch.filled()))?;
                 let style =
-                    ("sans-serif", 13).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
+                    ("sans-serif", 15).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
                 legend.draw(&Text::new(s.label.clone(), (24, y), style))?;
-                line += 1;
             }
         }
         area.present()?;

@@ -186,9 +186,9 @@ impl Report {
                 Section::Table(t) => table_html(&mut h, t),
             }
         }
-        let _ = write!(
+        let _ = writeln!(
             h,
-            "<p><small>rtecctl {}, characterise evaluate</small></p></body></html>\n",
+            "<p><small>rtecctl {}, characterise evaluate</small></p></body></html>",
             env!("CARGO_PKG_VERSION")
         );
         h

@@ -145,7 +145,7 @@ fn numpy_finds_the_same() {
     let effects = "squareness.x.y urad = 25.0\nfollowing_error.x ms = 0.5\nreversal.y um = 3.0\nreversal.x um = -5.0\n\
                    scale.x ppm = 14.0\noffset.y um = 3.0";
     let record = run.of_machine(effects, &mut Noise(13), 0.2, 0.0);
-    let found = one(&[record.clone()]);
+    let found = one(std::slice::from_ref(&record));
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("b.csv");
     std::fs::write(&csv, rtec_measure::record::to_csv(&record)).unwrap();

@@ -102,10 +102,7 @@ pub fn positioning(record: &Record) -> Result<Vec<Positioning>, InputError> {
 pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>, InputError> {
     let mut found = Vec::new();
     for column in &record.columns {
-        let axis = match &column.role {
-            Role::Error(axis) | Role::AngleError(axis, _) => axis,
-            _ => continue,
-        };
+        let (Role::Error(axis) | Role::AngleError(axis, _)) = &column.role else { continue };
         let Some(position) = record.data(&Role::Position(axis.clone())) else { continue };
         let direction = direction_of(record, axis)?;
         swapped(record, column, position)?;
@@ -382,6 +379,7 @@ impl Positioning {
     /// The standard's diagram: mean deviations with ±2s, upwards and downwards each in its colour.
     #[must_use]
     pub fn chart(&self) -> Chart {
+        type Of = fn(&Target) -> Option<f64>;
         let (unit, what) = if self.unit == "urad" { ("µrad", "tilt") } else { ("µm", "deviation") };
         let title = match self.response.strip_prefix("angle_error.") {
             Some(axes) => format!("Tilt {axes} (as ISO 230-2)"),
@@ -396,7 +394,7 @@ impl Positioning {
         let line = |mean: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
             self.targets.iter().filter_map(|t| Some((t.position_mm, mean(t)?))).collect()
         };
-        let sides: [(&str, Colour, [fn(&Target) -> Option<f64>; 2]); 2] = [
+        let sides: [(&str, Colour, [Of; 2]); 2] = [
             ("up ↑", Colour::Up, [|t| t.mean_up, |t| t.s_up]),
             ("down ↓", Colour::Down, [|t| t.mean_down, |t| t.s_down]),
         ];

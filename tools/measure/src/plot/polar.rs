@@ -1,6 +1,6 @@
 //! Small deviations around a circle, enlarged: round, with the scale of the deviations on it.
 
-use super::Colour;
+use super::Series;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
@@ -13,8 +13,8 @@ pub struct Polar {
     pub axes: [String; 2],
     /// The circle's radius, mm, where it is known.
     pub radius_mm: Option<f64>,
-    /// Series of angle (rad) and deviation (µm), each with its name and what its colour means.
-    pub series: Vec<(String, Colour, Vec<(f64, f64)>)>,
+    /// Series of angle (rad) and deviation (µm).
+    pub series: Vec<Series>,
 }
 
 /// Radius that stands for no deviation, and the most that a deviation takes of it, px.
@@ -38,7 +38,7 @@ impl Polar {
     /// The plot as an SVG document.
     #[must_use]
     pub fn svg(&self) -> String {
-        let deviations = self.series.iter().flat_map(|s| &s.2).map(|p| p.1.abs());
+        let deviations = self.series.iter().flat_map(|s| &s.points).map(|p| p.1.abs());
         let largest = deviations.filter(|d| d.is_finite()).fold(0.0, f64::max).max(1e-3);
         let division_um = round_up(largest / 4.0);
         let rings = (largest / division_um).ceil().clamp(1.0, 4.0) as i32;
@@ -79,10 +79,10 @@ impl Polar {
                 let _ = write!(out, "<text x=\"{x}\" y=\"{y}\" text-anchor=\"middle\">{sign}{name}</text>");
             }
         }
-        for (place, (_, colour, points)) in self.series.iter().enumerate() {
+        for (place, series) in self.series.iter().enumerate() {
             let mut line = String::new();
             let mut last: Option<f64> = None;
-            for (angle, um) in points.iter().filter(|p| p.0.is_finite() && p.1.is_finite()) {
+            for (angle, um) in series.points.iter().filter(|p| p.0.is_finite() && p.1.is_finite()) {
                 let (x, y) = at(*angle, *um);
                 // A jump by more than a sixth of a turn is a gap.
                 let near = |l: f64| {
@@ -92,7 +92,7 @@ impl Polar {
                 let _ = write!(line, "{}{x:.2} {y:.2}", if last.is_some_and(near) { 'L' } else { 'M' });
                 last = Some(*angle);
             }
-            let colour = colour.hex(place);
+            let colour = series.colour.hex(place);
             let _ =
                 write!(out, "<path d=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\"/>");
         }
@@ -121,8 +121,8 @@ impl Polar {
             let _ = write!(out, "<text x=\"580\" y=\"{}\">{}</text>", y + 4.0, escaped(text));
             y += 21.0;
         };
-        for (place, (name, colour, _)) in self.series.iter().enumerate() {
-            line(out, Some((colour.hex(place), 4.0)), name);
+        for (place, s) in self.series.iter().enumerate() {
+            line(out, Some((s.colour.hex(place), 4.0)), &s.label);
         }
         line(out, Some(("#505050".to_owned(), 1.5)), "least-squares circle");
         line(out, Some(("#dddddd".to_owned(), 1.5)), &format!("one division is {division_um} µm"));
@@ -137,6 +137,7 @@ impl Polar {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Colour, Style};
     use super::*;
 
     #[test]
@@ -147,7 +148,7 @@ mod tests {
             title: "Plane <x-y>".into(),
             axes: ["x".into(), "y".into()],
             radius_mm: Some(150.0),
-            series: vec![("ccw".into(), Colour::Up, points)],
+            series: vec![Series::new("ccw", Style::Line, points).coloured(Colour::Up)],
         };
         let svg = plot.svg();
         // 80 px for 4 µm, 150 px for 150 mm.

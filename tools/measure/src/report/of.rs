@@ -12,15 +12,24 @@ const PLOT: (u32, u32) = (900, 480);
 
 /// µm (or µrad) with two decimals, with one from 100 on; nothing is a dash.
 fn um(v: impl Into<Option<f64>>) -> String {
-    match v.into() {
-        Some(v) if v.abs() >= 99.95 => format!("{v:.1}"),
-        Some(v) => format!("{v:.2}"),
-        None => "–".to_owned(),
+    v.into().map_or_else(|| "–".to_owned(), |v| fixed(v, if v.abs() >= 99.95 { 1 } else { 2 }))
+}
+
+/// A number with so many decimals; what rounds to zero has no sign.
+fn fixed(v: f64, decimals: usize) -> String {
+    let text = format!("{v:.decimals$}");
+    if text.bytes().any(|b| (b'1'..=b'9').contains(&b)) {
+        text
+    } else {
+        text.trim_start_matches('-').to_owned()
     }
 }
 
 fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
-    of.map_or_else(|| "–".to_owned(), |[lo, hi]| format!("{lo:.decimals$} … {hi:.decimals$}"))
+    of.map_or_else(
+        || "–".to_owned(),
+        |[lo, hi]| format!("{} … {}", fixed(*lo, decimals), fixed(*hi, decimals)),
+    )
 }
 
 /// Symbols of ISO 230-2 as the standard writes them, and what they are.
@@ -135,18 +144,10 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
         for plot in circles(b) {
             report.plot(Ok(plot.svg()))?;
         }
-        let head = [
-            "record",
-            "way",
-            "#feed (mm/min)",
-            "#turned (°)",
-            "#G",
-            "#F max",
-            "#F min",
-            "#centre",
-            "#",
-            "#radius",
-        ];
+        let (first, second) = b.plane.split_once('-').unwrap_or(("first", "second"));
+        let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
+        let head =
+            ["record", "way", "#feed (mm/min)", "#turned (°)", "#G", "#F max", "#F min", &cx, &cy, "#radius"];
         let mut table = Table::new(&format!("Contours in plane {}, values in µm", b.plane), &head);
         for c in &b.contours {
             let feed = c.feed_mm_per_min.map_or_else(|| "–".to_owned(), |f| format!("{f:.0}"));
@@ -167,7 +168,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     let mut add = |cause: &str, key: &str, v: Option<f64>, unit: &str, decimals: usize| {
         if let Some(v) = v {
             let shown = interval(d.interval_95.get(key), decimals);
-            table.row([cause.to_owned(), format!("{v:.decimals$}"), unit.to_owned(), shown, share(cause)]);
+            table.row([cause.to_owned(), fixed(v, decimals), unit.to_owned(), shown, share(cause)]);
         }
     };
     add("scale mismatch", "scale_mismatch_ppm", d.scale_mismatch_ppm, "ppm", 1);
@@ -209,7 +210,7 @@ fn circles(b: &Ballbar) -> Vec<Polar> {
                 "ccw" => ("counter-clockwise", Colour::Up),
                 _ => ("clockwise", Colour::Down),
             };
-            (name.to_owned(), colour, c.trace.clone())
+            Series::new(name, Style::Line, c.trace.clone()).coloured(colour)
         });
         Polar {
             title: format!("Plane {}{feed}: deviation from the circle", b.plane),
