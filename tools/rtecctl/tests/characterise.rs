@@ -84,10 +84,11 @@ impl Noise {
 }
 
 fn write(folder: &Path, name: &str, head: &str, columns: &[(&str, &str, &str)], rows: &[Vec<f64>]) {
-    let mut sidecar = format!("file = \"{name}.csv\"\n{head}\n[columns]\n");
-    for (column, role, unit) in columns {
-        sidecar += &format!("{column} = {{ role = \"{role}\", unit = \"{unit}\" }}\n");
-    }
+    let listed = columns
+        .iter()
+        .map(|(column, role, unit)| format!("{column} = {{ role = \"{role}\", unit = \"{unit}\" }}"));
+    let sidecar =
+        format!("file = \"{name}.csv\"\n{head}\n[columns]\n{}\n", listed.collect::<Vec<_>>().join("\n"));
     let line = |r: &Vec<f64>| r.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
     let names = columns.iter().map(|c| c.0).collect::<Vec<_>>().join(",");
     let csv = std::iter::once(names).chain(rows.iter().map(line)).collect::<Vec<_>>().join("\n");

@@ -70,6 +70,35 @@ impl Recorder {
         ];
         given.into_iter().find_map(|(is, name)| is.then_some(name))
     }
+
+    /// What a record asks of its columns is asked before the run, not after it.
+    fn check(
+        &self,
+        out: &Path,
+        kind: Kind,
+        columns: &[Column],
+        with_response: bool,
+    ) -> Result<(), InputError> {
+        if with_response && !columns.iter().any(|c| c.role.is_response()) {
+            return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS"));
+        }
+        if let Some(found) = twice(columns) {
+            return Err(usage(found, "each column once"));
+        }
+        if self.circle.circle()?.is_some() {
+            let one_row = columns.iter().map(|c| Column { data: vec![0.0], ..c.clone() }).collect();
+            self.circle.apply(Record::of_checked(out, kind, one_row))?;
+        }
+        if columns.len() == 1 {
+            let expected = "--sensors, --socket, or --feed with --columns";
+            return Err(usage("nothing to record".into(), expected));
+        }
+        Ok(())
+    }
+}
+
+fn usage(found: String, expected: &str) -> InputError {
+    InputError::whole(Path::new("recording"), found, expected)
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -78,7 +107,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Records a run into `out`; a shift's log need not have a response, unless it is asked for.
 pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
-    let usage = |found: String, expected: &str| InputError::whole(Path::new("recording"), found, expected);
     let kind = args.kind.as_deref().unwrap_or("drift");
     let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
     let period = args.period.unwrap_or(1.0);
@@ -103,21 +131,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
         columns.push(column(name, role));
     }
-    if with_response && !columns.iter().any(|c| c.role.is_response()) {
-        return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS").into());
-    }
-    if let Some(found) = twice(&columns) {
-        return Err(usage(found, "each column once").into());
-    }
-    if args.circle.circle()?.is_some() {
-        // What a circle asks of a record is asked before the run.
-        let empty = columns.iter().map(|c| Column { data: vec![0.0], ..c.clone() }).collect();
-        args.circle.apply(Record::of_checked(out, kind, empty))?;
-    }
-    if columns.len() == 1 {
-        let expected = "--sensors, --socket, or --feed with --columns";
-        return Err(usage("nothing to record".into(), expected).into());
-    }
+    args.check(out, kind, &columns, with_response)?;
     let mut feed = args.feed.as_deref().map(Feed::new);
     // Rows go into a file of their own as they come: a long run is not lost with the power.
     let part = out.with_extension("csv.part");
@@ -146,19 +160,10 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             }
         }
         last[0] = Some(now);
-        let mut silent: Vec<String> = Vec::new();
-        for (value, w) in last[1..gauges].iter_mut().zip(bank.sensors()) {
+        for (value, w) in last[1..own].iter_mut().zip(bank.sensors()) {
             *value = w.value_degc();
-            if w.usable(now) != Use::Good {
-                let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
-                silent.push(format!("{} {why}", w.config().name));
-            }
         }
-        for (value, c) in last[own..].iter().zip(&columns[own..]) {
-            if value.is_none() {
-                silent.push(format!("{} no reading yet", c.name));
-            }
-        }
+        let silent = silent(&bank, now, &last[own..], &columns[own..]);
         // A row is whole or not there.
         let whole = last.iter().zip(&columns).map(|(value, c)| {
             Some((*value)? + corrector.as_ref().map_or(Some(0.0), |r| r.in_effect_um(&c.role))?)
@@ -205,6 +210,16 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+/// What has nothing to say now, and why.
+fn silent(bank: &Bank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> Vec<String> {
+    let faults = bank.sensors().iter().filter(|w| w.usable(now_s) != Use::Good).map(|w| {
+        let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
+        format!("{} {why}", w.config().name)
+    });
+    let missing = last.iter().zip(columns).filter(|(value, _)| value.is_none());
+    faults.chain(missing.map(|(_, c)| format!("{} no reading yet", c.name))).collect()
 }
 
 /// The first value of a row that its column cannot hold: its place, and what is wrong with it.
