@@ -126,9 +126,8 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
     let contours: Vec<Contour> = traces.iter().flat_map(Trace::evaluate).collect();
     let largest = |of: &dyn Fn(&Contour) -> Option<f64>| contours.iter().filter_map(of).reduce(f64::max);
     let way = |w: &'static str| move |c: &Contour| (c.direction == w).then_some(c.g);
-    let both: Vec<Vec<(f64, f64, f64)>> = bidirectional(traces);
-    let of_both =
-        |f: &dyn Fn(&[(f64, f64, f64)]) -> Option<f64>| both.iter().filter_map(|b| f(b)).reduce(f64::max);
+    let both = bidirectional(traces);
+    let of_both = |f: fn(&[Row]) -> Option<f64>| both.iter().filter_map(|b| f(b)).reduce(f64::max);
     let mean_radius: Vec<f64> = both.iter().filter_map(|b| Some(round_fit(&pairs(b))?[0])).collect();
     let mut warnings = Vec::new();
     if contours.iter().any(|c| c.turned_deg < 359.0) {
@@ -139,11 +138,11 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
         radius_mm: traces[0].record.circle().map(|c| c.radius_mm),
         g_ccw: largest(&way("ccw")),
         g_cw: largest(&way("cw")),
-        g_b: of_both(&|b| range_about(&pairs(b))),
+        g_b: of_both(|b| range_about(&pairs(b))),
         f_max: largest(&|c| Some(c.f_max)).unwrap_or(0.0),
         f_min: -largest(&|c| Some(-c.f_min)).unwrap_or(0.0),
         d: mean_radius.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())),
-        h: of_both(&hysteresis),
+        h: of_both(hysteresis),
         diagnosis,
         contours,
         warnings,
@@ -151,10 +150,13 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
     })
 }
 
-/// Rows (angle, radial error, sense) of each record that goes both ways; of all together, where none does and their feeds
+/// A row: angle, radial error, sense of turning.
+type Row = (f64, f64, f64);
+
+/// Rows of each record that goes both ways; of all together, where none does and their feeds
 /// are alike.
-fn bidirectional(traces: &[Trace]) -> Vec<Vec<(f64, f64, f64)>> {
-    let rows = |t: &Trace, centred: bool| -> Vec<(f64, f64, f64)> {
+fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
+    let rows = |t: &Trace, centred: bool| -> Vec<Row> {
         let of = |(rows, turn): &(Range<usize>, f64)| {
             let points: Vec<(f64, f64)> = rows.clone().map(|i| (t.angle[i], t.radial[i])).collect();
             // Records of one way each were set up one by one: each about its own centre.
@@ -163,8 +165,7 @@ fn bidirectional(traces: &[Trace]) -> Vec<Vec<(f64, f64, f64)>> {
         };
         t.contours.iter().flat_map(of).collect()
     };
-    let goes_both =
-        |rows: &[(f64, f64, f64)]| rows.iter().any(|r| r.2 > 0.0) && rows.iter().any(|r| r.2 < 0.0);
+    let goes_both = |rows: &[Row]| rows.iter().any(|r| r.2 > 0.0) && rows.iter().any(|r| r.2 < 0.0);
     let mut found: Vec<_> = traces.iter().map(|t| rows(t, false)).filter(|r| goes_both(r)).collect();
     if found.is_empty() {
         let all: Vec<_> = traces.iter().flat_map(|t| rows(t, true)).collect();
@@ -173,7 +174,7 @@ fn bidirectional(traces: &[Trace]) -> Vec<Vec<(f64, f64, f64)>> {
     found
 }
 
-fn pairs(rows: &[(f64, f64, f64)]) -> Vec<(f64, f64)> {
+fn pairs(rows: &[Row]) -> Vec<(f64, f64)> {
     rows.iter().map(|r| (r.0, r.1)).collect()
 }
 
@@ -207,7 +208,7 @@ fn range_about(points: &[(f64, f64)]) -> Option<f64> {
 }
 
 /// Largest difference of both ways at one angle, over sectors of one degree (or wider, where rows are scarce).
-fn hysteresis(rows: &[(f64, f64, f64)]) -> Option<f64> {
+fn hysteresis(rows: &[Row]) -> Option<f64> {
     let count = (rows.len() / 4).clamp(36, 360);
     let mut sectors = vec![[(0.0, 0_u32); 2]; count];
     for (angle, e, turn) in rows {
@@ -228,7 +229,7 @@ impl Trace {
         let radial = Axis::new("r").map(|r| get(&Role::Error(r))).unwrap_or_default();
         let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let contours = contours(&record, &angle);
-        let trace = Self { name, plane, angle, radial, contours, record };
+        let trace = Self { record, name, plane, angle, radial, contours };
         let turned = |rows: &Range<usize>| trace.turned(rows);
         if !trace.contours.iter().any(|(rows, _)| turned(rows) >= PI * 0.99) {
             return Err(lacks(
@@ -323,6 +324,16 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
                 found.push((i..i + 1, turn));
                 usual = speed[i];
             }
+        }
+    }
+    // Near a turning point the sense is either.
+    for i in 1..found.len() {
+        if (found[i].1 - found[i - 1].1).abs() > 0.5
+            && found[i].0.len() > 4 * look
+            && found[i - 1].0.len() > 4 * look
+        {
+            found[i - 1].0.end -= look;
+            found[i].0.start += look;
         }
     }
     let turned = |rows: &Range<usize>| -> f64 {

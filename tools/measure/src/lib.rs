@@ -10,6 +10,7 @@
 //! | [`iso230`], [`ballbar`], [`plate`] | evaluations as the standards define them |
 //! | [`plausible`] | mistakes that the records themselves show: units, signs, sensors that are off, doubled rows
 //! | [`plot`] | charts as SVG |
+//! | [`report`] | an evaluation for a person, as text and as one page |
 //!
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
 
@@ -23,3 +24,4 @@ pub mod plate;
 pub mod plausible;
 pub mod plot;
 pub mod record;
+pub mod report;

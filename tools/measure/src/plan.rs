@@ -1,6 +1,7 @@
 //! The test sequence that a machine is characterised with, after WO 97/43703 ("Geometric characterization … three
 //! phases", spindle cycles dry and wet): what to mount where, how to move, what to record.
 
+use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 use serde::Serialize;
 
 /// A linear axis to be characterised.
@@ -45,7 +46,7 @@ const TEMPERATURES: &str = "every temperature sensor";
 #[must_use]
 pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: f64) -> Vec<Step> {
     let mut steps = contouring(axes, ball_radius_mm);
-    steps.extend(axes.iter().map(displacement));
+    steps.extend(axes.iter().flat_map(displacement));
     let errors: Vec<String> = axes.iter().map(|a| format!("error.{}", a.name)).collect();
     steps.push(Step {
         number: 0,
@@ -85,13 +86,15 @@ fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
                         kind: "ballbar",
                         state: "cold, spindle at rest",
                         mount: format!(
-                            "ballbar of {radius_mm} mm between spindle and table in plane {plane}"
+                            "ballbar of {radius_mm} mm between spindle and table in plane {plane}; the record states \
+                             radius_mm = {radius_mm:?} and plane = [\"{}\", \"{}\"]",
+                            a.name, b.name
                         ),
                         run: format!(
                             "full circle {turn} at {feed:.0} mm/min, half a turn of run-in before and after"
                         ),
                         columns: words(&["time", "angle", "error.r", TEMPERATURES]),
-                        evaluate: "ballbar: circularity, reversal, squareness; following error between feeds",
+                        evaluate: "ballbar, all records of the plane together: circularity, reversal, squareness, servo mismatch",
                         minutes: 2.0 * std::f64::consts::TAU * radius_mm / feed + 2.0,
                     });
                 }
@@ -101,32 +104,60 @@ fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
     steps
 }
 
-/// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2).
-fn displacement(axis: &PlanAxis) -> Step {
+/// So many targets over a length, mm, unequally far apart, so that the screw's period does not hide behind a pitch that is a
+/// whole number of leads (ISO 230-2:2014, 5.3.1).
+fn targets(from_mm: f64, length_mm: f64, count: usize) -> Vec<f64> {
+    let step = length_mm / (count - 1) as f64;
+    let off = |k: usize| 0.07 * step * ((k * 3 % 5) as f64 - 2.0) * f64::from(!k.is_multiple_of(count - 1));
+    (0..count).map(|k| from_mm + k as f64 * step + off(k)).collect()
+}
+
+/// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2). An axis of more than 2 m has a run over
+/// its travel, once each way, and the standard's cycles on 2 m of it.
+fn displacement(axis: &PlanAxis) -> Vec<Step> {
+    let travel_mm = axis.travel_mm;
+    // The first and the last target are approached from both sides too: that takes some travel beyond them.
+    let margin_mm = (0.02 * travel_mm).clamp(2.0, 25.0).min(travel_mm / 10.0);
+    let length_mm = travel_mm - 2.0 * margin_mm;
+    if length_mm <= LONG_AXIS_MM {
+        let count = fewest_targets(length_mm).max(11);
+        return vec![line(axis, "", &targets(margin_mm, length_mm, count), 5)];
+    }
+    let count = (length_mm / LONG_INTERVAL_MM).ceil() as usize + 1;
+    let middle_mm = (travel_mm - LONG_AXIS_MM) / 2.0;
+    vec![
+        line(axis, "", &targets(margin_mm, length_mm, count), 1),
+        line(axis, "_2m", &targets(middle_mm, LONG_AXIS_MM, 11), 5),
+    ]
+}
+
+fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
     let n = &axis.name;
-    // Targets are a tenth of the travel apart, but unequally (as ISO 230-2 asks), so that the screw's period does not
-    // hide behind a pitch that is a whole number of leads.
-    let step = axis.travel_mm / 10.0;
-    let target =
-        |k: i32| f64::from(k) * step + 0.07 * step * f64::from((k * 3) % 5 - 2) * f64::from(k % 10 != 0);
-    let targets: Vec<String> = (0..=10).map(|k| format!("{:.2}", target(k))).collect();
+    let words_of: Vec<String> = targets_mm.iter().map(|t| format!("{t:.2}")).collect();
     let (position, direction, error) =
         (format!("position.{n}"), format!("direction.{n}"), format!("error.{n}"));
+    let evaluate = if cycles == 1 {
+        "iso230-2: E, B, M of a long axis; scale, reversal, position map"
+    } else {
+        "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period"
+    };
+    let how_often = if cycles == 1 { "once each way".to_owned() } else { "five cycles".to_owned() };
     Step {
         number: 0,
-        record: format!("linear_{n}"),
+        record: format!("linear_{n}{of}"),
         kind: "positioning",
         state: "cold, spindle at rest",
         mount: format!(
             "laser interferometer along {n}, reflector in the spindle; a temperature sensor at scale or screw"
         ),
         run: format!(
-            "targets {} mm from the lower end, up and down, five cycles, 3 s at rest before each reading",
-            targets.join(" ")
+            "targets {} mm from the lower end, up and down, {how_often}, each approached from beyond the one before, 3 s at \
+             rest before each reading",
+            words_of.join(" ")
         ),
         columns: words(&["time", &position, &direction, "cycle", &error, TEMPERATURES]),
-        evaluate: "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period",
-        minutes: 40.0,
+        evaluate,
+        minutes: 0.36 * (targets_mm.len() * 2 * cycles) as f64,
     }
 }
 
@@ -219,11 +250,34 @@ mod tests {
         assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
         let text = markdown("m", &steps);
         assert!(text.contains("## 28. cool_down") && text.contains("254 mm/min"));
+        // Away from the ends, so that each can be approached from both sides.
+        let line = &steps.iter().find(|s| s.record == "linear_x").unwrap().run;
+        let ends: Vec<f64> = line.split(' ').filter_map(|w| w.parse().ok()).collect();
+        assert!(ends[0] >= 2.0 && ends[10] <= 498.0 && ends.len() >= 11, "{line}");
         // No two targets a whole number of 5 mm leads apart throughout.
         assert!(
-            steps.iter().any(|s| s.run.contains("targets") && s.run.contains(".50")),
+            ends[..11].windows(3).any(|w| ((w[2] - w[1]) - (w[1] - w[0])).abs() > 1.0),
             "{}",
             steps[18].run
         );
+    }
+
+    /// ISO 230-2:2014, 5.3: at most 250 mm apart on an axis of more than 2 m, and the cycles on 2 m of it.
+    #[test]
+    fn a_long_axis_has_a_long_run_and_the_cycles_on_two_metres() {
+        let steps = sequence(&[PlanAxis { name: "x".into(), travel_mm: 4000.0 }], 6000.0, 150.0);
+        let numbers = |record: &str| -> Vec<f64> {
+            let run = &steps.iter().find(|s| s.record == record).unwrap().run;
+            run.split(" mm from").next().unwrap().split(' ').filter_map(|w| w.parse().ok()).collect()
+        };
+        let long = numbers("linear_x");
+        assert!(
+            (long[long.len() - 1] - long[0]) / (long.len() - 1) as f64 <= 250.0 && long[0] >= 2.0,
+            "{long:?}"
+        );
+        assert!(long[long.len() - 1] <= 3998.0);
+        let short = numbers("linear_x_2m");
+        assert!(short.len() >= 10 && (short[short.len() - 1] - short[0] - 2000.0).abs() < 1e-6, "{short:?}");
+        assert!(steps.iter().find(|s| s.record == "linear_x").unwrap().run.contains("once each way"));
     }
 }

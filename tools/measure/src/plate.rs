@@ -1,6 +1,6 @@
 //! A plate of holes drilled by the machine and measured elsewhere: offset, scale, rotation, and what is left.
 
-use crate::plot::{Chart, Series, Style};
+use crate::plot::Vectors;
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
@@ -31,8 +31,10 @@ pub struct Plate {
     pub rms_um: f64,
     /// The same for the holes of each nominal diameter (mm), where the record has it: drills differ.
     pub rms_um_by_diameter: BTreeMap<String, f64>,
-    /// Magnitude m of the quadrupole in what is left: position · m · cos 2(θ − φ), along the radius.
+    /// Magnitude m of the quadrupole in what is left, mm per mm: a hole at r, θ is shifted by r·m·cos 2(θ − φ) along its radius.
     pub quadrupole: f64,
+    /// The same in ppm: longer by so much along φ, shorter by so much across.
+    pub quadrupole_ppm: f64,
     /// Its angle φ, degrees: the direction in which the plate is longest.
     pub quadrupole_deg: f64,
     /// RMS of the residual's length after the quadrupole too, µm.
@@ -144,6 +146,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         rms_um: rms_of(&left, &all),
         rms_um_by_diameter: kinds.iter().map(|(d, rows)| (d.clone(), rms_of(&left, rows))).collect(),
         quadrupole: quad[0].hypot(quad[1]),
+        quadrupole_ppm: quad[0].hypot(quad[1]) * 1e6,
         quadrupole_deg: (quad[1].atan2(quad[0]) / 2.0).to_degrees(),
         rms_quadrupole_um: rms_of(&left_quad, &all),
         scale_as_aluminium_k: as_k,
@@ -156,21 +159,16 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
 }
 
 impl Plate {
-    /// Residuals as strokes on the plate, enlarged.
+    /// Residuals as arrows on the plate, enlarged.
     #[must_use]
-    pub fn chart(&self, record: &Record) -> Chart {
+    pub fn plot(&self, record: &Record) -> Vectors {
         let data =
             |name: &str| Axis::new(name).and_then(|a| record.data(&Role::Position(a))).unwrap_or_default();
-        let (x, y) = (data("x"), data("y"));
-        // 10 µm are drawn as a thirtieth of the plate.
-        let size = x.iter().chain(y).fold(1.0_f64, |m, v| m.max(v.abs()));
-        let per_um = size / 150.0;
-        let mut chart =
-            Chart::new("Plate residuals (a stroke of 1/30 of the plate is 10 µm)", "x (mm)", "y (mm)");
-        for ((x, y), [ex, ey]) in x.iter().zip(y).zip(&self.residual_um) {
-            let stroke = vec![(*x, *y), (x + per_um * ex, y + per_um * ey)];
-            chart.series.push(Series::new("", Style::Line, stroke));
+        let places = data("x").iter().zip(data("y")).map(|(x, y)| [*x, *y]);
+        Vectors {
+            title: "Residuals after offset, scale and rotation".to_owned(),
+            axes: ["x".to_owned(), "y".to_owned()],
+            at: places.zip(self.residual_um.iter().copied()).collect(),
         }
-        chart.with(Series::new("holes", Style::Dots, x.iter().copied().zip(y.iter().copied()).collect()))
     }
 }

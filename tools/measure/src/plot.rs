@@ -1,7 +1,14 @@
-//! Plots as SVG text: what a report shows, small and without fonts or scripts of its own.
+//! Plots as SVG text: what a report shows, small and without fonts or scripts of its own. The legend stands beside the data.
+
+mod polar;
+mod vectors;
+
+pub use polar::Polar;
+pub use vectors::Vectors;
 
 use plotters::prelude::*;
 use plotters::style::RGBColor;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,6 +23,37 @@ pub enum Style {
     Band,
 }
 
+/// What a series' colour means.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Colour {
+    /// Nothing: the next of the palette.
+    #[default]
+    Next,
+    /// Approached upwards, or counter-clockwise.
+    Up,
+    /// Approached downwards, or clockwise.
+    Down,
+    /// A reference.
+    Grey,
+}
+
+impl Colour {
+    fn rgb(self, place: usize) -> RGBColor {
+        match self {
+            Self::Next => COLOURS[place % COLOURS.len()],
+            Self::Up => COLOURS[0],
+            Self::Down => COLOURS[1],
+            Self::Grey => COLOURS[6],
+        }
+    }
+
+    /// As an SVG attribute has it.
+    fn hex(self, place: usize) -> String {
+        let RGBColor(r, g, b) = self.rgb(place);
+        format!("#{r:02x}{g:02x}{b:02x}")
+    }
+}
+
 /// One series of points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
@@ -25,13 +63,21 @@ pub struct Series {
     pub points: Vec<(f64, f64)>,
     /// Line, dots, bars or band.
     pub style: Style,
+    /// What its colour means.
+    pub colour: Colour,
 }
 
 impl Series {
     /// A series of points.
     #[must_use]
     pub fn new(label: &str, style: Style, points: Vec<(f64, f64)>) -> Self {
-        Self { label: label.to_owned(), points, style }
+        Self { label: label.to_owned(), points, style, colour: Colour::Next }
+    }
+
+    /// With a colour that means something.
+    #[must_use]
+    pub fn coloured(self, colour: Colour) -> Self {
+        Self { colour, ..self }
     }
 
     /// A band between two edges over the same x.
@@ -55,6 +101,8 @@ pub struct Chart {
     pub x_names: Vec<String>,
     /// The series, drawn in order.
     pub series: Vec<Series>,
+    /// Places on the x axis where something begins, each with its name.
+    pub marks: Vec<(f64, String)>,
 }
 
 /// Colours that colour-blind readers tell apart (Okabe and Ito).
@@ -67,6 +115,8 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(230, 159, 0),
     RGBColor(80, 80, 80),
 ];
+
+type Area<'t> = DrawingArea<SVGBackend<'t>, plotters::coord::Shift>;
 
 /// A drawing that failed; the back end writes into memory, so only a chart without any finite point does.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -120,14 +170,28 @@ impl Chart {
             let span = if hi > lo { hi - lo } else { hi.abs().max(1.0) };
             [lo - by * span, hi + by * span]
         };
+        // Names of marks stand above the data.
+        let room = 0.05 * self.marks.len().min(4) as f64 * (y[1] - y[0]);
+        y[1] += if room.is_finite() { room } else { 0.0 };
         x[0].is_finite().then(|| (pad(x, if self.x_names.is_empty() { 0.02 } else { 0.0 }), pad(y, 0.06)))
+    }
+
+    /// The area of the plot, and beside it that of the legend, as wide as its longest name.
+    fn split<'t>(&self, area: &Area<'t>, width: u32) -> (Area<'t>, Option<Area<'t>>) {
+        let longest = self.series.iter().map(|s| s.label.chars().count()).max().unwrap_or(0) as u32;
+        if longest == 0 {
+            return (area.clone(), None);
+        }
+        let (plot, legend) = area.split_horizontally(width - (36 + 9 * longest).min(width / 3));
+        (plot, Some(legend))
     }
 
     fn draw(&self, text: &mut String, width: u32, height: u32) -> Result<(), Box<dyn std::error::Error>> {
         let ([x0, x1], [y0, y1]) = self.bounds().ok_or("no finite point")?;
         let area = SVGBackend::with_string(text, (width, height)).into_drawing_area();
         area.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(&area)
+        let (plot, legend) = self.split(&area, width);
+        let mut chart = ChartBuilder::on(&plot)
             .caption(&self.title, ("sans-serif", 18))
             .margin(10)
             .x_label_area_size(42)
@@ -143,8 +207,8 @@ impl Chart {
         let mut mesh = chart.configure_mesh();
         mesh.x_desc(&self.x)
             .y_desc(&self.y)
-            .label_style(("sans-serif", 13))
-            .axis_desc_style(("sans-serif", 14))
+            .label_style(("sans-serif", 15))
+            .axis_desc_style(("sans-serif", 16))
             .light_line_style(TRANSPARENT)
             .bold_line_style(BLACK.mix(0.12));
         if names.is_empty() {
@@ -154,34 +218,47 @@ impl Chart {
         }
         let width_of_bar = if names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
         for (i, s) in self.series.iter().enumerate() {
-            let colour = COLOURS[i % COLOURS.len()];
+            let colour = s.colour.rgb(i);
             let points = s.points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite());
-            let drawn = match s.style {
-                Style::Line => chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?,
-                Style::Dots => chart.draw_series(points.map(|p| Circle::new(p, 2, colour.filled())))?,
-                Style::Bars => chart.draw_series(points.map(|(x, y)| {
-                    Rectangle::new([(x - width_of_bar, 0.0), (x + width_of_bar, y)], colour.mix(0.8).filled())
-                }))?,
+            match s.style {
+                Style::Line => {
+                    chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?;
+                }
+                Style::Dots => {
+                    chart.draw_series(points.map(|p| Circle::new(p, 2, colour.filled())))?;
+                }
+                Style::Bars => {
+                    chart.draw_series(points.map(|(x, y)| {
+                        Rectangle::new(
+                            [(x - width_of_bar, 0.0), (x + width_of_bar, y)],
+                            colour.mix(0.8).filled(),
+                        )
+                    }))?;
+                }
                 Style::Band => {
                     let (lower, upper) = s.points.split_at(s.points.len() / 2);
                     let around: Vec<_> = lower.iter().chain(upper.iter().rev()).copied().collect();
-                    chart.draw_series(std::iter::once(Polygon::new(around, colour.mix(0.2).filled())))?
+                    chart.draw_series(std::iter::once(Polygon::new(around, colour.mix(0.2).filled())))?;
                 }
-            };
-            if !s.label.is_empty() {
-                drawn
-                    .label(&s.label)
-                    .legend(move |(x, y)| Rectangle::new([(x, y - 3), (x + 14, y + 3)], colour.filled()));
             }
         }
-        if self.series.iter().any(|s| !s.label.is_empty()) {
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::UpperLeft)
-                .label_font(("sans-serif", 13))
-                .background_style(WHITE.mix(0.85))
-                .border_style(BLACK.mix(0.3))
-                .draw()?;
+        let small = ("sans-serif", 14).into_font().color(&BLACK.mix(0.6));
+        for (i, (x, name)) in self.marks.iter().enumerate() {
+            chart.draw_series(LineSeries::new([(*x, y0), (*x, y1)], BLACK.mix(0.3)))?;
+            // One below the other, so that short phases do not write over each other.
+            let y = y1 - (y1 - y0) * (0.01 + 0.045 * (i % 4) as f64);
+            chart.draw_series([Text::new(format!(" {name}"), (*x, y), small.clone())])?;
+        }
+        if let Some(legend) = legend {
+            let named = self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty());
+            for (line, (i, s)) in (0..).zip(named) {
+                let (colour, y) = (s.colour.rgb(i), 52 + 20 * line);
+                let swatch = if s.style == Style::Band { colour.mix(0.25) } else { colour.mix(1.0) };
+                legend.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], swatch.filled()))?;
+                let style =
+                    ("sans-serif", 15).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
+                legend.draw(&Text::new(s.label.clone(), (24, y), style))?;
+            }
         }
         area.present()?;
         Ok(())

@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
-     velocity, acceleration, load, error, force with an axis (position.y)";
+     velocity, acceleration, load, error, force with an axis (position.y), or angle_error with two (angle_error.x.b)";
 
 /// Reads a record from its sidecar.
 ///
@@ -21,7 +21,7 @@ const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, a
 /// backwards, no response.
 pub fn read(path: &Path) -> Result<Record, InputError> {
     let record = read_log(path)?;
-    if record.responses().next().is_none() {
+    if !record.columns.iter().any(|c| c.role.is_measured()) {
         let found = "no response among the columns";
         return Err(InputError::whole(path, found, "a column of role error.AXIS or force.AXIS"));
     }
@@ -257,8 +257,9 @@ impl Sidecar {
                 .ok_or_else(|| role_value.error(format!("role `{}`", role_value.text()), ROLES))?;
             let unit_value = t.required("unit", "the column's unit, as unit = \"mm\"")?;
             let unit = unit_value.str("a unit")?;
-            if let Some(expected) = role.unit().filter(|u| *u != unit) {
-                let expected = format!("\"{expected}\", the unit of role `{role}`");
+            if let Some(expected) = role.unit().filter(|_| !role.takes(unit)) {
+                let or = if role.takes("arcsec") { " or \"arcsec\"" } else { "" };
+                let expected = format!("\"{expected}\"{or}, the unit of role `{role}`");
                 return Err(unit_value.error(format!("unit `{unit}`"), expected));
             }
             if !role.may_repeat() && columns.iter().any(|c| c.role == role) {
@@ -448,6 +449,33 @@ mod tests {
             assert_eq!((e.line, e.column), (line, column), "{to}: {e}");
             assert!(e.found.contains(found) && e.expected.contains(expected), "{to}: {e}");
         }
+    }
+
+    #[test]
+    fn tilts_are_in_urad_or_arcsec() {
+        let sidecar = |unit: &str| {
+            format!(
+                "file = \"y.csv\"\nkind = \"positioning\"\n[columns]\nx = {{ role = \"position.x\", unit = \"mm\" }}\n\
+                 rx = {{ role = \"angle_error.x.b\", unit = \"{unit}\" }}\n"
+            )
+        };
+        for unit in ["urad", "arcsec"] {
+            let mut r = read(&sidecar(unit), "x,rx\n0,1\n1,2\n").unwrap();
+            assert_eq!(
+                (r.columns[1].role.to_string().as_str(), r.columns[1].unit.as_str()),
+                ("angle_error.x.b", unit)
+            );
+            assert_eq!(r.responses().count(), 0);
+            let folder = tempfile::tempdir().unwrap();
+            r.path = folder.path().join("t.run.toml");
+            r.file = "t.csv".into();
+            write(&mut r).unwrap();
+            assert_eq!(super::read(&r.path).unwrap(), r);
+        }
+        let e = read(&sidecar("um"), "x,rx\n0,1\n").unwrap_err();
+        assert!(e.found.contains("unit `um`") && e.expected.contains("\"urad\" or \"arcsec\""), "{e}");
+        let e = read(&sidecar("urad").replace(".x.b", ".x"), "x,rx\n0,1\n").unwrap_err();
+        assert!(e.found.contains("angle_error.x"), "{e}");
     }
 
     #[test]

@@ -21,11 +21,58 @@ fn drift_ranges_and_rate() {
     let r = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
     let d = &iso230::drift(&r).unwrap()[0];
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} and {b}");
-    near(d.d_60, 12.0);
-    near(d.d_t, 24.0);
-    near(d.d_last_60, 0.0);
-    near(d.max_rate_per_h, 12.0);
-    near(d.t_min, 240.0);
-    near(d.temperatures["T1"].range_k, 6.0);
-    near(d.temperatures["T1"].gamma, 1.0);
+    let w = &d.whole;
+    near(w.d_60, 12.0);
+    near(w.d_t, 24.0);
+    near(w.d_last_60, 0.0);
+    near(w.max_rate_per_h, 12.0);
+    near(w.t_min, 240.0);
+    near(w.temperatures["T1"].range_k, 6.0);
+    near(w.temperatures["T1"].gamma, 1.0);
+    assert_eq!(d.phases.len(), 1);
+    assert_eq!(d.phases[0].phase, "environment");
+}
+
+/// An hour at rest, three of spindle with short stops, two of an axis to and fro, one of cooling: each by itself.
+#[test]
+fn a_drift_test_is_evaluated_phase_by_phase() {
+    let minutes: Vec<f64> = (0..420).map(f64::from).collect();
+    let of = |f: &dyn Fn(f64) -> f64| minutes.iter().map(|m| f(*m)).collect::<Vec<f64>>();
+    let rpm = |m: f64| if (60.0..240.0).contains(&m) && m % 40.0 > 3.0 { 4000.0 } else { 0.0 };
+    let moving = |m: f64| (240.0..360.0).contains(&m);
+    let x = |m: f64| if moving(m) && m % 2.0 > 0.5 { 500.0 } else { 100.0 };
+    // 1 µm in the first hour, 12 µm/h under the spindle, then at 500 mm 5 µm/h more than at 100 mm, then 6 µm/h back.
+    let z = |m: f64| {
+        if m < 60.0 { m / 60.0 } else { 1.0 + (m.min(240.0) - 60.0) / 5.0 - (m - 360.0).max(0.0) / 10.0 }
+    };
+    let e = |m: f64| z(m) + if moving(m) && x(m) > 300.0 { (m - 240.0) / 12.0 } else { 0.0 };
+    let columns = vec![
+        column("t", "time", of(&|m| 60.0 * m)),
+        column("rpm", "spindle_speed", of(&rpm)),
+        column("x", "position.x", of(&x)),
+        column("T1", "temperature", of(&|m| 20.0 + m / 60.0)),
+        column("e", "error.z", of(&e)),
+    ];
+    let r = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+    let d = &iso230::drift(&r).unwrap()[0];
+    let phases: Vec<(&str, Option<f64>, f64)> =
+        d.phases.iter().map(|p| (p.phase, p.at_mm, p.from_min.round())).collect();
+    let moves = [("movement", Some(100.0), 240.0), ("movement", Some(500.0), 241.0)];
+    assert_eq!(phases[2..4], moves, "{phases:?}");
+    assert_eq!(
+        (phases[0].0, phases[1].0, phases[4].0, phases.len()),
+        ("environment", "spindle", "cooling", 5)
+    );
+    let near = |a: f64, b: f64, by: f64| assert!((a - b).abs() < by, "{a} and {b}: {phases:?}");
+    near(d.phases[0].figures.d_t, 1.0, 0.2);
+    near(d.phases[1].figures.d_60, 12.0, 0.5);
+    near(d.phases[1].figures.rate_per_h, 12.0, 0.3);
+    near(d.phases[1].figures.temperatures["T1"].rate_k_per_h, 1.0, 1e-6);
+    near(d.phases[2].figures.d_t, 0.0, 0.3);
+    near(d.phases[3].figures.rate_per_h, 5.0, 0.1);
+    near(d.phases[4].figures.rate_per_h, -6.0, 0.1);
+    assert!(d.phases[1].what.contains("4000 rpm") && d.phases[3].what.contains("movement of x"));
+    let charts = iso230::drift_charts(&r);
+    assert_eq!(charts[0].marks.len(), 4);
+    assert!(charts[0].svg(800, 500).unwrap().contains("at rest after heat"));
 }

@@ -17,7 +17,7 @@ pub fn possible(role: &Role) -> [f64; 2] {
         Role::SpindleSpeed => 1e7,
         Role::Angle => 1e7,
         // A position in µm that stands where an error should: read, and questioned.
-        Role::Error(_) => 1e9,
+        Role::Error(_) | Role::AngleError(..) => 1e9,
         Role::Direction(_) | Role::Coolant => 1e3,
         // Any unit: counters of 64 bit and pressures in Pa included.
         Role::Channel => 1e30,

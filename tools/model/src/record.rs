@@ -65,12 +65,19 @@ pub enum Role {
     Error(Axis),
     /// Response of a dynamics run: force, N.
     Force(Axis),
+    /// Tilt while the first axis moves, about the second (ISO 230-1: EBX for x, b), µrad or arcseconds. Measured, but no
+    /// response of a model: none has effects for it.
+    AngleError(Axis, Axis),
 }
 
 impl Role {
     /// The role of this name (`time`, `position.y`, …).
     #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
+        if let Some(both) = text.strip_prefix("angle_error.") {
+            let (moving, about) = both.split_once('.')?;
+            return Some(Self::AngleError(Axis::new(moving)?, Axis::new(about)?));
+        }
         let (head, axis) = match text.split_once('.') {
             Some((head, axis)) => (head, Some(Axis::new(axis)?)),
             None => (text, None),
@@ -108,14 +115,28 @@ impl Role {
             Self::Load(_) | Self::Force(_) => "N",
             Self::Angle => "rad",
             Self::Error(_) => "um",
+            Self::AngleError(..) => "urad",
             Self::Channel => return None,
         })
+    }
+
+    /// Whether a column of it may be in this unit: tilts are in µrad or arcseconds, all others in their own.
+    #[must_use]
+    pub fn takes(&self, unit: &str) -> bool {
+        self.unit().is_none_or(|own| own == unit)
+            || (matches!(self, Self::AngleError(..)) && unit == "arcsec")
     }
 
     /// An error or a force: what a model predicts.
     #[must_use]
     pub fn is_response(&self) -> bool {
         matches!(self, Self::Error(_) | Self::Force(_))
+    }
+
+    /// A response, or a tilt: what a run measures.
+    #[must_use]
+    pub fn is_measured(&self) -> bool {
+        self.is_response() || matches!(self, Self::AngleError(..))
     }
 
     /// The axis it belongs to.
@@ -157,6 +178,7 @@ impl fmt::Display for Role {
             Self::Channel => "channel",
             Self::Error(_) => "error",
             Self::Force(_) => "force",
+            Self::AngleError(moving, about) => return write!(f, "angle_error.{moving}.{about}"),
         };
         match self.axis() {
             Some(axis) => write!(f, "{head}.{axis}"),
@@ -273,7 +295,7 @@ impl Record {
             if !c.role.may_repeat() && columns[..i].iter().any(|d| d.role == c.role) {
                 return Err(whole(format!("role `{}` twice", c.role), "each role once"));
             }
-            if c.role.unit().is_some_and(|u| u != c.unit) {
+            if !c.role.takes(&c.unit) {
                 return Err(whole(format!("unit `{}` of role `{}`", c.unit, c.role), "the role's unit"));
             }
             if c.data.len() != columns[0].data.len() {
@@ -288,7 +310,7 @@ impl Record {
                 }
             }
         }
-        if !columns.iter().any(|c| c.role.is_response()) {
+        if !columns.iter().any(|c| c.role.is_measured()) {
             return Err(whole("no response".into(), "a column of role error.AXIS or force.AXIS"));
         }
         if columns[0].data.is_empty() {
@@ -499,6 +521,7 @@ fn possible_text(role: &Role) -> &'static str {
         Role::Angle => "an angle within ±1e7 rad",
         Role::Channel => "a value within ±1e30",
         Role::Error(_) => "an error within ±1e9 µm",
+        Role::AngleError(..) => "a tilt within ±1e9",
     }
 }
 

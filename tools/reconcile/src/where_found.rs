@@ -120,7 +120,7 @@ fn rate(places: &mut [Place]) {
 fn channels(stack: &Stack<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> {
     let Some(first) = segments.first().map(|s| stack.record(s)) else { return Vec::new() };
     let mut channels: Vec<(String, Vec<f64>)> = Vec::new();
-    for column in first.columns.iter().filter(|c| !c.role.is_response()) {
+    for column in first.columns.iter().filter(|c| !c.role.is_measured()) {
         let of = |s: &&Segment| match column.role {
             Role::Temperature => stack.record(s).temperature(&column.name),
             Role::Channel => stack.record(s).channel(&column.name),

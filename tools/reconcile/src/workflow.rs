@@ -53,6 +53,10 @@ pub fn reconcile(
     for record in train.iter().chain(holdout) {
         machine.predict(record)?;
     }
+    if let Some(record) = train.first().filter(|_| train.iter().all(|r| r.responses().next().is_none())) {
+        let expected = "a column of role error.AXIS or force.AXIS: no effect of a model is a tilt";
+        return Err(InputError::whole(&record.path, "no response", expected));
+    }
     let doubts = doubts(train, holdout, machine);
     let nothing_left = doubts.train.is_empty();
     let train = if nothing_left { train } else { &doubts.train };

@@ -231,7 +231,7 @@ fn returns_to_one_position_are_told_of_their_own_evaluation() {
     let (code, text) = evaluate(&[]);
     assert!(code == Some(2) && text.contains("--standard repeatability"), "{code:?} {text}");
     let (code, text) = evaluate(&["--standard", "repeatability"]);
-    assert!(code == Some(0) && text.contains("x.range_um") && text.contains("1.0000"), "{code:?} {text}");
+    assert!(code == Some(0) && text.contains("range (µm)") && text.contains("1.00"), "{code:?} {text}");
 }
 
 /// A chain is shown, and exported for one axis with the others where they are said to be; both against the law by hand.

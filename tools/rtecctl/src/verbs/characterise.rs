@@ -5,6 +5,43 @@ mod import;
 mod plan;
 pub(crate) mod record;
 
+use rtec_files::InputError;
+use rtec_model::circle::Circle;
+use rtec_model::record::{Axis, Record};
+use std::path::Path;
+
+/// The circle of a ballbar run, as options.
+#[derive(Debug, clap::Args)]
+pub(crate) struct CircleOptions {
+    /// Ballbar: the bar's nominal length, mm
+    #[arg(long, requires = "plane", value_name = "mm")]
+    radius_mm: Option<f64>,
+    /// Ballbar: its two axes, the angle running from the first towards the second, as x,y
+    #[arg(long, requires = "radius_mm", value_name = "AXIS,AXIS")]
+    plane: Option<String>,
+}
+
+impl CircleOptions {
+    /// The circle, where it was given.
+    pub(crate) fn circle(&self) -> Result<Option<Circle>, InputError> {
+        let (Some(radius_mm), Some(plane)) = (self.radius_mm, &self.plane) else { return Ok(None) };
+        let axes: Option<Vec<Axis>> = plane.split(',').map(|n| Axis::new(n.trim())).collect();
+        let axes: Option<[Axis; 2]> = axes.and_then(|a| a.try_into().ok());
+        let axes = axes.ok_or_else(|| {
+            InputError::whole(Path::new("--plane"), format!("`{plane}`"), "two axes, as --plane x,y")
+        })?;
+        Ok(Some(Circle { radius_mm, plane: axes }))
+    }
+
+    /// The record with the circle, where it was given.
+    pub(crate) fn apply(&self, record: Record) -> Result<Record, InputError> {
+        let Some(circle) = self.circle()? else { return Ok(record) };
+        record.with_circle(circle).map_err(|(found, expected)| {
+            InputError::whole(Path::new("--radius-mm, --plane"), found, expected)
+        })
+    }
+}
+
 /// Plan, record, import and evaluate measurements of a machine
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {

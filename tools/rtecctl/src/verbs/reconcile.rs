@@ -75,7 +75,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.model)?;
     let mut runs = args.train.clone();
     if let Some(live) = &args.live {
-        record(live, &args.recorder)?;
+        record(live, &args.recorder, true)?;
         runs.push(live.clone());
     }
     let (train, holdout) = (read(&runs)?, read(&args.holdout)?);

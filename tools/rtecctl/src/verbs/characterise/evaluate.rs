@@ -1,29 +1,40 @@
-//! `rtecctl characterise evaluate`: a run's figures as its standard defines them, with a plot.
+//! `rtecctl characterise evaluate`: runs' figures as their standard defines them, as text, JSON, plots or a page.
 
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_measure::plot::{Chart, Series, Style};
-use rtec_measure::{iso230, plate};
-use rtec_model::record::Record;
+use rtec_measure::iso230::{self, Conditions, Options};
+use rtec_measure::report::{self, Report};
+use rtec_measure::{ballbar, plate};
+use rtec_model::record::{Kind, Record};
 use serde_json::{Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-/// Evaluate a run as its standard defines it
+/// Evaluate runs as their standard defines it
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The run record
-    #[arg(value_name = "NAME.run.toml")]
-    record: PathBuf,
+    /// The run records: one, or all circles of a machine, or all diagonals of a box
+    #[arg(value_name = "NAME.run.toml", required = true)]
+    records: Vec<PathBuf>,
     /// The evaluation; by the record's kind where it is left out
     #[arg(long, value_enum)]
     standard: Option<Standard>,
+    /// What the test was done under: machine, instrument, sensors and coefficients for 20 °C, contributors of the
+    /// uncertainty
+    #[arg(long, value_name = "FILE.toml")]
+    conditions: Option<PathBuf>,
+    /// Positioning: accept targets approached from one side only, and give the one-sided figures alone
+    #[arg(long)]
+    one_way: bool,
     /// Plates: what the fit makes small, the sum of squares (2) or of fourth powers (4)
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=4))]
     norm: u8,
-    /// Draw the evaluation into this SVG file
+    /// Draw the evaluation into this SVG file, further plots into FILE.2.svg, FILE.3.svg …
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
+    /// Write a report with tables and plots as one page, ready to print
+    #[arg(long, value_name = "FILE.html")]
+    html: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -31,13 +42,17 @@ pub(crate) struct Args {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Standard {
-    /// Positioning: accuracy and repeatability
+    /// Positioning: accuracy and repeatability; tilts too
     #[value(name = "iso230-2")]
     Iso230_2,
-    /// Thermal drift
+    /// Thermal effects, phase by phase
     #[value(name = "iso230-3")]
     Iso230_3,
+    /// Body or face diagonals
+    #[value(name = "iso230-6")]
+    Iso230_6,
     /// Circular test, ISO 230-4
+    #[value(alias = "iso230-4")]
     Ballbar,
     /// Plate of holes: offset, scale, rotation, quadrupole
     Plate,
@@ -46,36 +61,38 @@ enum Standard {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let record = rtec_measure::record::read(&args.record)?;
-    let doubts = suspicions::warn(std::slice::from_ref(&record));
+    let records =
+        args.records.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let conditions = args.conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default();
+    let doubts = suspicions::warn(&records);
     let standard = match args.standard {
         Some(s) => s,
-        None => by_kind(&record)?,
+        None => by_kind(&records[0])?,
     };
-    let (mut found, charts) = evaluate(&record, standard, args.norm)?;
-    if let Some(list) = found.as_array().filter(|l| l.len() > 1) {
-        found = json!({ "axes": list });
-    } else if let Some(one) = found.as_array_mut().and_then(Vec::pop) {
-        found = one;
-    }
-    for warning in warnings(&found) {
-        eprintln!("warning: {}: {warning}", args.record.display());
+    let (mut found, report) = evaluate(args, &records, standard, conditions)?;
+    for warning in report.warnings() {
+        eprintln!("warning: {}: {warning}", args.records[0].display());
     }
     if let Some(path) = &args.plot {
-        for (i, chart) in charts.iter().enumerate() {
+        for (i, svg) in report.plots().enumerate() {
             let path = if i == 0 { path.clone() } else { path.with_extension(format!("{}.svg", i + 1)) };
-            let svg = chart.svg(900, 560)?;
-            rtec_files::write::whole(&path, svg.as_bytes())
-                .with_context(|| format!("writing {}", path.display()))?;
+            write(&path, svg)?;
         }
+    }
+    if let Some(path) = &args.html {
+        write(path, &report.html())?;
     }
     if args.json {
         suspicions::enter(&mut found, &doubts);
         println!("{}", serde_json::to_string_pretty(&found)?);
     } else {
-        print_flat("", &found);
+        print!("{}", report.text());
     }
     Ok(())
+}
+
+fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    rtec_files::write::whole(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
 }
 
 fn by_kind(record: &Record) -> Result<Standard, InputError> {
@@ -83,7 +100,7 @@ fn by_kind(record: &Record) -> Result<Standard, InputError> {
         (Some("iso230-2"), _) => Ok(Standard::Iso230_2),
         (Some("iso230-3"), _) => Ok(Standard::Iso230_3),
         (Some("ballbar"), _) => Ok(Standard::Ballbar),
-        (_, rtec_model::record::Kind::Plate) => Ok(Standard::Plate),
+        (_, Kind::Plate) => Ok(Standard::Plate),
         (_, kind) => Err(InputError::whole(
             &record.path,
             format!("a run of kind {}", kind.name()),
@@ -92,72 +109,83 @@ fn by_kind(record: &Record) -> Result<Standard, InputError> {
     }
 }
 
-fn evaluate(record: &Record, standard: Standard, norm: u8) -> anyhow::Result<(Value, Vec<Chart>)> {
+/// One of them as it is, several as a list under a name.
+fn one_or(name: &str, mut list: Vec<Value>) -> Value {
+    if list.len() == 1 { list.remove(0) } else { json!({ name: list }) }
+}
+
+fn values(all: &[impl serde::Serialize]) -> serde_json::Result<Vec<Value>> {
+    all.iter().map(serde_json::to_value).collect()
+}
+
+/// The only record of an evaluation that takes one at a time.
+fn single(records: &[Record]) -> Result<&Record, InputError> {
+    match records {
+        [one] => Ok(one),
+        [_, second, ..] => {
+            let found = format!("{} records", records.len());
+            Err(InputError::whole(&second.path, found, "one record at a time by this standard"))
+        }
+        [] => Err(InputError::whole(Path::new("characterise evaluate"), "no record", "a record")),
+    }
+}
+
+fn evaluate(
+    args: &Args,
+    records: &[Record],
+    standard: Standard,
+    conditions: Conditions,
+) -> anyhow::Result<(Value, Report)> {
+    let options = Options { one_way: args.one_way, conditions };
+    let conditions = &options.conditions;
     Ok(match standard {
         Standard::Iso230_2 => {
-            let all = iso230::positioning(record).map_err(|mut e| {
-                e.expected
-                    .push_str("; where the machine only returned to one position, --standard repeatability");
-                e
-            })?;
-            let charts = all.iter().map(iso230::Positioning::chart).collect();
-            (serde_json::to_value(all)?, charts)
+            let mut all = Vec::new();
+            for record in records {
+                all.extend(iso230::positioning_with(record, &options).map_err(|mut e| {
+                    e.expected.push_str(
+                        "; where the machine only returned to one position, --standard repeatability",
+                    );
+                    e
+                })?);
+            }
+            let report = report::positioning(&all, records, conditions)?;
+            (one_or("axes", values(&all)?), report)
         }
-        Standard::Iso230_3 => (serde_json::to_value(iso230::drift(record)?)?, iso230::drift_charts(record)),
-        Standard::Ballbar => (
-            serde_json::to_value(rtec_measure::ballbar::evaluate(std::slice::from_ref(record))?)?,
-            Vec::new(),
-        ),
+        Standard::Iso230_3 => {
+            let record = single(records)?;
+            let all = iso230::drift(record)?;
+            (one_or("axes", values(&all)?), report::drift(&all, record, conditions)?)
+        }
+        Standard::Iso230_6 => {
+            let found = iso230::diagonals(records, &options)?;
+            let report = report::diagonals(&found, records, conditions)?;
+            (serde_json::to_value(found)?, report)
+        }
+        Standard::Ballbar => {
+            let planes = ballbar::evaluate(records)?;
+            let report = report::ballbar(&planes, records, conditions)?;
+            (one_or("planes", values(&planes)?), report)
+        }
         Standard::Plate => {
-            let norm = if norm == 2 { plate::Norm::Squares } else { plate::Norm::Fourth };
-            let p = plate::evaluate(record, norm)?;
-            let chart = p.chart(record);
-            (serde_json::to_value(p)?, vec![chart])
+            let record = single(records)?;
+            let norm = if args.norm == 2 { plate::Norm::Squares } else { plate::Norm::Fourth };
+            let found = plate::evaluate(record, norm)?;
+            let report = report::plate(&found, record, conditions)?;
+            (serde_json::to_value(found)?, report)
         }
         Standard::Repeatability => {
+            let record = single(records)?;
+            let axes = iso230::repeatability(record);
+            if axes.is_empty() {
+                let expected = "a column of role error.AXIS with two returns at least";
+                return Err(InputError::whole(&record.path, "nothing that returned twice", expected).into());
+            }
             let of = |(axis, [s, range]): (&String, &[f64; 2])| {
                 (axis.clone(), json!({"s_um": s, "range_um": range}))
             };
-            let axes = iso230::repeatability(record).iter().map(of).collect::<serde_json::Map<_, _>>();
-            let mut chart = Chart::new("Returning to one position", "return", "error, µm");
-            for c in record.responses() {
-                let points = c.data.iter().enumerate().map(|(i, e)| (i as f64 + 1.0, *e)).collect();
-                chart = chart.with(Series::new(&c.role.to_string(), Style::Dots, points));
-            }
-            (Value::Object(axes), vec![chart])
+            let found = axes.iter().map(of).collect::<serde_json::Map<_, _>>();
+            (Value::Object(found), report::repeatability(&axes, record, conditions)?)
         }
     })
-}
-
-fn warnings(found: &Value) -> Vec<String> {
-    let own = found["warnings"].as_array().into_iter().flatten();
-    let of_axes =
-        found["axes"].as_array().into_iter().flatten().filter_map(|a| a["warnings"].as_array()).flatten();
-    own.chain(of_axes).filter_map(|w| w.as_str().map(str::to_owned)).collect()
-}
-
-/// Every number with its key; lists of rows are left to JSON and the plot.
-fn print_flat(prefix: &str, value: &Value) {
-    match value {
-        Value::Object(map) => {
-            for (key, v) in map {
-                let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
-                print_flat(&name, v);
-            }
-        }
-        Value::Array(list) if prefix == "axes" => {
-            for v in list {
-                print_flat(v["axis"].as_str().or(v["response"].as_str()).unwrap_or(prefix), v);
-            }
-        }
-        Value::Array(list) if list.iter().all(Value::is_number) && (1..=3).contains(&list.len()) => {
-            let words: Vec<String> =
-                list.iter().filter_map(Value::as_f64).map(|v| format!("{v:.4}")).collect();
-            println!("{prefix:24} {}", words.join(", "));
-        }
-        Value::Number(n) if n.is_f64() => println!("{prefix:24} {:.4}", n.as_f64().unwrap_or_default()),
-        Value::Number(n) => println!("{prefix:24} {n}"),
-        Value::String(s) => println!("{prefix:24} {s}"),
-        _ => {}
-    }
 }

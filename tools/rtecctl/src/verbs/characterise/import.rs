@@ -53,6 +53,8 @@ pub(crate) struct Args {
     /// Add velocity and acceleration from the positions, where there are none
     #[arg(long)]
     derive: bool,
+    #[command(flatten)]
+    circle: super::CircleOptions,
     /// The run record to write; its CSV stands beside it
     #[arg(long, value_name = "NAME.run.toml")]
     out: PathBuf,
@@ -141,6 +143,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         Format::Shdr => import::shdr(file, &text, &columns()?, kind()?, args.log, out)?,
     };
+    record = args.circle.apply(record)?;
     if args.derive {
         for note in derive(&mut record) {
             eprintln!("{note}");

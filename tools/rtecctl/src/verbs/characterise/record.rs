@@ -1,6 +1,6 @@
 //! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
 
-use crate::daemon::{check, unreachable};
+use crate::daemon::{self, unreachable};
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_control::client::Client;
@@ -9,7 +9,7 @@ use rtec_control::sources::{Bank, Feed};
 use rtec_correct::sensors::{self, SensorConfig, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role, check};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -49,6 +49,8 @@ pub(crate) struct Recorder {
     /// How long to record, s
     #[arg(long)]
     duration: Option<f64>,
+    #[command(flatten)]
+    circle: super::CircleOptions,
     /// Where /sys is found
     #[arg(long, default_value = "/", hide = true)]
     root: PathBuf,
@@ -59,6 +61,7 @@ impl Recorder {
     pub(crate) fn given(&self) -> Option<&'static str> {
         let given = [
             (self.kind.is_some(), "--kind"),
+            (self.circle.radius_mm.is_some(), "--radius-mm"),
             (self.sensors.is_some(), "--sensors"),
             (self.socket.is_some(), "--socket"),
             (self.feed.is_some(), "--feed"),
@@ -68,15 +71,43 @@ impl Recorder {
         ];
         given.into_iter().find_map(|(is, name)| is.then_some(name))
     }
+
+    /// What a record asks of its columns is asked before the run, not after it.
+    fn check(
+        &self,
+        out: &Path,
+        kind: Kind,
+        columns: &[Column],
+        with_response: bool,
+    ) -> Result<(), InputError> {
+        if with_response && !columns.iter().any(|c| c.role.is_response()) {
+            return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS"));
+        }
+        if let Some(found) = twice(columns) {
+            return Err(usage(found, "each column once"));
+        }
+        if self.circle.circle()?.is_some() {
+            let one_row = columns.iter().map(|c| Column { data: vec![0.0], ..c.clone() }).collect();
+            self.circle.apply(Record::of_checked(out, kind, one_row))?;
+        }
+        if columns.len() == 1 {
+            let expected = "--sensors, --socket, or --feed with --columns";
+            return Err(usage("nothing to record".into(), expected));
+        }
+        Ok(())
+    }
+}
+
+fn usage(found: String, expected: &str) -> InputError {
+    InputError::whole(Path::new("recording"), found, expected)
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    record(&args.out, &args.recorder)
+    record(&args.out, &args.recorder, false)
 }
 
-/// Records a run into `out`.
-pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
-    let usage = |found: String, expected: &str| InputError::whole(Path::new("recording"), found, expected);
+/// Records a run into `out`; a shift's log need not have a response, unless it is asked for.
+pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
     let kind = args.kind.as_deref().unwrap_or("drift");
     let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
     let period = args.period.unwrap_or(1.0);
@@ -101,9 +132,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
             parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
         columns.push(column(name, role));
     }
-    if !columns.iter().any(|c| c.role.is_response()) {
-        return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS").into());
-    }
+    args.check(out, kind, &columns, with_response)?;
     let mut feed = args.feed.as_deref().map(Feed::new);
     // Rows go into a file of their own as they come: a long run is not lost with the power.
     let part = out.with_extension("csv.part");
@@ -113,7 +142,7 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
     let start = Instant::now();
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
-    let (mut taken, mut shown_s) = (0_u64, 0.0);
+    let (mut taken, mut left_out, mut shown_s) = (0_u64, 0_u64, 0.0);
     for row in 0..rows {
         let due = row as f64 * period;
         wait_until(start, due);
@@ -132,24 +161,23 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
             }
         }
         last[0] = Some(now);
-        let mut silent: Vec<String> = Vec::new();
-        for (value, w) in last[1..gauges].iter_mut().zip(bank.sensors()) {
+        for (value, w) in last[1..own].iter_mut().zip(bank.sensors()) {
             *value = w.value_degc();
-            if w.usable(now) != Use::Good {
-                let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
-                silent.push(format!("{} {why}", w.config().name));
-            }
         }
-        for (value, c) in last[own..].iter().zip(&columns[own..]) {
-            if value.is_none() {
-                silent.push(format!("{} no reading yet", c.name));
-            }
-        }
+        let silent = silent(&bank, now, &last[own..], &columns[own..]);
         // A row is whole or not there.
         let whole = last.iter().zip(&columns).map(|(value, c)| {
             Some((*value)? + corrector.as_ref().map_or(Some(0.0), |r| r.in_effect_um(&c.role))?)
         });
-        if let Some(values) = whole.collect::<Option<Vec<f64>>>() {
+        let whole = whole.collect::<Option<Vec<f64>>>();
+        let faulty = whole.as_ref().and_then(|values| impossible(values, &columns));
+        if let Some((place, what)) = &faulty {
+            // One reading that is none costs its row, not the run; nor does it stand for the next one.
+            eprintln!("warning: row {} at {now:.3} s left out: {what}", row + 1);
+            left_out += 1;
+            last[*place] = None;
+        }
+        if let Some(values) = whole.filter(|_| faulty.is_none()) {
             let words: Vec<String> = values.iter().map(f64::to_string).collect();
             writeln!(file, "{}", words.join(",")).with_context(|| format!("writing {}", part.display()))?;
             for (c, v) in columns.iter_mut().zip(values) {
@@ -171,13 +199,49 @@ pub(crate) fn record(out: &Path, args: &Recorder) -> anyhow::Result<()> {
                 .find_map(|c| f.value(&c.name).err().map(str::to_owned))
                 .unwrap_or_default()
         });
-        let found = format!("no complete row in {duration:.0} s ({what})");
+        let faulty =
+            if left_out > 0 { format!(", {left_out} with a reading that is none") } else { String::new() };
+        let found = format!("no complete row in {duration:.0} s ({what}{faulty})");
         return Err(crate::Outcome::Unreachable(found).into());
     }
-    let mut record = Record::new(out, kind, columns)?;
+    if left_out > 0 {
+        eprintln!("warning: {left_out} of {rows} rows left out");
+    }
+    // Every value was checked as it came.
+    let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+/// What has nothing to say now, and why.
+fn silent(bank: &Bank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> Vec<String> {
+    let faults = bank.sensors().iter().filter(|w| w.usable(now_s) != Use::Good).map(|w| {
+        let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
+        format!("{} {why}", w.config().name)
+    });
+    let missing = last.iter().zip(columns).filter(|(value, _)| value.is_none());
+    faults.chain(missing.map(|(_, c)| format!("{} no reading yet", c.name))).collect()
+}
+
+/// The first value of a row that its column cannot hold: its place, and what is wrong with it.
+fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
+    values.iter().zip(columns).enumerate().find_map(|(place, (v, c))| {
+        let (found, expected) = check(&c.role, *v, c.data.last().copied()).err()?;
+        Some((place, format!("{} ({}) is {found}, expected {expected}", c.name, c.role)))
+    })
+}
+
+/// Two columns of one name, or of a role that stands only once: found before a run, not after it.
+fn twice(columns: &[Column]) -> Option<String> {
+    columns.iter().enumerate().find_map(|(i, c)| {
+        let before = &columns[..i];
+        if before.iter().any(|d| d.name == c.name) {
+            return Some(format!("two columns named {}", c.name));
+        }
+        let again = !c.role.may_repeat() && before.iter().any(|d| d.role == c.role);
+        again.then(|| format!("two columns of role {}", c.role))
+    })
 }
 
 /// The running daemon, asked once a row.
@@ -242,7 +306,7 @@ impl DaemonTotals {
 }
 
 fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
-    match check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
+    match daemon::check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
         Response::Status(status) => Ok(*status),
         other => Err(crate::Outcome::Unreachable(format!("an answer that is no status: {other:?}")).into()),
     }

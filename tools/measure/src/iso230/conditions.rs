@@ -1,0 +1,328 @@
+//! What a test was done under, as a file beside the records, and the uncertainty that follows from it.
+//!
+//! ```toml
+//! machine = "machining centre 12"       # free words: machine, axis, place, operator, date
+//! operator = "N. N."
+//! [instrument]                           # free words
+//! name = "laser interferometer"
+//! serial = "123"
+//! [test]                                 # free words and numbers: feed, dwell, warm-up, tool offset, travel
+//! feed_mm_per_min = 1000
+//! [thermal]                              # lengths are reduced to 20 °C with these sensors and coefficients
+//! scale = { sensor = "T3", ppm_per_K = 8.5 }
+//! workpiece = { sensor = "T5", ppm_per_K = 11.5 }
+//! [uncertainty]                          # what is left out contributes nothing
+//! device_um_per_m = 0.8                  # the calibration's, k = 2
+//! misalignment_mm = 1.0
+//! drift_um = 1.7
+//! ```
+
+use rtec_files::InputError;
+use rtec_files::toml::{Document, Entry, Table};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The reference temperature of lengths, °C (ISO 1).
+pub(crate) const REFERENCE_DEGC: f64 = 20.0;
+
+/// A body that grows with its temperature.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Expansion {
+    /// The sensor on it.
+    pub sensor: String,
+    /// Its coefficient of linear expansion, ppm/K.
+    #[serde(rename = "ppm_per_K")]
+    pub ppm_per_k: f64,
+}
+
+/// What a test was done under.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Conditions {
+    /// Words about machine, place and people, and about the test, in the file's order.
+    pub words: Vec<(String, String)>,
+    /// Words about the instrument.
+    pub instrument: Vec<(String, String)>,
+    /// The machine's scale, for the reduction to 20 °C.
+    pub scale: Option<Expansion>,
+    /// What it was measured against: work piece, artefact.
+    pub workpiece: Option<Expansion>,
+    /// Half widths and expanded values by key; see [`Uncertainty`].
+    pub stated: BTreeMap<String, f64>,
+}
+
+/// The keys of `[uncertainty]` with their meaning.
+const KEYS: [(&str, &str); 13] = [
+    ("device_um", "the device's calibration, k = 2"),
+    ("device_um_per_m", "the device's calibration in proportion to the length, k = 2"),
+    ("misalignment_mm", "the device's offset from the axis' direction over the travel"),
+    ("machine_temperature_K", "± of the machine's temperature"),
+    ("machine_ppm_per_K", "the machine's expansion, as it was compensated"),
+    ("machine_off_20_K", "the machine's largest distance from 20 °C"),
+    ("machine_expansion_ppm_per_K", "± of the machine's coefficient of expansion"),
+    ("device_temperature_K", "± of the device's temperature"),
+    ("device_ppm_per_K", "the device's expansion, as it was compensated"),
+    ("device_off_20_K", "the device's largest distance from 20 °C"),
+    ("device_expansion_ppm_per_K", "± of the device's coefficient of expansion"),
+    ("drift_um", "range of a drift test as long as the measurement (E_VE)"),
+    ("set_up_um", "the set-up, k = 2"),
+];
+
+impl Conditions {
+    /// Reads a file of conditions.
+    ///
+    /// # Errors
+    /// The first finding, with file, line and column.
+    pub fn read(path: &Path) -> Result<Self, InputError> {
+        let text = rtec_files::text::read(path)?;
+        Self::parse(path, &text)
+    }
+
+    /// Conditions from text; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Conditions::read`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
+        let doc = Document::parse(path, text)?;
+        let root = doc.root();
+        let mut found = Self::default();
+        for entry in root.entries() {
+            let table = entry.as_table();
+            match (entry.key(), table) {
+                ("instrument", Some(t)) => found.instrument = words(&t)?,
+                ("test", Some(t)) => found.words.extend(words(&t)?),
+                ("thermal", Some(t)) => {
+                    t.only(&["scale", "workpiece"])?;
+                    found.scale = t.get("scale").map(expansion).transpose()?;
+                    found.workpiece = t.get("workpiece").map(expansion).transpose()?;
+                }
+                ("uncertainty", Some(t)) => {
+                    t.only(&KEYS.map(|k| k.0))?;
+                    for (key, meaning) in KEYS {
+                        let Some(e) = t.get(key) else { continue };
+                        let v = e.number(meaning)?;
+                        if v < 0.0 {
+                            return Err(e.mismatch(format!("{meaning}: not below zero")));
+                        }
+                        found.stated.insert(key.to_owned(), v);
+                    }
+                }
+                (_, Some(_)) => {
+                    return Err(entry.unknown_key(
+                        "instrument, test, thermal or uncertainty, or words as machine = \"…\"",
+                    ));
+                }
+                (key, None) => found.words.push((plain(key), word(&entry)?)),
+            }
+        }
+        Ok(found)
+    }
+
+    /// Expanded uncertainties (k = 2) of a positioning test over this length with so many approaches from each side.
+    #[must_use]
+    pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<Uncertainty> {
+        (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
+    }
+}
+
+fn words(table: &Table<'_>) -> Result<Vec<(String, String)>, InputError> {
+    table.entries().map(|e| Ok((plain(e.key()), word(&e)?))).collect()
+}
+
+/// A key as words: `feed_mm_per_min` reads "feed (mm/min)".
+fn plain(key: &str) -> String {
+    const UNITS: [(&str, &str); 9] = [
+        ("_mm_per_min", "mm/min"),
+        ("_ppm_per_K", "ppm/K"),
+        ("_degC", "°C"),
+        ("_rpm", "rpm"),
+        ("_min", "min"),
+        ("_mm", "mm"),
+        ("_um", "µm"),
+        ("_h", "h"),
+        ("_s", "s"),
+    ];
+    let unit = UNITS.iter().find_map(|(end, unit)| Some((key.strip_suffix(end)?, *unit)));
+    match unit {
+        Some((name, unit)) => format!("{} ({unit})", name.replace('_', " ")),
+        None => key.replace('_', " "),
+    }
+}
+
+fn word(entry: &Entry<'_>) -> Result<String, InputError> {
+    let number = entry.as_number().map(|n| n.to_string());
+    let text =
+        entry.as_str().map(str::to_owned).or(number).or_else(|| entry.as_bool().map(|b| b.to_string()));
+    // A date stands without quotes.
+    let text = text.or_else(|| rtec_model::date::parse(&entry.text()).map(|_| entry.text()));
+    text.ok_or_else(|| entry.mismatch("text or a number"))
+}
+
+fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
+    const FORM: &str = "{ sensor = \"T3\", ppm_per_K = 8.5 }";
+    let t = entry.table(FORM)?;
+    t.only(&["sensor", "ppm_per_K"])?;
+    Ok(Expansion {
+        sensor: t.required("sensor", FORM)?.str("the sensor's name")?.to_owned(),
+        ppm_per_k: t.required("ppm_per_K", FORM)?.number("the coefficient of expansion, ppm/K")?,
+    })
+}
+
+/// One contributor to an uncertainty.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Contributor {
+    /// What it is.
+    pub name: String,
+    /// Its expanded uncertainty (k = 2) over the travel, µm.
+    #[serde(rename = "U_um")]
+    pub u_um: f64,
+}
+
+/// Expanded uncertainties (k = 2) of the figures of ISO 230-2, by the equations of ISO/TR 230-9 for rectangular
+/// contributors: half the range over √3 is a standard uncertainty.
+///
+/// | contributor | U (k = 2) |
+/// |---|---|
+/// | device | √(`device_um`² + (`device_um_per_m`·L)²) |
+/// | misalignment | (R²/2L)/√3: the cosine error is between zero and this |
+/// | temperature of machine, of device | 2·α·L·Δθ/√3 |
+/// | expansion of machine, of device | 2·∣θ − 20 °C∣·L·Δα/√3 |
+/// | set-up | `set_up_um` |
+/// | drift, `U_EVE` | E_VE/√3: a range, and it is in every reading anew |
+///
+/// | figure | U (k = 2), with the first five as `U_L` |
+/// |---|---|
+/// | M | √(`U_L`² + `U_EVE`²/n): a difference of two means of both sides |
+/// | E, E↑, E↓ | √(`U_L`² + 2·`U_EVE`²/n): a difference of two means |
+/// | B, mean B | √(2/n)·`U_EVE` |
+/// | R↑, R↓ | 2·`U_EVE`: four standard deviations, each longer by `U_EVE`/2 |
+/// | R | √(U(R↑)² + U(B)²) |
+/// | A, A↑, A↓ | √(U(E)² + U(R↑)²) |
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[allow(non_snake_case)]
+#[allow(missing_docs)] // the standard's own symbols
+pub struct Uncertainty {
+    /// Coverage factor.
+    pub k: f64,
+    /// Length it is for, mm.
+    pub length_mm: f64,
+    pub contributors: Vec<Contributor>,
+    pub A: f64,
+    pub E: f64,
+    pub R: f64,
+    pub R_up: f64,
+    pub B: f64,
+    pub M: f64,
+}
+
+impl Uncertainty {
+    fn new(stated: &BTreeMap<String, f64>, length_mm: f64, approaches: usize) -> Self {
+        let get = |key: &str| stated.get(key).copied().unwrap_or(0.0);
+        let metres = length_mm / 1000.0;
+        let root3 = 3.0_f64.sqrt();
+        let mut contributors = Vec::new();
+        let mut add = |name: &str, u_um: f64| {
+            if u_um > 0.0 {
+                contributors.push(Contributor { name: name.to_owned(), u_um });
+            }
+            u_um
+        };
+        let cosine_um = get("misalignment_mm").powi(2) / (2.0 * length_mm.max(1e-9)) * 1000.0;
+        let mut along = vec![
+            add("device", get("device_um").hypot(get("device_um_per_m") * metres)),
+            add("misalignment", cosine_um / root3),
+        ];
+        for (of, name) in [("machine", "of the machine"), ("device", "of the device")] {
+            let at = |what: &str| get(&format!("{of}_{what}"));
+            along.push(add(
+                &format!("temperature {name}"),
+                2.0 * at("ppm_per_K") * metres * at("temperature_K") / root3,
+            ));
+            along.push(add(
+                &format!("expansion {name}"),
+                2.0 * at("off_20_K") * metres * at("expansion_ppm_per_K") / root3,
+            ));
+        }
+        along.push(add("set-up", get("set_up_um")));
+        let eve = add("drift (E_VE)", get("drift_um") / root3);
+        let square: f64 = along.iter().map(|u| u * u).sum();
+        let n = approaches.max(1) as f64;
+        let r_up = 2.0 * eve;
+        let b = (2.0 / n).sqrt() * eve;
+        let e = (square + 2.0 * eve * eve / n).sqrt();
+        Self {
+            k: 2.0,
+            length_mm,
+            contributors,
+            A: e.hypot(r_up),
+            E: e,
+            R: r_up.hypot(b),
+            R_up: r_up,
+            B: b,
+            M: (square + eve * eve / n).sqrt(),
+        }
+    }
+
+    /// The uncertainty of a figure by its symbol.
+    #[must_use]
+    pub fn of(&self, symbol: &str) -> Option<f64> {
+        Some(match symbol {
+            "A" | "A_up" | "A_down" => self.A,
+            "E" | "E_up" | "E_down" => self.E,
+            "R" => self.R,
+            "R_up" | "R_down" => self.R_up,
+            "B" | "B_mean" => self.B,
+            "M" => self.M,
+            _ => return None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = "machine = \"m 12\"\ndate = 2026-05-01\n[instrument]\nname = \"laser\"\n[test]\nfeed_mm_per_min = 1000\n\
+                        [thermal]\nscale = { sensor = \"T3\", ppm_per_K = 8.5 }\n[uncertainty]\ndevice_um_per_m = 0.8\n\
+                        drift_um = 1.7\nmisalignment_mm = 1.0\nmachine_ppm_per_K = 11.0\nmachine_temperature_K = 0.5\n";
+
+    #[test]
+    fn conditions_are_read_with_their_places() {
+        let c = Conditions::parse(Path::new("c.toml"), FILE).unwrap();
+        assert_eq!(c.words[2], ("feed (mm/min)".to_owned(), "1000".to_owned()));
+        assert_eq!(c.scale.as_ref().unwrap().sensor, "T3");
+        for (from, to, line, found) in [
+            ("drift_um", "drift", 11, "unknown key drift"),
+            ("drift_um = 1.7", "drift_um = -1.7", 11, "drift_um = -1.7"),
+            ("[test]", "[tests]", 5, "unknown key tests"),
+            ("ppm_per_K = 8.5", "ppm = 8.5", 8, "unknown key ppm"),
+            ("sensor = \"T3\"", "sensor = 3", 8, "sensor = 3"),
+        ] {
+            let e = Conditions::parse(Path::new("c.toml"), &FILE.replacen(from, to, 1)).unwrap_err();
+            assert!(e.line == line && e.found.contains(found), "{e}");
+        }
+    }
+
+    /// By hand for 1750 mm and five approaches.
+    #[test]
+    fn uncertainty_by_hand() {
+        let c = Conditions::parse(Path::new("c.toml"), FILE).unwrap();
+        let u = c.uncertainty(1750.0, 5).unwrap();
+        let root3 = 1.732_050_807_568_877_2;
+        let device = 0.8 * 1.75;
+        let misalignment = 1000.0 / 3500.0 / root3;
+        let temperature = 2.0 * 11.0 * 1.75 * 0.5 / root3;
+        let eve = 1.7 / root3;
+        let names: Vec<&str> = u.contributors.iter().map(|c| c.name.as_str()).collect();
+        assert_eq!(names, ["device", "misalignment", "temperature of the machine", "drift (E_VE)"]);
+        let square: f64 = device * device + misalignment * misalignment + temperature * temperature;
+        let e = (square + 0.4 * eve * eve).sqrt();
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} {b}");
+        near(u.E, e);
+        near(u.R_up, 2.0 * eve);
+        near(u.B, 0.4_f64.sqrt() * eve);
+        near(u.A, (e * e + 4.0 * eve * eve).sqrt());
+        near(u.M, (square + 0.2 * eve * eve).sqrt());
+        assert_eq!(Conditions::default().uncertainty(100.0, 5), None);
+    }
+}

@@ -1,0 +1,248 @@
+//! Body and face diagonals, ISO 230-6: several axes moving together along the diagonals of a box, with the figures of
+//! ISO 230-2 along each; and what their differences say of squareness.
+
+use super::{Options, Positioning, error_axes, lacks, positioning_with};
+use rtec_files::InputError;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// One diagonal.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Diagonal {
+    /// The record it is in.
+    pub record: String,
+    /// Axes that move.
+    pub axes: Vec<String>,
+    /// Sense of each axis along it, P or N, the last one positive: `PPP`, `NPP`.
+    pub sense: String,
+    /// Travel of each axis, mm.
+    pub box_mm: Vec<f64>,
+    /// Change of the mean error from end to end by the straight line through it, µm.
+    pub slope_um: f64,
+    /// The figures along it.
+    #[serde(flatten)]
+    pub along: Positioning,
+}
+
+/// The diagonals of a box, or of its faces. Values in µm unless named otherwise.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Diagonals {
+    /// `body` or `face`.
+    pub kind: &'static str,
+    /// Diagonal systematic deviation: the largest E of the diagonals.
+    #[serde(rename = "E_d")]
+    pub e_d: Option<f64>,
+    /// Diagonal accuracy: the largest A of the diagonals.
+    #[serde(rename = "A_d")]
+    pub a_d: Option<f64>,
+    /// Diagonal reversal: the largest B of the diagonals.
+    #[serde(rename = "B_d")]
+    pub b_d: Option<f64>,
+    /// Squareness per pair of axes, µrad, as `squareness.A.B`: where all diagonals of the box or face are there.
+    pub squareness_urad: BTreeMap<String, f64>,
+    /// Mean scale along the diagonals, ppm.
+    pub scale_ppm: f64,
+    /// Each diagonal.
+    pub diagonals: Vec<Diagonal>,
+    /// What to know before using it.
+    pub warnings: Vec<String>,
+}
+
+/// Evaluates the diagonals of a box or of one face or several, a record each: positions of the axes that move, and the error
+/// along the diagonal (`error.d`, or any axis without a position) or the errors of all its axes.
+///
+/// # Errors
+/// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals mixed; what
+/// [`positioning_with`] finds.
+pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, InputError> {
+    let all = records.iter().map(|r| diagonal(r, options)).collect::<Result<Vec<_>, _>>()?;
+    let first = all.first().map_or(0, |d| d.axes.len());
+    if let Some((odd, r)) = all.iter().zip(records).find(|(d, _)| d.axes.len() != first) {
+        let found = format!("a diagonal of {} axes beside those of {first}", odd.axes.len());
+        return Err(lacks(r, &found, "diagonals of one box, or of faces"));
+    }
+    let largest =
+        |of: fn(&Positioning) -> Option<f64>| all.iter().filter_map(|d| of(&d.along)).reduce(f64::max);
+    let mut warnings = Vec::new();
+    let squareness_urad = squareness(&all);
+    if squareness_urad.is_empty() {
+        let all = if first == 3 { "all four body diagonals" } else { "both diagonals of a face" };
+        warnings.push(format!("no squareness: it takes {all} of one box"));
+    }
+    let scales: Vec<f64> = all.iter().map(|d| d.slope_um / d.along.travel_mm * 1000.0).collect();
+    for d in &all {
+        for w in &d.along.warnings {
+            // What holds for all is said once.
+            let common = all.iter().all(|o| o.along.warnings.contains(w));
+            let words = if common { w.clone() } else { format!("{}: {w}", d.sense) };
+            if !warnings.contains(&words) {
+                warnings.push(words);
+            }
+        }
+    }
+    Ok(Diagonals {
+        kind: if first == 3 { "body" } else { "face" },
+        e_d: largest(|p| p.E),
+        a_d: largest(|p| p.A),
+        b_d: largest(|p| p.B),
+        squareness_urad,
+        scale_ppm: scales.iter().sum::<f64>() / scales.len().max(1) as f64,
+        diagonals: all,
+        warnings,
+    })
+}
+
+fn span(p: &[f64]) -> [f64; 2] {
+    p.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)])
+}
+
+fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> {
+    let moving: Vec<(&Axis, &[f64], f64)> = record
+        .axes(Role::Position)
+        .filter_map(|a| {
+            let p = record.data(&Role::Position(a.clone()))?;
+            let [lo, hi] = span(p);
+            (hi - lo > 1e-3).then_some((a, p, hi - lo))
+        })
+        .collect();
+    if !(2..=3).contains(&moving.len()) {
+        let names: Vec<&str> = moving.iter().map(|m| m.0.as_str()).collect();
+        let found = format!("{} moving axes ({})", moving.len(), names.join(", "));
+        return Err(lacks(record, &found, "a diagonal: positions of two or three axes that move together"));
+    }
+    let length_mm = moving.iter().map(|m| m.2 * m.2).sum::<f64>().sqrt();
+    // Each axis against the last one: rising with it or falling.
+    let last = moving[moving.len() - 1].1;
+    let [lo, hi] = span(last);
+    let share = |row: usize| (last[row] - lo) / (hi - lo);
+    let mut unit: Vec<f64> = Vec::new();
+    for (axis, p, travel) in &moving {
+        let [low, high] = span(p);
+        let off = |from: f64, way: f64| {
+            (0..p.len()).map(|row| (p[row] - from - way * travel * share(row)).abs()).fold(0.0, f64::max)
+        };
+        let way = if off(low, 1.0) <= off(high, -1.0) { 1.0 } else { -1.0 };
+        let from = if way > 0.0 { low } else { high };
+        if off(from, way) > 1e-3 * length_mm {
+            let found = format!("position.{axis} that does not go in proportion to the others");
+            return Err(lacks(record, &found, "positions along one straight line"));
+        }
+        unit.push(way * travel / length_mm);
+    }
+    let along: Vec<f64> = (0..record.rows()).map(|r| share(r) * length_mm).collect();
+    let errors = error_axes(record);
+    let own = errors.iter().find(|(a, _)| !moving.iter().any(|m| m.0 == *a));
+    let error: Vec<f64> = if let Some((_, e)) = own {
+        e.to_vec()
+    } else {
+        let of = |a: &Axis| errors.iter().find(|(b, _)| *b == a).map(|(_, e)| *e);
+        let all: Option<Vec<&[f64]>> = moving.iter().map(|m| of(m.0)).collect();
+        let all = all.ok_or_else(|| {
+            lacks(
+                record,
+                "no error along the diagonal",
+                "a column error.d, or the errors of all axes that move",
+            )
+        })?;
+        (0..record.rows()).map(|r| all.iter().zip(&unit).map(|(e, u)| e[r] * u).sum()).collect()
+    };
+    let direction = direction(record, own.map(|o| o.0), &moving, &unit).ok_or_else(|| {
+        lacks(record, "no direction of approach", "a column direction.d, or the direction of one of its axes")
+    })?;
+    let d =
+        own.map(|o| o.0.clone()).or_else(|| Axis::new("d")).ok_or_else(|| lacks(record, "no axis", "one"))?;
+    let mut columns = vec![
+        Column::new("position along the diagonal", Role::Position(d.clone()), along.clone()),
+        Column::new("direction along the diagonal", Role::Direction(d.clone()), direction),
+        Column::new("error along the diagonal", Role::Error(d), error.clone()),
+    ];
+    columns.extend(record.columns.iter().filter(|c| c.role == Role::Temperature).cloned());
+    let line = Record::of_checked(&record.path, Kind::Positioning, columns);
+    let along_it = positioning_with(&line, options)?;
+    let along_it = along_it.into_iter().next().ok_or_else(|| lacks(record, "no error", "an error"))?;
+    let sense = unit.iter().map(|u| if *u > 0.0 { 'P' } else { 'N' }).collect();
+    Ok(Diagonal {
+        record: record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
+        axes: moving.iter().map(|m| m.0.to_string()).collect(),
+        sense,
+        box_mm: moving.iter().map(|m| m.2).collect(),
+        slope_um: slope(&along_it) * along_it.travel_mm,
+        along: along_it,
+    })
+}
+
+/// Direction along the diagonal, from its own column or that of an axis that moves along it.
+fn direction(
+    record: &Record,
+    own: Option<&Axis>,
+    moving: &[(&Axis, &[f64], f64)],
+    unit: &[f64],
+) -> Option<Vec<f64>> {
+    let read = |a: &Axis| {
+        let role = [Role::Direction(a.clone()), Role::Velocity(a.clone())];
+        role.iter()
+            .find_map(|r| record.data(r))
+            .map(|d| d.iter().map(|v| rtec_model::effect::sign(*v)).collect())
+    };
+    own.and_then(read).or_else(|| {
+        let of = |((a, ..), u): (&(&Axis, &[f64], f64), &f64)| {
+            let d: Vec<f64> = read(a)?;
+            Some(d.iter().map(|v| v * u.signum()).collect())
+        };
+        moving.iter().zip(unit).find_map(of)
+    })
+}
+
+/// Slope of the mean error over the targets, µm/mm.
+fn slope(p: &Positioning) -> f64 {
+    let points: Vec<(f64, f64)> = p
+        .targets
+        .iter()
+        .filter_map(|t| {
+            let both = [t.mean_up, t.mean_down];
+            let known: Vec<f64> = both.into_iter().flatten().collect();
+            (!known.is_empty()).then(|| (t.position_mm, known.iter().sum::<f64>() / known.len() as f64))
+        })
+        .collect();
+    let n = points.len() as f64;
+    let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
+    let xy: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
+    let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
+    if xx > 0.0 { xy / xx } else { 0.0 }
+}
+
+/// Squareness from the diagonals of one box: an error of A by the position of B lengthens the diagonals along which both
+/// rise or fall together by α·A·B/D and shortens the others.
+fn squareness(all: &[Diagonal]) -> BTreeMap<String, f64> {
+    let mut found = BTreeMap::new();
+    let mut boxes: Vec<Vec<&Diagonal>> = Vec::new();
+    for d in all {
+        let alike = |o: &Diagonal| {
+            o.axes == d.axes && o.box_mm.iter().zip(&d.box_mm).all(|(a, b)| (a / b - 1.0).abs() < 0.02)
+        };
+        match boxes.iter_mut().find(|b| b.first().is_some_and(|o| alike(o))) {
+            Some(b) => b.push(d),
+            None => boxes.push(vec![d]),
+        }
+    }
+    for own in boxes {
+        let axes = own[0].axes.len();
+        let senses: std::collections::BTreeSet<&str> = own.iter().map(|d| d.sense.as_str()).collect();
+        if own.len() != senses.len() || senses.len() != 1 << (axes - 1) {
+            continue;
+        }
+        for i in 0..axes {
+            for j in i + 1..axes {
+                let of = |d: &&Diagonal| {
+                    let together = d.sense.as_bytes()[i] == d.sense.as_bytes()[j];
+                    let change = d.slope_um * d.along.travel_mm / (d.box_mm[i] * d.box_mm[j]) * 1000.0;
+                    if together { change } else { -change }
+                };
+                let mean = own.iter().map(of).sum::<f64>() / own.len() as f64;
+                found.insert(format!("{}.{}", own[0].axes[i], own[0].axes[j]), mean);
+            }
+        }
+    }
+    found
+}

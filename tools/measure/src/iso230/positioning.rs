@@ -1,0 +1,417 @@
+//! Accuracy and repeatability of positioning, ISO 230-2:2014.
+
+use super::conditions::REFERENCE_DEGC;
+use super::{Conditions, Expansion, Uncertainty, lacks, largest, mean_and_s, range, targets};
+use crate::plot::{Chart, Colour, Series, Style};
+use rtec_files::InputError;
+use rtec_model::record::{Axis, Column, Record, Role};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Axes longer than this are tested with one approach from each side and without s, mm (ISO 230-2:2014, 5.3.3).
+pub(crate) const LONG_AXIS_MM: f64 = 2000.0;
+/// Largest mean distance of targets on a long axis, mm.
+pub(crate) const LONG_INTERVAL_MM: f64 = 250.0;
+/// Fewest targets, on an axis and on a metre of it; and fewest approaches from each side.
+pub(crate) const FEWEST: usize = 5;
+/// µrad in an arcsecond.
+const URAD_PER_ARCSEC: f64 = std::f64::consts::PI / 648_000.0 * 1e6;
+
+/// How to evaluate.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// Runs approached from one side only give the one-sided figures instead of an error.
+    pub one_way: bool,
+    /// What the test was done under.
+    pub conditions: Conditions,
+}
+
+/// One target of a positioning run. Values in µm (of tilts in µrad) unless named otherwise.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Target {
+    /// Target position, mm.
+    pub position_mm: f64,
+    /// Mean deviation approaching upwards, x̄↑.
+    pub mean_up: Option<f64>,
+    /// Mean deviation approaching downwards, x̄↓.
+    pub mean_down: Option<f64>,
+    /// Estimator of the standard uncertainty of positioning upwards, s↑.
+    pub s_up: Option<f64>,
+    /// Estimator of the standard uncertainty of positioning downwards, s↓.
+    pub s_down: Option<f64>,
+    /// Reversal value Bᵢ = x̄↑ − x̄↓.
+    #[serde(rename = "B")]
+    pub reversal: Option<f64>,
+    /// Bidirectional repeatability of positioning at this target, Rᵢ.
+    #[serde(rename = "R")]
+    pub repeatability: Option<f64>,
+    /// Approaches upwards and downwards.
+    pub approaches: [usize; 2],
+}
+
+/// Accuracy and repeatability of positioning, ISO 230-2:2014. Values in µm, of tilts in µrad; `None` where the run has only
+/// one direction, or (without s) is a long axis.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[allow(non_snake_case)]
+#[allow(missing_docs)] // the standard's own symbols
+pub struct Positioning {
+    pub axis: String,
+    /// The response, as `error.y` or `angle_error.x.b`.
+    pub response: String,
+    /// Unit of the figures: um or urad.
+    pub unit: &'static str,
+    pub A: Option<f64>,
+    pub A_up: Option<f64>,
+    pub A_down: Option<f64>,
+    pub E: Option<f64>,
+    pub E_up: Option<f64>,
+    pub E_down: Option<f64>,
+    pub R: Option<f64>,
+    pub R_up: Option<f64>,
+    pub R_down: Option<f64>,
+    pub B: Option<f64>,
+    pub B_mean: Option<f64>,
+    pub M: Option<f64>,
+    /// The figures of a tilt in arcseconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arcsec: Option<BTreeMap<String, Option<f64>>>,
+    /// Expanded uncertainties, where the conditions state what they come from.
+    pub uncertainty: Option<Uncertainty>,
+    /// From the first target to the last, mm.
+    pub travel_mm: f64,
+    /// Which of the standard's tests it is.
+    pub test: &'static str,
+    pub targets: Vec<Target>,
+    pub warnings: Vec<String>,
+}
+
+/// Evaluates a positioning run, axis by axis.
+///
+/// # Errors
+/// As [`positioning_with`].
+pub fn positioning(record: &Record) -> Result<Vec<Positioning>, InputError> {
+    positioning_with(record, &Options::default())
+}
+
+/// Evaluates a positioning run, axis by axis: errors in µm, tilts in µrad.
+///
+/// # Errors
+/// No axis with error (or tilt), position and direction of approach; a direction that is none; position and error
+/// swapped; one side only, where that is not asked for; no target with two approaches from one side on an axis of up to
+/// 2 m; a sensor of the conditions that the record does not have.
+pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>, InputError> {
+    let mut found = Vec::new();
+    for column in &record.columns {
+        let (Role::Error(axis) | Role::AngleError(axis, _)) = &column.role else { continue };
+        let Some(position) = record.data(&Role::Position(axis.clone())) else { continue };
+        let direction = direction_of(record, axis)?;
+        swapped(record, column, position)?;
+        let mut run =
+            Run { record, axis, column, position, direction, error: column.data.clone(), notes: Vec::new() };
+        if column.unit == "arcsec" {
+            run.error.iter_mut().for_each(|v| *v *= URAD_PER_ARCSEC);
+        } else if matches!(column.role, Role::Error(_)) {
+            run.reduce(&options.conditions)?;
+        }
+        found.push(run.evaluate(options)?);
+    }
+    if found.is_empty() {
+        let expected = "columns error.AXIS (or angle_error.AXIS.ABOUT) and position.AXIS";
+        return Err(lacks(record, "no axis with both error and position", expected));
+    }
+    Ok(found)
+}
+
+/// The direction of approach of every row.
+fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputError> {
+    let role = Role::Direction(axis.clone());
+    let direction = record
+        .data(&role)
+        .or_else(|| record.data(&Role::Velocity(axis.clone())))
+        .ok_or_else(|| lacks(record, "no direction of approach", "a column of role direction.AXIS"))?;
+    let zeros = direction.iter().filter(|d| **d == 0.0).count();
+    let (ups, downs) =
+        (direction.iter().filter(|d| **d > 0.0).count(), direction.iter().filter(|d| **d < 0.0).count());
+    // A direction of 0 is a row that belongs to neither side: half of them are no accident.
+    if zeros > 0 && (ups == 0) != (downs == 0) && 4 * zeros > direction.len() {
+        let (seen, lost) = if ups > 0 { (1, "downwards") } else { (-1, "upwards") };
+        let found = format!(
+            "a {role} of only 0 ({zeros} rows) and {seen:+} ({} rows): 0 looks as if it stood for {lost}",
+            ups + downs
+        );
+        return Err(lacks(record, &found, "+1 for an approach upwards and -1 for one downwards"));
+    }
+    if ups + downs == 0 {
+        return Err(lacks(record, &format!("a {role} of 0 in every row"), "+1 upwards, -1 downwards"));
+    }
+    Ok(direction)
+}
+
+/// Targets are a few places approached again and again, errors are not: where it is the other way round, the columns are.
+fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<(), InputError> {
+    let n = position.len();
+    let (places, values) = (targets(position).len(), targets(&error.data).len());
+    let wide = |v: &[f64]| range(v.iter().map(|v| (*v, *v))).unwrap_or(0.0);
+    if n >= 10 && 2 * places > n && 4 * values <= n && values > 1 && wide(&error.data) > wide(position) {
+        let found = format!(
+            "{places} targets in {n} rows, while `{}` (role {}) has {values} values again and again: position and error \
+             look swapped",
+            error.name, error.role
+        );
+        return Err(lacks(
+            record,
+            &found,
+            "a few target positions, approached several times each, and the error there",
+        ));
+    }
+    Ok(())
+}
+
+/// One axis of a run.
+struct Run<'r> {
+    record: &'r Record,
+    axis: &'r Axis,
+    column: &'r Column,
+    position: &'r [f64],
+    direction: &'r [f64],
+    error: Vec<f64>,
+    notes: Vec<String>,
+}
+
+impl Run<'_> {
+    /// Takes off what the scale has grown, against what it was measured with: the error as it were at 20 °C.
+    fn reduce(&mut self, conditions: &Conditions) -> Result<(), InputError> {
+        let mut words = Vec::new();
+        for (body, what, sign) in
+            [(&conditions.scale, "scale", 1.0), (&conditions.workpiece, "workpiece", -1.0)]
+        {
+            let Some(Expansion { sensor, ppm_per_k }) = body else { continue };
+            let degc = self.record.temperature(sensor).ok_or_else(|| {
+                let has = self.record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
+                lacks(
+                    self.record,
+                    &format!("no temperature {sensor} for the {what} (the record has: {has})"),
+                    "the sensor that the conditions name",
+                )
+            })?;
+            for ((e, p), t) in self.error.iter_mut().zip(self.position).zip(degc) {
+                *e -= sign * ppm_per_k * (t - REFERENCE_DEGC) * p / 1000.0;
+            }
+            let mean = degc.iter().sum::<f64>() / degc.len() as f64;
+            words.push(format!("{what} {sensor} at {mean:.2} °C with {ppm_per_k} ppm/K"));
+        }
+        if !words.is_empty() {
+            self.notes.push(format!("reduced to 20 °C: {}", words.join(", ")));
+        }
+        Ok(())
+    }
+
+    fn list(&self) -> Vec<Target> {
+        let of = |rows: Vec<usize>| {
+            let side = |up: bool| -> Vec<f64> {
+                let on_side = |r: &&usize| {
+                    if up { self.direction[**r] > 0.0 } else { self.direction[**r] < 0.0 }
+                };
+                rows.iter().filter(on_side).map(|r| self.error[*r]).collect()
+            };
+            let (up, down) = (side(true), side(false));
+            let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
+            let (mean_up, mean_down) = (mean(&up), mean(&down));
+            let [s_up, s_down] = [&up, &down].map(|v| mean_and_s(v).map(|m| m.1));
+            let reversal = mean_up.zip(mean_down).map(|(u, d)| u - d);
+            let repeatability = reversal
+                .zip(s_up)
+                .zip(s_down)
+                .map(|((b, su), sd)| (2.0 * su + 2.0 * sd + b.abs()).max(4.0 * su).max(4.0 * sd));
+            Target {
+                position_mm: rows.iter().map(|r| self.position[*r]).sum::<f64>() / rows.len() as f64,
+                mean_up,
+                mean_down,
+                s_up,
+                s_down,
+                reversal,
+                repeatability,
+                approaches: [up.len(), down.len()],
+            }
+        };
+        targets(self.position).into_iter().map(of).collect()
+    }
+
+    fn evaluate(mut self, options: &Options) -> Result<Positioning, InputError> {
+        let list = self.list();
+        let role = &self.column.role;
+        let bidirectional = list.iter().any(|t| t.reversal.is_some());
+        if !bidirectional && !options.one_way {
+            let seen = |m: fn(&Target) -> Option<f64>| list.iter().any(|t| m(t).is_some());
+            let how = match (seen(|t| t.mean_up), seen(|t| t.mean_down)) {
+                (true, true) => "approached upwards or downwards, none both ways",
+                (true, false) => "approached upwards only",
+                _ => "approached downwards only",
+            };
+            let found = format!("targets of {} {how}: no A, E, R, B or M", self.axis);
+            let expected = "approaches from both sides; --one-way gives the one-sided figures alone";
+            return Err(lacks(self.record, &found, expected));
+        }
+        let span = list.last().zip(list.first()).map_or(0.0, |(b, a)| b.position_mm - a.position_mm);
+        let repeated = list.iter().any(|t| t.s_up.is_some() || t.s_down.is_some());
+        let long = span > LONG_AXIS_MM && !repeated;
+        if !repeated && !long {
+            let found = format!("no target of {} approached twice from one side", self.axis);
+            return Err(lacks(self.record, &found, "at least two cycles, better the standard's five"));
+        }
+        self.warn(&list, span, long);
+        let pick = |m: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
+            list.iter().filter_map(|t| m(t).zip(s(t))).collect()
+        };
+        let (ups, downs) = (pick(|t| t.mean_up, |t| t.s_up), pick(|t| t.mean_down, |t| t.s_down));
+        let spread = |v: &[(f64, f64)]| range(v.iter().map(|(m, s)| (m - 2.0 * s, m + 2.0 * s)));
+        let mean_range = |m: fn(&Target) -> Option<f64>| range(list.iter().filter_map(m).map(|m| (m, m)));
+        let both: Vec<(f64, f64)> = ups.iter().chain(&downs).copied().collect();
+        let means = list.iter().flat_map(|t| [t.mean_up, t.mean_down]).flatten();
+        let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
+        let only = |v: Option<f64>| v.filter(|_| bidirectional);
+        let centres = list.iter().filter_map(|t| Some(f64::midpoint(t.mean_up?, t.mean_down?)));
+        let tilt = matches!(role, Role::AngleError(..));
+        let approaches = list.iter().flat_map(|t| t.approaches).filter(|n| *n > 0).min().unwrap_or(1);
+        let uncertainty = options.conditions.uncertainty(span, approaches).filter(|_| !tilt);
+        if uncertainty.is_none() && !tilt {
+            self.notes.push("no uncertainty: --conditions with a table [uncertainty] states it".to_owned());
+        }
+        let mut found = Positioning {
+            axis: self.axis.to_string(),
+            response: role.to_string(),
+            unit: if tilt { "urad" } else { "um" },
+            A: only(spread(&both)),
+            A_up: spread(&ups),
+            A_down: spread(&downs),
+            E: only(range(means.map(|m| (m, m)))),
+            E_up: mean_range(|t| t.mean_up),
+            E_down: mean_range(|t| t.mean_down),
+            R: largest(list.iter().filter_map(|t| t.repeatability)),
+            R_up: largest(ups.iter().map(|(_, s)| 4.0 * s)),
+            R_down: largest(downs.iter().map(|(_, s)| 4.0 * s)),
+            B: largest(reversals.iter().map(|b| b.abs())),
+            B_mean: (!reversals.is_empty()).then(|| reversals.iter().sum::<f64>() / reversals.len() as f64),
+            M: only(range(centres.map(|c| (c, c)))),
+            arcsec: None,
+            uncertainty,
+            travel_mm: span,
+            test: if long { "long axis, one approach from each side" } else { "standard test cycle" },
+            targets: list,
+            warnings: self.notes,
+        };
+        if tilt {
+            let figures = found.figures();
+            found.arcsec = Some(
+                figures.iter().map(|(k, v)| ((*k).to_owned(), v.map(|v| v / URAD_PER_ARCSEC))).collect(),
+            );
+        }
+        Ok(found)
+    }
+
+    /// What the standard asks of a test and this one does not have.
+    fn warn(&mut self, list: &[Target], span: f64, long: bool) {
+        let n = list.len();
+        let interval = span / (n.max(2) - 1) as f64;
+        if span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM {
+            self.notes.push(format!(
+                "targets {interval:.0} mm apart: ISO 230-2 asks for at most {LONG_INTERVAL_MM:.0} mm on an axis of more than 2 m"
+            ));
+        }
+        if long {
+            self.notes.push(
+                "more than 2 m with one approach from each side: E, B and M only, no A and R (ISO 230-2, 5.3.3)".to_owned(),
+            );
+        } else {
+            let wanted = fewest_targets(span);
+            if n < wanted {
+                self.notes.push(format!("{n} targets on {span:.0} mm: ISO 230-2 asks for at least {wanted}"));
+            }
+            let few = list.iter().filter(|t| t.approaches.iter().any(|n| *n > 0 && *n < FEWEST)).count();
+            if few > 0 {
+                self.notes
+                    .push(format!("{few} targets with fewer than the five approaches ISO 230-2 asks for"));
+            }
+        }
+        let steps: Vec<f64> = list.windows(2).map(|w| w[1].position_mm - w[0].position_mm).collect();
+        if let (true, Some(all)) = (n > 2, range(steps.iter().map(|s| (*s, *s))))
+            && all < 1e-3 * span / n as f64
+        {
+            self.notes.push(format!(
+                "targets at equal distances of {:.4} mm: an error of that period does not show",
+                span / (n - 1) as f64
+            ));
+        }
+        let odd = list.iter().filter(|t| (t.approaches[0] == 0) != (t.approaches[1] == 0)).count();
+        if odd > 0 && odd < n {
+            self.notes.push(format!(
+                "{odd} targets approached from one side only (the ends of the travel?): not in B, R and M"
+            ));
+        }
+    }
+}
+
+/// The fewest targets on so much travel of up to 2 m.
+pub(crate) fn fewest_targets(span_mm: f64) -> usize {
+    FEWEST.max((span_mm / 1000.0 * FEWEST as f64).ceil() as usize)
+}
+
+impl Positioning {
+    /// The figures in the standard's order.
+    #[must_use]
+    pub fn figures(&self) -> [(&'static str, Option<f64>); 12] {
+        [
+            ("A", self.A),
+            ("A_up", self.A_up),
+            ("A_down", self.A_down),
+            ("E", self.E),
+            ("E_up", self.E_up),
+            ("E_down", self.E_down),
+            ("M", self.M),
+            ("R", self.R),
+            ("R_up", self.R_up),
+            ("R_down", self.R_down),
+            ("B", self.B),
+            ("B_mean", self.B_mean),
+        ]
+    }
+
+    /// The standard's diagram: mean deviations with ±2s, upwards and downwards each in its colour.
+    #[must_use]
+    pub fn chart(&self) -> Chart {
+        type Of = fn(&Target) -> Option<f64>;
+        let (unit, what) = if self.unit == "urad" { ("µrad", "tilt") } else { ("µm", "deviation") };
+        let title = match self.response.strip_prefix("angle_error.") {
+            Some(axes) => format!("Tilt {axes} (as ISO 230-2)"),
+            None => format!("Positioning of axis {} (ISO 230-2)", self.axis),
+        };
+        let mut chart =
+            Chart::new(&title, &format!("position {} (mm)", self.axis), &format!("{what} ({unit})"));
+        let of =
+            |mean: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>, k: f64| -> Vec<(f64, f64)> {
+                self.targets.iter().filter_map(|t| Some((t.position_mm, mean(t)? + k * s(t)?))).collect()
+            };
+        let line = |mean: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
+            self.targets.iter().filter_map(|t| Some((t.position_mm, mean(t)?))).collect()
+        };
+        let sides: [(&str, Colour, [Of; 2]); 2] = [
+            ("up ↑", Colour::Up, [|t| t.mean_up, |t| t.s_up]),
+            ("down ↓", Colour::Down, [|t| t.mean_down, |t| t.s_down]),
+        ];
+        for (label, colour, [mean, s]) in sides {
+            let (lo, hi) = (of(mean, s, -2.0), of(mean, s, 2.0));
+            if !lo.is_empty() {
+                let band = [lo, hi].concat();
+                chart = chart.with(Series::new(&format!("{label} ± 2s"), Style::Band, band).coloured(colour));
+            }
+            let points = line(mean);
+            if !points.is_empty() {
+                chart = chart.with(
+                    Series::new(&format!("{label} mean"), Style::Line, points.clone()).coloured(colour),
+                );
+                chart = chart.with(Series::new("", Style::Dots, points).coloured(colour));
+            }
+        }
+        chart
+    }
+}

@@ -1,0 +1,169 @@
+//! Small deviations around a circle, enlarged: round, with the scale of the deviations on it.
+
+use super::Series;
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+
+/// Deviations from a circle, drawn around it.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Polar {
+    /// What stands above it.
+    pub title: String,
+    /// The two axes of its plane; the angle runs from the first towards the second.
+    pub axes: [String; 2],
+    /// The circle's radius, mm, where it is known.
+    pub radius_mm: Option<f64>,
+    /// Series of angle (rad) and deviation (µm).
+    pub series: Vec<Series>,
+}
+
+/// Radius that stands for no deviation, and the most that a deviation takes of it, px.
+const BASE_PX: f64 = 150.0;
+const MOST_PX: f64 = 80.0;
+const CENTRE_PX: (f64, f64) = (280.0, 300.0);
+const SIZE_PX: (u32, u32) = (800, 590);
+
+/// The next of 1, 2 and 5 times a power of ten that is not below.
+pub(super) fn round_up(v: f64) -> f64 {
+    let power = 10_f64.powf(v.max(1e-9).log10().floor());
+    [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|n| *n >= v * (1.0 - 1e-9)).unwrap_or(power)
+}
+
+/// Text for SVG.
+pub(super) fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+impl Polar {
+    /// The plot as an SVG document.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        let deviations = self.series.iter().flat_map(|s| &s.points).map(|p| p.1.abs());
+        let largest = deviations.filter(|d| d.is_finite()).fold(0.0, f64::max).max(1e-3);
+        let division_um = round_up(largest / 4.0);
+        let rings = (largest / division_um).ceil().clamp(1.0, 4.0) as i32;
+        let px_per_um = MOST_PX / (division_um * f64::from(rings));
+        let (cx, cy) = CENTRE_PX;
+        let at = |angle: f64, um: f64| {
+            let r = BASE_PX + um * px_per_um;
+            (cx + r * angle.cos(), cy - r * angle.sin())
+        };
+        let (w, h) = SIZE_PX;
+        let mut out = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" height=\"{h}\" \
+             font-family=\"sans-serif\" font-size=\"13\"><rect width=\"{w}\" height=\"{h}\" fill=\"white\"/>\
+             <text x=\"{cx}\" y=\"26\" font-size=\"18\" text-anchor=\"middle\">{}</text>",
+            escaped(&self.title)
+        );
+        for ring in -rings..=rings {
+            let r = BASE_PX + f64::from(ring) * division_um * px_per_um;
+            let (width, colour) = if ring == 0 { (1.5, "#505050") } else { (1.0, "#dddddd") };
+            let _ = write!(
+                out,
+                "<circle cx=\"{cx}\" cy=\"{cy}\" r=\"{r:.2}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"{width}\"/>"
+            );
+        }
+        let reach = BASE_PX + MOST_PX + 14.0;
+        let _ = write!(
+            out,
+            "<path d=\"M{} {cy}H{}M{cx} {}V{}\" stroke=\"#bbbbbb\"/>",
+            cx - reach,
+            cx + reach,
+            cy - reach,
+            cy + reach
+        );
+        for (n, (dx, dy)) in [(0, (1.0, 0.0)), (1, (0.0, -1.0))] {
+            for (sign, s) in [("+", 1.0), ("−", -1.0)] {
+                let (x, y) = (cx + s * dx * (reach + 14.0), cy + s * dy * (reach + 12.0) + 4.0);
+                let name = escaped(&self.axes[n].to_uppercase());
+                let _ = write!(out, "<text x=\"{x}\" y=\"{y}\" text-anchor=\"middle\">{sign}{name}</text>");
+            }
+        }
+        for (place, series) in self.series.iter().enumerate() {
+            let mut line = String::new();
+            let mut last: Option<f64> = None;
+            for (angle, um) in series.points.iter().filter(|p| p.0.is_finite() && p.1.is_finite()) {
+                let (x, y) = at(*angle, *um);
+                // A jump by more than a sixth of a turn is a gap.
+                let near = |l: f64| {
+                    let d = (angle - l).rem_euclid(TAU);
+                    d.min(TAU - d) < TAU / 6.0
+                };
+                let _ = write!(line, "{}{x:.2} {y:.2}", if last.is_some_and(near) { 'L' } else { 'M' });
+                last = Some(*angle);
+            }
+            let colour = series.colour.hex(place);
+            let _ =
+                write!(out, "<path d=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\"/>");
+        }
+        // What a ring is worth, written outwards at 45°.
+        for ring in [-rings, 0, rings] {
+            let um = f64::from(ring) * division_um;
+            let name = if ring == 0 { "0".to_owned() } else { format!("{um:+}") };
+            let (x, y) = at(TAU / 8.0, um);
+            let _ = write!(
+                out,
+                "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"11\" fill=\"#505050\" stroke=\"white\" stroke-width=\"3\" \
+                 paint-order=\"stroke\">{name} µm</text>"
+            );
+        }
+        self.legend(&mut out, division_um, px_per_um);
+        out.push_str("</svg>");
+        out
+    }
+
+    fn legend(&self, out: &mut String, division_um: f64, px_per_um: f64) {
+        let mut y = 70.0;
+        let mut line = |out: &mut String, swatch: Option<(String, f64)>, text: &str| {
+            if let Some((colour, width)) = swatch {
+                let _ = write!(out, "<path d=\"M556 {y}h18\" stroke=\"{colour}\" stroke-width=\"{width}\"/>");
+            }
+            let _ = write!(out, "<text x=\"580\" y=\"{}\">{}</text>", y + 4.0, escaped(text));
+            y += 21.0;
+        };
+        for (place, s) in self.series.iter().enumerate() {
+            line(out, Some((s.colour.hex(place), 4.0)), &s.label);
+        }
+        line(out, Some(("#505050".to_owned(), 1.5)), "least-squares circle");
+        line(out, Some(("#dddddd".to_owned(), 1.5)), &format!("one division is {division_um} µm"));
+        if let Some(radius_mm) = self.radius_mm {
+            // Deviations against the circle itself, which the base circle stands for.
+            let times = px_per_um * 1000.0 * radius_mm / BASE_PX;
+            line(out, None, &format!("radius {radius_mm} mm,"));
+            line(out, None, &format!("deviations {times:.0} times enlarged"));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Colour, Style};
+    use super::*;
+
+    #[test]
+    fn a_circle_is_round_and_says_its_scale() {
+        let points: Vec<(f64, f64)> =
+            (0..360).map(|d| f64::from(d).to_radians()).map(|a| (a, 4.0 * (2.0 * a).cos())).collect();
+        let plot = Polar {
+            title: "Plane <x-y>".into(),
+            axes: ["x".into(), "y".into()],
+            radius_mm: Some(150.0),
+            series: vec![Series::new("ccw", Style::Line, points).coloured(Colour::Up)],
+        };
+        let svg = plot.svg();
+        // 80 px for 4 µm, 150 px for 150 mm.
+        for word in ["Plane &lt;x-y&gt;", "one division is 1 µm", "20000 times", "+X", "−Y", "#0072b2"] {
+            assert!(svg.contains(word), "{word}: {svg}");
+        }
+        // At 0° 4 µm outwards, at 90° 4 µm inwards.
+        assert!(svg.contains("M510.00 300.00"), "{svg}");
+        assert!(svg.contains("L280.00 230.00"), "{svg}");
+    }
+
+    #[test]
+    fn divisions_are_round_numbers() {
+        for (v, want) in [(0.9, 1.0), (1.0, 1.0), (1.1, 2.0), (2.3, 5.0), (7.0, 10.0), (0.013, 0.02)] {
+            assert!((round_up(v) - want).abs() < 1e-12, "{v}");
+        }
+    }
+}

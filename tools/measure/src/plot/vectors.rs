@@ -1,0 +1,145 @@
+//! Small displacements on a plane: both axes to one scale, the displacements to another, both stated.
+
+use super::Colour;
+use super::polar::{escaped, round_up};
+use std::fmt::Write as _;
+
+/// Displacements at places of a plane.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Vectors {
+    /// What stands above it.
+    pub title: String,
+    /// Names of both axes.
+    pub axes: [String; 2],
+    /// Places, mm, with their displacement, µm.
+    pub at: Vec<([f64; 2], [f64; 2])>,
+}
+
+const PLOT_PX: f64 = 460.0;
+const LEFT_PX: f64 = 80.0;
+const TOP_PX: f64 = 45.0;
+
+impl Vectors {
+    /// The plot as an SVG document.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        let bounds = |n: usize| {
+            let all = self.at.iter().map(|(p, _)| p[n]).filter(|v| v.is_finite());
+            all.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])
+        };
+        let (x, y) = (bounds(0), bounds(1));
+        let span = (x[1] - x[0]).max(y[1] - y[0]).max(1e-6);
+        let margin = 0.1 * span;
+        let per_mm = PLOT_PX / (span + 2.0 * margin);
+        let middle = [f64::midpoint(x[0], x[1]), f64::midpoint(y[0], y[1])];
+        let place = |p: [f64; 2]| {
+            let half = PLOT_PX / 2.0;
+            (LEFT_PX + half + (p[0] - middle[0]) * per_mm, TOP_PX + half - (p[1] - middle[1]) * per_mm)
+        };
+        // The longest takes a tenth of the plot.
+        let longest = self.at.iter().map(|(_, e)| e[0].hypot(e[1])).fold(0.0, f64::max).max(1e-6);
+        let px_per_um = 0.1 * PLOT_PX / longest;
+        let (w, h) = (800, 590);
+        let mut out = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" height=\"{h}\" \
+             font-family=\"sans-serif\" font-size=\"13\"><defs><marker id=\"tip\" viewBox=\"0 0 6 6\" refX=\"5\" refY=\"3\" \
+             markerWidth=\"5\" markerHeight=\"5\" orient=\"auto\"><path d=\"M0 0L6 3L0 6z\" fill=\"{}\"/></marker></defs>\
+             <rect width=\"{w}\" height=\"{h}\" fill=\"white\"/>\
+             <text x=\"{}\" y=\"26\" font-size=\"18\" text-anchor=\"middle\">{}</text>\
+             <rect x=\"{LEFT_PX}\" y=\"{TOP_PX}\" width=\"{PLOT_PX}\" height=\"{PLOT_PX}\" fill=\"none\" stroke=\"#999999\"/>",
+            Colour::Down.hex(0),
+            LEFT_PX + PLOT_PX / 2.0,
+            escaped(&self.title)
+        );
+        self.grid(&mut out, span + 2.0 * margin, middle, &place);
+        for (p, e) in &self.at {
+            let (px, py) = place(*p);
+            let (dx, dy) = (e[0] * px_per_um, -e[1] * px_per_um);
+            let _ = write!(
+                out,
+                "<circle cx=\"{px:.2}\" cy=\"{py:.2}\" r=\"2.2\" fill=\"{}\"/><path d=\"M{px:.2} {py:.2}l{dx:.2} {dy:.2}\" \
+                 stroke=\"{}\" stroke-width=\"1.5\" marker-end=\"url(#tip)\"/>",
+                Colour::Grey.hex(0),
+                Colour::Down.hex(0)
+            );
+        }
+        let unit_um = round_up(longest / 2.0);
+        let length = unit_um * px_per_um;
+        let x0 = LEFT_PX + PLOT_PX + 30.0;
+        let _ = write!(
+            out,
+            "<circle cx=\"{x0}\" cy=\"80\" r=\"2.2\" fill=\"{}\"/><text x=\"{}\" y=\"84\">hole</text>\
+             <path d=\"M{x0} 108h{length:.2}\" stroke=\"{}\" stroke-width=\"1.5\" marker-end=\"url(#tip)\"/>\
+             <text x=\"{x0}\" y=\"130\">this arrow is {unit_um} µm</text>\
+             <text x=\"{x0}\" y=\"150\">arrows {:.0} times enlarged</text>\
+             <text x=\"{x0}\" y=\"170\">longest: {longest:.1} µm</text></svg>",
+            Colour::Grey.hex(0),
+            x0 + 10.0,
+            Colour::Down.hex(0),
+            px_per_um * 1000.0 / per_mm
+        );
+        out
+    }
+
+    fn grid(&self, out: &mut String, span: f64, middle: [f64; 2], place: &dyn Fn([f64; 2]) -> (f64, f64)) {
+        let step = round_up(span / 7.0);
+        let ticks = |n: usize| {
+            let first = ((middle[n] - span / 2.0) / step).ceil() as i64;
+            let last = ((middle[n] + span / 2.0) / step).floor() as i64;
+            (first..=last).map(move |k| k as f64 * step)
+        };
+        let (bottom, right) = (TOP_PX + PLOT_PX, LEFT_PX + PLOT_PX);
+        for v in ticks(0) {
+            let (x, _) = place([v, middle[1]]);
+            let _ = write!(
+                out,
+                "<path d=\"M{x:.2} {TOP_PX}V{bottom}\" stroke=\"#eeeeee\"/>\
+                 <text x=\"{x:.2}\" y=\"{}\" text-anchor=\"middle\">{v}</text>",
+                bottom + 18.0
+            );
+        }
+        for v in ticks(1) {
+            let (_, y) = place([middle[0], v]);
+            let _ = write!(
+                out,
+                "<path d=\"M{LEFT_PX} {y:.2}H{right}\" stroke=\"#eeeeee\"/>\
+                 <text x=\"{}\" y=\"{:.2}\" text-anchor=\"end\">{v}</text>",
+                LEFT_PX - 6.0,
+                y + 4.0
+            );
+        }
+        let centre = (LEFT_PX + PLOT_PX / 2.0, TOP_PX + PLOT_PX / 2.0);
+        let [a, b] = &self.axes;
+        let _ = write!(
+            out,
+            "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{} (mm)</text>\
+             <text x=\"22\" y=\"{}\" text-anchor=\"middle\" transform=\"rotate(-90 22 {})\">{} (mm)</text>",
+            centre.0,
+            bottom + 40.0,
+            escaped(a),
+            centre.1,
+            centre.1,
+            escaped(b)
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrows_say_how_long_they_are() {
+        let plot = Vectors {
+            title: "Plate".into(),
+            axes: ["x".into(), "y".into()],
+            at: vec![([0.0, 0.0], [10.0, 0.0]), ([100.0, 50.0], [0.0, -5.0])],
+        };
+        let svg = plot.svg();
+        for word in ["Plate", "x (mm)", "y (mm)", "this arrow is 5 µm", "longest: 10.0 µm"] {
+            assert!(svg.contains(word), "{word}: {svg}");
+        }
+        // Both axes to one scale: 460 px for 120 mm; 46 px for 10 µm are 1200 times as much.
+        assert!(svg.contains("1200 times"), "{svg}");
+    }
+}

@@ -1,0 +1,246 @@
+//! What an evaluation says to a person: conditions, tables and plots in the standard's order, as text for a terminal and as
+//! one HTML file that prints to A4.
+
+mod of;
+
+pub use of::{ballbar, diagonals, drift, plate, positioning, repeatability};
+
+use crate::iso230::Conditions;
+use crate::plot::PlotError;
+use rtec_model::record::Record;
+use std::fmt::Write as _;
+
+/// A table; columns whose name starts with `#` hold numbers and stand right.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Table {
+    /// What it shows.
+    pub title: String,
+    /// Names of the columns, with units.
+    pub head: Vec<String>,
+    /// Cells as they are to be read.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// An empty table.
+    #[must_use]
+    pub fn new(title: &str, head: &[&str]) -> Self {
+        let head = head.iter().map(|h| (*h).to_owned()).collect();
+        Self { title: title.to_owned(), head, rows: Vec::new() }
+    }
+
+    /// Adds a row.
+    pub fn row(&mut self, cells: impl IntoIterator<Item = impl Into<String>>) {
+        self.rows.push(cells.into_iter().map(Into::into).collect());
+    }
+
+    fn numeric(&self, column: usize) -> bool {
+        self.head.get(column).is_some_and(|h| h.starts_with('#'))
+    }
+
+    fn name(&self, column: usize) -> &str {
+        self.head.get(column).map_or("", |h| h.trim_start_matches('#'))
+    }
+}
+
+/// A section: a table, or a plot with what it shows.
+#[derive(Debug, Clone, PartialEq)]
+enum Section {
+    Table(Table),
+    Plot(String),
+}
+
+/// A report.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Report {
+    /// What was evaluated, by which standard.
+    pub title: String,
+    /// Records, conditions and instrument, as pairs of name and value.
+    facts: Vec<(String, String)>,
+    /// What to know before using it.
+    warnings: Vec<String>,
+    sections: Vec<Section>,
+}
+
+impl Report {
+    fn new(title: &str, records: &[Record], conditions: &Conditions) -> Self {
+        let mut facts = Vec::new();
+        for r in records {
+            let name = r.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+            let date = r.date.as_ref().map(|d| format!(", {d}")).unwrap_or_default();
+            let note = r.note.as_ref().map(|n| format!(", {n}")).unwrap_or_default();
+            let hash = r.sha256.get(..12).map(|h| format!(", SHA-256 {h}…")).unwrap_or_default();
+            facts.push(("record".to_owned(), format!("{name}, {} rows{date}{hash}{note}", r.rows())));
+        }
+        facts.extend(conditions.words.iter().cloned());
+        facts.extend(conditions.instrument.iter().map(|(k, v)| (format!("instrument {k}"), v.clone())));
+        for r in records {
+            for c in r.columns.iter().filter(|c| c.role == rtec_model::record::Role::Temperature) {
+                let [lo, hi] = c
+                    .data
+                    .iter()
+                    .fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
+                facts.push((format!("temperature {}", c.name), format!("{lo:.2} to {hi:.2} °C")));
+            }
+        }
+        Self { title: title.to_owned(), facts, warnings: Vec::new(), sections: Vec::new() }
+    }
+
+    fn table(&mut self, table: Table) {
+        if !table.rows.is_empty() {
+            self.sections.push(Section::Table(table));
+        }
+    }
+
+    fn plot(&mut self, svg: Result<String, PlotError>) -> Result<(), PlotError> {
+        self.sections.push(Section::Plot(svg?));
+        Ok(())
+    }
+
+    /// Its plots, as SVG documents.
+    pub fn plots(&self) -> impl Iterator<Item = &str> {
+        self.sections.iter().filter_map(|s| match s {
+            Section::Plot(svg) => Some(svg.as_str()),
+            Section::Table(_) => None,
+        })
+    }
+
+    /// What to know before using it.
+    #[must_use]
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// As text, without the plots.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = format!("{}\n", self.title);
+        for s in &self.sections {
+            let Section::Table(t) = s else { continue };
+            let _ = write!(out, "\n{}\n", t.title);
+            let width = |c: usize| {
+                let cells = t.rows.iter().filter_map(|r| r.get(c)).map(|x| x.chars().count());
+                cells.chain([t.name(c).chars().count()]).max().unwrap_or(0)
+            };
+            let widths: Vec<usize> = (0..t.head.len()).map(width).collect();
+            let mut line = |cells: &mut dyn Iterator<Item = &str>| {
+                let mut text = String::new();
+                for (c, cell) in cells.enumerate() {
+                    let pad = " ".repeat(widths.get(c).map_or(0, |w| w.saturating_sub(cell.chars().count())));
+                    let _ = if t.numeric(c) {
+                        write!(text, "  {pad}{cell}")
+                    } else {
+                        write!(text, "  {cell}{pad}")
+                    };
+                }
+                out.push_str(text.trim_end());
+                out.push('\n');
+            };
+            line(&mut (0..t.head.len()).map(|c| t.name(c)));
+            for row in &t.rows {
+                line(&mut row.iter().map(String::as_str));
+            }
+        }
+        out
+    }
+
+    /// As one HTML file: nothing is fetched, and it prints to A4.
+    #[must_use]
+    pub fn html(&self) -> String {
+        let mut h = String::new();
+        let _ = write!(
+            h,
+            "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>\
+             @page{{size:A4;margin:14mm 15mm}}\
+             body{{font:14px/1.4 system-ui,sans-serif;color:#1c2733;max-width:820px;margin:1.5em auto;padding:0 1em}}\
+             h1{{font-size:1.45em;margin:0 0 .5em}}h2{{font-size:1.08em;margin:1.5em 0 .35em;border-bottom:1px solid #ccd5de;\
+             break-after:avoid}}\
+             table{{border-collapse:collapse;width:100%}}\
+             td,th{{text-align:left;padding:.2em .7em .2em 0;border-bottom:1px solid #e6ebf0;vertical-align:top}}\
+             th{{font-weight:600;border-bottom-color:#9aa7b3}}\
+             td.n,th.n{{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}}\
+             thead{{display:table-header-group}}tr,figure{{break-inside:avoid}}\
+             .facts td:first-child{{color:#5b6b7b;width:14em}}\
+             .warn{{background:#fff6e5;border-left:4px solid #e69f00;padding:.4em .8em;margin:.6em 0}}\
+             figure{{margin:1.2em 0}}figure svg{{display:block;width:100%;height:auto}}\
+             @media print{{body{{font-size:10.5pt;max-width:none;margin:0;padding:0}}\
+             *{{print-color-adjust:exact;-webkit-print-color-adjust:exact}}figure{{margin:.8em 0}}}}\
+             </style></head><body><h1>{0}</h1>",
+            escape(&self.title)
+        );
+        if !self.facts.is_empty() {
+            h.push_str("<table class=\"facts\">");
+            for (name, value) in &self.facts {
+                let _ = write!(h, "<tr><td>{}</td><td>{}</td></tr>", escape(name), escape(value));
+            }
+            h.push_str("</table>");
+        }
+        for w in &self.warnings {
+            let _ = write!(h, "<p class=\"warn\">{}</p>", escape(w));
+        }
+        for s in &self.sections {
+            match s {
+                Section::Plot(svg) => {
+                    let _ = write!(h, "<figure>{svg}</figure>");
+                }
+                Section::Table(t) => table_html(&mut h, t),
+            }
+        }
+        let _ = writeln!(
+            h,
+            "<p><small>rtecctl {}, characterise evaluate</small></p></body></html>",
+            env!("CARGO_PKG_VERSION")
+        );
+        h
+    }
+}
+
+fn table_html(h: &mut String, t: &Table) {
+    let class = |c: usize| if t.numeric(c) { " class=\"n\"" } else { "" };
+    let _ = write!(h, "<h2>{}</h2><table><thead><tr>", escape(&t.title));
+    for c in 0..t.head.len() {
+        let _ = write!(h, "<th{}>{}</th>", class(c), escape(t.name(c)));
+    }
+    h.push_str("</tr></thead><tbody>");
+    for row in &t.rows {
+        h.push_str("<tr>");
+        for (c, cell) in row.iter().enumerate() {
+            let _ = write!(h, "<td{}>{}</td>", class(c), escape(cell));
+        }
+        h.push_str("</tr>");
+    }
+    h.push_str("</tbody></table>");
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_and_page_hold_the_same_cells() {
+        let mut report = Report { title: "Axis <y>".into(), ..Report::default() };
+        let mut table = Table::new("Figures", &["figure", "#value (µm)"]);
+        table.row(["A", "12.30"]);
+        table.row(["mean B", "-1.05"]);
+        report.table(table);
+        report.table(Table::new("nothing in it", &["a"]));
+        assert_eq!(
+            report.text(),
+            "Axis <y>\n\nFigures\n  figure  value (µm)\n  A            12.30\n  mean B       -1.05\n"
+        );
+        let html = report.html();
+        for words in [
+            "<h1>Axis &lt;y&gt;</h1>",
+            "<th class=\"n\">value (µm)</th>",
+            "<td class=\"n\">-1.05</td>",
+            "@page{size:A4",
+        ] {
+            assert!(html.contains(words), "{words}: {html}");
+        }
+        assert!(!html.contains("nothing in it") && !html.contains("http://") && !html.contains("https://"));
+    }
+}

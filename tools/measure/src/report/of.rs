@@ -1,0 +1,372 @@
+//! The reports of the evaluations, each in its standard's order.
+
+use super::{Report, Table};
+use crate::ballbar::{Ballbar, Contour};
+use crate::iso230::{self, Conditions, Diagonals, Drift, Figures, Positioning};
+use crate::plate::Plate;
+use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
+use rtec_model::record::Record;
+use std::collections::BTreeMap;
+
+const PLOT: (u32, u32) = (900, 480);
+
+/// µm (or µrad) with two decimals, with one from 100 on; nothing is a dash.
+fn um(v: impl Into<Option<f64>>) -> String {
+    v.into().map_or_else(|| "–".to_owned(), |v| fixed(v, if v.abs() >= 99.95 { 1 } else { 2 }))
+}
+
+/// A number with so many decimals; what rounds to zero has no sign.
+fn fixed(v: f64, decimals: usize) -> String {
+    let text = format!("{v:.decimals$}");
+    if text.bytes().any(|b| (b'1'..=b'9').contains(&b)) {
+        text
+    } else {
+        text.trim_start_matches('-').to_owned()
+    }
+}
+
+fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
+    of.map_or_else(
+        || "–".to_owned(),
+        |[lo, hi]| format!("{} … {}", fixed(*lo, decimals), fixed(*hi, decimals)),
+    )
+}
+
+/// Symbols of ISO 230-2 as the standard writes them, and what they are.
+fn meaning(symbol: &str) -> (&'static str, &'static str) {
+    match symbol {
+        "A" => ("A", "accuracy of positioning, both ways"),
+        "A_up" => ("A↑", "accuracy of positioning upwards"),
+        "A_down" => ("A↓", "accuracy of positioning downwards"),
+        "E" => ("E", "systematic deviation, both ways"),
+        "E_up" => ("E↑", "systematic deviation upwards"),
+        "E_down" => ("E↓", "systematic deviation downwards"),
+        "M" => ("M", "range of the mean deviation"),
+        "R" => ("R", "repeatability, both ways"),
+        "R_up" => ("R↑", "repeatability upwards"),
+        "R_down" => ("R↓", "repeatability downwards"),
+        "B" => ("B", "reversal, the largest"),
+        _ => ("mean B", "reversal, the mean (up minus down)"),
+    }
+}
+
+/// Positioning: figures with their uncertainty, targets, contributors.
+///
+/// # Errors
+/// A plot without a finite point.
+pub fn positioning(
+    all: &[Positioning],
+    records: &[Record],
+    conditions: &Conditions,
+) -> Result<Report, PlotError> {
+    let axes: Vec<&str> = all.iter().map(|p| p.axis.as_str()).collect();
+    let title = format!("Positioning of {} (ISO 230-2)", axes.join(", "));
+    let mut report = Report::new(&title, records, conditions);
+    for p in all {
+        report.warnings.extend(p.warnings.iter().map(|w| format!("{}: {w}", p.response)));
+        add_positioning(&mut report, p)?;
+    }
+    Ok(report)
+}
+
+fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError> {
+    let unit = if p.unit == "urad" { "µrad" } else { "µm" };
+    let title = format!("{}: {} over {:.1} mm, {} targets", p.response, p.test, p.travel_mm, p.targets.len());
+    let (value, u) = (format!("#value ({unit})"), format!("#U, k = 2 ({unit})"));
+    let mut head = vec!["symbol", "figure", value.as_str()];
+    if p.uncertainty.is_some() {
+        head.push(&u);
+    }
+    if p.arcsec.is_some() {
+        head.push("#arcsec");
+    }
+    let mut table = Table::new(&title, &head);
+    for (symbol, v) in p.figures() {
+        let (short, words) = meaning(symbol);
+        let mut row = vec![short.to_owned(), words.to_owned(), um(v)];
+        if let Some(u) = &p.uncertainty {
+            row.push(um(u.of(symbol).filter(|_| v.is_some())));
+        }
+        if let Some(arcsec) = &p.arcsec {
+            row.push(um(arcsec.get(symbol).copied().flatten()));
+        }
+        table.row(row);
+    }
+    report.table(table);
+    report.plot(p.chart().svg(PLOT.0, PLOT.1))?;
+    let title = format!("{}: targets, values in {unit}", p.response);
+    let head = ["#i", "#position (mm)", "#n↑", "#n↓", "#mean ↑", "#s ↑", "#mean ↓", "#s ↓", "#B", "#R"];
+    let mut table = Table::new(&title, &head);
+    for (i, t) in p.targets.iter().enumerate() {
+        let counts = t.approaches.map(|n| n.to_string());
+        let figures = [t.mean_up, t.s_up, t.mean_down, t.s_down, t.reversal, t.repeatability].map(um);
+        let start = [(i + 1).to_string(), format!("{:.3}", t.position_mm)];
+        table.row(start.into_iter().chain(counts).chain(figures));
+    }
+    report.table(table);
+    if let Some(u) = &p.uncertainty {
+        let title = format!("Uncertainty over {:.0} mm (ISO/TR 230-9)", u.length_mm);
+        let mut table = Table::new(&title, &["contributor", "#U, k = 2 (µm)"]);
+        for c in &u.contributors {
+            table.row([c.name.clone(), um(c.u_um)]);
+        }
+        report.table(table);
+    }
+    Ok(())
+}
+
+/// Circular tests: contours, and what makes their deviations.
+///
+/// # Errors
+/// None at present: a circle is always drawn.
+pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) -> Result<Report, PlotError> {
+    let names: Vec<&str> = planes.iter().map(|b| b.plane.as_str()).collect();
+    let title = format!("Circular test in plane {} (ISO 230-4)", names.join(", "));
+    let mut report = Report::new(&title, records, conditions);
+    for b in planes {
+        report.warnings.extend(b.warnings.iter().map(|w| format!("{}: {w}", b.plane)));
+        let radius = b.radius_mm.map(|r| format!(", radius {r} mm")).unwrap_or_default();
+        let mut table =
+            Table::new(&format!("Plane {}{radius}", b.plane), &["symbol", "figure", "#value (µm)"]);
+        for (symbol, words, v) in [
+            ("G ccw", "circular deviation, counter-clockwise", b.g_ccw),
+            ("G cw", "circular deviation, clockwise", b.g_cw),
+            ("G(b)", "bi-directional circular deviation", b.g_b),
+            ("F max", "largest radial deviation", Some(b.f_max)),
+            ("F min", "smallest radial deviation", Some(b.f_min)),
+            ("D", "mean bi-directional radial deviation", b.d),
+            ("H", "hysteresis, largest difference of both ways", b.h),
+        ] {
+            table.row([symbol.to_owned(), words.to_owned(), um(v)]);
+        }
+        report.table(table);
+        diagnosis(&mut report, b);
+        for plot in circles(b) {
+            report.plot(Ok(plot.svg()))?;
+        }
+        let (first, second) = b.plane.split_once('-').unwrap_or(("first", "second"));
+        let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
+        let head =
+            ["record", "way", "#feed (mm/min)", "#turned (°)", "#G", "#F max", "#F min", &cx, &cy, "#radius"];
+        let mut table = Table::new(&format!("Contours in plane {}, values in µm", b.plane), &head);
+        for c in &b.contours {
+            let feed = c.feed_mm_per_min.map_or_else(|| "–".to_owned(), |f| format!("{f:.0}"));
+            let figures = [c.g, c.f_max, c.f_min, c.centre_um[0], c.centre_um[1], c.radius_um].map(um);
+            let start = [c.record.clone(), c.direction.to_owned(), feed, format!("{:.0}", c.turned_deg)];
+            table.row(start.into_iter().chain(figures));
+        }
+        report.table(table);
+    }
+    Ok(report)
+}
+
+fn diagnosis(report: &mut Report, b: &Ballbar) {
+    let d = &b.diagnosis;
+    let head = ["cause", "#value", "unit", "#95 % interval", "#makes (µm)"];
+    let mut table = Table::new(&format!("What makes it, plane {}", b.plane), &head);
+    let share = |cause: &str| um(d.contributions.iter().find(|c| c.cause == cause).map(|c| c.um));
+    let mut add = |cause: &str, key: &str, v: Option<f64>, unit: &str, decimals: usize| {
+        if let Some(v) = v {
+            let shown = interval(d.interval_95.get(key), decimals);
+            table.row([cause.to_owned(), fixed(v, decimals), unit.to_owned(), shown, share(cause)]);
+        }
+    };
+    add("scale mismatch", "scale_mismatch_ppm", d.scale_mismatch_ppm, "ppm", 1);
+    add("squareness", "squareness_urad", d.squareness_urad, "µrad", 1);
+    for (axis, v) in &d.reversal {
+        add(&format!("reversal {axis}"), &format!("reversal.{axis}"), Some(*v), "µm", 2);
+    }
+    for (axis, s) in &d.spike {
+        add(&format!("reversal spike {axis}"), &format!("spike.{axis}.um"), Some(s.um), "µm", 2);
+        add("its length", &format!("spike.{axis}.length_mm"), Some(s.length_mm), "mm", 2);
+    }
+    add("servo mismatch", "servo_mismatch_ms", d.servo_mismatch_ms, "ms", 3);
+    for (axis, c) in &d.cyclic {
+        add(&format!("cyclic error {axis}"), &format!("cyclic.{axis}.um"), Some(c.um), "µm", 2);
+        add("its period", &format!("cyclic.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
+    }
+    if let Some((a, c)) = b.plane.split_once('-') {
+        add(&format!("centre {a}"), &format!("centre_um.{a}"), Some(d.centre_um[0]), "µm", 2);
+        add(&format!("centre {c}"), &format!("centre_um.{c}"), Some(d.centre_um[1]), "µm", 2);
+    }
+    add("mean radius", "radius_um", Some(d.radius_um), "µm", 2);
+    add("left over (RMS)", "", Some(d.rms).filter(|_| !d.interval_95.is_empty()), "µm", 2);
+    report.table(table);
+}
+
+/// One plot for each feed.
+fn circles(b: &Ballbar) -> Vec<Polar> {
+    let mut feeds: BTreeMap<i64, Vec<&Contour>> = BTreeMap::new();
+    for c in &b.contours {
+        // Feeds within some per cent are one.
+        let feed = c.feed_mm_per_min.map_or(0, |f| (f.max(1e-9).ln() * 10.0).round() as i64);
+        feeds.entry(feed).or_default().push(c);
+    }
+    let (a, c) = b.plane.split_once('-').unwrap_or(("", ""));
+    let of = |contours: Vec<&Contour>| {
+        let feed = contours[0].feed_mm_per_min.map(|f| format!(" at {f:.0} mm/min")).unwrap_or_default();
+        let series = contours.iter().map(|c| {
+            let (name, colour) = match c.direction {
+                "ccw" => ("counter-clockwise", Colour::Up),
+                _ => ("clockwise", Colour::Down),
+            };
+            Series::new(name, Style::Line, c.trace.clone()).coloured(colour)
+        });
+        Polar {
+            title: format!("Plane {}{feed}: deviation from the circle", b.plane),
+            axes: [a.to_owned(), c.to_owned()],
+            radius_mm: b.radius_mm,
+            series: series.collect(),
+        }
+    };
+    feeds.into_values().map(of).collect()
+}
+
+/// Thermal drift: the whole test, then phase by phase, each sensor.
+///
+/// # Errors
+/// A plot without a finite point.
+pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
+    let mut report = Report::new("Thermal effects (ISO 230-3)", std::slice::from_ref(record), conditions);
+    let head = ["response", "#time (min)", "#d60", "#dt", "#last hour", "#end", "#µm/h", "#most µm/h"];
+    let cells = |f: &Figures| {
+        let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h, f.max_rate_per_h].map(um);
+        std::iter::once(format!("{:.0}", f.t_min)).chain(own).collect::<Vec<_>>()
+    };
+    let mut table = Table::new("The whole test, displacements in µm", &head);
+    for d in all {
+        table.row(std::iter::once(d.response.clone()).chain(cells(&d.whole)));
+    }
+    report.table(table);
+    for chart in iso230::drift_charts(record) {
+        report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    }
+    let count = all.first().map_or(0, |d| d.phases.len());
+    for i in 0..count {
+        let Some(p) = all.first().and_then(|d| d.phases.get(i)) else { continue };
+        let at = p.at_mm.map(|mm| format!(", read at {mm:.1} mm")).unwrap_or_default();
+        let title = format!("Phase from {:.0} min: {}{at}, displacements in µm", p.from_min, p.what);
+        let mut table = Table::new(&title, &head);
+        for d in all {
+            if let Some(p) = d.phases.get(i) {
+                table.row(std::iter::once(d.response.clone()).chain(cells(&p.figures)));
+            }
+        }
+        report.table(table);
+        let title = format!("Sensors in that phase ({})", p.what);
+        let mut names =
+            vec!["sensor".to_owned(), "#range (K)".to_owned(), "#end (K)".to_owned(), "#K/h".to_owned()];
+        names.extend(all.iter().map(|d| format!("#γ {}", d.response)));
+        let mut table = Table { title, head: names, rows: Vec::new() };
+        for (sensor, s) in &p.figures.temperatures {
+            let own =
+                [format!("{:.2}", s.range_k), format!("{:+.2}", s.end_k), format!("{:+.2}", s.rate_k_per_h)];
+            let gammas = all.iter().map(|d| {
+                let s = d.phases.get(i).and_then(|p| p.figures.temperatures.get(sensor));
+                s.map_or_else(|| "–".to_owned(), |s| format!("{:+.3}", s.gamma))
+            });
+            table.row(std::iter::once(sensor.clone()).chain(own).chain(gammas));
+        }
+        report.table(table);
+    }
+    Ok(report)
+}
+
+/// Diagonals: the box's figures, then each diagonal's.
+///
+/// # Errors
+/// A plot without a finite point.
+pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> Result<Report, PlotError> {
+    let title = format!("Positioning on {} diagonals (ISO 230-6)", d.kind);
+    let mut report = Report::new(&title, records, conditions);
+    report.warnings.clone_from(&d.warnings);
+    let mut table = Table::new("The diagonals together", &["figure", "#value", "unit"]);
+    table.row(["largest systematic deviation E of a diagonal".to_owned(), um(d.e_d), "µm".to_owned()]);
+    table.row(["largest accuracy A of a diagonal".to_owned(), um(d.a_d), "µm".to_owned()]);
+    table.row(["largest reversal B of a diagonal".to_owned(), um(d.b_d), "µm".to_owned()]);
+    table.row(["mean scale along the diagonals".to_owned(), format!("{:.1}", d.scale_ppm), "ppm".to_owned()]);
+    for (pair, v) in &d.squareness_urad {
+        table.row([format!("squareness.{pair}"), format!("{v:.1}"), "µrad".to_owned()]);
+    }
+    report.table(table);
+    let head = ["diagonal", "axes", "#length (mm)", "#A", "#E", "#M", "#R", "#B", "#mean B", "#end to end"];
+    let mut table = Table::new("Each diagonal, values in µm", &head);
+    let mut chart =
+        Chart::new("Mean deviation along each diagonal", "distance along it (mm)", "deviation (µm)");
+    for x in &d.diagonals {
+        let p = &x.along;
+        let own = [p.A, p.E, p.M, p.R, p.B, p.B_mean, Some(x.slope_um)].map(um);
+        let start = [x.sense.clone(), x.axes.join(" "), format!("{:.1}", p.travel_mm)];
+        table.row(start.into_iter().chain(own));
+        let mean = p.targets.iter().filter_map(|t| {
+            let known: Vec<f64> = [t.mean_up, t.mean_down].into_iter().flatten().collect();
+            (!known.is_empty()).then(|| (t.position_mm, known.iter().sum::<f64>() / known.len() as f64))
+        });
+        chart = chart.with(Series::new(&x.sense, Style::Line, mean.collect()));
+    }
+    report.table(table);
+    report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    for x in &d.diagonals {
+        let mut chart = x.along.chart();
+        chart.title = format!("Diagonal {} of {} (ISO 230-6)", x.sense, x.axes.join(", "));
+        "distance along it (mm)".clone_into(&mut chart.x);
+        report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    }
+    Ok(report)
+}
+
+/// A plate of holes.
+///
+/// # Errors
+/// None at present: arrows are always drawn.
+pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
+    let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
+    report.warnings.push(p.remark.clone());
+    let mut table =
+        Table::new(&format!("{} holes, measured against nominal", p.holes), &["figure", "#value", "unit"]);
+    for (name, value, unit) in [
+        ("offset x", format!("{:.4}", p.offset_mm[0]), "mm"),
+        ("offset y", format!("{:.4}", p.offset_mm[1]), "mm"),
+        ("scale", format!("{:+.1}", p.scale_ppm), "ppm"),
+        ("scale as a temperature of aluminium", format!("{:+.2}", p.scale_as_aluminium_k), "K"),
+        ("rotation, counter-clockwise", format!("{:+.1}", p.rotation_urad), "µrad"),
+        ("rotation, counter-clockwise", format!("{:+.4}", p.rotation_deg), "°"),
+        ("left over after these (RMS length)", um(p.rms_um), "µm"),
+        ("quadrupole: longer along its angle, shorter across", format!("{:.1}", p.quadrupole_ppm), "ppm"),
+        ("angle of the quadrupole from x", format!("{:.1}", p.quadrupole_deg), "°"),
+        ("left over after the quadrupole too", um(p.rms_quadrupole_um), "µm"),
+    ] {
+        table.row([name.to_owned(), value, unit.to_owned()]);
+    }
+    for (diameter, v) in &p.rms_um_by_diameter {
+        table.row([format!("left over, holes of {diameter} mm"), um(*v), "µm".to_owned()]);
+    }
+    report.table(table);
+    report.plot(Ok(p.plot(record).svg()))?;
+    Ok(report)
+}
+
+/// Returning to one position: standard deviation and range.
+///
+/// # Errors
+/// A plot without a finite point.
+pub fn repeatability(
+    axes: &BTreeMap<String, [f64; 2]>,
+    record: &Record,
+    conditions: &Conditions,
+) -> Result<Report, PlotError> {
+    let mut report = Report::new("Returning to one position", std::slice::from_ref(record), conditions);
+    let head = ["axis", "#returns", "#standard deviation s (µm)", "#4 s (µm)", "#range (µm)"];
+    let mut table = Table::new("Repeatability per axis", &head);
+    for (axis, [s, range]) in axes {
+        table.row([axis.clone(), record.rows().to_string(), um(*s), um(4.0 * s), um(*range)]);
+    }
+    report.table(table);
+    let mut chart = Chart::new("Returning to one position", "return (number)", "error (µm)");
+    for c in record.responses() {
+        let points = c.data.iter().enumerate().map(|(i, e)| (i as f64 + 1.0, *e)).collect();
+        chart = chart.with(Series::new(&c.role.to_string(), Style::Dots, points));
+    }
+    report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    Ok(report)
+}

@@ -1,0 +1,293 @@
+//! Positioning by ISO 230-2, against numpy and by hand.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_measure::iso230::{Conditions, Options, Positioning, diagonals, positioning, positioning_with};
+use rtec_model::record::{Column, Kind, Record, Role};
+use std::path::Path;
+use std::process::Command;
+
+fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
+    Column::new(name, Role::parse(role).unwrap(), data)
+}
+
+fn uniform(state: &mut u64) -> f64 {
+    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    (*state >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+/// Rows (target, direction) of so many cycles up and down these targets.
+fn cycles(targets: &[f64], count: usize) -> Vec<(f64, f64)> {
+    let up = targets.iter().map(|t| (*t, 1.0));
+    let down = targets.iter().rev().map(|t| (*t, -1.0));
+    let one: Vec<_> = up.chain(down).collect();
+    std::iter::repeat_n(one, count).flatten().collect()
+}
+
+fn uneven(length_mm: f64, count: usize) -> Vec<f64> {
+    let step = length_mm / (count - 1) as f64;
+    (0..count).map(|k| k as f64 * step + 0.03 * step * ((k * 3) % 5) as f64).collect()
+}
+
+fn run(rows: &[(f64, f64)], error: impl FnMut((f64, f64)) -> f64) -> Record {
+    let columns = vec![
+        column("y", "position.y", rows.iter().map(|r| r.0).collect()),
+        column("dir", "direction.y", rows.iter().map(|r| r.1).collect()),
+        column("e", "error.y", rows.iter().copied().map(error).collect()),
+    ];
+    Record::new(Path::new("y.run.toml"), Kind::Positioning, columns).unwrap()
+}
+
+fn noisy(rows: &[(f64, f64)]) -> Record {
+    let mut state = 9;
+    run(rows, |(p, way)| 0.02 * p + 5.0 * (p / 70.0).sin() + 2.0 * way + 3.0 * (uniform(&mut state) - 0.5))
+}
+
+const CONDITIONS: &str = "[uncertainty]\ndevice_um = 0.3\ndevice_um_per_m = 0.8\nmisalignment_mm = 1.5\nmachine_temperature_K = 0.4\n\
+                          machine_ppm_per_K = 11.0\nmachine_expansion_ppm_per_K = 2.0\nmachine_off_20_K = 3.0\ndrift_um = 1.7\n\
+                          set_up_um = 0.5\n";
+
+#[test]
+fn numpy_finds_the_same() {
+    let record = noisy(&cycles(&uneven(800.0, 9), 5));
+    let conditions = Conditions::parse(Path::new("c.toml"), CONDITIONS).unwrap();
+    let found = &positioning_with(&record, &Options { conditions, ..Options::default() }).unwrap()[0];
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("y.csv");
+    std::fs::write(&csv, rtec_measure::record::to_csv(&record)).unwrap();
+    let judge = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/judges/iso230_2.py");
+    let stated = CONDITIONS.lines().skip(1).map(|l| l.replace(' ', ""));
+    // The distribution's own interpreter, which the distribution's numpy belongs to.
+    let out =
+        Command::new("/usr/bin/python3").arg(judge).arg(csv).args(["y", "dir", "e"]).args(stated).output();
+    let out = match out {
+        Ok(out) if out.status.success() => String::from_utf8(out.stdout).unwrap(),
+        Ok(out) if String::from_utf8_lossy(&out.stderr).contains("ModuleNotFoundError") => {
+            eprintln!("SKIPPED: no numpy (apt-get install python3-numpy)");
+            return;
+        }
+        Ok(out) => panic!("{}", String::from_utf8_lossy(&out.stderr)),
+        Err(e) => {
+            eprintln!("SKIPPED: no /usr/bin/python3 ({e})");
+            return;
+        }
+    };
+    let number = |text: &str, key: &str| -> f64 {
+        let at = text.find(&format!("\"{key}\": ")).unwrap() + key.len() + 4;
+        text[at..].split([',', '}']).next().unwrap().trim().parse().unwrap()
+    };
+    let (figures, uncertainties) = out.split_once("\"U\"").unwrap();
+    for (name, value) in found.figures() {
+        let (got, want) = (value.unwrap(), number(figures, name));
+        assert!((got - want).abs() < 1e-9, "{name}: {got} and {want}");
+    }
+    let u = found.uncertainty.as_ref().unwrap();
+    for name in ["A", "E", "R", "R_up", "B", "M"] {
+        let (got, want) = (u.of(name).unwrap(), number(uncertainties, name));
+        // The judge takes the cosine error by the hypotenuse.
+        assert!((got - want).abs() < 1e-5, "{name}: {got} and {want}");
+    }
+}
+
+fn error_of(record: &Record) -> String {
+    let e = positioning(record).unwrap_err();
+    format!("{e}")
+}
+
+#[test]
+fn one_way_refuses_two_sided_figures() {
+    let rows: Vec<_> = cycles(&uneven(800.0, 9), 5).into_iter().filter(|r| r.1 > 0.0).collect();
+    let record = noisy(&rows);
+    let e = error_of(&record);
+    assert!(e.contains("upwards only") && e.contains("--one-way"), "{e}");
+    let found = &positioning_with(&record, &Options { one_way: true, ..Options::default() }).unwrap()[0];
+    assert!(found.A_up.is_some() && found.E_up.is_some() && found.R_up.is_some());
+    assert!([found.A, found.E, found.R, found.B, found.B_mean, found.M].iter().all(Option::is_none));
+}
+
+#[test]
+fn a_direction_of_0_and_1_is_named() {
+    let rows: Vec<_> =
+        cycles(&uneven(800.0, 9), 5).into_iter().map(|(p, w)| (p, if w > 0.0 { 1.0 } else { 0.0 })).collect();
+    let e = error_of(&noisy(&rows));
+    assert!(e.contains("only 0 (45 rows) and +1 (45 rows)") && e.contains("stood for downwards"), "{e}");
+    let rows: Vec<_> = rows.into_iter().map(|(p, _)| (p, 0.0)).collect();
+    assert!(error_of(&noisy(&rows)).contains("0 in every row"));
+}
+
+#[test]
+fn swapped_columns_are_named() {
+    let right = noisy(&cycles(&uneven(800.0, 11), 5));
+    let get = |name: &str| right.columns.iter().find(|c| c.name == name).unwrap().data.clone();
+    let columns = vec![
+        column("y", "position.y", get("e")),
+        column("dir", "direction.y", get("dir")),
+        column("e", "error.y", get("y")),
+    ];
+    let wrong = Record::new(Path::new("y.run.toml"), Kind::Positioning, columns).unwrap();
+    let e = error_of(&wrong);
+    assert!(
+        e.contains("look swapped") && e.contains("targets in 110 rows") && e.contains("11 values"),
+        "{e}"
+    );
+}
+
+fn warned(p: &Positioning, words: &str) -> bool {
+    p.warnings.iter().any(|w| w.contains(words))
+}
+
+#[test]
+fn the_standard_s_numbers_of_targets_and_approaches_are_asked_for() {
+    let found = |mm: f64, targets: usize, count: usize| {
+        positioning(&noisy(&cycles(&uneven(mm, targets), count))).unwrap().swap_remove(0)
+    };
+    let good = found(800.0, 9, 5);
+    assert!(!warned(&good, "asks for"), "{:?}", good.warnings);
+    assert!(warned(&found(1600.0, 7, 5), "asks for at least 9"));
+    assert!(warned(&found(300.0, 4, 5), "asks for at least 5"));
+    assert!(warned(&found(800.0, 9, 3), "five approaches"));
+    let even: Vec<f64> = (0..9).map(|k| 100.0 * f64::from(k)).collect();
+    assert!(warned(&positioning(&noisy(&cycles(&even, 5))).unwrap()[0], "equal distances of 100.0000 mm"));
+}
+
+/// On more than 2 m one approach from each side will do: E, B and M, but no A and R.
+#[test]
+fn a_long_axis_is_tested_its_own_way() {
+    let long = &positioning(&noisy(&cycles(&uneven(3000.0, 14), 1))).unwrap()[0];
+    assert!(long.test.contains("long axis") && long.E.is_some() && long.B.is_some() && long.M.is_some());
+    assert!(long.A.is_none() && long.R.is_none() && long.R_up.is_none());
+    assert!(!warned(long, "apart"), "{:?}", long.warnings);
+    let sparse = &positioning(&noisy(&cycles(&uneven(3000.0, 9), 1))).unwrap()[0];
+    assert!(warned(sparse, "at most 250 mm"), "{:?}", sparse.warnings);
+    // A short axis takes two.
+    assert!(error_of(&noisy(&cycles(&uneven(800.0, 9), 1))).contains("approached twice"));
+}
+
+/// Targets at the ends can be approached from inside only: they count one-sided and are named.
+#[test]
+fn the_ends_of_the_travel_are_one_sided() {
+    let targets = uneven(800.0, 9);
+    let rows: Vec<_> = cycles(&targets, 5)
+        .into_iter()
+        .filter(|(p, w)| !((*p <= targets[0] && *w > 0.0) || (*p >= targets[8] && *w < 0.0)))
+        .collect();
+    let found = &positioning(&noisy(&rows)).unwrap()[0];
+    assert!(warned(found, "2 targets approached from one side only"), "{:?}", found.warnings);
+    assert_eq!(found.targets[0].mean_up, None);
+}
+
+#[test]
+fn tilts_are_in_urad_and_arcsec() {
+    let rows = cycles(&uneven(800.0, 9), 5);
+    let mut columns = noisy(&rows).columns;
+    columns[0] = column("x", "position.x", columns[0].data.clone());
+    columns[1] = column("dir", "direction.x", columns[1].data.clone());
+    let urad = columns[2].data.clone();
+    columns[2] = column("rx", "angle_error.x.b", urad.clone());
+    let record = |columns: &[Column]| {
+        positioning(&Record::new(Path::new("t.run.toml"), Kind::Positioning, columns.to_vec()).unwrap())
+            .unwrap()
+    };
+    let as_urad = &record(&columns)[0];
+    assert_eq!((as_urad.response.as_str(), as_urad.unit), ("angle_error.x.b", "urad"));
+    // 1″ = π/648000 rad = 4.848 µrad
+    columns[2].unit = "arcsec".into();
+    columns[2].data = urad.iter().map(|v| v / 4.848_136_811_095_36).collect();
+    let as_arcsec = &record(&columns)[0];
+    let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
+    near(as_urad.A.unwrap(), as_arcsec.A.unwrap());
+    near(as_urad.arcsec.as_ref().unwrap()["A"].unwrap(), as_urad.A.unwrap() / 4.848_136_811_095_36);
+    assert!(as_urad.uncertainty.is_none());
+}
+
+/// A scale at 23 °C with 8.5 ppm/K is 25.5 µm/m too long; against a work piece at 22 °C with 11.5 ppm/K 2.5 µm/m too long.
+#[test]
+fn lengths_are_reduced_to_20_degrees() {
+    let rows = cycles(&uneven(1000.0, 9), 5);
+    let grown = |ppm: f64| {
+        let mut columns = run(&rows, |(p, way)| ppm * p / 1000.0 + way).columns;
+        columns.push(column("T3", "temperature", vec![23.0; rows.len()]));
+        columns.push(column("T5", "temperature", vec![22.0; rows.len()]));
+        Record::new(Path::new("y.run.toml"), Kind::Positioning, columns).unwrap()
+    };
+    let scale = "[thermal]\nscale = { sensor = \"T3\", ppm_per_K = 8.5 }\n";
+    let piece = "workpiece = { sensor = \"T5\", ppm_per_K = 11.5 }\n";
+    let evaluated = |record: &Record, text: &str| {
+        let conditions = Conditions::parse(Path::new("c.toml"), text).unwrap();
+        positioning_with(record, &Options { conditions, ..Options::default() })
+    };
+    for (ppm, text) in [(25.5, scale.to_owned()), (2.5, format!("{scale}{piece}"))] {
+        let found = &evaluated(&grown(ppm), &text).unwrap()[0];
+        assert!((found.E_up.unwrap()).abs() < 1e-9 && (found.B.unwrap() - 2.0).abs() < 1e-9, "{found:?}");
+        assert!(
+            warned(found, "reduced to 20 °C: scale T3 at 23.00 °C with 8.5 ppm/K"),
+            "{:?}",
+            found.warnings
+        );
+    }
+    let e = evaluated(&grown(1.0), &scale.replace("T3", "T9")).unwrap_err().to_string();
+    assert!(e.contains("no temperature T9") && e.contains("T3, T5"), "{e}");
+}
+
+/// Four body diagonals of a box whose axes have known scales and squareness.
+#[test]
+fn body_diagonals_give_squareness() {
+    let size = [400.0, 300.0, 500.0];
+    let (scale, xy, xz, yz) = ([20.0, -10.0, 5.0], 25.0, -15.0, 8.0);
+    let one = |signs: [f64; 3], by_axis: bool| {
+        let share: Vec<f64> = uneven(1.0, 9).into_iter().map(|s| s.min(1.0)).collect();
+        let rows = cycles(&share, 5);
+        let d = size.iter().map(|s| s * s).sum::<f64>().sqrt();
+        let place = |k: usize, s: f64| size[k] * if signs[k] > 0.0 { s } else { 1.0 - s };
+        let error = |(s, way): (f64, f64)| -> [f64; 3] {
+            let [x, y, z] = [place(0, s), place(1, s), place(2, s)];
+            // e_x = … + xy·y + xz·z, e_y = … + yz·z; a reversal of 2 µm of z.
+            [
+                (scale[0] * x + xy * y + xz * z) / 1000.0,
+                (scale[1] * y + yz * z) / 1000.0,
+                scale[2] * z / 1000.0 + way,
+            ]
+        };
+        let of = |f: &dyn Fn((f64, f64)) -> f64| rows.iter().copied().map(f).collect::<Vec<f64>>();
+        let mut columns = vec![
+            column("x", "position.x", of(&|r| place(0, r.0))),
+            column("y", "position.y", of(&|r| place(1, r.0))),
+            column("z", "position.z", of(&|r| place(2, r.0))),
+            column("dz", "direction.z", of(&|r| r.1)),
+        ];
+        if by_axis {
+            for (k, n) in ["x", "y", "z"].iter().enumerate() {
+                columns.push(column(&format!("e{n}"), &format!("error.{n}"), of(&|r| error(r)[k])));
+            }
+        } else {
+            let along = |r| (0..3).map(|k| error(r)[k] * signs[k] * size[k] / d).sum::<f64>();
+            columns.push(column("e", "error.d", of(&along)));
+        }
+        Record::new(Path::new("d.run.toml"), Kind::Positioning, columns).unwrap()
+    };
+    for by_axis in [false, true] {
+        let records: Vec<Record> = [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0, -1.0, 1.0]]
+            .map(|s| one(s, by_axis))
+            .to_vec();
+        let found = diagonals(&records, &Options::default()).unwrap();
+        assert_eq!(found.kind, "body");
+        let senses: Vec<&str> = found.diagonals.iter().map(|d| d.sense.as_str()).collect();
+        assert_eq!(senses, ["PPP", "NPP", "PNP", "NNP"]);
+        for (pair, want) in [("x.y", xy), ("x.z", xz), ("y.z", yz)] {
+            let got = found.squareness_urad[pair];
+            assert!((got - want).abs() < 0.01, "{pair}: {got} and {want}");
+        }
+        let d = size.iter().map(|s| s * s).sum::<f64>().sqrt();
+        assert!((found.b_d.unwrap() - 2.0 * size[2] / d).abs() < 1e-9, "{:?}", found.b_d);
+        let mean = size.iter().zip(scale).map(|(s, ppm)| s * s * ppm).sum::<f64>() / d / d;
+        assert!((found.scale_ppm - mean).abs() < 0.01, "{} {mean}", found.scale_ppm);
+        let three = diagonals(&records[..3], &Options::default()).unwrap();
+        assert!(three.squareness_urad.is_empty() && three.warnings.iter().any(|w| w.contains("four")));
+    }
+}
+
+#[test]
+fn what_is_no_diagonal_is_refused() {
+    let e = diagonals(&[noisy(&cycles(&uneven(800.0, 9), 5))], &Options::default()).unwrap_err();
+    assert!(e.to_string().contains("1 moving axes (y)"), "{e}");
+}

@@ -1,0 +1,364 @@
+//! `rtecctl characterise record` and `evaluate` as a person runs them.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use std::io::Write;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::time::Duration;
+
+fn rtecctl(folder: &Path, words: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .current_dir(folder)
+        .arg("characterise")
+        .args(words)
+        .output()
+        .unwrap()
+}
+
+fn said(out: &Output) -> (Option<i32>, String, String) {
+    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
+    (out.status.code(), text(&out.stdout), text(&out.stderr))
+}
+
+/// A feed that says so many lines, a reading every 20 ms; its address.
+fn feed(line: impl Fn(usize) -> String + Send + 'static) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    std::thread::spawn(move || {
+        let Ok((mut stream, _)) = listener.accept() else { return };
+        for i in 0.. {
+            if stream.write_all(line(i).as_bytes()).is_err() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    });
+    address
+}
+
+#[test]
+fn one_nan_costs_its_row_and_not_the_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let from = feed(|i| if (10..13).contains(&i) { "gz nan\n".to_owned() } else { format!("gz {i}\n") });
+    let words =
+        ["record", "--out", "r.run.toml", "--feed", &from, "--columns", "gz=error.z", "--period", "0.02"];
+    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["--duration", "1.5"]].concat()));
+    assert_eq!(code, Some(0), "{err}");
+    assert!(err.contains("left out: gz (error.z) is `NaN`, expected a finite number"), "{err}");
+    let record = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap();
+    assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
+}
+
+#[test]
+fn a_shift_without_a_response_is_recorded_and_two_alike_are_refused_first() {
+    let dir = tempfile::tempdir().unwrap();
+    let from = feed(|i| format!("T1 20.{}\n", i % 10));
+    let words = [
+        "record",
+        "--out",
+        "s.run.toml",
+        "--feed",
+        &from,
+        "--period",
+        "0.02",
+        "--duration",
+        "0.6",
+        "--columns",
+    ];
+    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["T1=temperature"]].concat()));
+    assert_eq!(code, Some(0), "{err}");
+    assert!(rtec_measure::record::read_log(&dir.path().join("s.run.toml")).unwrap().rows() > 5);
+    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["a=error.x,b=error.x"]].concat()));
+    assert!(code == Some(2) && err.contains("two columns of role error.x"), "{code:?} {err}");
+}
+
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+    }
+}
+
+fn write(folder: &Path, name: &str, head: &str, columns: &[(&str, &str, &str)], rows: &[Vec<f64>]) {
+    let listed = columns
+        .iter()
+        .map(|(column, role, unit)| format!("{column} = {{ role = \"{role}\", unit = \"{unit}\" }}"));
+    let sidecar =
+        format!("file = \"{name}.csv\"\n{head}\n[columns]\n{}\n", listed.collect::<Vec<_>>().join("\n"));
+    let line = |r: &Vec<f64>| r.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+    let names = columns.iter().map(|c| c.0).collect::<Vec<_>>().join(",");
+    let csv = std::iter::once(names).chain(rows.iter().map(line)).collect::<Vec<_>>().join("\n");
+    std::fs::write(folder.join(format!("{name}.csv")), csv + "\n").unwrap();
+    std::fs::write(folder.join(format!("{name}.run.toml")), sidecar).unwrap();
+}
+
+fn positioning(folder: &Path, name: &str, length_mm: f64, way: impl Fn(f64) -> f64) {
+    let mut noise = Noise(4);
+    let mut rows = Vec::new();
+    for _ in 0..5 {
+        for up in [1.0, -1.0] {
+            for k in 0..11 {
+                let k = f64::from(if up > 0.0 { k } else { 10 - k });
+                let p = length_mm * (k + 0.07 * ((3.0 * k) % 5.0)) / 10.3;
+                let e = 0.012 * p + 3.0 * (p / 60.0).sin() + 2.5 * up + 1.5 * noise.next();
+                rows.push(vec![p, way(up), e, 21.0 + 0.2 * noise.next()]);
+            }
+        }
+    }
+    let columns = [
+        ("y", "position.y", "mm"),
+        ("dir", "direction.y", "1"),
+        ("e", "error.y", "um"),
+        ("T3", "temperature", "degC"),
+    ];
+    write(folder, name, "kind = \"positioning\"\ndate = \"2026-05-01\"", &columns, &rows);
+}
+
+fn ballbar(folder: &Path, name: &str, feed_mm_s: f64) {
+    let mut noise = Noise(5);
+    let mut rows = Vec::new();
+    let step = std::f64::consts::TAU * 1.02 / 720.0;
+    let mut t = 0.0;
+    for turn in [1.0, -1.0] {
+        for i in 0..720 {
+            let a: f64 = turn * (f64::from(i) + 0.5) * step + 0.3;
+            let (s, c) = a.sin_cos();
+            let square = 25e-3 * 150.0 * s * c;
+            let travel = 150.0 * (1.0 - turn * s.signum() * c);
+            let reversal = -turn * s.signum() * c * (2.5 + 4.0 * f64::exp(-travel / 0.6));
+            let lag = turn * 0.3 * feed_mm_s * s * c;
+            rows.push(vec![t, a, square + reversal + lag + 4.0 * c - 2.0 * s + 0.4 * noise.next()]);
+            t += step * 150.0 / feed_mm_s;
+        }
+        t += 2.0;
+    }
+    let head = "kind = \"ballbar\"\nradius_mm = 150.0\nplane = [\"x\", \"y\"]";
+    write(folder, name, head, &[("t", "time", "s"), ("a", "angle", "rad"), ("e", "error.r", "um")], &rows);
+}
+
+fn drift(folder: &Path) {
+    let mut noise = Noise(6);
+    let rows = (0..420).map(|m| {
+        let m = f64::from(m);
+        let rpm = if (60.0..240.0).contains(&m) && m % 45.0 > 4.0 { 4000.0 } else { 0.0 };
+        let heat = if m < 60.0 {
+            0.0
+        } else if m < 240.0 {
+            1.0 - ((60.0 - m) / 50.0).exp()
+        } else {
+            (1.0 - (-3.6_f64).exp()) * ((240.0 - m) / 70.0).exp()
+        };
+        let room = 0.4 * (m / 60.0).sin();
+        vec![
+            60.0 * m,
+            rpm,
+            20.0 + room,
+            20.0 + room + 9.0 * heat,
+            28.0 * heat + room + 0.3 * noise.next(),
+            -6.0 * heat + 0.3 * noise.next(),
+        ]
+    });
+    let columns = [
+        ("t", "time", "s"),
+        ("rpm", "spindle_speed", "rpm"),
+        ("air", "temperature", "degC"),
+        ("bearing", "temperature", "degC"),
+        ("z", "error.z", "um"),
+        ("y", "error.y", "um"),
+    ];
+    write(folder, "drift", "kind = \"drift\"", &columns, &rows.collect::<Vec<_>>());
+}
+
+fn plate(folder: &Path) {
+    let mut noise = Noise(7);
+    let mut rows = Vec::new();
+    for i in 0..6 {
+        for j in 0..6 {
+            let (x, y) = (f64::from(i) * 40.0 - 100.0, f64::from(j) * 40.0 - 100.0);
+            rows.push(vec![
+                x,
+                y,
+                0.03 * x - 0.05 * y + 4.0 * noise.next(),
+                0.05 * x - 0.01 * y + 4.0 * noise.next(),
+            ]);
+        }
+    }
+    let columns = [
+        ("x", "position.x", "mm"),
+        ("y", "position.y", "mm"),
+        ("ex", "error.x", "um"),
+        ("ey", "error.y", "um"),
+    ];
+    write(folder, "plate", "kind = \"plate\"", &columns, &rows);
+}
+
+fn diagonals(folder: &Path) {
+    let size = [400.0, 300.0, 350.0];
+    let d = size.iter().map(|s| s * s).sum::<f64>().sqrt();
+    for (n, signs) in
+        [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0, -1.0, 1.0]].iter().enumerate()
+    {
+        let mut noise = Noise(n as u64 + 10);
+        let mut rows = Vec::new();
+        for _ in 0..5 {
+            for way in [1.0, -1.0] {
+                for k in 0..9 {
+                    let k = f64::from(if way > 0.0 { k } else { 8 - k });
+                    let s = (k + 0.05 * ((3.0 * k) % 5.0)) / 8.2;
+                    let at = |i: usize| size[i] * if signs[i] > 0.0 { s } else { 1.0 - s };
+                    let along = (25e-3 * at(1) * signs[0] * size[0] + 12e-3 * at(0) * signs[0] * size[0]) / d;
+                    rows.push(vec![at(0), at(1), at(2), way, along + 1.5 * way + noise.next()]);
+                }
+            }
+        }
+        let columns = [
+            ("x", "position.x", "mm"),
+            ("y", "position.y", "mm"),
+            ("z", "position.z", "mm"),
+            ("dir", "direction.d", "1"),
+            ("e", "error.d", "um"),
+        ];
+        write(folder, &format!("d{n}"), "kind = \"positioning\"", &columns, &rows);
+    }
+}
+
+const CONDITIONS: &str = "machine = \"machining centre 12\"\naxis = \"Y, 800 mm\"\noperator = \"N. N.\"\n[instrument]\nname = \"laser interferometer\"\n\
+                          calibrated = \"2026-01-15\"\n[test]\nfeed_mm_per_min = 1000\ndwell_s = 4\n[thermal]\n\
+                          scale = { sensor = \"T3\", ppm_per_K = 8.5 }\n[uncertainty]\ndevice_um_per_m = 0.8\nmisalignment_mm = 1.0\n\
+                          machine_ppm_per_K = 8.5\nmachine_temperature_K = 0.3\ndrift_um = 1.2\nset_up_um = 0.3\n";
+
+/// Five reports; kept in target/reports for whoever wants to look at them, and as pictures where Chromium is there.
+#[test]
+fn five_reports_are_pages_of_their_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    positioning(folder, "y", 800.0, |w| w);
+    ballbar(folder, "slow", 10.0);
+    ballbar(folder, "fast", 50.0);
+    drift(folder);
+    plate(folder);
+    diagonals(folder);
+    std::fs::write(folder.join("conditions.toml"), CONDITIONS).unwrap();
+    let reports = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/reports");
+    std::fs::create_dir_all(&reports).unwrap();
+    let tests: [(&str, &[&str], &[&str]); 5] = [
+        (
+            "iso230-2",
+            &["y.run.toml", "--conditions", "conditions.toml"],
+            &[
+                "laser interferometer",
+                "feed (mm/min)",
+                "A↑",
+                "U, k = 2 (µm)",
+                "up ↑ mean",
+                "ISO/TR 230-9",
+                "reduced to 20 °C",
+            ],
+        ),
+        (
+            "ballbar",
+            &["slow.run.toml", "fast.run.toml"],
+            &["squareness", "µrad", "servo mismatch", "95 % interval", "times enlarged", "counter-clockwise"],
+        ),
+        (
+            "iso230-3",
+            &["drift.run.toml"],
+            &["environment (ETVE)", "4000 rpm", "at rest after heat", "K/h", "bearing"],
+        ),
+        ("plate", &["plate.run.toml"], &["quadrupole", "ppm", "this arrow is", "times enlarged"]),
+        (
+            "iso230-6",
+            &["d0.run.toml", "d1.run.toml", "d2.run.toml", "d3.run.toml"],
+            &["PPP", "NNP", "squareness.x.y", "distance along it (mm)"],
+        ),
+    ];
+    for (standard, words, want) in tests {
+        let page = reports.join(format!("{standard}.html"));
+        let to = ["evaluate", "--standard", standard, "--html", page.to_str().unwrap()];
+        let (code, text, err) = said(&rtecctl(folder, &[&to[..], words].concat()));
+        assert_eq!(code, Some(0), "{standard}: {err}");
+        assert!(text.lines().count() > 8, "{standard}: {text}");
+        let html = std::fs::read_to_string(&page).unwrap();
+        for w in want {
+            assert!(html.contains(w), "{standard}: {w}");
+        }
+        // Nothing is fetched: the only addresses are names of formats.
+        let fetched =
+            html.matches("http").count() - html.matches("xmlns=\"http://www.w3.org/2000/svg\"").count();
+        assert!(fetched == 0 && html.contains("@page{size:A4") && html.contains("<svg"), "{standard}");
+        assert!(!html.contains("NaN") && !html.contains(">inf"), "{standard}");
+        std::fs::write(reports.join(format!("{standard}.txt")), text).unwrap();
+    }
+}
+
+#[test]
+fn what_looks_wrong_is_named_and_exits_with_2() {
+    let dir = tempfile::tempdir().unwrap();
+    positioning(dir.path(), "coded", 800.0, |w| if w > 0.0 { 1.0 } else { 0.0 });
+    positioning(dir.path(), "oneway", 800.0, |_| 1.0);
+    let evaluate =
+        |name: &str, more: &[&str]| said(&rtecctl(dir.path(), &[&["evaluate", name][..], more].concat()));
+    let (code, _, err) = evaluate("coded.run.toml", &[]);
+    assert!(code == Some(2) && err.contains("stood for downwards"), "{code:?} {err}");
+    let (code, _, err) = evaluate("oneway.run.toml", &[]);
+    assert!(code == Some(2) && err.contains("--one-way"), "{code:?} {err}");
+    let (code, out, err) = evaluate("oneway.run.toml", &["--one-way", "--json"]);
+    assert!(
+        code == Some(0) && out.contains("\"A\": null") && out.contains("\"A_up\": "),
+        "{code:?} {out} {err}"
+    );
+}
+
+#[test]
+fn an_imported_ballbar_has_its_bar_and_plane() {
+    let dir = tempfile::tempdir().unwrap();
+    ballbar(dir.path(), "b", 20.0);
+    let words =
+        ["import", "b.csv", "--format", "csv", "--kind", "ballbar", "--columns", "t=time,a=angle,e=error.r"];
+    let to = ["--out", "c.run.toml", "--radius-mm", "150", "--plane", "x,y"];
+    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &to].concat()));
+    assert_eq!(code, Some(0), "{err}");
+    let sidecar = std::fs::read_to_string(dir.path().join("c.run.toml")).unwrap();
+    assert!(sidecar.contains("radius_mm = 150.0\nplane = [\"x\", \"y\"]"), "{sidecar}");
+    for bad in ["x", "x,x", "1,y"] {
+        let to = ["--out", "d.run.toml", "--radius-mm", "150", "--plane", bad];
+        let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &to].concat()));
+        assert!(
+            code == Some(2) && err.contains("--plane") && !dir.path().join("d.run.toml").exists(),
+            "{bad}: {err}"
+        );
+    }
+}
+
+/// The keys that other people's scripts use.
+#[test]
+fn json_has_the_standard_s_keys() {
+    let dir = tempfile::tempdir().unwrap();
+    positioning(dir.path(), "y", 800.0, |w| w);
+    ballbar(dir.path(), "b", 20.0);
+    let (_, out, _) =
+        said(&rtecctl(dir.path(), &["evaluate", "y.run.toml", "--standard", "iso230-2", "--json"]));
+    for key in ["A", "A_up", "A_down", "E", "E_up", "E_down", "R", "R_up", "R_down", "B", "B_mean", "M"] {
+        assert!(out.contains(&format!("\"{key}\": ")), "{key}: {out}");
+    }
+    let (_, out, _) =
+        said(&rtecctl(dir.path(), &["evaluate", "b.run.toml", "--standard", "ballbar", "--json"]));
+    for key in [
+        "G_ccw",
+        "G_cw",
+        "G_b",
+        "H",
+        "F_max",
+        "F_min",
+        "D",
+        "squareness_urad",
+        "scale_mismatch_ppm",
+        "interval_95",
+    ] {
+        assert!(out.contains(&format!("\"{key}\": ")), "{key}: {out}");
+    }
+}
