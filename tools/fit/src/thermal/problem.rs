@@ -85,6 +85,17 @@ impl Problem {
         })
     }
 
+    /// A lag between those of the grid, as the last of them: its number.
+    pub(super) fn with_lag(&mut self, tau_s: f64, records: &[&Record]) -> usize {
+        let rows: usize = records.iter().map(|r| r.rows()).sum();
+        let bins = Bins::new(records, rows.div_ceil(BINS));
+        for (name, lags) in self.sensors.iter().zip(&mut self.binned) {
+            lags.push(bins.sensor(name, tau_s));
+        }
+        self.taus.push(tau_s);
+        self.taus.len() - 1
+    }
+
     /// How the environment's sensor was found.
     pub(super) fn environment_by(&self, options: &Options) -> String {
         match (&options.environment, self.environment) {

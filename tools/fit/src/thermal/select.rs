@@ -9,9 +9,6 @@ use rtec_measure::iso230::correlation;
 /// Two sensors of a higher autocorrelation watch the same source of heat (WO 97/43703, "0.97 was selected").
 pub const REDUNDANT: f64 = 0.97;
 
-/// The refit goes on while R improves by more than this.
-pub const R_GAIN: f64 = 0.01;
-
 /// Rounds of the refit; more were seldom needed (WO 97/43703).
 pub const ROUNDS: usize = 5;
 
@@ -20,6 +17,9 @@ const SCREEN_LAGS: usize = 4;
 
 /// Candidates that pass the screening of a round.
 const SCREENED: usize = 12;
+
+/// So many lags are different to the data.
+const LAG_CHOICES: usize = 4;
 
 /// Sensors that a model may read, the environment's among them ("the final number may generally be only 4 or 5").
 const SENSORS: usize = 5;
@@ -65,7 +65,7 @@ impl Selection {
     /// Says which sensors the data could not tell from the one chosen.
     pub(super) fn rivals(&self, problem: &Problem) -> Option<String> {
         let names: Vec<String> = self.tied.iter().map(|j| problem.name(j.terms[0])).collect();
-        let chosen = problem.name(self.rounds[0].terms[0]);
+        let chosen = problem.name(*self.rounds.first()?.terms.first()?);
         (!names.is_empty()).then(|| {
             let names = names.join(", ");
             format!(
@@ -91,6 +91,20 @@ impl Problem {
         };
         tied.sort_by_key(|j| std::cmp::Reverse(lag(j)));
         let first = tied.remove(0);
+        let mean = self.judge(&[], folds)?;
+        if !first.earns(&mean, LAG_CHOICES * self.offered.len()) {
+            // Temperatures that explain no more than chance does: nothing is added, the sensors are ranked all the same.
+            let (kept, dropped) = self.casc(singles);
+            let none = Vec::new;
+            return Some(Selection {
+                structure: mean,
+                rounds: none(),
+                swaps: Vec::new(),
+                kept,
+                dropped,
+                tied: none(),
+            });
+        }
         let mut order = vec![first.clone()];
         order.extend(singles.iter().filter(|j| j.terms != first.terms).cloned());
         let (kept, dropped) = self.casc(order);
@@ -137,13 +151,17 @@ impl Problem {
                 let judged = self.judge(&[now.terms.as_slice(), &[t]].concat(), folds)?;
                 self.physical(&judged, folds).then_some(judged)
             }));
-            let Some(best) = next.into_iter().min_by(|a, b| a.rms().total_cmp(&b.rms())) else { break };
-            let best = self.retune(best, folds);
-            // The patent's rule asks R; the blocks must agree.
-            if best.r - now.r <= R_GAIN * now.r || !best.beats(&now) {
-                break;
-            }
-            now = best;
+            next.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
+            // The patent asks R to improve by 1 %, which a term cannot do where R is above 0.99: a term stays where blocks
+            // that it has not seen are better off with it, by more than chance makes the best of so many.
+            let choices = LAG_CHOICES * (offered.len() + 1);
+            let earned = next.into_iter().map(|j| self.retune(j, folds));
+            let earned: Vec<Judged> = earned.filter(|j| j.earns(&now, choices)).collect();
+            let Some(best) = earned.first() else { break };
+            // A difference that is there, bent, before another one that does no better.
+            let bent = |j: &&Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
+            let best = earned.iter().find(bent).filter(|b| !best.beats(b)).unwrap_or(best);
+            now = best.clone();
             rounds.push(now.clone());
         }
         rounds
@@ -298,9 +316,17 @@ impl Problem {
             judged.filter(|j| self.physical(j, folds))
         };
         let without = at(0);
-        let with = (1..self.taus.len()).filter_map(&mut at).min_by(|a, b| a.rms().total_cmp(&b.rms()));
+        // Every third lag, then those beside the best.
+        let better = |a: &(usize, Judged), b: &(usize, Judged)| a.1.rms().total_cmp(&b.1.rms());
+        let coarse = (1..self.taus.len()).step_by(3).filter_map(|lag| Some((lag, at(lag)?))).min_by(better);
+        let with = coarse.and_then(|(best, judged)| {
+            let near =
+                (best.saturating_sub(2).max(1)..(best + 3).min(self.taus.len())).filter(|l| *l != best);
+            let near: Vec<_> = near.filter_map(|lag| Some((lag, at(lag)?))).collect();
+            near.into_iter().chain([(best, judged)]).min_by(better).map(|b| b.1)
+        });
         match (without, with) {
-            (Some(a), Some(b)) => Some(if b.beats(&a) { b } else { a }),
+            (Some(a), Some(b)) => Some(if b.earns(&a, LAG_CHOICES) { b } else { a }),
             (a, b) => a.or(b),
         }
     }

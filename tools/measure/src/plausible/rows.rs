@@ -166,6 +166,11 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let worst = rows.iter().map(|i| far(*i)).fold(0.0, f64::max);
     // Heavy tails, or a shape that is no smooth one, are one thing; a few rows beyond all others another.
     let bulk = (0..n).filter(|i| !rows.contains(i) && !excused[*i] && far(*i) > 4.5).count();
+    // Many close together are a shape of their own: one row in twenty by chance has a neighbour in one case of four.
+    let close = rows.windows(2).filter(|w| w[1] - w[0] <= 3).count();
+    if n < 30 || rows.len() >= 4 && 2 * close > rows.len() {
+        return;
+    }
     let enough = rows.len() >= 2 && worst > 11.0 || worst > 20.0;
     if enough && rows.len() * 100 <= 12 * n && 2 * bulk <= rows.len() {
         let text = format!(
