@@ -134,6 +134,9 @@ fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
         let (_, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();
         for (truth, r) in truths.iter().zip(&reports) {
             let laws: Vec<_> = r.effects.iter().filter(|e| e.sensor.is_some()).collect();
+            if std::env::var_os("RTEC_SHOW").is_some() && seed == 23 {
+                println!("{:?} {:?} {:?} {:?}", r.rms_um, r.baselines["mean"], r.warnings, r.environment);
+            }
             let Some(truth) = truth else {
                 note("nothing where there is nothing", laws.is_empty());
                 continue;

@@ -1,6 +1,6 @@
 //! 95 % intervals of the parameters, from what they are with each block left out.
 
-use super::problem::{LAG_STEP, Problem};
+use super::problem::Problem;
 use super::rows::{Rows, lags_of, mean};
 use super::term::{Term, relagged, squared};
 use rtec_files::InputError;
@@ -27,8 +27,8 @@ pub(super) struct Jackknife {
 }
 
 /// How far from the grid's value a lag is looked for, in the logarithm; and how finely.
-const REACH: f64 = 2.5;
-const CLOSE: f64 = 2e-3;
+const REACH: f64 = 0.5;
+const CLOSE: f64 = 1e-3;
 
 /// The terms with their lags as all rows have them best, between the steps of the grid.
 pub(super) fn tuned(
@@ -72,7 +72,7 @@ fn best_lags(
                 Ok::<_, InputError>(rows.solve(&own).map_or(f64::INFINITY, |c| rows.rms(&c, &own)))
             };
             let middle = start_s[k].ln();
-            let ln = smallest(middle - REACH * LAG_STEP.ln(), middle + REACH * LAG_STEP.ln(), left)?;
+            let ln = smallest(middle - REACH, middle + REACH, left)?;
             shared.iter().for_each(|j| lags_s[*j] = ln.exp());
         }
     }

@@ -23,6 +23,9 @@ pub(super) struct Judged {
 /// What a chance improvement reaches once in some thousand times, as twice the logarithm of the likelihood.
 const CHANCE: f64 = 9.0;
 
+/// The same for one column that needs no choice: what it costs to predict with one parameter more (Akaike).
+const BENT: f64 = 2.0;
+
 impl Judged {
     /// Root of the mean over the folds.
     pub(super) fn rms(&self) -> f64 {
@@ -31,18 +34,36 @@ impl Judged {
 
     /// This one is better than `other` by more than the standard error of the difference over the folds.
     pub(super) fn beats(&self, other: &Self) -> bool {
+        self.beats_by(other, 1.0)
+    }
+
+    /// The same by so many standard errors.
+    pub(super) fn beats_by(&self, other: &Self, errors: f64) -> bool {
         let d: Vec<f64> = other.mse.iter().zip(&self.mse).map(|(o, s)| o - s).collect();
         let n = d.len() as f64;
         let mean = d.iter().sum::<f64>() / n;
         let var = d.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-        mean > (var / n).sqrt()
+        mean > errors * (var / n).sqrt()
     }
 
     /// This one, with more in it, earns what it has beyond `simpler`: blocks that it has not seen are better off, and what
     /// it explains is more than the best of so many chance columns would, noise being alike from row to row.
     pub(super) fn earns(&self, simpler: &Self, choices: usize) -> bool {
+        self.beyond_chance(simpler, choices) && self.beats(simpler)
+    }
+
+    /// This one, with the square of a difference that `simpler` has without, earns it: equation 1 has the square of every
+    /// difference, so that there is no choice to allow for.
+    pub(super) fn is_bent(&self, simpler: &Self) -> bool {
         let gain = self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln();
-        gain > CHANCE + 2.0 * (choices.max(1) as f64).ln() && self.beats(simpler)
+        gain > BENT && self.rms() < simpler.rms()
+    }
+
+    /// The same, where unseen blocks need only be better off on the whole: beside the mean, which a machine that stood most
+    /// of the time leaves little in most blocks.
+    pub(super) fn beyond_chance(&self, simpler: &Self, choices: usize) -> bool {
+        let gain = self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln();
+        gain > CHANCE + 2.0 * (choices.max(1) as f64).ln() && self.rms() < simpler.rms()
     }
 }
 

@@ -10,7 +10,7 @@ use rtec_model::record::{Axis, Record, Role};
 /// Rows that the search sees at most: neighbours in time are averaged, temperatures change slowly.
 const BINS: usize = 512;
 /// Lags tried, from one minute on, each this much longer than the one before.
-pub(super) const LAG_STEP: f64 = 1.15;
+const LAG_STEP: f64 = 1.02;
 
 /// All rows of the training records, ready for the search.
 pub(super) struct Problem {
