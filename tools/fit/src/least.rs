@@ -4,11 +4,12 @@
 //! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
 //! neighbours in time share does not make them narrower.
 
-use crate::thermal::{Fitted, Intervals, jackknife_interval};
+use crate::thermal::{Fitted, Intervals, jackknife_interval, quantile};
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
+use rtec_model::date;
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
-use rtec_model::machine::{Machine, Provenance, Source};
+use rtec_model::machine::{FitNote, Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};
 use serde::Serialize;
 use std::path::Path;
@@ -170,6 +171,7 @@ pub fn fit_named(
     names: &[String],
     records: &[&Record],
     date: &str,
+    valid_days: i64,
 ) -> Result<(Machine, NamedReport), InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
     let mut effects = names.iter().map(|n| effect_of(n, base.dictionary())).collect::<Result<Vec<_>, _>>()?;
@@ -247,7 +249,35 @@ pub fn fit_named(
         [(before / f64::max(n, 1.0)).sqrt(), (after / f64::max(n, 1.0)).sqrt()]
     };
     let rms_um = roles.iter().map(|r| (r.to_string(), rms(r))).collect();
+    let left = |i: usize| {
+        problem.y[i] - found.iter().zip(&problem.columns).map(|(f, c)| f.value * c[i]).sum::<f64>()
+    };
     let mut machine = base.clone();
+    for role in &roles {
+        let own = problem.pieces.iter().zip(&piece_role).filter(|(_, r)| *r == role);
+        // The worst of the stretches of every record: neighbours in time are off together.
+        let stretches = own.flat_map(|(p, _)| {
+            (0..BLOCKS).map(|b| p.start + b * p.len() / BLOCKS..p.start + (b + 1) * p.len() / BLOCKS)
+        });
+        let widths =
+            stretches.filter(|s| !s.is_empty()).map(|s| quantile(s.map(|i| left(i).abs()).collect(), 0.95));
+        let seen: Vec<&Record> = records.iter().filter(|r| r.column(role).is_some()).copied().collect();
+        let until = date::parse(date).map_or_else(|| date.to_owned(), |d| date::format(d + valid_days));
+        let mut note = FitNote {
+            response: role.to_string(),
+            date: date.to_owned(),
+            valid_until: until,
+            rms_um: rms(role)[1],
+            half_width_um: widths.fold(1e-9, f64::max),
+            valid: Vec::new(),
+            at_mm: Some(FitNote::places(&seen)),
+            from: seen.iter().map(|r| Source::of(r)).collect(),
+        };
+        if let Some(earlier) = base.fits().iter().find(|f| f.response == note.response) {
+            note.on(earlier);
+        }
+        machine.note_fit(note);
+    }
     let mut fitted = Vec::new();
     let mut at = 0;
     for effect in &mut effects {

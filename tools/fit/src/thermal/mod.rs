@@ -40,6 +40,7 @@ mod select;
 mod term;
 
 pub use charts::{prediction_chart, residual_chart};
+pub(crate) use interval::quantile;
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};
@@ -194,9 +195,15 @@ fn fit_response(
         rms_um: mean(&blocks.folds),
         half_width_um: blocks.half_width_um.max(1e-9),
         valid: Watched::new(&problem, train, response)?.ranges(&problem, &|_| true),
+        at_mm: None,
         from: train.iter().map(|r| Source::of(r)).collect(),
     };
     own.note_fit(note.clone());
+    // Of the whole model: what the base does not know beside what the fit does not.
+    let mut note = FitNote { at_mm: Some(FitNote::places(train)), ..note };
+    if let Some(earlier) = machine.fits().iter().find(|f| f.response == note.response) {
+        note.on(earlier);
+    }
     machine.note_fit(note);
     let later = judge_holdouts(&own, holdout, response)?;
     warnings.extend(later.warnings);
