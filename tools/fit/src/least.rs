@@ -255,10 +255,8 @@ pub fn fit_named(
     let mut machine = base.clone();
     for role in &roles {
         let own = problem.pieces.iter().zip(&piece_role).filter(|(_, r)| *r == role);
-        // The worst of the stretches of every record: neighbours in time are off together.
-        let stretches = own.flat_map(|(p, _)| {
-            (0..BLOCKS).map(|b| p.start + b * p.len() / BLOCKS..p.start + (b + 1) * p.len() / BLOCKS)
-        });
+        // Of the worst record: what one kind of run shows another may not.
+        let stretches = own.map(|(p, _)| p.clone());
         let widths =
             stretches.filter(|s| !s.is_empty()).map(|s| quantile(s.map(|i| left(i).abs()).collect(), 0.95));
         let seen: Vec<&Record> = records.iter().filter(|r| r.column(role).is_some()).copied().collect();

@@ -134,9 +134,6 @@ fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
         let (_, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();
         for (truth, r) in truths.iter().zip(&reports) {
             let laws: Vec<_> = r.effects.iter().filter(|e| e.sensor.is_some()).collect();
-            if std::env::var_os("RTEC_SHOW").is_some() && seed == 23 {
-                println!("{:?} {:?} {:?} {:?}", r.rms_um, r.baselines["mean"], r.warnings, r.environment);
-            }
             let Some(truth) = truth else {
                 note("nothing where there is nothing", laws.is_empty());
                 continue;
@@ -187,7 +184,10 @@ fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
         println!("{what:34} {:5.1} % of {}", 100.0 * share(what), good + bad);
     }
     assert!(share("nothing where there is nothing") >= 0.97);
-    for what in ["µm/K in its interval", "µm/K² in its interval", "lag in its interval"] {
+    // A law that was put on another sensor counts as missed.
+    for what in ["µm/K in its interval", "µm/K² in its interval"] {
         assert!((0.9..=0.98).contains(&share(what)), "{what}: {}", share(what));
     }
+    assert!((0.85..=0.98).contains(&share("lag in its interval")), "{}", share("lag in its interval"));
+    assert!(share("the right difference") >= 0.95 && share("no other beside it") >= 0.9);
 }

@@ -23,6 +23,8 @@ pub(crate) fn jackknife_interval(value: f64, parts: &[f64]) -> [f64; 2] {
 /// 95 % intervals by leaving out each block: of every coefficient, and of each lag by its term's place.
 pub(super) struct Jackknife {
     pub(super) coefficients: Vec<[f64; 2]>,
+    /// Of the squares that were left out, by the place of their difference's term.
+    pub(super) squares: BTreeMap<usize, [f64; 2]>,
     pub(super) tau_s: BTreeMap<usize, [f64; 2]>,
 }
 
@@ -128,5 +130,60 @@ pub(super) fn jackknife(
             jackknife_interval(start_s[k].ln(), &lags.iter().map(|l| l[k].ln()).collect::<Vec<f64>>());
         tau_s.insert(k, [lo.exp(), hi.exp()]);
     }
-    Ok(Jackknife { coefficients: (0..full.len()).map(of).collect(), tau_s })
+    let coefficients = (0..full.len()).map(of).collect();
+    Ok(Jackknife { coefficients, squares: BTreeMap::new(), tau_s })
+}
+
+/// A square is certain beyond this gain, as twice the logarithm of the likelihood: three standard errors.
+const CERTAIN: f64 = 9.0;
+
+impl Jackknife {
+    /// Whether a growth is bent is itself a choice that the data made: where it is not certain, the intervals of growth,
+    /// lag and square hold what they are with the square and what they are without.
+    pub(super) fn allow_for_squares(
+        &mut self,
+        problem: &mut Problem,
+        terms: &[Term],
+        train: &[&Record],
+        response: &Role,
+        folds: &[usize],
+    ) -> Result<(), InputError> {
+        if !problem.square {
+            return Ok(());
+        }
+        for (k, term) in terms.iter().enumerate() {
+            let Some(square) = squared(*term) else { continue };
+            let place = terms.iter().position(|t| *t == square);
+            let other: Vec<Term> = match place {
+                Some(_) => terms.iter().filter(|t| **t != square).copied().collect(),
+                None => terms.iter().copied().chain([square]).collect(),
+            };
+            let other = tuned(problem, other, train, response)?;
+            let (Some(now), Some(then)) = (problem.judge(terms, folds), problem.judge(&other, folds)) else {
+                continue;
+            };
+            if place.is_some() && now.gain_over(&then) > CERTAIN {
+                continue;
+            }
+            let rows = Rows::new(problem, &other, train, response)?;
+            let Some(c) = rows.solve(&|_| true) else { continue };
+            let alternative = jackknife(problem, &other, train, response, &c)?;
+            // Terms before the square keep their places, those after it move up.
+            let at = k - usize::from(place.is_some_and(|p| p < k));
+            let hull = |a: &mut [f64; 2], b: [f64; 2]| *a = [a[0].min(b[0]), a[1].max(b[1])];
+            hull(&mut self.coefficients[k + 1], alternative.coefficients[at + 1]);
+            if let (Some(a), Some(b)) = (self.tau_s.get_mut(&k), alternative.tau_s.get(&at)) {
+                hull(a, *b);
+            }
+            match place {
+                Some(p) => hull(&mut self.coefficients[p + 1], [0.0; 2]),
+                None => {
+                    let mut own = alternative.coefficients[other.len()];
+                    hull(&mut own, [0.0; 2]);
+                    self.squares.insert(k, own);
+                }
+            }
+        }
+        Ok(())
+    }
 }

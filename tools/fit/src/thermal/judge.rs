@@ -23,8 +23,8 @@ pub(super) struct Judged {
 /// What a chance improvement reaches once in some thousand times, as twice the logarithm of the likelihood.
 const CHANCE: f64 = 9.0;
 
-/// The same for one column that needs no choice: what it costs to predict with one parameter more (Akaike).
-const BENT: f64 = 2.0;
+/// The same for one column that needs no choice: once in twenty times.
+const BENT: f64 = 4.0;
 
 impl Judged {
     /// Root of the mean over the folds.
@@ -52,18 +52,21 @@ impl Judged {
         self.beyond_chance(simpler, choices) && self.beats(simpler)
     }
 
+    /// Twice the logarithm of the likelihood that this one has more than `simpler`, with as many values as are independent.
+    pub(super) fn gain_over(&self, simpler: &Self) -> f64 {
+        self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln()
+    }
+
     /// This one, with the square of a difference that `simpler` has without, earns it: equation 1 has the square of every
     /// difference, so that there is no choice to allow for.
     pub(super) fn is_bent(&self, simpler: &Self) -> bool {
-        let gain = self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln();
-        gain > BENT && self.rms() < simpler.rms()
+        self.gain_over(simpler) > BENT && self.rms() < simpler.rms()
     }
 
     /// The same, where unseen blocks need only be better off on the whole: beside the mean, which a machine that stood most
     /// of the time leaves little in most blocks.
     pub(super) fn beyond_chance(&self, simpler: &Self, choices: usize) -> bool {
-        let gain = self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln();
-        gain > CHANCE + 2.0 * (choices.max(1) as f64).ln() && self.rms() < simpler.rms()
+        self.gain_over(simpler) > CHANCE + 2.0 * (choices.max(1) as f64).ln() && self.rms() < simpler.rms()
     }
 }
 

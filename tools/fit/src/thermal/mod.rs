@@ -180,7 +180,8 @@ fn fit_response(
     let terms = tuned(&mut problem, terms, train, response)?;
     let rows = Rows::new(&problem, &terms, train, response)?;
     let coefficients = rows.solve(&|_| true).ok_or_else(nothing)?;
-    let intervals = jackknife(&problem, &terms, train, response, &coefficients)?;
+    let mut intervals = jackknife(&problem, &terms, train, response, &coefficients)?;
+    intervals.allow_for_squares(&mut problem, &terms, train, response, &all)?;
     let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
     let guards = rows.guards(&problem, &terms, &plain, &|_| true);
     let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
