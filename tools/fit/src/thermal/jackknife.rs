@@ -68,14 +68,18 @@ fn best_lags(
                 (0..terms.len()).filter(|j| *j == k || squared(terms[k]) == Some(terms[*j])).collect();
             let left = |ln: f64| {
                 let mut tried = lags_s.clone();
-                shared.iter().for_each(|j| tried[*j] = ln.exp());
+                for j in &shared {
+                    tried[*j] = ln.exp();
+                }
                 let rows = Rows::with_lags(problem, terms, &tried, train, response)?;
                 let own = |i: usize| take(i, rows.fold[i]);
                 Ok::<_, InputError>(rows.solve(&own).map_or(f64::INFINITY, |c| rows.rms(&c, &own)))
             };
             let middle = start_s[k].ln();
             let ln = smallest(middle - REACH, middle + REACH, left)?;
-            shared.iter().for_each(|j| lags_s[*j] = ln.exp());
+            for j in &shared {
+                lags_s[*j] = ln.exp();
+            }
         }
     }
     Ok(lags_s)
@@ -175,13 +179,12 @@ impl Jackknife {
             if let (Some(a), Some(b)) = (self.tau_s.get_mut(&k), alternative.tau_s.get(&at)) {
                 hull(a, *b);
             }
-            match place {
-                Some(p) => hull(&mut self.coefficients[p + 1], [0.0; 2]),
-                None => {
-                    let mut own = alternative.coefficients[other.len()];
-                    hull(&mut own, [0.0; 2]);
-                    self.squares.insert(k, own);
-                }
+            if let Some(p) = place {
+                hull(&mut self.coefficients[p + 1], [0.0; 2]);
+            } else {
+                let mut own = alternative.coefficients[other.len()];
+                hull(&mut own, [0.0; 2]);
+                self.squares.insert(k, own);
             }
         }
         Ok(())
