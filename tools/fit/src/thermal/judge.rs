@@ -34,16 +34,11 @@ impl Judged {
 
     /// This one is better than `other` by more than the standard error of the difference over the folds.
     pub(super) fn beats(&self, other: &Self) -> bool {
-        self.beats_by(other, 1.0)
-    }
-
-    /// The same by so many standard errors.
-    pub(super) fn beats_by(&self, other: &Self, errors: f64) -> bool {
         let d: Vec<f64> = other.mse.iter().zip(&self.mse).map(|(o, s)| o - s).collect();
         let n = d.len() as f64;
         let mean = d.iter().sum::<f64>() / n;
         let var = d.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-        mean > errors * (var / n).sqrt()
+        mean > (var / n).sqrt()
     }
 
     /// This one, with more in it, earns what it has beyond `simpler`: blocks that it has not seen are better off, and what

@@ -111,7 +111,7 @@ impl Problem {
             (Some(own), Some(other)) => {
                 let (a, b) = (&own.1, &other.1);
                 let simpler = differences(b) < differences(a) && !a.beats(b);
-                let better = differences(b) <= differences(a) && b.beats_by(a, 2.0);
+                let better = differences(b) <= differences(a) && b.beats(a);
                 Some(if simpler || better { other } else { own })
             }
             (own, other) => own.or(other),
