@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
 use rtec_blind::case::{Hides, make};
-use rtec_blind::world::Manner;
+use rtec_blind::plan::Manner;
 use rtec_measure::plausible::suspicions;
 
 #[test]

@@ -513,8 +513,12 @@ impl Corrector {
 fn fits(machine: &Machine) -> Vec<String> {
     let of = |f: &FitNote| {
         format!(
-            "{}: fitted {}, good until {}, 95 % within ±{:.2} µm",
-            f.response, f.date, f.valid_until, f.half_width_um
+            "{}: fitted {}, good until {}, 95 % within ±{:.2} µm{}",
+            f.response,
+            f.date,
+            f.valid_until,
+            f.half_width_um,
+            f.place_text()
         )
     };
     machine.fits().iter().map(of).collect()

@@ -4,11 +4,12 @@
 //! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
 //! neighbours in time share does not make them narrower.
 
-use crate::thermal::{Fitted, Intervals, jackknife_interval};
+use crate::thermal::{Fitted, Intervals, jackknife_interval, quantile};
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
+use rtec_model::date;
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
-use rtec_model::machine::{Machine, Provenance, Source};
+use rtec_model::machine::{FitNote, Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};
 use serde::Serialize;
 use std::path::Path;
@@ -71,6 +72,29 @@ impl Problem {
             basis.push(left.into_iter().map(|v| v / norm).collect());
         }
         None
+    }
+
+    /// RMS over the pieces that `take` chooses: before the solution, and after it.
+    fn rms_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> [f64; 2] {
+        let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
+        for i in self.pieces.iter().enumerate().filter(|(k, _)| take(*k)).flat_map(|(_, p)| p.clone()) {
+            before += self.y[i].powi(2);
+            after += self.left_um(found, i).powi(2);
+            n += 1.0;
+        }
+        [(before / f64::max(n, 1.0)).sqrt(), (after / f64::max(n, 1.0)).sqrt()]
+    }
+
+    fn left_um(&self, found: &[Found], i: usize) -> f64 {
+        self.y[i] - found.iter().zip(&self.columns).map(|(f, c)| f.value * c[i]).sum::<f64>()
+    }
+
+    /// Within this the solution says 95 % of the rows, of the worst of the pieces that `take` chooses: what one kind of run
+    /// shows another may not.
+    fn half_width_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> f64 {
+        let own = self.pieces.iter().enumerate().filter(|(k, p)| take(*k) && !p.is_empty());
+        own.map(|(_, p)| quantile(p.clone().map(|i| self.left_um(found, i).abs()).collect(), 0.95))
+            .fold(1e-9, f64::max)
     }
 
     /// The solution, or the number of a parameter that these rows do not determine beside those before it.
@@ -159,6 +183,22 @@ fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> 
     Ok(effect)
 }
 
+/// The named effects, each once and none that the base has.
+fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputError> {
+    let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
+    let effects = names.iter().map(|n| effect_of(n, base.dictionary())).collect::<Result<Vec<_>, _>>()?;
+    for (i, e) in effects.iter().enumerate() {
+        let twice = effects[..i].iter().chain(base.effects()).any(|o| o.identity() == e.identity());
+        if twice {
+            return Err(usage(
+                format!("`{}` a second time", e.identity()),
+                "effects that the base does not have",
+            ));
+        }
+    }
+    Ok(effects)
+}
+
 /// Fits effects that the user names, beside all that the base holds already: by least squares on all error responses
 /// of the records. Gives the base with the effects added.
 ///
@@ -170,18 +210,10 @@ pub fn fit_named(
     names: &[String],
     records: &[&Record],
     date: &str,
+    valid_days: i64,
 ) -> Result<(Machine, NamedReport), InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
-    let mut effects = names.iter().map(|n| effect_of(n, base.dictionary())).collect::<Result<Vec<_>, _>>()?;
-    for (i, e) in effects.iter().enumerate() {
-        let twice = effects[..i].iter().chain(base.effects()).any(|o| o.identity() == e.identity());
-        if twice {
-            return Err(usage(
-                format!("`{}` a second time", e.identity()),
-                "effects that the base does not have",
-            ));
-        }
-    }
+    let mut effects = effects_of(base, names)?;
     let count: usize = effects.iter().map(Effect::coefficient_count).sum();
     let mut problem = Problem::new(count);
     let mut roles: Vec<Role> = Vec::new();
@@ -234,20 +266,26 @@ pub fn fit_named(
         let experiment = owner(k).map_or(String::new(), |e| e.description().experiment.clone());
         usage(found, &format!("a record that does: {experiment}"))
     })?;
-    let rms = |role: &Role| {
-        let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
-        for i in
-            problem.pieces.iter().zip(&piece_role).filter(|(_, r)| *r == role).flat_map(|(p, _)| p.clone())
-        {
-            let says: f64 = found.iter().zip(&problem.columns).map(|(f, c)| f.value * c[i]).sum();
-            before += problem.y[i].powi(2);
-            after += (problem.y[i] - says).powi(2);
-            n += 1.0;
-        }
-        [(before / f64::max(n, 1.0)).sqrt(), (after / f64::max(n, 1.0)).sqrt()]
-    };
+    let rms = |role: &Role| problem.rms_um(&found, |piece| piece_role[piece] == *role);
     let rms_um = roles.iter().map(|r| (r.to_string(), rms(r))).collect();
     let mut machine = base.clone();
+    for role in &roles {
+        let seen: Vec<&Record> = records.iter().filter(|r| r.column(role).is_some()).copied().collect();
+        let mut note = FitNote {
+            response: role.to_string(),
+            date: date.to_owned(),
+            valid_until: date::parse(date).map_or_else(|| date.to_owned(), |d| date::format(d + valid_days)),
+            rms_um: rms(role)[1],
+            half_width_um: problem.half_width_um(&found, |piece| piece_role[piece] == *role),
+            valid: Vec::new(),
+            at_mm: Some(FitNote::places(&seen)),
+            from: seen.iter().map(|r| Source::of(r)).collect(),
+        };
+        if let Some(earlier) = base.fits().iter().find(|f| f.response == note.response) {
+            note.on(earlier);
+        }
+        machine.note_fit(note);
+    }
     let mut fitted = Vec::new();
     let mut at = 0;
     for effect in &mut effects {

@@ -11,13 +11,16 @@ pub fn possible(role: &Role) -> [f64; 2] {
         Role::Time => 1e13,
         // A kilometre: the largest gantries have some fifty metres.
         Role::Position(_) | Role::Velocity(_) => 1e6,
-        Role::Acceleration(_) | Role::Load(_) | Role::Force(_) | Role::Cycle => 1e9,
+        Role::Acceleration(_)
+        | Role::Load(_)
+        | Role::Force(_)
+        | Role::Cycle
+        // A position in µm that stands where an error should: read, and questioned.
+        | Role::Error(_)
+        | Role::AngleError(..) => 1e9,
         // Raw readings of an input that nothing is connected to are 16 bit numbers.
         Role::Temperature => 1e5,
-        Role::SpindleSpeed => 1e7,
-        Role::Angle => 1e7,
-        // A position in µm that stands where an error should: read, and questioned.
-        Role::Error(_) | Role::AngleError(..) => 1e9,
+        Role::SpindleSpeed | Role::Angle => 1e7,
         Role::Direction(_) | Role::Coolant => 1e3,
         // Any unit: counters of 64 bit and pressures in Pa included.
         Role::Channel => 1e30,

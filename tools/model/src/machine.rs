@@ -143,8 +143,75 @@ pub struct FitNote {
     pub half_width_um: f64,
     /// Where it is valid: outside of these, the interval is wider.
     pub valid: Vec<Validity>,
+    /// Where each axis was while it was seen, mm; axes that are not named stood still. Elsewhere there is no interval: what
+    /// the machine does there no record has shown. None in a model that does not say.
+    pub at_mm: Option<BTreeMap<String, [f64; 2]>>,
     /// The records that it was fitted on.
     pub from: Vec<Source>,
+}
+
+/// An axis that moves by less stands still, mm.
+const STILL_MM: f64 = 1.0;
+
+impl FitNote {
+    /// Where the axes of records are: from where to where each moves, mm.
+    #[must_use]
+    pub fn places(records: &[&Record]) -> BTreeMap<String, [f64; 2]> {
+        let mut found: BTreeMap<String, [f64; 2]> = BTreeMap::new();
+        for record in records {
+            for axis in record.axes(Role::Position) {
+                let p = record.data(&Role::Position(axis.clone())).unwrap_or_default();
+                let own =
+                    p.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], p| [l.min(*p), h.max(*p)]);
+                let all = found.entry(axis.to_string()).or_insert(own);
+                *all = [all[0].min(own[0]), all[1].max(own[1])];
+            }
+        }
+        found.retain(|_, [l, h]| *h - *l > STILL_MM);
+        found
+    }
+
+    /// The interval was seen wherever this record's axes go: a tenth of its range beyond is as good.
+    #[must_use]
+    pub fn covers(&self, record: &Record) -> bool {
+        let Some(at) = &self.at_mm else { return true };
+        Self::places(&[record]).iter().all(|(axis, [l, h])| {
+            at.get(axis).is_some_and(|[from, to]| {
+                let margin = 0.1 * (to - from);
+                *l >= from - margin && *h <= to + margin
+            })
+        })
+    }
+
+    /// This fit on top of an earlier one of the same response: what neither knows adds up, and both ranges were seen.
+    pub fn on(&mut self, earlier: &Self) {
+        self.half_width_um = self.half_width_um.hypot(earlier.half_width_um);
+        self.rms_um = self.rms_um.hypot(earlier.rms_um);
+        let new = |v: &&Validity| self.valid.iter().all(|o| o.difference != v.difference);
+        let further: Vec<Validity> = earlier.valid.iter().filter(new).cloned().collect();
+        self.valid.extend(further);
+        if let (Some(own), Some(at)) = (&mut self.at_mm, &earlier.at_mm) {
+            for (axis, [l, h]) in at {
+                let all = own.entry(axis.clone()).or_insert([*l, *h]);
+                *all = [all[0].min(*l), all[1].max(*h)];
+            }
+        }
+        let known: Vec<String> = self.from.iter().map(|s| s.sha256.clone()).collect();
+        self.from.extend(earlier.from.iter().filter(|s| !known.contains(&s.sha256)).cloned());
+    }
+
+    /// Where it was seen, in words; empty where it does not say.
+    #[must_use]
+    pub fn place_text(&self) -> String {
+        match &self.at_mm {
+            None => String::new(),
+            Some(at) if at.is_empty() => " at the place of the fit".to_owned(),
+            Some(at) => {
+                let of = |(axis, [l, h]): (&String, &[f64; 2])| format!("{axis} {l:.0} to {h:.0} mm");
+                format!(" for {}", at.iter().map(of).collect::<Vec<_>>().join(", "))
+            }
+        }
+    }
 }
 
 /// A machine model: the content of one `machine.toml`.
@@ -321,11 +388,15 @@ impl Machine {
     }
 
     /// Half width of the 95 % prediction interval at every row of a record, µm, where a fit of the response has said
-    /// it: wider just after the record's start, by what is not known of the lags, and where a difference is held at
+    /// it and has seen the axes where they are in the record: wider just after the record's start, by what is not known of the lags, and where a difference is held at
     /// the bound of the range it was fitted on.
     #[must_use]
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
-        let h = self.half_width_um(&response.to_string())?;
+        let note = self.fits.iter().find(|f| f.response == response.to_string())?;
+        if !note.covers(record) {
+            return None;
+        }
+        let h = note.half_width_um;
         let mut squares = vec![h * h; record.rows()];
         let t = record.time_s();
         let valid = self.fits.iter().filter(|f| f.response == response.to_string()).flat_map(|f| &f.valid);
@@ -396,6 +467,13 @@ impl Machine {
             valid.set_trailing("\n");
             valid.set_trailing_comma(true);
             t["valid"] = value(valid);
+        }
+        if let Some(at) = &note.at_mm {
+            let mut places = InlineTable::new();
+            for (axis, range) in at {
+                places.insert(axis, Value::from(range.iter().copied().collect::<Array>()));
+            }
+            t["at_mm"] = value(places);
         }
         t["from"] = sources(&note.from);
         let item =
@@ -833,7 +911,7 @@ fn read_difference(table: Table<'_>) -> Result<Difference, InputError> {
 }
 
 fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
-    t.only(&["response", "date", "valid_until", "rms_um", "half_width_um", "valid", "from"])?;
+    t.only(&["response", "date", "valid_until", "rms_um", "half_width_um", "valid", "at_mm", "from"])?;
     let text = |key: &str| Ok::<_, InputError>(t.required(key, "text")?.text());
     // A date that is none would never be past.
     let day = |key: &str| {
@@ -856,8 +934,23 @@ fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
             Some(e) => e.tables(VALID)?.into_iter().map(read_validity).collect::<Result<_, _>>()?,
             None => Vec::new(),
         },
+        at_mm: t.get("at_mm").map(read_places).transpose()?,
         from: read_sources(t)?,
     })
+}
+
+/// `{ x = [0.0, 300.0] }`.
+fn read_places(entry: Entry<'_>) -> Result<BTreeMap<String, [f64; 2]>, InputError> {
+    let form = "a range in mm for each axis, as at_mm = { x = [0.0, 300.0] }";
+    let table = entry.table(form)?;
+    let of = |e: Entry<'_>| {
+        let [l, h] = e.pair(form)?;
+        if l.abs().max(h.abs()) <= 1e6 {
+            return Ok((e.key().to_owned(), [l, h]));
+        }
+        Err(e.error(format!("[{}, {}]", short(l), short(h)), "positions within ±1e6 mm"))
+    };
+    table.entries().map(of).collect()
 }
 
 fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, InputError> {
@@ -1132,6 +1225,7 @@ mod tests {
                 Validity { difference: Difference::pair("T8", "T18"), range_k: [0.5, 9.0], um_per_k: 3.0 },
                 Validity { difference: Difference::single("T9"), range_k: [-1.0, 2.0], um_per_k: 1.0 },
             ],
+            at_mm: Some(BTreeMap::from([("x".to_owned(), [-10.0, 200.5])])),
             from: vec![Source { file: "a.csv".into(), sha256: "00".into(), folder: None }],
         });
         let again = Machine::parse(&dir.path().join("m.toml"), &m.to_text()).unwrap();
@@ -1181,6 +1275,7 @@ mod tests {
             rms_um: 0.4,
             half_width_um: 0.8,
             valid: Vec::new(),
+            at_mm: None,
             from,
         };
         m.note_fit(note(vec![record("r.csv")]));

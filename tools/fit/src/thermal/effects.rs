@@ -56,6 +56,9 @@ pub(super) fn effects(
                 let mut e = dictionary.effect(&format!("{law}.{axis}"))?;
                 e.delta = Some(delta);
                 let mut intervals = Intervals::from([(key.to_owned(), one(interval))]);
+                if let Some(i) = jackknife.squares.get(&k) {
+                    intervals.insert("um_per_K2".to_owned(), one(*i));
+                }
                 e.set(key, &[value])?;
                 if lag > 0 {
                     e.set("tau_s", &[tau])?;

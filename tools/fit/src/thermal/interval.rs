@@ -1,6 +1,7 @@
 //! The 95 % prediction interval: what the fit cannot know at a row, and what blocks that it has not seen say of the rest.
 
 use super::problem::Problem;
+use super::report::mean_square;
 use super::rows::{Rows, rms};
 use super::term::{Pair, Term, unlagged};
 use rtec_files::InputError;
@@ -127,10 +128,32 @@ pub(super) struct Nested {
     pub(super) coverage: f64,
 }
 
+impl Nested {
+    /// Mean square over the blocks.
+    pub(super) fn mean_square(&self) -> f64 {
+        mean_square(&self.folds)
+    }
+}
+
+/// The same for no term at all: the constant alone.
+pub(super) fn mean_only(problem: &Problem, train: &[&Record], response: &Role) -> Result<Nested, InputError> {
+    let found = blocks(problem, train, response, &|_| Some(Vec::new()))?;
+    found.ok_or_else(|| InputError::whole(&train[0].path, "no rows", "rows in every block"))
+}
+
 pub(super) fn nested(
     problem: &Problem,
     train: &[&Record],
     response: &Role,
+) -> Result<Option<Nested>, InputError> {
+    blocks(problem, train, response, &|others| Some(problem.select(others)?.structure.terms))
+}
+
+fn blocks(
+    problem: &Problem,
+    train: &[&Record],
+    response: &Role,
+    choose: &dyn Fn(&[usize]) -> Option<Vec<Term>>,
 ) -> Result<Option<Nested>, InputError> {
     let mut folds = Vec::new();
     // Per fold: what is left of every row, and x of its interval.
@@ -138,8 +161,8 @@ pub(super) fn nested(
     let watched = Watched::new(problem, train, response)?;
     for f in 0..problem.folds {
         let others: Vec<usize> = (0..problem.folds).filter(|o| *o != f).collect();
-        let Some(inner) = problem.select(&others) else { return Ok(None) };
-        let terms = &inner.structure.terms;
+        let Some(terms) = choose(&others) else { return Ok(None) };
+        let terms = &terms;
         let rows = Rows::new(problem, terms, train, response)?;
         let plain = Rows::new(problem, &unlagged(terms), train, response)?;
         let Some(c) = rows.solve(&|i| rows.fold[i] != f) else { return Ok(None) };
@@ -173,7 +196,7 @@ pub(super) fn nested(
 }
 
 /// The value below which this share of the values lies (nearest rank, rounded up).
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let rank = (share * values.len() as f64).ceil() as usize;
     values[rank.clamp(1, values.len()) - 1]

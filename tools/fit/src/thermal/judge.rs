@@ -14,7 +14,17 @@ pub(super) struct Judged {
     pub(super) r: f64,
     /// Constant, then one coefficient per term.
     pub(super) coefficients: Vec<f64>,
+    /// Mean square of what the fit leaves on its own data, as a share of the response's variance.
+    left: f64,
+    /// How many independent values what it leaves is worth: neighbours in time share their noise.
+    independent: f64,
 }
+
+/// What a chance improvement reaches once in some thousand times, as twice the logarithm of the likelihood.
+const CHANCE: f64 = 9.0;
+
+/// The same for one column that needs no choice: once in twenty times.
+const BENT: f64 = 4.0;
 
 impl Judged {
     /// Root of the mean over the folds.
@@ -30,6 +40,42 @@ impl Judged {
         let var = d.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
         mean > (var / n).sqrt()
     }
+
+    /// This one, with more in it, earns what it has beyond `simpler`: blocks that it has not seen are better off, and what
+    /// it explains is more than the best of so many chance columns would, noise being alike from row to row.
+    pub(super) fn earns(&self, simpler: &Self, choices: usize) -> bool {
+        self.beyond_chance(simpler, choices) && self.beats(simpler)
+    }
+
+    /// Twice the logarithm of the likelihood that this one has more than `simpler`, with as many values as are independent.
+    pub(super) fn gain_over(&self, simpler: &Self) -> f64 {
+        self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln()
+    }
+
+    /// This one, with the square of a difference that `simpler` has without, earns it: equation 1 has the square of every
+    /// difference, so that there is no choice to allow for.
+    pub(super) fn is_bent(&self, simpler: &Self) -> bool {
+        self.gain_over(simpler) > BENT && self.rms() < simpler.rms()
+    }
+
+    /// The same, where unseen blocks need only be better off on the whole: beside the mean, which a machine that stood most
+    /// of the time leaves little in most blocks.
+    pub(super) fn beyond_chance(&self, simpler: &Self, choices: usize) -> bool {
+        self.gain_over(simpler) > CHANCE + 2.0 * (choices.max(1) as f64).ln() && self.rms() < simpler.rms()
+    }
+}
+
+/// How many independent values a series is worth for a slow cause: by its correlation from one to the next.
+fn independent(series: impl Iterator<Item = f64>) -> f64 {
+    let (mut n, mut own, mut next, mut last) = (0.0, 1e-300, 0.0, None);
+    for v in series {
+        n += 1.0;
+        own += v * v;
+        next += last.map_or(0.0, |l: f64| l * v);
+        last = Some(v);
+    }
+    let phi = (next / own).clamp(0.0, 0.999);
+    n * (1.0 - phi) / (1.0 + phi)
 }
 
 impl Problem {
@@ -77,7 +123,14 @@ impl Problem {
         let mut coefficients: Vec<f64> = (0..p - 1).map(|j| fit[(j, 0)] * scale[p - 1] / scale[j]).collect();
         coefficients[0] = mean[p - 1] + fit[(0, 0)] * scale[p - 1]
             - (1..p - 1).map(|j| coefficients[j] * mean[j]).sum::<f64>();
-        Some(Judged { terms: terms.to_vec(), mse, r: (1.0 - left).max(0.0).sqrt(), coefficients })
+        let residual = |i: usize| {
+            self.y[i]
+                - coefficients[0]
+                - columns.iter().zip(&coefficients[1..]).map(|(u, c)| c * u[i]).sum::<f64>()
+        };
+        let independent = independent(rows.iter().map(|i| residual(*i))).max(folds.len() as f64);
+        let r = (1.0 - left).max(0.0).sqrt();
+        Some(Judged { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
 
     /// Mean and scale of the constant, of every column and of the response: with means taken off and scales made one, the

@@ -10,7 +10,7 @@ use rtec_model::record::{Axis, Record, Role};
 /// Rows that the search sees at most: neighbours in time are averaged, temperatures change slowly.
 const BINS: usize = 512;
 /// Lags tried, from one minute on, each this much longer than the one before.
-pub(super) const LAG_STEP: f64 = 1.15;
+const LAG_STEP: f64 = 1.02;
 
 /// All rows of the training records, ready for the search.
 pub(super) struct Problem {
@@ -83,6 +83,17 @@ impl Problem {
             taus,
             binned,
         })
+    }
+
+    /// A lag between those of the grid, as the last of them: its number.
+    pub(super) fn with_lag(&mut self, tau_s: f64, records: &[&Record]) -> usize {
+        let rows: usize = records.iter().map(|r| r.rows()).sum();
+        let bins = Bins::new(records, rows.div_ceil(BINS));
+        for (name, lags) in self.sensors.iter().zip(&mut self.binned) {
+            lags.push(bins.sensor(name, tau_s));
+        }
+        self.taus.push(tau_s);
+        self.taus.len() - 1
     }
 
     /// How the environment's sensor was found.

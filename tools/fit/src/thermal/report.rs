@@ -112,6 +112,18 @@ pub struct Rms {
     pub holdout: Vec<f64>,
 }
 
+impl Rms {
+    /// Mean square over the blocks.
+    pub(super) fn mean_square(&self) -> f64 {
+        mean_square(&self.folds)
+    }
+}
+
+/// Mean of the squares.
+pub(super) fn mean_square(rms: &[f64]) -> f64 {
+    rms.iter().map(|v| v * v).sum::<f64>() / rms.len().max(1) as f64
+}
+
 /// The 95 % prediction interval.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Interval {

@@ -23,10 +23,21 @@ impl Rows {
         records: &[&Record],
         response: &Role,
     ) -> Result<Self, InputError> {
+        Self::with_lags(problem, terms, &lags_of(problem, terms), records, response)
+    }
+
+    /// The same with another lag for each term than the grid's, s.
+    pub(super) fn with_lags(
+        problem: &Problem,
+        terms: &[Term],
+        lags_s: &[f64],
+        records: &[&Record],
+        response: &Role,
+    ) -> Result<Self, InputError> {
         let mut columns = vec![Vec::new(); terms.len()];
         let (mut y, mut elapsed_s) = (Vec::new(), Vec::new());
         for r in records {
-            for (all, own) in columns.iter_mut().zip(full_columns(problem, terms, r)?) {
+            for (all, own) in columns.iter_mut().zip(full_columns(problem, terms, lags_s, r)?) {
                 all.extend(own);
             }
             y.extend_from_slice(r.data(response).unwrap_or_default());
@@ -42,9 +53,15 @@ impl Rows {
         let rows: Vec<usize> = (0..self.y.len()).filter(|i| take(*i)).collect();
         let p = self.columns.len() + 1;
         let n = rows.len() as f64;
+        if rows.is_empty() {
+            return None;
+        }
         let mean = |v: &[f64]| rows.iter().map(|i| v[*i]).sum::<f64>() / n;
         let means: Vec<f64> = self.columns.iter().map(|c| mean(c)).collect();
         let my = mean(&self.y);
+        if p == 1 {
+            return Some(vec![my]);
+        }
         let a = DMatrix::from_fn(rows.len(), p - 1, |i, j| self.columns[j][rows[i]] - means[j]);
         let b = DVector::from_fn(rows.len(), |i, _| self.y[rows[i]] - my);
         let g = a.tr_mul(&a);
@@ -65,14 +82,27 @@ impl Rows {
     }
 }
 
-/// The columns of a structure at every row of a record.
-fn full_columns(problem: &Problem, terms: &[Term], record: &Record) -> Result<Vec<Vec<f64>>, InputError> {
+/// The lag of each term as the grid has it, s.
+pub(super) fn lags_of(problem: &Problem, terms: &[Term]) -> Vec<f64> {
+    let of = |t: &Term| match t {
+        Term::Thermal { lag, .. } => problem.taus[*lag],
+        _ => 0.0,
+    };
+    terms.iter().map(of).collect()
+}
+
+/// The columns of a structure at every row of a record, each behind its lag.
+fn full_columns(
+    problem: &Problem,
+    terms: &[Term],
+    lags_s: &[f64],
+    record: &Record,
+) -> Result<Vec<Vec<f64>>, InputError> {
     let lacks =
         |what: String| InputError::whole(&record.path, format!("no {what}"), "what the model was fitted on");
-    let sensor = |s: usize, lag: usize| {
+    let sensor = |s: usize, tau: f64| {
         let u = record.temperature(&problem.sensors[s]).ok_or_else(|| lacks(problem.sensors[s].clone()))?;
-        let tau = problem.taus[lag];
-        Ok::<_, InputError>(if lag > 0 { lagged(record.time_s(), u, tau) } else { u.to_vec() })
+        Ok::<_, InputError>(if tau > 0.0 { lagged(record.time_s(), u, tau) } else { u.to_vec() })
     };
     let role = |role: Role, of: fn(f64) -> f64| {
         let data = record.data(&role).ok_or_else(|| lacks(role.to_string()))?;
@@ -80,12 +110,13 @@ fn full_columns(problem: &Problem, terms: &[Term], record: &Record) -> Result<Ve
     };
     terms
         .iter()
-        .map(|t| match *t {
+        .zip(lags_s)
+        .map(|(t, tau)| match *t {
             Term::Coolant => Ok(wet(record)),
             Term::Speed => role(Role::SpindleSpeed, |v| v / 1000.0),
-            Term::Thermal { sensor: s, minus, lag, square } => {
-                let mut u = sensor(s, lag)?;
-                let m = minus.map(|m| sensor(m, lag)).transpose()?;
+            Term::Thermal { sensor: s, minus, square, .. } => {
+                let mut u = sensor(s, *tau)?;
+                let m = minus.map(|m| sensor(m, *tau)).transpose()?;
                 for (i, v) in u.iter_mut().enumerate() {
                     *v -= m.as_ref().map_or(STANDARD_DEGC, |m| m[i]);
                     if square {

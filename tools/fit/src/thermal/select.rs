@@ -9,17 +9,20 @@ use rtec_measure::iso230::correlation;
 /// Two sensors of a higher autocorrelation watch the same source of heat (WO 97/43703, "0.97 was selected").
 pub const REDUNDANT: f64 = 0.97;
 
-/// The refit goes on while R improves by more than this.
-pub const R_GAIN: f64 = 0.01;
-
 /// Rounds of the refit; more were seldom needed (WO 97/43703).
 pub const ROUNDS: usize = 5;
 
 /// Of the lags, those that the screening of candidates looks at: every so many.
-const SCREEN_LAGS: usize = 4;
+const SCREEN_LAGS: usize = 28;
+
+/// The search of a lag begins with every so many of the grid.
+const COARSE: usize = 16;
 
 /// Candidates that pass the screening of a round.
 const SCREENED: usize = 12;
+
+/// So many lags are different to the data.
+const LAG_CHOICES: usize = 4;
 
 /// Sensors that a model may read, the environment's among them ("the final number may generally be only 4 or 5").
 const SENSORS: usize = 5;
@@ -65,7 +68,7 @@ impl Selection {
     /// Says which sensors the data could not tell from the one chosen.
     pub(super) fn rivals(&self, problem: &Problem) -> Option<String> {
         let names: Vec<String> = self.tied.iter().map(|j| problem.name(j.terms[0])).collect();
-        let chosen = problem.name(self.rounds[0].terms[0]);
+        let chosen = problem.name(*self.rounds.first()?.terms.first()?);
         (!names.is_empty()).then(|| {
             let names = names.join(", ");
             format!(
@@ -96,9 +99,90 @@ impl Problem {
         let (kept, dropped) = self.casc(order);
         let mut candidates: Vec<Pair> = kept.iter().filter_map(|j| pair_of(j.terms[0])).collect();
         candidates.extend(&self.pairs);
-        let rounds = self.refit(first, &candidates, folds);
-        let (structure, swaps) = self.exchange(rounds[rounds.len() - 1].clone(), &candidates, folds);
+        let mean = self.judge(&[], folds)?;
+        let begun = |first: Judged| self.built(self.refit(first, &candidates, folds), &candidates, folds);
+        let by_environment =
+            first.beyond_chance(&mean, LAG_CHOICES * self.offered.len()).then(|| begun(first));
+        // The environment may have been taken wrongly, or not matter: begun with any pair, is it simpler or better?
+        let pair = self.best_pair(&candidates, folds).filter(|_| !self.explicit);
+        let by_pair = pair.filter(|p| p.beyond_chance(&mean, LAG_CHOICES * candidates.len())).map(begun);
+        let differences = |j: &Judged| j.terms.iter().filter(|t| squared(**t).is_some()).count();
+        let chosen = match (by_environment, by_pair) {
+            (Some(own), Some(other)) => {
+                let (a, b) = (&own.1, &other.1);
+                let simpler = differences(b) < differences(a) && !a.beats(b);
+                let better = differences(b) <= differences(a) && b.beats(a);
+                Some(if simpler || better { other } else { own })
+            }
+            (own, other) => own.or(other),
+        };
+        // Temperatures that explain no more than chance does: nothing is added, the sensors are ranked all the same.
+        let Some((rounds, structure, swaps)) = chosen else {
+            let none = Vec::new;
+            return Some(Selection {
+                structure: mean,
+                rounds: none(),
+                swaps: Vec::new(),
+                kept,
+                dropped,
+                tied: none(),
+            });
+        };
         Some(Selection { structure, rounds, swaps, kept, dropped, tied })
+    }
+
+    /// The rounds, with terms exchanged and those taken out that the later ones made idle.
+    fn built(
+        &self,
+        rounds: Vec<Judged>,
+        candidates: &[Pair],
+        folds: &[usize],
+    ) -> (Vec<Judged>, Judged, Vec<(Judged, Term)>) {
+        let (structure, swaps) = self.exchange(rounds[rounds.len() - 1].clone(), candidates, folds);
+        let mut structure = self.without_idle(structure, candidates.len(), folds);
+        for term in structure.terms.clone() {
+            let Some(square) = squared(term).filter(|q| self.square && !structure.terms.contains(q)) else {
+                continue;
+            };
+            let bent = self.judge(&[structure.terms.as_slice(), &[square]].concat(), folds);
+            let bent = bent.filter(|b| self.physical(b, folds)).map(|b| self.retune(b, folds));
+            structure = bent.filter(|b| b.is_bent(&structure)).unwrap_or(structure);
+        }
+        (rounds, structure, swaps)
+    }
+
+    /// The difference of any two sensors that leaves least by itself.
+    fn best_pair(&self, candidates: &[Pair], folds: &[usize]) -> Option<Judged> {
+        let screened = self.screen(&[], candidates, folds);
+        let fits = screened.iter().filter_map(|(s, m)| {
+            let plain = self.best_lag(&[], *s, *m, folds)?;
+            let bent = squared(plain.terms[0]).filter(|_| self.square);
+            let bent = bent.and_then(|q| self.judge(&[plain.terms[0], q], folds));
+            let bent = bent.filter(|b| self.physical(b, folds)).map(|b| self.retune(b, folds));
+            Some(bent.filter(|b| b.is_bent(&plain)).unwrap_or(plain))
+        });
+        fits.min_by(|a, b| a.rms().total_cmp(&b.rms()))
+    }
+
+    /// Without the terms that do not earn their place beside the others.
+    fn without_idle(&self, mut now: Judged, candidates: usize, folds: &[usize]) -> Judged {
+        while now.terms.len() > 1 {
+            let rest = |k: usize| {
+                let bent = squared(now.terms[k]);
+                let keep = |(j, t): (usize, &Term)| (j != k && Some(*t) != bent).then_some(*t);
+                let terms: Vec<Term> = now.terms.iter().enumerate().filter_map(keep).collect();
+                let left = self.judge(&terms, folds).filter(|_| !terms.is_empty())?;
+                let left = Some(self.retune(left, folds)).filter(|j| self.physical(j, folds))?;
+                let square = matches!(now.terms[k], Term::Thermal { square: true, .. });
+                let earned =
+                    if square { now.is_bent(&left) } else { now.earns(&left, LAG_CHOICES * candidates) };
+                (!earned).then_some(left)
+            };
+            let idle = (0..now.terms.len()).filter_map(rest);
+            let Some(best) = idle.min_by(|a, b| a.rms().total_cmp(&b.rms())) else { break };
+            now = best;
+        }
+        now
     }
 
     /// In order of merit, a sensor that watches what a better one watches is left out: those kept, and those dropped
@@ -123,11 +207,13 @@ impl Problem {
         let mut now = first;
         let mut rounds = vec![now.clone()];
         while rounds.len() < ROUNDS {
+            // Twice the same difference only makes up for a lag that was not exact.
+            let new = |p: &Pair| now.terms.iter().all(|t| pair_of(*t) != Some(*p));
             let few = |(s, m): &Pair| {
                 let term = Term::Thermal { sensor: *s, minus: *m, lag: 0, square: false };
                 Self::sensor_count(&[now.terms.as_slice(), &[term]].concat()) <= SENSORS
             };
-            let offered: Vec<_> = candidates.iter().copied().filter(few).collect();
+            let offered: Vec<_> = candidates.iter().copied().filter(new).filter(few).collect();
             let screened = self.screen(&now.terms, &offered, folds);
             let mut next: Vec<Judged> =
                 screened.iter().filter_map(|(s, m)| self.best_lag(&now.terms, *s, *m, folds)).collect();
@@ -137,13 +223,18 @@ impl Problem {
                 let judged = self.judge(&[now.terms.as_slice(), &[t]].concat(), folds)?;
                 self.physical(&judged, folds).then_some(judged)
             }));
-            let Some(best) = next.into_iter().min_by(|a, b| a.rms().total_cmp(&b.rms())) else { break };
-            let best = self.retune(best, folds);
-            // The patent's rule asks R; the blocks must agree.
-            if best.r - now.r <= R_GAIN * now.r || !best.beats(&now) {
-                break;
-            }
-            now = best;
+            next.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
+            // The patent asks R to improve by 1 %, which a term cannot do where R is above 0.99: a term stays where blocks
+            // that it has not seen are better off with it, by more than chance makes the best of so many.
+            let choices = LAG_CHOICES * (offered.len() + 1);
+            let earned = next.into_iter().map(|j| self.retune(j, folds));
+            let bent = |j: &&Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
+            let earned: Vec<Judged> =
+                earned.filter(|j| if bent(&j) { j.is_bent(&now) } else { j.earns(&now, choices) }).collect();
+            let Some(best) = earned.first() else { break };
+            // A difference that is there, bent, before another one that does no better.
+            let best = earned.iter().find(bent).filter(|b| !best.beats(b)).unwrap_or(best);
+            now = best.clone();
             rounds.push(now.clone());
         }
         rounds
@@ -267,13 +358,11 @@ impl Problem {
     /// The lags once more, each with the others held, now that all terms are there.
     fn retune(&self, mut now: Judged, folds: &[usize]) -> Judged {
         for k in 0..now.terms.len() {
-            let Term::Thermal { lag: 1.., square: false, .. } = now.terms[k] else { continue };
-            let fits =
-                (1..self.taus.len()).filter_map(|lag| self.judge(&relagged(&now.terms, k, lag), folds));
-            let best = fits.filter(|j| self.physical(j, folds)).min_by(|a, b| a.rms().total_cmp(&b.rms()));
-            if let Some(best) = best.filter(|b| b.rms() < now.rms()) {
-                now = best;
-            }
+            let Term::Thermal { lag: at @ 1.., square: false, .. } = now.terms[k] else { continue };
+            let terms = now.terms.clone();
+            let mut other =
+                |lag: usize| self.judge(&relagged(&terms, k, lag), folds).filter(|j| self.physical(j, folds));
+            now = self.nearer((at, now), &mut other).1;
         }
         now
     }
@@ -298,11 +387,33 @@ impl Problem {
             judged.filter(|j| self.physical(j, folds))
         };
         let without = at(0);
-        let with = (1..self.taus.len()).filter_map(&mut at).min_by(|a, b| a.rms().total_cmp(&b.rms()));
+        let coarse = (1..self.taus.len()).step_by(COARSE).filter_map(|lag| Some((lag, at(lag)?)));
+        let coarse = coarse.min_by(|a, b| a.1.rms().total_cmp(&b.1.rms()));
+        let with = coarse.map(|best| self.nearer(best, &mut at).1);
         match (without, with) {
-            (Some(a), Some(b)) => Some(if b.beats(&a) { b } else { a }),
+            (Some(a), Some(b)) => Some(if b.earns(&a, LAG_CHOICES) { b } else { a }),
             (a, b) => a.or(b),
         }
+    }
+
+    /// From a lag to the best near it, by shorter and shorter steps of the grid.
+    fn nearer(
+        &self,
+        mut best: (usize, Judged),
+        at: &mut dyn FnMut(usize) -> Option<Judged>,
+    ) -> (usize, Judged) {
+        for step in std::iter::successors(Some(COARSE / 2), |s| Some(s / 2)).take_while(|s| *s > 0) {
+            let from = best.0;
+            for lag in [from.saturating_sub(step), from + step] {
+                if (1..self.taus.len()).contains(&lag)
+                    && let Some(judged) = at(lag)
+                    && judged.rms() < best.1.rms()
+                {
+                    best = (lag, judged);
+                }
+            }
+        }
+        best
     }
 
     /// The pairs that are offered, the one that moves most with the response first.

@@ -201,7 +201,7 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
             of >= 5 && (down * 5 >= of * 4 || down * 5 <= of)
         } {
         "is 0 while the axis moves: it looks like 0 and 1 for -1 and +1".to_owned()
-    } else if d.data.iter().all(|v| *v == d.data[0]) && one_sided {
+    } else if distinct(&d.data) == 1 && one_sided {
         format!("is {} in every row, yet {} moves both ways", d.data[0], p.name)
     } else if asked >= 10 && agree <= 0.12 {
         "is opposite to the movement into each row".to_owned()
@@ -278,7 +278,7 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
     let size = middle_range(&e.data);
     let q = quantum(&e.data);
     let multiples = |of: f64| {
-        e.data.iter().all(|v| ((v / of) - (v / of).round()).abs() < 1e-3 * (v / of).abs().max(1.0).min(100.0))
+        e.data.iter().all(|v| ((v / of) - (v / of).round()).abs() < 1e-3 * (v / of).abs().clamp(1.0, 100.0))
     };
     let counted = record.count_um.is_some_and(|count| {
         let small = count / 1000.0;

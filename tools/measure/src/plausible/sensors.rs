@@ -247,7 +247,7 @@ fn wild(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
         (0..n).map(|i| c.data[i] - median(c.data[i.saturating_sub(2)..(i + 3).min(n)].to_vec())).collect();
     let limit = (15.0 * spread(&left)).max(3.0);
     // A warm moment of the machine is seen by another sensor too.
-    let peak = |v: &[f64], i: usize| v[i] - (v[i - 1] + v[i + 1]) / 2.0;
+    let peak = |v: &[f64], i: usize| v[i] - f64::midpoint(v[i - 1], v[i + 1]);
     let alone = |i: usize| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * left[i].abs());
     let rows: Vec<usize> = (2..n - 2).filter(|i| left[*i].abs() > limit && alone(*i)).collect();
     if !rows.is_empty() && rows.len() * 10 <= n {

@@ -161,7 +161,8 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     };
     let date = date::format(day.unwrap_or_else(|| day_of(&records)));
     let records: Vec<&Record> = records.iter().collect();
-    let (machine, report) = least::fit_named(&base, &args.effects, &records, &date)?;
+    let (machine, report) =
+        least::fit_named(&base, &args.effects, &records, &date, i64::from(args.valid_days))?;
     if let Some(path) = &args.common.plot {
         let mut charts = Vec::new();
         for record in &records {

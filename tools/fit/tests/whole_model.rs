@@ -1,0 +1,199 @@
+//! The interval of a model that was fitted in steps: it holds on runs of every kind that it was fitted on, and there is
+//! none where no record has been. Machines and runs are made here, by formulas of their own.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_fit::least::fit_named;
+use rtec_fit::thermal::{self, Options};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::path::Path;
+
+struct Dice(u64);
+
+impl Dice {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+    fn within(&mut self, lo: f64, hi: f64) -> f64 {
+        lo + (hi - lo) * self.unit()
+    }
+    fn normal(&mut self) -> f64 {
+        (-2.0 * (1.0 - self.unit()).ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
+    }
+}
+
+/// Ten effects: scales, reversals, squareness, waves that no fit is asked for, growth of both axes, one of them late.
+struct Truth {
+    scale: [f64; 2],
+    reversal: [f64; 2],
+    squareness: f64,
+    wave: [f64; 2],
+    growth: [f64; 2],
+    noise: f64,
+}
+
+impl Truth {
+    fn random(d: &mut Dice) -> Self {
+        let mut pair = |lo: f64, hi: f64| [d.within(lo, hi), d.within(lo, hi)];
+        let (scale, reversal, wave, growth) =
+            (pair(-60.0, 60.0), pair(-6.0, 6.0), pair(0.3, 1.5), pair(1.0, 5.0));
+        Self { scale, reversal, wave, growth, squareness: d.within(-40.0, 40.0), noise: d.within(0.1, 0.4) }
+    }
+
+    /// Errors of x and y at a place, µm; growth from the warmth of the bearing and what lags behind it.
+    fn errors(&self, p: [f64; 2], dir: [f64; 2], warm: [f64; 2]) -> [f64; 2] {
+        let axis = |k: usize| {
+            self.scale[k] * p[k] / 1000.0
+                + self.reversal[k] * dir[k] / 2.0
+                + self.wave[k] * (std::f64::consts::TAU * p[k] / 10.0).sin()
+                + self.growth[k] * warm[k]
+        };
+        [axis(0) + self.squareness * p[1] / 1000.0, axis(1)]
+    }
+}
+
+fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
+    let role = Role::parse(role).unwrap();
+    Column { name: name.to_owned(), unit: role.unit().unwrap().to_owned(), role, data }
+}
+
+/// Rows: positions, directions, bearing and what lags, per row.
+struct Rows {
+    p: Vec<[f64; 2]>,
+    dir: Vec<[f64; 2]>,
+    every_s: f64,
+    speed: Box<dyn Fn(usize) -> f64>,
+}
+
+fn record(truth: &Truth, d: &mut Dice, name: &str, kind: Kind, rows: &Rows) -> Record {
+    let n = rows.p.len();
+    let (mut bearing, mut late) = (0.0, 0.0);
+    let mut c: Vec<Vec<f64>> = vec![vec![]; 9];
+    for i in 0..n {
+        bearing += (12.0 * (rows.speed)(i) - bearing) * (1.0 - (-rows.every_s / 1200.0).exp());
+        late += (bearing - late) * (1.0 - (-rows.every_s / 900.0).exp());
+        let e = truth.errors(rows.p[i], rows.dir[i], [bearing, late]);
+        let air = 20.0 + 0.3 * (i as f64 / 60.0).sin();
+        let row = [
+            i as f64 * rows.every_s,
+            rows.p[i][0],
+            rows.p[i][1],
+            rows.dir[i][0],
+            rows.dir[i][1],
+            air + bearing + 0.01 * d.normal(),
+            air + 0.01 * d.normal(),
+            e[0] + truth.noise * d.normal(),
+            e[1] + truth.noise * d.normal(),
+        ];
+        c.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+    }
+    let roles = ["time", "position.x", "position.y", "direction.x", "direction.y"];
+    let mut columns: Vec<Column> = roles
+        .iter()
+        .zip(["t", "x", "y", "dx", "dy"])
+        .zip(&c)
+        .map(|((r, n), v)| column(n, r, v.clone()))
+        .collect();
+    columns.push(column("T1", "temperature", c[5].clone()));
+    columns.push(column("air", "temperature", c[6].clone()));
+    columns.push(column("ex", "error.x", c[7].clone()));
+    columns.push(column("ey", "error.y", c[8].clone()));
+    Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
+}
+
+/// The runs that the README names: linear in both axes, plate, drift, circle; cold but for the drift.
+fn runs(truth: &Truth, d: &mut Dice) -> Vec<Record> {
+    let cold = || Box::new(|_: usize| 0.0) as Box<dyn Fn(usize) -> f64>;
+    let mut out = Vec::new();
+    for k in 0..2 {
+        let (mut p, mut dir) = (vec![], vec![]);
+        for _ in 0..3 {
+            for i in 0..40 {
+                let up = i < 20;
+                let at = if up { i } else { 39 - i };
+                let mut place = [0.0; 2];
+                place[k] = -190.0 + 20.0 * f64::from(at) + 3.7 * f64::from(at % 3);
+                let mut way = [1.0; 2];
+                way[k] = if up { 1.0 } else { -1.0 };
+                p.push(place);
+                dir.push(way);
+            }
+        }
+        out.push(record(
+            truth,
+            d,
+            "linear",
+            Kind::Positioning,
+            &Rows { p, dir, every_s: 5.0, speed: cold() },
+        ));
+    }
+    let grid = (0..144).map(|i| [-198.0 + 36.3 * f64::from(i / 12), -198.0 + 36.3 * f64::from(i % 12)]);
+    let p: Vec<[f64; 2]> = grid.collect();
+    let dir = vec![[1.0; 2]; p.len()];
+    out.push(record(truth, d, "plate", Kind::Plate, &Rows { p, dir, every_s: 5.0, speed: cold() }));
+    let angle = |i: u32| std::f64::consts::TAU * f64::from(i) / 180.0;
+    let p: Vec<[f64; 2]> = (0..360).map(|i| [150.0 * angle(i).cos(), 150.0 * angle(i).sin()]).collect();
+    let dir = (0..360).map(|i| [-angle(i).sin().signum(), angle(i).cos().signum()]).collect();
+    out.push(record(truth, d, "circle", Kind::Ballbar, &Rows { p, dir, every_s: 0.1, speed: cold() }));
+    let levels: Vec<f64> = (0..10).map(|_| if d.unit() < 0.3 { 0.0 } else { d.within(0.3, 1.0) }).collect();
+    let speed = Box::new(move |i: usize| levels[(i / 30) % 10]) as Box<dyn Fn(usize) -> f64>;
+    let still = Rows { p: vec![[0.0; 2]; 300], dir: vec![[1.0; 2]; 300], every_s: 120.0, speed };
+    out.push(record(truth, d, "drift", Kind::Drift, &still));
+    out
+}
+
+fn left(machine: &Machine, record: &Record, response: &Role) -> Vec<f64> {
+    machine.beyond(record).unwrap().data(response).unwrap().to_vec()
+}
+
+#[test]
+fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
+    let kinds = ["linear x", "linear y", "plate", "circle", "drift"];
+    let mut inside = [(0.0, 0.0); 5];
+    for seed in 0..12 {
+        let mut d = Dice(4000 + seed);
+        let truth = Truth::random(&mut d);
+        let (train, later) = (runs(&truth, &mut d), runs(&truth, &mut d));
+        let geometry: Vec<&Record> = train[..4].iter().collect();
+        let names = ["scale.x", "scale.y", "reversal.x", "reversal.y", "squareness.x.y"].map(str::to_owned);
+        let ideal = Machine::ideal("m");
+        let (base, _) = fit_named(&ideal, &names, &geometry, "2026-05-01", 365).unwrap();
+        let options = Options { base: Some(base), environment: Some("air".to_owned()), ..Options::default() };
+        let (machine, _) = thermal::fit(&[&train[4]], &[], &options).unwrap();
+        // As it is written and read again.
+        let machine = Machine::parse(Path::new("m.toml"), &machine.to_text()).unwrap();
+        for (k, record) in later.iter().enumerate() {
+            for axis in ["x", "y"] {
+                let role = Role::Error(Axis::new(axis).unwrap());
+                let widths = machine.half_widths_um(record, &role).unwrap();
+                let errors = left(&machine, record, &role);
+                // A gauge's zero is its own.
+                let zero = errors.iter().sum::<f64>() / errors.len() as f64;
+                let zero = if k == 4 { 0.0 } else { zero };
+                inside[k].0 +=
+                    errors.iter().zip(&widths).filter(|(e, w)| (*e - zero).abs() <= **w).count() as f64;
+                inside[k].1 += errors.len() as f64;
+            }
+        }
+        // Where no record has been there is none.
+        let mut far = later[0].clone();
+        far.columns.iter_mut().find(|c| c.name == "x").unwrap().data.iter_mut().for_each(|x| *x += 400.0);
+        let role = Role::Error(Axis::new("x").unwrap());
+        assert_eq!(machine.half_widths_um(&far, &role), None);
+        let alone = Options { environment: Some("air".to_owned()), ..Options::default() };
+        let (of_drift, _) = thermal::fit(&[&train[4]], &[], &alone).unwrap();
+        assert_eq!(of_drift.half_widths_um(&later[0], &role), None, "a drift says nothing of the travel");
+        assert!(of_drift.half_widths_um(&later[4], &role).is_some());
+    }
+    for (kind, (own, all)) in kinds.iter().zip(inside) {
+        println!("{kind:10} {:5.1} % inside", 100.0 * own / all);
+    }
+    for (own, all) in inside {
+        assert!((0.9..=1.0).contains(&(own / all)));
+    }
+}
