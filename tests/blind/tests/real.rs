@@ -173,6 +173,42 @@ fn a_driven_axis_has_coulomb_friction_that_differs_by_direction() {
     }
 }
 
+/// The log as it was written: position in m and motor command in V at 1 kHz, no velocity, no acceleration. They are derived,
+/// and on the later half of the run the force is known to the owners' figures.
+#[test]
+fn a_raw_log_of_position_and_current_is_enough() {
+    let Some(text) = data("axis_dynamics/identification.csv") else { return };
+    let rows: Vec<[f64; 3]> = text
+        .lines()
+        .skip(1)
+        .map(|l| {
+            let f: Vec<f64> = l.split(',').map(|f| f.parse().unwrap()).collect();
+            [f[0], 1e3 * f[2], 35.1507 * f[3]]
+        })
+        .collect();
+    let part = |rows: &[[f64; 3]]| {
+        let pick = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
+        let columns = vec![
+            column("t", Role::Time, pick(0)),
+            column("x", Role::Position(axis("x")), pick(1)),
+            column("f", Role::Force(axis("x")), pick(2)),
+        ];
+        Record::new(&PathBuf::from("raw.run.toml"), Kind::Dynamics, columns).unwrap()
+    };
+    let model = "name = \"emps\"\n[[effect]]\nname = \"inertia.x\"\nkg = 95.11\n[[effect]]\n\
+                 name = \"friction_viscous.x\"\nN_s_per_m = 203.5\n";
+    let machine = Machine::parse(Path::new("emps.toml"), model).unwrap();
+    let (early, late) = rows.split_at(rows.len() / 2);
+    let late = part(late);
+    let force = late.data(&Role::Force(axis("x"))).unwrap();
+    let size = (force.iter().map(|f| f * f).sum::<f64>() / force.len() as f64).sqrt();
+    let r = reconcile(&[part(early)], &[late], &machine, &Options::default()).unwrap();
+    let after = r.gap[0].holdout.unwrap()[1] / size;
+    println!("{} {:?}, {:.2} % of the later force; {:?}", r.verdict, names(&r), 100.0 * after, r.derived);
+    assert_eq!(names(&r)[..2], ["friction_coulomb.x", "friction_asymmetric.x"]);
+    assert!(after < 0.053, "{after}");
+}
+
 /// Rows of the spindle run: growth and its sixteen temperatures, with further temperatures and channels beside them.
 fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<f64>)]) -> Record {
     let lines: Vec<Vec<f64>> =

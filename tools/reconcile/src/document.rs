@@ -103,6 +103,7 @@ impl Reconciliation {
             })).collect::<Vec<_>>(),
             "gap": if let [one] = &gaps[..] { one.clone() } else { json!(gaps) },
             "suspicions": self.suspicions,
+            "derived": self.derived,
             "advice": self.advice,
             "tried": self.ranking.iter().map(|t| json!({
                 "name": t.label, "log_odds": t.odds, "accepted": t.accepted,

@@ -83,6 +83,8 @@ pub struct Reconciliation {
     pub places: Vec<Place>,
     /// Mistakes that the data show: what they are against was left out.
     pub suspicions: Vec<Suspicion>,
+    /// Velocities and accelerations that were derived from positions, a line each.
+    pub derived: Vec<String>,
     /// What was added, strongest first, with half widths of the intervals.
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.

@@ -14,6 +14,7 @@ use crate::verdict::{Reconciliation, Refined, Verdict};
 use crate::where_found::{self, Place};
 use rtec_files::InputError;
 use rtec_fit::quiet;
+use rtec_measure::derive::derive;
 use rtec_model::effect::{Dictionary, Effect, Heat, Law, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
@@ -57,6 +58,8 @@ pub fn reconcile(
         let expected = "a column of role error.AXIS or force.AXIS: no effect of a model is a tilt";
         return Err(InputError::whole(&record.path, "no response", expected));
     }
+    let (train, holdout, derived) = with_motion(train, holdout);
+    let (train, holdout) = (&train[..], &holdout[..]);
     let doubts = doubts(train, holdout, machine);
     let nothing_left = doubts.train.is_empty();
     let train = if nothing_left { train } else { &doubts.train };
@@ -118,6 +121,7 @@ pub fn reconcile(
         places: where_found::places(&stack, &answer.file),
         advice,
         suspicions: said,
+        derived,
         effects,
         unexplained: answer.unexplained,
         curve,
@@ -130,6 +134,24 @@ pub fn reconcile(
         phi: answer.phi,
         every,
     })
+}
+
+/// The records with velocity and acceleration from their positions where they have none, and what was done.
+fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record>, Vec<String>) {
+    let mut notes = Vec::new();
+    let mut of = |records: &[Record]| -> Vec<Record> {
+        let mut records = records.to_vec();
+        for r in &mut records {
+            let columns = r.columns.len();
+            let said = derive(r);
+            if r.columns.len() > columns {
+                notes.extend(said.into_iter().map(|n| format!("{}: {n}", r.file)));
+            }
+        }
+        records
+    };
+    let (train, holdout) = (of(train), of(holdout));
+    (train, holdout, notes)
 }
 
 /// All effects after the last fit.
