@@ -106,7 +106,8 @@ impl Source {
     }
     /// Takes the constant and the straight line over the rows that show it out of a map: those are other effects.
     pub fn level(&mut self, runs: &[Run]) {
-        let (response, along) = (format!("error.{}", self.part(1)), self.name.rsplit('.').next().unwrap_or(""));
+        let (response, along) =
+            (format!("error.{}", self.part(1)), self.name.rsplit('.').next().unwrap_or(""));
         let role = format!("position.{along}");
         let [(_, knots), (_, um)] = &mut self.arr[..] else { return };
         let shown = runs.iter().filter(|r| r.responses.contains(&response));

@@ -56,10 +56,8 @@ fn waves_that_only_stand_together_are_no_finding() {
 /// A bug once: a step was exchanged for a name that explained far less, as the exchange only saw the step's own grid.
 #[test]
 fn a_name_is_exchanged_only_for_a_better_one() {
-    for seed in [700_133, 700_144] {
-        let (good, bad) = right(Hides::Two, seed..seed + 1);
-        assert_eq!(good, 1, "{bad:#?}");
-    }
+    let (good, bad) = right(Hides::Two, 700_133..700_134);
+    assert_eq!(good, 1, "{bad:#?}");
 }
 
 /// A bug once: coolant that drift outweighed was found and dropped as too slight, and nothing was missing.

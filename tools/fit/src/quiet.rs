@@ -166,7 +166,8 @@ mod tests {
     #[test]
     fn a_kink_survives() {
         let t: Vec<f64> = (0..200).map(|i| 10.0 * f64::from(i) + if i > 90 { 900.0 } else { 0.0 }).collect();
-        let truth: Vec<f64> = t.iter().map(|t| if *t < 600.0 { 21.0 } else { 21.0 + 0.004 * (t - 600.0) }).collect();
+        let truth: Vec<f64> =
+            t.iter().map(|t| if *t < 600.0 { 21.0 } else { 21.0 + 0.004 * (t - 600.0) }).collect();
         let log: Vec<f64> = truth.iter().zip(noise(5, 200)).map(|(t, e)| t + 0.02 * e).collect();
         let quiet = series(&t, &log).unwrap();
         let left = rms(quiet.iter().zip(&truth).map(|(a, b)| a - b));

@@ -133,6 +133,8 @@ pub struct Errors<'m> {
     degc: Vec<f64>,
     /// Where the axes stand, as the layout has them, mm; the table's own comes first.
     places_mm: Vec<f64>,
+    /// Axes of a chain whose place nobody stated.
+    unstated: Vec<String>,
 }
 
 impl<'m> Errors<'m> {
@@ -199,7 +201,8 @@ impl<'m> Errors<'m> {
             let given = || format!("--at {name}={value}");
             let others: Vec<&str> = layout.axes[1..].iter().map(Axis::as_str).collect();
             let place = others.iter().position(|a| a == name).ok_or_else(|| {
-                let of = if others.is_empty() { "the model reads none".to_owned() } else { others.join(", ") };
+                let of =
+                    if others.is_empty() { "the model reads none".to_owned() } else { others.join(", ") };
                 usage(given(), format!("AXIS=mm with another axis of the model: {of}"))
             })?;
             if others_mm[..n].iter().any(|(other, _)| other == name) {
@@ -210,7 +213,12 @@ impl<'m> Errors<'m> {
             }
             places_mm[place + 1] = *value;
         }
-        Ok(Self { machine, axis, layout, degc, places_mm })
+        let stated = |a: &&Axis| others_mm.iter().any(|(name, _)| name == a.as_str());
+        let unstated = match machine.chain() {
+            Some(_) => layout.axes[1..].iter().filter(|a| !stated(a)).map(ToString::to_string).collect(),
+            None => Vec::new(),
+        };
+        Ok(Self { machine, axis, layout, degc, places_mm, unstated })
     }
 
     /// Errors at these rising places, µm: approached from below each (`up`) or from above.
@@ -251,10 +259,16 @@ impl<'m> Errors<'m> {
         let mut live = self.live()?;
         self.at(&mut live, 0.0, 1.0);
         let mut doubts = Vec::new();
+        if !self.unstated.is_empty() {
+            let others = self.unstated.join(", ");
+            doubts.push(format!("the table holds with {others} at 0 mm; --at states another place"));
+        }
         for part in live.parts().filter(|p| acts_on(p.effect, &self.axis)) {
             let own = part.effect.axes().first() == Some(&self.axis);
             let cause = |need: &Need| match need {
-                Need::Position(n) if part.effect.axes()[*n] != self.axis => Some("the other axes where --at has them, or at 0"),
+                Need::Position(n) if part.effect.axes()[*n] != self.axis => {
+                    Some("the other axes where --at has them, or at 0")
+                }
                 Need::Direction if !own => Some("the other axes at rest"),
                 Need::Position(_) | Need::Direction | Need::Delta => None,
                 Need::Time => Some("time 0"),

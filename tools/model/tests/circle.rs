@@ -276,11 +276,12 @@ fn candidates_are_the_axes_effects() {
             );
         }
     }
-    for name in ["squareness.x.y", "squareness.y.x", "straightness.x.y", "straightness.y.x", "form_bump"] {
+    for name in ["squareness.x.y", "squareness.y.x", "straightness.x.y", "straightness.y.x"] {
         assert!(of_circle.iter().any(|n| n.split(' ').next() == Some(name)), "{name} not in {of_circle:?}");
     }
-    // A bar has no probe to lobe; a rotation of its circle is not to be seen.
-    assert!(!of_circle.iter().any(|n| n.starts_with("probe_lobing") || n.starts_with("rotation")));
+    // A bar has no probe to lobe, and no part's form; a rotation of its circle is not to be seen.
+    let none = ["probe_lobing", "form_bump", "rotation"];
+    assert!(!of_circle.iter().any(|n| none.iter().any(|law| n.starts_with(law))));
     assert!(!of_circle.iter().any(|n| n.starts_with("angular.r") || n.starts_with("squareness.r")));
     // Beside a run along x, what both show of x.
     let line = Record::new(

@@ -2,8 +2,9 @@
 //! shows beside the model, a record that agrees with it only with another sign, unit, direction or sensor. What is doubted
 //! is left out of the analysis and said; it is never named as an effect.
 
+use crate::answer::Answer;
 use crate::gap::Gap;
-use crate::problem::rms;
+use crate::problem::{Stack, rms};
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role};
@@ -14,6 +15,9 @@ const ALIKE: f64 = 0.8;
 const UNLIKE: f64 = 0.3;
 /// The same for what changes the model's side alone: so much of the variance that was left is left.
 const BETTER: f64 = 0.2;
+/// A row is wild that is so many robust standard deviations off; more than this share of them are no wild rows.
+const WILD: f64 = 9.0;
+const MOST_WILD: f64 = 0.06;
 /// Fewer rows tell nothing.
 const FEWEST: usize = 12;
 /// A hold-out that the better model leaves so many times the training's remainder of is of another machine, or state.
@@ -187,13 +191,60 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
     })
 }
 
+/// Rows of each record that an answer leaves far off all others: single ones, and few. From 0.
+pub(crate) fn wild(records: &[Record], answer: &Answer) -> Vec<Vec<usize>> {
+    let stack = Stack::new(records);
+    let mut out = vec![Vec::new(); records.len()];
+    for s in &stack.segments {
+        let left = &answer.residual[s.rows.clone()];
+        let median = |mut v: Vec<f64>| {
+            v.sort_by(f64::total_cmp);
+            v[v.len() / 2]
+        };
+        if left.len() < FEWEST {
+            continue;
+        }
+        let middle = median(left.to_vec());
+        let spread = 1.4826 * median(left.iter().map(|r| (r - middle).abs()).collect());
+        let rows: Vec<usize> =
+            (0..left.len()).filter(|i| (left[*i] - middle).abs() > WILD * spread.max(1e-9)).collect();
+        let single = rows.windows(3).all(|w| w[2] > w[0] + 2);
+        if single && !rows.is_empty() && rows.len() as f64 <= MOST_WILD * left.len() as f64 + 1.0 {
+            out[s.record].extend(rows);
+        }
+    }
+    for rows in &mut out {
+        rows.sort_unstable();
+        rows.dedup();
+    }
+    out
+}
+
+/// What is said of them.
+pub(crate) fn say_wild(record: &Record, rows: &[usize]) -> Option<Suspicion> {
+    let response = record.responses().next()?;
+    let text = format!(
+        "{} of {} rows are far off all that explains the others: left out",
+        rows.len(),
+        record.rows()
+    );
+    Some(Suspicion::new(record, &response.name, What::Outliers, rows, text))
+}
+
+/// A record without some rows.
+pub(crate) fn without_rows(record: &Record, rows: &[usize]) -> Record {
+    let keep: Vec<usize> = (0..record.rows()).filter(|i| rows.binary_search(i).is_err()).collect();
+    if rows.is_empty() || keep.is_empty() { record.clone() } else { record.select(&keep) }
+}
+
 /// A hold-out that the better model describes far worse than the training, and no better than the model as it was: then how
 /// much of its gap is closed says nothing.
 pub(crate) fn other_machine(holdout: &[Record], gap: &mut [Gap]) -> Option<Suspicion> {
     let record = holdout.first()?;
     let far = gap.iter_mut().find(|g| {
         let floor = g.floor.max(g.train[1]);
-        g.holdout.is_some_and(|[before, after]| g.is_wider() || (after > OTHER * floor && after > 0.7 * before))
+        g.holdout
+            .is_some_and(|[before, after]| g.is_wider() || (after > OTHER * floor && after > 0.7 * before))
     })?;
     let [_, after] = far.holdout?;
     far.doubted = true;

@@ -38,9 +38,11 @@ impl Term {
         let law = effect.description();
         let free = |v: &usize| law.parameters[v / width].search != Search::Chosen && !held.contains(v);
         let directions = stack.directions(&effect);
-        let ways: Vec<Vec<(usize, f64)>> = match law.place(Search::Linear).filter(|_| !directions.is_empty()) {
+        let ways: Vec<Vec<(usize, f64)>> = match law.place(Search::Linear).filter(|_| !directions.is_empty())
+        {
             Some(heights) => {
-                let of = |d: &Vec<f64>| d.iter().enumerate().map(|(k, w)| (heights * width + k, *w)).collect();
+                let of =
+                    |d: &Vec<f64>| d.iter().enumerate().map(|(k, w)| (heights * width + k, *w)).collect();
                 directions.iter().map(of).collect()
             }
             None => (0..effect.values().len()).filter(free).map(|v| vec![(v, 1.0)]).collect(),
@@ -146,7 +148,8 @@ fn apply(terms: &mut [Term], start: &[Term], step: &Step, share: f64) {
                 let parameter = &term.effect.description().parameters[v / term.effect.width()];
                 // A length, time or period moves by no more than half of itself at once.
                 let positive = parameter.bounds[0] > 0.0 || parameter.plausible[0] > 0.0;
-                values[*v] += if positive { change.clamp(-0.5 * values[*v], 0.5 * values[*v]) } else { change };
+                values[*v] +=
+                    if positive { change.clamp(-0.5 * values[*v], 0.5 * values[*v]) } else { change };
             }
         }
         let mut effect = start[t].effect.clone();

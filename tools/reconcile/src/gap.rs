@@ -45,13 +45,6 @@ impl Gap {
         let [before, after] = self.holdout.or(self.blocked).unwrap_or(self.train);
         after > (1.0 + WIDER) * before.max(self.floor)
     }
-
-    /// Nothing is added: all stays as it was.
-    pub(crate) fn stay(&mut self) {
-        for pair in [Some(&mut self.train), self.holdout.as_mut(), self.blocked.as_mut()].into_iter().flatten() {
-            pair[1] = pair[0];
-        }
-    }
 }
 
 /// What the simulation leaves of one response of one record.
@@ -215,7 +208,14 @@ mod tests {
 
     #[test]
     fn the_gap_is_closed_when_only_the_floor_is_left() {
-        let gap = |train, holdout, blocked, floor| Gap { unit: "um".into(), train, holdout, blocked, floor, doubted: false };
+        let gap = |train, holdout, blocked, floor| Gap {
+            unit: "um".into(),
+            train,
+            holdout,
+            blocked,
+            floor,
+            doubted: false,
+        };
         assert_eq!(gap([5.0, 1.0], None, None, 1.0).closed(), Some(1.0));
         // The hold-out counts where there is one, then the cross-validation.
         assert_eq!(gap([5.0, 1.0], Some([5.0, 3.0]), Some([5.0, 5.0]), 1.0).closed(), Some(0.5));

@@ -46,8 +46,7 @@ impl Vector {
 
     pub(crate) fn products(&self, other: &[f64], segments: &[Range<usize>]) -> Products {
         let Some(rows) = rows_of(segments) else { return Products::default() };
-        let [plain, lagged] =
-            dots(&self.data[rows.clone()], &self.neighbours[rows.clone()], &other[rows]);
+        let [plain, lagged] = dots(&self.data[rows.clone()], &self.neighbours[rows.clone()], &other[rows]);
         Products { plain, lagged, ends: ends(&self.data, other, segments) }
     }
 }

@@ -11,7 +11,7 @@ use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC}
 /// Log odds below which the data do not decide between two explanations.
 const DECISIVE: f64 = 3.0;
 /// Log odds by which a shape without a name must beat the best named explanation.
-const SHAPE_DECISIVE: f64 = 1.5;
+const SHAPE_DECISIVE: f64 = 5.0;
 /// The same where the names leave little.
 const SHAPE_INSTEAD: f64 = 12.0;
 
@@ -23,6 +23,8 @@ const EXPLAINED: f64 = 0.25;
 /// Where named effects leave less than this share of the gap, they are not exchanged for a shape without a name,
 /// however well it fits: no law is true to a fiftieth.
 const NEARLY_ALL: f64 = 0.05;
+/// A member that is worth less than this, nats, may be there only for what another one's values miss.
+const WEAK: f64 = 30.0;
 /// More waves of one law on an axis are no name.
 const NAMED_WAVES: usize = 2;
 /// Most rivals that are listed for one effect.
@@ -42,8 +44,9 @@ struct Conclusion<'f> {
 /// Names what a search found, beside the model as it is now.
 pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
     let named = renamed(search, found.named.clone());
+    let named = slimmed(search, named);
     let mut named = with_offset(search, &named);
-    let any = found.any.clone();
+    let any = slimmed(search, found.any.clone());
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
     let chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
@@ -73,10 +76,11 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     let findings = conclusion.findings(search, &mut tried);
     let Conclusion { set, unexplained, .. } = conclusion;
     let best = if any.score > set.score { any } else { set };
-    // What only wanders slowly makes values less certain.
+    // What only wanders slowly makes values less certain; what is left is judged without it.
     let best = search.wandering(true, best);
-    let (residual, phi) = search.residual(&best);
-    search.wandering(false, best);
+    let (_, phi) = search.residual(&best);
+    let best = search.wandering(false, best);
+    let (residual, _) = search.residual(&best);
     Answer {
         findings,
         unexplained,
@@ -416,6 +420,29 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
         }
     }
     named
+}
+
+/// The set without members that are worth little beside the others, where those then find better values: two half truths may
+/// hold the place of a whole one.
+fn slimmed(search: &mut Search<'_, '_>, set: Set) -> Set {
+    let mut best = set;
+    loop {
+        let weak: Vec<Set> = (0..best.members.len())
+            .map(|i| search.without(&best, i))
+            .filter(|rest| best.score - rest.score < WEAK)
+            .collect();
+        let mut better = None;
+        for rest in weak {
+            let rest = search.polish(rest);
+            if rest.score > better.as_ref().map_or(best.score, |b: &Set| b.score) {
+                better = Some(rest);
+            }
+        }
+        match better {
+            Some(set) => best = set,
+            None => return best,
+        }
+    }
 }
 
 /// A constant beside a member may make another explanation of that member better than itself: a step that a search

@@ -281,7 +281,8 @@ pub(crate) fn ways(stack: &Stack<'_>, effect: &Effect) -> Vec<Vec<(usize, f64)>>
     let levels = stack.levels(effect, &raw);
     let knots = law.place(Search::Chosen).map_or(&[][..], |p| effect.get(p));
     let constant = vec![1.0; k];
-    let over = |heights: &[f64], level: &[f64]| -> f64 { heights.iter().zip(level).map(|(h, l)| h * l).sum() };
+    let over =
+        |heights: &[f64], level: &[f64]| -> f64 { heights.iter().zip(level).map(|(h, l)| h * l).sum() };
     let (n, tilt) = (over(&constant, &levels[0]), over(knots, &levels[1]));
     let (mean, lean) = (over(um, &levels[0]) / n.max(1e-300), over(um, &levels[1]));
     let slope = if tilt.abs() > 1e-12 { lean / tilt } else { 0.0 };
@@ -310,7 +311,8 @@ pub(crate) fn known(stack: &Stack<'_>, noise: f64, file: &[Effect], now: &[Effec
             if reach < 1e-12 {
                 continue;
             }
-            let bent = |v: usize| effect.description().parameters[v / effect.width()].search != Search::Linear;
+            let bent =
+                |v: usize| effect.description().parameters[v / effect.width()].search != Search::Linear;
             let trust = if along.iter().any(|(v, _)| bent(*v)) { TRUST_BENT } else { TRUST };
             // A map moves by a share of itself, whatever part of it the rows show.
             let share = if map { trust } else { trust * size / reach };

@@ -1,8 +1,8 @@
 //! `report.html`: the answer for a person, in one file, plots inside.
 
-use crate::where_found::LEAST_P;
 use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
+use crate::where_found::LEAST_P;
 use std::fmt::Write as _;
 
 const WIDTH: f64 = 860.0;

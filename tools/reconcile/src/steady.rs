@@ -152,7 +152,9 @@ impl Search<'_, '_> {
     /// No single rule for choosing one of them holds from one stretch of time to the next; their mean does. `tried`: the
     /// one that predicts best first.
     fn averaged(&self, tried: &[Simple]) -> Vec<(usize, f64)> {
-        let place = |t: &Simple| self.all.list[t.hypothesis].sensor().map(|d| hot(d, &self.surroundings()).to_owned());
+        let place = |t: &Simple| {
+            self.all.list[t.hypothesis].sensor().map(|d| hot(d, &self.surroundings()).to_owned())
+        };
         let mut best: Vec<&Simple> = Vec::new();
         for t in tried {
             if best.len() < AVERAGED && !best.iter().any(|b| place(b) == place(t)) {

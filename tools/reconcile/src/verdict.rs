@@ -32,7 +32,10 @@ impl Verdict {
             Self::UnknownEffect
         } else if added.is_empty() {
             Self::NothingMissing
-        } else if added.iter().any(|(f, _)| !is_companion(f, added) && f.rivals.iter().any(|r| r.name != f.effect.name())) {
+        } else if added
+            .iter()
+            .any(|(f, _)| !is_companion(f, added) && f.rivals.iter().any(|r| r.name != f.effect.name()))
+        {
             Self::NotSeparable
         } else {
             Self::Named

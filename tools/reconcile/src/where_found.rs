@@ -53,6 +53,9 @@ const PERMUTATIONS: usize = 999;
 /// So many of them as large as what was found are enough to know that it is nothing.
 const ENOUGH: usize = 20;
 
+/// A place this clear is taken out before weaker ones are looked at.
+const CLEAR: f64 = 0.01;
+
 /// The smallest p-value that is given.
 pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 
@@ -73,9 +76,24 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
         let mean = residual.iter().sum::<f64>() / residual.len().max(1) as f64;
         residual.iter_mut().for_each(|r| *r -= mean);
         let sigma = stack.sigma[response];
-        for (against, x) in channels(stack, &segments) {
-            let response = stack.responses[response].to_string();
-            out.extend(place(response, against, &x, &residual, sigma));
+        // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
+        let role = stack.responses[response].to_string();
+        let of = |(against, x): (String, Vec<f64>)| {
+            let alone = place(&role, &against, &x, &residual, sigma)?;
+            Some((x, alone))
+        };
+        let mut alone: Vec<(Vec<f64>, Place)> =
+            channels(stack, &segments).into_iter().filter_map(of).collect();
+        alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
+        let mut left = residual.clone();
+        for (x, mut found) in alone {
+            if let Some(beside) = place(&role, &found.against, &x, &left, sigma) {
+                found.p_value = found.p_value.min(beside.p_value);
+            }
+            if found.p_value <= CLEAR {
+                flatten(&x, &mut left);
+            }
+            out.push(found);
         }
     }
     out.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
@@ -147,7 +165,8 @@ fn channels(stack: &Stack<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)>
 }
 
 /// Structure of a residual against one channel; none for a constant one.
-fn place(response: String, against: String, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
+fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
+    let (response, against) = (response.to_owned(), against.to_owned());
     let bins = stretches(x)?;
     let mut bin = vec![0usize; x.len()];
     for (b, rows) in bins.iter().enumerate() {
@@ -190,6 +209,14 @@ fn place(response: String, against: String, x: &[f64], residual: &[f64], sigma: 
     Some(Place { response, against, statistic, p_value, q_value: 1.0, profile })
 }
 
+/// Takes a channel's means over its stretches out of a residual.
+fn flatten(x: &[f64], residual: &mut [f64]) {
+    for rows in stretches(x).into_iter().flatten() {
+        let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len() as f64;
+        rows.iter().for_each(|i| residual[*i] -= mean);
+    }
+}
+
 /// Rows by stretch: by value where there are few, by equal numbers of rows otherwise; none for a constant.
 fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
@@ -225,7 +252,11 @@ mod tests {
         let stack = Stack::new(&records);
         let found = places(&stack, &[]);
         assert_eq!((found[0].against.as_str(), found.len()), ("position.x", 2));
-        assert!(found[0].p_value == LEAST_P && found[0].q_value < 0.003 && found[0].profile.len() == STRETCHES, "{:?}", found[0]);
+        assert!(
+            found[0].p_value == LEAST_P && found[0].q_value < 0.003 && found[0].profile.len() == STRETCHES,
+            "{:?}",
+            found[0]
+        );
     }
 
     /// Sensors of noise beside an error that drifts: as often as chance, and never with certainty.

@@ -15,6 +15,7 @@ use crate::where_found::{self, Place};
 use rtec_files::InputError;
 use rtec_fit::quiet;
 use rtec_measure::derive::derive;
+use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::{Dictionary, Effect, Heat, Law, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
@@ -22,6 +23,10 @@ use std::borrow::Cow;
 
 /// How far a value must move from the model's, in standard errors: about one in ten thousand by chance.
 const BEYOND_CHANCE: f64 = 3.9;
+/// What is left is no agreement when it is so many times the noise.
+const FAR: f64 = 8.0;
+/// A value so much smaller than its interval's half width says nothing.
+const NOTHING: f64 = 0.5;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
 /// Steps of the last fit, and of one curve of several that stand for a shape.
@@ -62,9 +67,9 @@ pub fn reconcile(
     let (train, holdout) = (&train[..], &holdout[..]);
     let doubts = doubts(train, holdout, machine);
     let nothing_left = doubts.train.is_empty();
-    let train = if nothing_left { train } else { &doubts.train };
-    let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
-    let (mut answer, used, every) = thinned(&quiet, machine, options.level);
+    let given = if nothing_left { train.to_vec() } else { doubts.train };
+    let Analysed { train, wild, mut answer, used, every } = Analysed::of(given, machine, options.level);
+    let train = &train[..];
     if nothing_left {
         // All of it is doubted: it is shown beside the model as it is, and nothing is learned from it.
         answer.findings.clear();
@@ -80,10 +85,14 @@ pub fn reconcile(
         f.effect = whole_counts(&t.effect, train, &t.half);
     }
     warm_plate(&mut answer.findings, train, machine.dictionary());
-    let mut refined = if nothing_left { Vec::new() } else { fitted.correct(&mut model) };
+    let refined = if nothing_left { Vec::new() } else { fitted.correct(&mut model) };
     let write = Writer { train, date: options.date.as_ref() };
     let mut effects = Vec::new();
     for (f, t) in answer.findings.iter().zip(fitted.found()) {
+        // Beside all others the data may say nothing of it any more.
+        if says_nothing(&f.effect, &t.half) {
+            continue;
+        }
         // An effect of this very identity is in the model already: then it was a correction, not an addition.
         if write.add(&mut model, &f.effect, &t.half, "") {
             effects.push((f.clone(), t.half.clone()));
@@ -93,19 +102,28 @@ pub fn reconcile(
     let curve = curve.map(|t| t.effect.clone()).zip(laws);
     let (mut traces_of, mut gap) = (Vec::new(), Vec::new());
     let mut said = doubts.said;
+    said.extend(wild);
     let mut why = None;
     if options.figures {
         traces_of = traces(train, &doubts.holdout, machine, &model);
         gap = gaps(&stack, &used, &traces_of, &fitted.terms, &answer, doubts.holdout.is_empty());
         said.extend(doubt::other_machine(&doubts.holdout, &mut gap));
         if doubts.holdout.is_empty() && gap.iter().any(Gap::is_wider) {
-            // What does not predict the rows that it did not see is no finding.
-            why = Some("what fits these rows does not predict them by blocks: nothing is added");
-            effects.clear();
-            refined.clear();
-            model = machine.clone();
-            traces_of = traces(train, &doubts.holdout, machine, &model);
-            gap.iter_mut().for_each(Gap::stay);
+            why =
+                Some("what fits these rows does not predict them by blocks: how much is closed is not said");
+            gap.iter_mut().filter(|g| g.is_wider()).for_each(|g| g.doubted = true);
+        }
+        let far = gap.iter().find(|g| g.train[1] > FAR * g.floor);
+        if let Some(g) = far.filter(|_| effects.is_empty() && answer.unexplained.is_empty()) {
+            // Nothing was found, and far more is left than the noise: that is no model without a gap.
+            answer.unexplained.push(Shape {
+                response: answer_response(&stack, g),
+                against: Vec::new(),
+                manner: format!(
+                    "{:.0} times as large as the noise, along nothing that was logged",
+                    g.train[1] / g.floor
+                ),
+            });
         }
     }
     let verdict = Verdict::of(&effects, &answer.unexplained);
@@ -134,6 +152,13 @@ pub fn reconcile(
         phi: answer.phi,
         every,
     })
+}
+
+/// The response that a gap's rows are largest in.
+fn answer_response(stack: &Stack<'_>, gap: &Gap) -> String {
+    let force = gap.unit == "N";
+    let of = stack.responses.iter().map(ToString::to_string);
+    of.filter(|r| r.starts_with("force") == force).collect::<Vec<_>>().join(", ")
 }
 
 /// The records with velocity and acceleration from their positions where they have none, and what was done.
@@ -237,7 +262,8 @@ fn present(stack: &Stack<'_>, answer: &Answer) -> Vec<Term> {
             ways[e].push(Way { along: k.along, sd: k.sd });
         }
     }
-    let of = |((effect, anchor), ways): ((&Effect, &Effect), Vec<Way>)| Term::given(effect.clone(), anchor, ways);
+    let of =
+        |((effect, anchor), ways): ((&Effect, &Effect), Vec<Way>)| Term::given(effect.clone(), anchor, ways);
     answer.present.iter().zip(&answer.anchor).zip(ways).map(of).collect()
 }
 
@@ -246,6 +272,17 @@ fn beyond_chance(file: &Effect, term: &Term) -> bool {
     file.values().iter().zip(term.effect.values()).zip(&term.half).any(|((a, b), half)| {
         *half > 0.0 && (a - b).abs() > BEYOND_CHANCE / 1.96 * half && (a - b).abs() > 1e-9 * a.abs()
     })
+}
+
+/// Whether no value that tells the size of an effect stands out of its own interval.
+fn says_nothing(effect: &Effect, half: &[f64]) -> bool {
+    let width = effect.width();
+    let size = |i: usize| {
+        matches!(effect.description().parameters[i / width].search, Search::Linear | Search::Amplitude)
+    };
+    let mut sizes =
+        effect.values().iter().zip(half).enumerate().filter(|(i, (_, h))| size(*i) && **h > 0.0).peekable();
+    sizes.peek().is_some() && sizes.all(|(_, (v, h))| v.abs() < NOTHING * h)
 }
 
 /// What is written beside an effect.
@@ -264,6 +301,41 @@ impl Writer<'_> {
             interval: intervals(effect, half).into_iter().collect(),
         };
         model.push(effect.clone(), provenance).is_ok()
+    }
+}
+
+/// The records that were analysed, and what came of it.
+struct Analysed {
+    /// All their rows, as measured.
+    train: Vec<Record>,
+    /// Rows that were left out on the way.
+    wild: Vec<Suspicion>,
+    answer: Answer,
+    /// What was looked at: temperatures without noise, every so many rows.
+    used: Vec<Record>,
+    every: usize,
+}
+
+impl Analysed {
+    /// A few wild rows hide all else: what an answer leaves of them is far off everything, and then it is looked at once
+    /// more without them.
+    fn of(train: Vec<Record>, machine: &Machine, level: f64) -> Self {
+        let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
+        let (answer, used, every) = thinned(&quiet, machine, level);
+        let rows = if every == 1 { doubt::wild(&quiet, &answer) } else { Vec::new() };
+        if rows.iter().all(Vec::is_empty) {
+            let used = used.into_owned();
+            return Self { train, wild: Vec::new(), answer, used, every };
+        }
+        let pairs = || rows.iter().enumerate().filter(|(_, w)| !w.is_empty());
+        let wild = pairs().filter_map(|(i, w)| doubt::say_wild(&train[i], w)).collect();
+        let without = |records: &[Record]| -> Vec<Record> {
+            records.iter().zip(&rows).map(|(r, w)| doubt::without_rows(r, w)).collect()
+        };
+        let (train, quiet) = (without(&train), without(&quiet));
+        let (answer, used, every) = thinned(&quiet, machine, level);
+        let used = used.into_owned();
+        Self { train, wild, answer, used, every }
     }
 }
 

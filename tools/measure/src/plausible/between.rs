@@ -150,6 +150,9 @@ fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     opposite(a, &ea.data, b, &eb.data) && opposite(b, &eb.data, a, &ea.data)
 }
 
+/// A sensor that moves by less over a record, K, tells nothing of the others.
+const MOVES_K: f64 = 1.0;
+
 /// Two sensors in each other's place: what the other sensors say of one is what the other reads, and the other way
 /// round. The first such pair.
 fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
@@ -158,7 +161,15 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
         return None;
     }
     let pairs = (0..names.len()).flat_map(|k| (0..k).map(move |i| (i, k)));
-    pairs.map(|(i, k)| (names[i], names[k])).find_map(|(p, q)| {
+    // Sensors that stand still but for their noise say nothing of one another.
+    let moves = |r: &Record, name: &str| {
+        r.temperature(name).is_some_and(|t| {
+            let (lo, hi) = t.iter().fold((f64::MAX, f64::MIN), |(l, h), t| (l.min(*t), h.max(*t)));
+            hi - lo > MOVES_K
+        })
+    };
+    let both = |name: &str| moves(a, name) && moves(b, name);
+    pairs.map(|(i, k)| (names[i], names[k])).filter(|(p, q)| both(p) && both(q)).find_map(|(p, q)| {
         let rest: Vec<&str> = names.iter().filter(|n| **n != p && **n != q).copied().collect();
         let (of_p, of_q) = (told(a, a.temperature(p)?, &rest)?, told(a, a.temperature(q)?, &rest)?);
         let (says_p, says_q) = (of_p.says(b, &rest), of_q.says(b, &rest));

@@ -196,7 +196,7 @@ impl<'r> Common<'r> {
         let of_bar = effect.axes.first().is_some_and(|a| a.as_str() == "r")
             && law.needs.iter().any(|n| matches!(n, Need::Position(_)));
         self.records.iter().all(|r| effect.acts_on(r).len() >= components)
-            && !(circle && (law.owner == Owner::Probe || of_bar))
+            && !(circle && (law.owner != Owner::Machine || of_bar))
             && law.needs.iter().all(readable)
             && !(law.probing == Probing::Displaced && self.probing)
     }

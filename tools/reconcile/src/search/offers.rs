@@ -5,6 +5,7 @@ use super::cross::Scratch;
 use super::sets::{Member, Set};
 use crate::cause::Cause;
 use crate::hypotheses::{Atom, Hypothesis};
+use rtec_model::effect::Refine;
 use std::rc::Rc;
 
 /// So many waves of one law on one axis are looked for: one more than have a name.
@@ -192,8 +193,10 @@ impl Search<'_, '_> {
                 continue;
             }
             top[kind] = top[kind].max(offer.score);
-            if !near(set, top[kind], offer.score) {
-                *room = 0;
+            // A moment of the grid may be far from the moment itself.
+            let jumps =
+                hypothesis.law().is_some_and(|l| l.parameters.iter().any(|p| p.refine == Refine::Moment));
+            if !jumps && !near(set, top[kind], offer.score) {
                 continue;
             }
             // Many sensors of one law must not crowd out other laws.

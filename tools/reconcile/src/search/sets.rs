@@ -128,8 +128,7 @@ impl Search<'_, '_> {
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
         let (loglik, _) = self.best_phi(&values, 0);
         let top = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
-        let price: f64 =
-            members.iter().map(|m| m.cost + self.dimension_cost(m.vectors.len())).sum();
+        let price: f64 = members.iter().map(|m| m.cost + self.dimension_cost(m.vectors.len())).sum();
         Set { members, score: loglik - price, loglik, fits, ids, top }
     }
 

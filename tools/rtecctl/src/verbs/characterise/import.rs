@@ -96,6 +96,11 @@ enum UnitName {
     Inch,
 }
 
+/// Whether two paths lead to one file that is there.
+fn same_file(a: &Path, b: &Path) -> bool {
+    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let text = match args.format {
         Format::Rtl => import::any_text(&args.file, &rtec_files::text::bytes(&args.file)?)?,
@@ -149,6 +154,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             eprintln!("{note}");
             import::add_note(&mut record, &note);
         }
+    }
+    let csv = out.parent().unwrap_or(Path::new("")).join(&record.file);
+    if same_file(&csv, file) || same_file(out, file) {
+        let found = format!("--out {}: its CSV would be written over the file to import", out.display());
+        return Err(InputError::whole(file, found, "another name or folder for --out").into());
     }
     record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
     if let Some(note) = &record.note {

@@ -134,6 +134,10 @@ fn format(args: &Args) -> Result<Box<dyn rtec_measure::export::Format>, InputErr
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
+    let at = |p: &Path| p.canonicalize().ok();
+    if at(&args.out).is_some_and(|out| Some(out) == at(&args.machine)) {
+        return Err(usage(format!("--out {}", args.out.display()), "a file of its own, not the model").into());
+    }
     let pairs = |option: &str, given: &[String], expected: &str| {
         let pair = |one: &String| {
             let parsed = one.split_once('=').and_then(|(n, v)| Some((n.to_owned(), v.parse::<f64>().ok()?)));

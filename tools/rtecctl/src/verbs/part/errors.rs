@@ -90,7 +90,10 @@ fn nominal(args: &Args, probed: &Probed) -> anyhow::Result<Nominal> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if !(args.tip_mm.is_finite() && args.tip_mm >= 0.0) {
+    if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
+        return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
+    }
+    if !(0.0..=1000.0).contains(&args.tip_mm) {
         return Err(usage("--tip-mm", format!("{}", args.tip_mm), "a radius in mm, 0 or more"));
     }
     if args.radius_mm.is_some_and(|r| !(r.is_finite() && r > 0.0)) {
