@@ -62,7 +62,7 @@ impl Bends {
     /// None where rows are few, stand at one time, or never change.
     fn of(t: &[f64], y: &[f64]) -> Option<Self> {
         let n = y.len();
-        if n < FEWEST || t.len() != n || y.iter().all(|v| *v == y[0]) {
+        if n < FEWEST || t.len() != n || y.iter().all(|v| v.to_bits() == y[0].to_bits()) {
             return None;
         }
         let mut gaps: Vec<f64> = t.windows(2).map(|w| w[1] - w[0]).collect();
@@ -74,7 +74,9 @@ impl Bends {
             sorted.sort_by(f64::total_cmp);
             sorted[sorted.len() / 2]
         };
-        gaps.iter_mut().for_each(|g| *g /= usual);
+        for gap in &mut gaps {
+            *gap /= usual;
+        }
         let row = |w: &[f64]| {
             let scale = f64::midpoint(w[0], w[1]).sqrt();
             [1.0 / w[0] / scale, -(1.0 / w[0] + 1.0 / w[1]) / scale, 1.0 / w[1] / scale]

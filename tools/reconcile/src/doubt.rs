@@ -16,7 +16,7 @@ const UNLIKE: f64 = 0.3;
 /// The same for what changes the model's side alone: so much of the variance that was left is left.
 const BETTER: f64 = 0.2;
 /// A row is wild that is so many robust standard deviations off; more than this share of them are no wild rows.
-const WILD: f64 = 9.0;
+const WILD: f64 = 20.0;
 const MOST_WILD: f64 = 0.06;
 /// Fewer rows tell nothing.
 const FEWEST: usize = 12;

@@ -25,8 +25,6 @@ use std::borrow::Cow;
 const BEYOND_CHANCE: f64 = 3.9;
 /// What is left is no agreement when it is so many times the noise.
 const FAR: f64 = 8.0;
-/// A value so much smaller than its interval's half width says nothing.
-const NOTHING: f64 = 0.5;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
 /// Steps of the last fit, and of one curve of several that stand for a shape.
@@ -89,10 +87,6 @@ pub fn reconcile(
     let write = Writer { train, date: options.date.as_ref() };
     let mut effects = Vec::new();
     for (f, t) in answer.findings.iter().zip(fitted.found()) {
-        // Beside all others the data may say nothing of it any more.
-        if says_nothing(&f.effect, &t.half) {
-            continue;
-        }
         // An effect of this very identity is in the model already: then it was a correction, not an addition.
         if write.add(&mut model, &f.effect, &t.half, "") {
             effects.push((f.clone(), t.half.clone()));
@@ -272,17 +266,6 @@ fn beyond_chance(file: &Effect, term: &Term) -> bool {
     file.values().iter().zip(term.effect.values()).zip(&term.half).any(|((a, b), half)| {
         *half > 0.0 && (a - b).abs() > BEYOND_CHANCE / 1.96 * half && (a - b).abs() > 1e-9 * a.abs()
     })
-}
-
-/// Whether no value that tells the size of an effect stands out of its own interval.
-fn says_nothing(effect: &Effect, half: &[f64]) -> bool {
-    let width = effect.width();
-    let size = |i: usize| {
-        matches!(effect.description().parameters[i / width].search, Search::Linear | Search::Amplitude)
-    };
-    let mut sizes =
-        effect.values().iter().zip(half).enumerate().filter(|(i, (_, h))| size(*i) && **h > 0.0).peekable();
-    sizes.peek().is_some() && sizes.all(|(_, (v, h))| v.abs() < NOTHING * h)
 }
 
 /// What is written beside an effect.
