@@ -132,7 +132,9 @@ impl Machine {
         }
         let n = p.len();
         if d.chance(0.5) {
-            p.iter_mut().for_each(|p| *p = ((*p + 0.002 * d.normal()) * 1e5).round() / 1e5);
+            for p in &mut p {
+                *p = ((*p + 0.002 * d.normal()) * 1e5).round() / 1e5;
+            }
         }
         let (e, step) = noise(d, n);
         let e = e.iter().zip(&p).zip(&dir).map(|((e, p), dir)| e + self.error(*p, *dir)).collect();
@@ -255,7 +257,7 @@ impl Machine {
         record("ballbar", Kind::Ballbar, columns)
     }
 
-    fn dynamics(&self, d: &mut Dice) -> Record {
+    fn dynamics(d: &mut Dice) -> Record {
         let n = 400 + d.below(2000);
         let dt = 20.0 / n as f64;
         let (f, a) = (d.within(0.1, 0.5), d.within(10.0, 80.0));
@@ -280,7 +282,7 @@ impl Machine {
         record("dynamics", Kind::Dynamics, columns)
     }
 
-    fn probing(&self, d: &mut Dice) -> Record {
+    fn probing(d: &mut Dice) -> Record {
         let n = 60 + d.below(300);
         let angle: Vec<f64> = (0..n).map(|i| TAU * i as f64 / n as f64).collect();
         let (e, step) = noise(d, n);
@@ -333,14 +335,14 @@ fn drift(m: &Machine, d: &mut Dice) -> Vec<Record> {
 fn ballbar(m: &Machine, d: &mut Dice) -> Vec<Record> {
     vec![m.ballbar(d)]
 }
-fn dynamics(m: &Machine, d: &mut Dice) -> Vec<Record> {
-    vec![m.dynamics(d)]
+fn dynamics(_: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![Machine::dynamics(d)]
 }
 fn plate(m: &Machine, d: &mut Dice) -> Vec<Record> {
     vec![m.plate(d)]
 }
-fn probing(m: &Machine, d: &mut Dice) -> Vec<Record> {
-    vec![m.probing(d)]
+fn probing(_: &Machine, d: &mut Dice) -> Vec<Record> {
+    vec![Machine::probing(d)]
 }
 fn three_positioning(m: &Machine, d: &mut Dice) -> Vec<Record> {
     ["a", "b", "c"].map(|n| m.positioning(d, n)).into()

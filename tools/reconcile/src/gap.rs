@@ -79,7 +79,9 @@ pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, aft
                 }
                 let mut left: Vec<f64> = column.data.iter().zip(&sum).map(|(m, s)| m - s).collect();
                 let mean = if own_zero { left.iter().sum::<f64>() / left.len() as f64 } else { 0.0 };
-                left.iter_mut().for_each(|l| *l -= mean);
+                for l in &mut left {
+                    *l -= mean;
+                }
                 left
             };
             out.push(Trace {

@@ -145,7 +145,7 @@ impl Search<'_, '_> {
         let sum = self.averaged(&tried);
         tried.retain(|t| t.trial.ahead <= EQUAL * least);
         let equals = tried.iter().map(|t| t.hypothesis).collect();
-        Some((self.in_place(&rest, sum), equals))
+        Some((self.in_place(&rest, &sum), equals))
     }
 
     /// The mean of several explanations, each by how well it predicts: one for each place of the machine, the best few.
@@ -210,11 +210,11 @@ impl Search<'_, '_> {
     }
 
     /// A set with these grid points of growth added up, beside a constant.
-    fn in_place(&mut self, rest: &Set, parts: Vec<(usize, f64)>) -> Set {
+    fn in_place(&mut self, rest: &Set, parts: &[(usize, f64)]) -> Set {
         let all = self.all;
         let mut column = vec![0.0; self.stack.n];
         let mut effects = Vec::new();
-        for (atom, gain) in &parts {
+        for (atom, gain) in parts {
             let Cause::Effect { effect, .. } = &all.atoms[*atom].cause else { continue };
             effects.extend(effect.with(&[(0, *gain)]));
             let at = all.atoms[*atom].columns[0];

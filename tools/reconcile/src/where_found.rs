@@ -74,7 +74,9 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
         };
         let mut residual = pick(&before);
         let mean = residual.iter().sum::<f64>() / residual.len().max(1) as f64;
-        residual.iter_mut().for_each(|r| *r -= mean);
+        for r in &mut residual {
+            *r -= mean;
+        }
         let sigma = stack.sigma[response];
         // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
         let role = stack.responses[response].to_string();
@@ -113,7 +115,9 @@ fn adjust(stack: &Stack<'_>, file: &[Effect], residual: &mut [f64]) {
         }
         let left = dot(&c, &c);
         if left > 1e-9 * size && left > 0.0 {
-            c.iter_mut().for_each(|x| *x /= left.sqrt());
+            for x in &mut c {
+                *x /= left.sqrt();
+            }
             basis.push(c);
         }
     }
@@ -170,7 +174,9 @@ fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64)
     let bins = stretches(x)?;
     let mut bin = vec![0usize; x.len()];
     for (b, rows) in bins.iter().enumerate() {
-        rows.iter().for_each(|i| bin[*i] = b);
+        for i in rows {
+            bin[*i] = b;
+        }
     }
     let mut sums = vec![0.0; bins.len()];
     let mut explained = |at: &mut dyn FnMut(usize) -> usize| -> f64 {
@@ -213,7 +219,9 @@ fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64)
 fn flatten(x: &[f64], residual: &mut [f64]) {
     for rows in stretches(x).into_iter().flatten() {
         let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len() as f64;
-        rows.iter().for_each(|i| residual[*i] -= mean);
+        for i in &rows {
+            residual[*i] -= mean;
+        }
     }
 }
 

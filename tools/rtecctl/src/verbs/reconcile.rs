@@ -91,8 +91,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
     let answer = patiently(values, || reconcile(&train, &holdout, &machine, &options))?;
-    answer.derived.iter().for_each(|note| eprintln!("note: {note}"));
-    answer.suspicions.iter().for_each(|s| eprintln!("warning: {s}"));
+    for note in &answer.derived {
+        eprintln!("note: {note}");
+    }
+    for s in &answer.suspicions {
+        eprintln!("warning: {s}");
+    }
     let mut document = answer.to_json();
     if let (false, Some(map)) = (figures, document.as_object_mut()) {
         map.remove("gap");

@@ -7,7 +7,9 @@ use serde_json::{Value, json};
 /// Warns of what these records show of mistakes; gives it for the document.
 pub(crate) fn warn(records: &[Record]) -> Vec<Suspicion> {
     let found = plausible::suspicions(records);
-    found.iter().for_each(|s| eprintln!("warning: {s}"));
+    for s in &found {
+        eprintln!("warning: {s}");
+    }
     found
 }
 
