@@ -112,9 +112,9 @@ pub fn reconcile(
             // Nothing was found, and far more is left than the noise: that is no model without a gap.
             answer.unexplained.push(Shape {
                 response: answer_response(&stack, g),
-                against: Vec::new(),
+                against: vec!["time".to_owned()],
                 manner: format!(
-                    "{:.0} times as large as the noise, along nothing that was logged",
+                    "{:.0} times as large as the noise, along nothing in particular",
                     g.train[1] / g.floor
                 ),
             });
