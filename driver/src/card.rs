@@ -94,6 +94,9 @@ pub struct Sample {
     pub fresh: u64,
     /// What the card itself found wrong since the look before.
     pub trouble: Option<Trouble>,
+    /// How long this look was late without the card's time going on, ns: a simulated machine waits for a process that
+    /// was kept away.
+    pub waited_ns: u64,
 }
 
 impl Sample {
@@ -101,7 +104,8 @@ impl Sample {
     #[inline]
     #[must_use]
     pub const fn level(t_ns: u64, inputs: u64) -> Self {
-        Self { t_ns, inputs, edge_ns: None, complete: 0, more: false, fresh: u64::MAX, trouble: None }
+        let (complete, more, fresh) = (0, false, u64::MAX);
+        Self { t_ns, inputs, edge_ns: None, complete, more, fresh, trouble: None, waited_ns: 0 }
     }
 
     /// The same from a card that stamps its changes and shows every one, with the time of this one.

@@ -52,11 +52,13 @@ impl<W: Wires, K: Clock> Card for MockCard<W, K> {
     #[inline]
     fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
         let (now, limit_ns) = (self.clock.now_ns(), self.wires.step_limit_ns());
-        self.t_ns += (now - self.seen_ns).min(limit_ns);
-        self.seen_ns = now;
+        let since_ns = now - std::mem::replace(&mut self.seen_ns, now);
+        let waited_ns = since_ns.saturating_sub(limit_ns);
+        self.t_ns += since_ns - waited_ns;
         // A machine that waits shows every change, however late the look.
         let complete = if limit_ns == u64::MAX { 0 } else { u64::MAX };
-        Ok(Sample { complete, ..Sample::level(self.t_ns, self.wires.levels(self.t_ns, self.outputs)) })
+        let inputs = self.wires.levels(self.t_ns, self.outputs);
+        Ok(Sample { complete, waited_ns, ..Sample::level(self.t_ns, inputs) })
     }
 
     #[inline]
@@ -116,7 +118,9 @@ mod tests {
         }
         let mut card = MockCard::new(Slow, Jumpy(0));
         let first = card.sample(0).unwrap();
-        assert_eq!(card.sample(0).unwrap().t_ns - first.t_ns, 100);
+        let second = card.sample(0).unwrap();
+        assert_eq!(second.t_ns - first.t_ns, 100);
+        assert_eq!(second.waited_ns, 1_000_000 - 100, "who was late is not hidden");
         assert_eq!(first.complete, u64::MAX, "no count can pass unseen");
     }
 

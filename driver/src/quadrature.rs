@@ -88,7 +88,7 @@ impl State {
     /// Counts of the transition to `next`: −1, 0 or +1; `None` when both signals changed.
     #[must_use]
     pub const fn step_to(self, next: Self) -> Option<i8> {
-        match STEP[(self.0 << 2 | next.0) as usize] {
+        match STEP[(self.0 << 2 | next.0) as usize & 15] {
             2 => None,
             step => Some(step),
         }
@@ -97,7 +97,15 @@ impl State {
     /// Counts of inverting `signal` in this state: A forward when A = B, backward when not; B the other way.
     #[must_use]
     pub const fn step_of(self, signal: Signal) -> i8 {
-        STEP[(self.0 << 2 | self.flipped(signal).0) as usize]
+        // Odd where A and B differ, turned round for B: then backward.
+        let backward = (self.0 ^ self.0 >> 1 ^ signal as u8 >> 1) & 1;
+        1 - 2 * backward as i8
+    }
+
+    /// The signal that has changed on the way to `next`, a neighbouring state.
+    #[must_use]
+    pub const fn signal_to(self, next: Self) -> Signal {
+        if (self.0 ^ next.0) & 1 != 0 { Signal::A } else { Signal::B }
     }
 
     /// The neighbouring state in the positive (`true`) or negative direction.
@@ -166,6 +174,19 @@ mod tests {
     const CYCLE: [(bool, bool); 4] = [(false, false), (true, false), (true, true), (false, true)];
 
     #[test]
+    fn a_state_is_its_two_levels() {
+        for (a, b) in CYCLE {
+            let s = State::new(a, b);
+            assert_eq!((s.a(), s.b()), (a, b));
+            assert_eq!(s.bits(), u8::from(a) + 2 * u8::from(b));
+            assert_eq!(State::from_bits(s.bits() | 0xfc), s, "higher bits are ignored");
+            assert_eq!((s.flipped(Signal::A).a(), s.flipped(Signal::B).b()), (!a, !b));
+            assert_eq!((s.flipped(Signal::A).b(), s.flipped(Signal::B).a()), (b, a));
+        }
+        assert_eq!((Signal::A.other(), Signal::B.other()), (Signal::B, Signal::A));
+    }
+
+    #[test]
     fn positive_cycle_counts_up_and_back_down() {
         let mut d = Decoder::new(State::new(false, false));
         for n in 1..=8_usize {
@@ -213,6 +234,7 @@ mod tests {
             assert_eq!(s.step_to(s.next(false)), Some(-1));
             for signal in [Signal::A, Signal::B] {
                 assert_eq!(Some(s.step_of(signal)), s.step_to(s.flipped(signal)));
+                assert_eq!(s.signal_to(s.flipped(signal)), signal);
                 assert_ne!(s.equal(), s.flipped(signal).equal());
             }
         }

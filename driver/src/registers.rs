@@ -354,6 +354,23 @@ mod tests {
         (bench, card)
     }
 
+    /// Whatever the other inputs are, and whatever the count is when it is agreed with the lines.
+    #[test]
+    fn a_count_agreed_with_its_lines_is_shown_as_them() {
+        let (_bench, card) = counter_card();
+        let counter = Counter { lines: (2, 5), ..card.counters[0].counter };
+        let mut counting = Counting { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+        for inputs in 0..=0xff {
+            let lines = (inputs >> 2 & 1) + 2 * (inputs >> 5 & 1);
+            assert_eq!(counting.lines_of(inputs), lines, "{inputs:#x}");
+            for target in -5..5 {
+                counting.target = target;
+                counting.align(lines);
+                assert_eq!(counting.show(!inputs), !inputs & !0b10_0100 | inputs & 0b10_0100);
+            }
+        }
+    }
+
     #[test]
     fn the_cards_count_is_shown_state_by_state_through_its_wrap() {
         let (bench, mut card) = counter_card();

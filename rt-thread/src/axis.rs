@@ -70,7 +70,8 @@ pub struct AxisConfig {
     pub rest: RestPolicy,
     /// This machine's measured time from an edge until the engine acts on it, at the worst, ns (the self-test's tail).
     pub detect_ns: u64,
-    /// Time of one write, at the worst, ns.
+    /// Time of one write, at the worst, ns: until it is in effect, and, on a card that does not tell when that is, until the
+    /// look that acts on it. On a polled card up to two gaps between looks.
     pub write_ns: u64,
     /// Reserve, ns.
     pub guard_ns: u64,
@@ -176,7 +177,7 @@ pub(crate) struct Permit {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Look {
     pub sample: Sample,
-    /// The look before: an unstamped edge is later than that.
+    /// The look before; where that came late, the one before it: an unstamped edge is later than that.
     pub since_ns: u64,
     pub permit: Permit,
 }
@@ -213,6 +214,8 @@ pub(crate) struct AxisEngine {
     back_due: Option<u64>,
     /// The last edge came between these two times.
     last_edge: Option<(u64, u64)>,
+    /// Direction of the last edge.
+    last_step: i8,
     /// Lower bound of the last period, ns; `None` before the second edge.
     period_ns: Option<u64>,
     /// No insertion before this, ns: the rate cap.
@@ -232,6 +235,9 @@ pub(crate) struct AxisEngine {
     waited_for_gate: u64,
     overlaps: u64,
     late: u64,
+    beyond_limits: u64,
+    /// An inversion of ours has been made since homing.
+    touched: bool,
     edge_to_done_ns: Option<u64>,
 }
 
@@ -284,6 +290,7 @@ impl AxisEngine {
             unsettled: None,
             back_due: None,
             last_edge: None,
+            last_step: 0,
             period_ns: None,
             next_allowed_ns: found.t_ns,
             waits_for: GateState::WaitingForEdge,
@@ -298,6 +305,8 @@ impl AxisEngine {
             waited_for_gate: 0,
             overlaps: 0,
             late: 0,
+            beyond_limits: 0,
+            touched: half,
             edge_to_done_ns: None,
         })
     }
@@ -392,6 +401,7 @@ impl AxisEngine {
         self.homing = Some(position_counts);
         self.capture = None;
         self.last_boundary = position_counts;
+        self.touched = false;
     }
 
     /// Completes homing when the control side has read back the home position.
@@ -476,6 +486,10 @@ impl AxisEngine {
         if let Some(u) = self.unsettled {
             let now_ns = look.sample.edge_ns.unwrap_or(look.sample.t_ns);
             if u.done_ns.is_none_or(|done| now_ns > done) {
+                // Long enough to go over an edge and back: with the inversion in between, four counts unseen.
+                if self.polled(look) && look.sample.t_ns - look.since_ns >= self.gate.turn_back_ns() {
+                    self.fault(Fault::PollGap, report);
+                }
                 self.unsettled = None;
                 self.settle(Some(look.sample.t_ns));
                 let wired_back = self.real.is_none() && self.config.lines.read_back.is_some();
@@ -528,6 +542,7 @@ impl AxisEngine {
         {
             self.fault(Fault::PollGap, report);
         }
+        let before_last = (self.last_edge, self.period_ns);
         self.period_ns = self.last_edge.map(|(_, last)| edge.0.saturating_sub(last));
         self.last_edge = Some(edge);
         let Some(step) = self.scale.update(state) else {
@@ -535,10 +550,17 @@ impl AxisEngine {
             if let Insertion::Half { edges, .. } = &mut self.insertion {
                 *edges += 1;
             }
+            self.last_step = 0;
             self.fault(Fault::IllegalTransition, report);
             return;
         };
-        let signal = before.signal_towards(step > 0);
+        if let (Some((last_ns, _)), period_ns) = before_last
+            && self.polled(look)
+        {
+            self.check_limits(step, edge.1 - last_ns, period_ns, report);
+        }
+        self.last_step = step;
+        let signal = before.signal_to(state);
         self.pass_on(signal, edge.1, report);
         if self.wire.inverters == 0 || self.wire.inverters == 3 {
             if self.wire.mtc_count - self.scale.count() != self.wire.completed && self.faults == Faults::NONE
@@ -559,6 +581,36 @@ impl AxisEngine {
             Insertion::Idle | Insertion::Opened { .. } => self.insertion = self.open(edge, look.permit),
             Insertion::Half { edges, .. } => *edges += 1,
             Insertion::Between { .. } => {}
+        }
+    }
+
+    /// Counts may pass between two looks of this card unseen.
+    fn polled(&self, look: &Look) -> bool {
+        look.sample.edge_ns.is_none() && look.sample.complete >> self.config.lines.a & 1 == 0
+    }
+
+    /// An edge at most `after_ns` after the one before. Sooner than the axis's limits allow, it proves them wrong, and
+    /// with them what was taken for certain of every insertion since homing: that no two edges that cancel out fell
+    /// beside it between two looks.
+    fn check_limits(
+        &mut self,
+        step: i8,
+        after_ns: u64,
+        period_ns: Option<u64>,
+        report: &mut impl FnMut(EventKind),
+    ) {
+        // The look before read its lines some time before it took its time.
+        let after_ns = after_ns + self.config.detect_ns;
+        let beyond = if step == self.last_step {
+            period_ns.is_some_and(|ns| self.gate.too_soon(ns, after_ns))
+        } else {
+            self.last_step != 0 && after_ns < self.gate.turn_back_ns()
+        };
+        if beyond {
+            self.beyond_limits += 1;
+            if self.touched {
+                self.fault(Fault::BeyondLimits, report);
+            }
         }
     }
 
@@ -689,6 +741,7 @@ impl AxisEngine {
     /// (NISTIR 4832, Design C). Both inverters are equal here, so A' and B' decide alike.
     fn invert_first(&mut self, add: bool, pairs: u8, t_ns: u64, seen_ns: u64) -> u8 {
         self.insertion = Insertion::Half { add, pairs, effective_ns: None, edges: 0, seen_ns };
+        self.touched |= self.real.is_none();
         self.invert(self.wire.mtc.signal_towards(add), t_ns)
     }
 
@@ -811,6 +864,7 @@ impl AxisEngine {
             overlaps: self.overlaps,
             late: self.late,
             illegal: self.scale.illegal(),
+            beyond_limits: self.beyond_limits,
         }
     }
 }

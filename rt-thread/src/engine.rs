@@ -67,6 +67,8 @@ pub struct Engine {
     journal: Option<Journal>,
     /// A look that comes later than this after the one before may have missed counts of some axis.
     late_ns: u64,
+    /// The last such look, and the one before it: its lines may have been read long before it took its time.
+    late_look: (u64, u64),
     poll_gap_ns: Recorder,
     edge_to_done_ns: Recorder,
     timing: Timing,
@@ -132,6 +134,7 @@ impl Engine {
             mode: Mode::Disabled,
             journal: None,
             late_ns,
+            late_look: (0, 0),
             poll_gap_ns,
             edge_to_done_ns,
             timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
@@ -181,7 +184,8 @@ impl Engine {
         if let Some(journal) = &mut self.journal {
             for (n, axis) in self.axes.iter().enumerate() {
                 let (inverters, completed) = axis.in_effect();
-                journal.record(n, StateRecord { inverters, completed });
+                let faults = axis.faults().losing_home();
+                journal.record(n, StateRecord { inverters, completed, faults });
             }
         }
     }
@@ -230,7 +234,7 @@ impl Engine {
         match sample.edge_ns {
             Some(edge_ns) if C::SLEEPS => self.poll_gap_ns.record(sample.t_ns.saturating_sub(edge_ns)),
             None if !C::SLEEPS && self.polls > 1 => {
-                self.poll_gap_ns.record(sample.t_ns - since_ns);
+                self.poll_gap_ns.record(sample.t_ns - since_ns + sample.waited_ns);
                 if sample.t_ns - since_ns > self.late_ns {
                     self.check_late_look(&sample, since_ns, report);
                 }
@@ -250,6 +254,9 @@ impl Engine {
     /// After a look that came late, an axis that was moving and shows no change may have moved by whole cycles.
     #[cold]
     fn check_late_look(&mut self, sample: &Sample, since_ns: u64, report: &mut impl FnMut(Event) -> bool) {
+        if sample.complete == 0 {
+            self.late_look = (sample.t_ns, since_ns);
+        }
         let changed = sample.inputs ^ self.inputs;
         for n in 0..self.axes.len() {
             let axis = &mut self.axes[n];
@@ -293,6 +300,7 @@ impl Engine {
     ) -> Result<(), CardError> {
         self.inputs = sample.inputs;
         let t_ns = sample.t_ns;
+        let since_ns = if since_ns == self.late_look.0 { self.late_look.1 } else { since_ns };
         let lost = &mut self.events_lost;
         let mut emit = |axis, kind| *lost += u64::from(!report(Event { t_ns, axis, kind }));
 
@@ -337,8 +345,10 @@ impl Engine {
             wake_ns = wake_ns.min(axis.wake_ns);
         }
         self.wake_ns = wake_ns;
-        if mask != 0 {
+        if mask != 0 || faulted {
             self.note();
+        }
+        if mask != 0 {
             let done_ns = card.write(mask, value)?;
             for (axis, _) in self.axes.iter_mut().zip(wrote).filter(|(_, w)| *w) {
                 axis.written(done_ns);

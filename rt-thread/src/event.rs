@@ -81,6 +81,11 @@ pub enum Fault {
     CounterError,
     /// The process before this one ended between the two inversions of an insertion.
     Interrupted,
+    /// On a polled card an edge came sooner after the one before than the axis's acceleration limit and its scale's
+    /// hysteresis allow: what the gate promised was no promise, and more may have passed between two looks than was seen.
+    BeyondLimits,
+    /// The state file has lost what this axis had in effect.
+    RecordLost,
 }
 
 impl From<TroubleKind> for Fault {
@@ -97,7 +102,7 @@ impl From<TroubleKind> for Fault {
 
 impl Fault {
     /// All of them, in the order of their bits.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
         Self::OrderUnknown,
@@ -113,6 +118,8 @@ impl Fault {
         Self::CounterOverflow,
         Self::CounterError,
         Self::Interrupted,
+        Self::BeyondLimits,
+        Self::RecordLost,
     ];
 
     /// After such a fault the axis's count is in doubt: only homing makes it good.
@@ -142,6 +149,23 @@ impl Faults {
     #[must_use]
     pub const fn any(self) -> bool {
         self.0 != 0
+    }
+
+    /// Those of the set that put the axis's count in doubt.
+    #[must_use]
+    pub fn losing_home(self) -> Self {
+        Self(self.iter().filter(|f| f.loses_home()).fold(0, |bits, f| bits | 1 << f as u8))
+    }
+
+    /// The set as a number, for a file.
+    pub(crate) const fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// The set of such a number; none where it has faults that this version does not know.
+    pub(crate) fn from_bits(bits: u32) -> Option<Self> {
+        let known = Fault::ALL.into_iter().fold(0, |all, f| all | 1 << f as u8);
+        (bits & !known == 0).then_some(Self(bits))
     }
 
     /// Those that are latched.
@@ -335,6 +359,8 @@ pub struct AxisStatus {
     pub late: u64,
     /// Illegal transitions of the scale.
     pub illegal: u64,
+    /// Edges that came sooner than the axis's limits allow, on a polled card.
+    pub beyond_limits: u64,
 }
 
 /// The whole corrector at one moment.

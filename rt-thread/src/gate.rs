@@ -6,10 +6,11 @@
 //! | when | v |
 //! |---|---|
 //! | T < √(2/a) | 1/T + aT/2: one count in T at full acceleration |
-//! | otherwise | √(2a): at rest somewhere between the two edges, then one count at full acceleration |
+//! | otherwise, at most | √(2a(1 + H)): back from the last edge by the hysteresis H without an edge, then forth |
 //!
 //! and from there the next edge in the same direction takes at least τ with vτ + aτ²/2 = 1. An axis that turns back
-//! must first cross the scale's hysteresis h, which from standstill takes √(2h/a). The smaller of the two is the time
+//! must first cross the scale's hysteresis h, which from standstill takes √(2h/a). h is the least that the scale has, H
+//! the most: a count, or h where that is more. The smaller of the two is the time
 //! in which, right after an edge, no other can come. (NISTIR 4832 times the last period alone.)
 
 /// When a real edge could come at the earliest, for one axis.
@@ -17,6 +18,10 @@
 pub struct Gate {
     accel_counts_ns2: f64,
     turn_back_ns: f64,
+    /// The highest speed at an edge before which the axis stood, counts/ns.
+    from_rest_counts_ns: f64,
+    /// Shortest time of a count that begins at that speed, ns.
+    from_rest_ns: f64,
     need_ns: u64,
     min_period_ns: u64,
 }
@@ -26,7 +31,7 @@ pub struct Gate {
 pub struct GateInput {
     /// The axis's acceleration limit, counts/s². Zero stands for an axis that cannot accelerate.
     pub max_accel_counts_s2: f64,
-    /// The scale's hysteresis on reversal, counts; more than zero on any real scale.
+    /// The least of the scale's hysteresis on reversal, counts; more than zero on any real scale.
     pub hysteresis_counts: f64,
     /// Time from an edge until an insertion that it opened is over for the MTC, ns, at the worst.
     pub need_ns: u64,
@@ -42,12 +47,20 @@ impl Gate {
         let turn_back_ns = if a > 0.0 { (2.0 * input.hysteresis_counts / a).sqrt() } else { f64::INFINITY };
         // The fastest speed at which one count still takes the time needed, then the period that excludes it.
         let v = (1.0 - a * need * need / 2.0) / need;
-        let discriminant = v * v - 2.0 * a;
-        if v <= 0.0 || discriminant < 0.0 || turn_back_ns < need {
+        let from_rest_counts_ns = (2.0 * a * (1.0 + input.hysteresis_counts.max(1.0))).sqrt();
+        if v <= 0.0 || v < from_rest_counts_ns || turn_back_ns < need {
             return None;
         }
-        let min_period_ns = (2.0 / (v + discriminant.sqrt())).ceil() as u64;
-        Some(Self { accel_counts_ns2: a, turn_back_ns, need_ns: input.need_ns, min_period_ns })
+        let min_period_ns = (2.0 / (v + (v * v - 2.0 * a).sqrt())).ceil() as u64;
+        let from_rest_ns = travel_ns(from_rest_counts_ns, a, 1.0);
+        Some(Self {
+            accel_counts_ns2: a,
+            turn_back_ns,
+            from_rest_counts_ns,
+            from_rest_ns,
+            need_ns: input.need_ns,
+            min_period_ns,
+        })
     }
 
     /// The shortest last period at which an insertion may begin, ns.
@@ -65,7 +78,8 @@ impl Gate {
     /// The highest speed at the moment of an edge after a period of at least `period_ns`, counts/ns.
     fn speed_counts_ns(&self, period_ns: u64) -> f64 {
         let (t, a) = (period_ns.max(1) as f64, self.accel_counts_ns2);
-        if a * t * t < 2.0 { 1.0 / t + a * t / 2.0 } else { (2.0 * a).sqrt() }
+        let v = 1.0 / t + a * t / 2.0;
+        if a * t * t < 2.0 { v } else { v.min(self.from_rest_counts_ns) }
     }
 
     /// The time after an edge within which no other can come, ns, when the period before it was at least `period_ns`.
@@ -74,12 +88,36 @@ impl Gate {
         self.travel_ns(period_ns, 1.0).min(self.turn_back_ns) as u64
     }
 
+    /// Whether an edge in the same direction, `after_ns` after one with the given period before it, breaks the
+    /// acceleration limit: with v = 1/T + aT/2, vτ + aτ²/2 < 1, multiplied by T.
+    #[must_use]
+    #[inline]
+    pub fn too_soon(&self, period_ns: u64, after_ns: u64) -> bool {
+        // No faster than before: no travel within the limit takes longer than the period before it.
+        after_ns < period_ns && self.beyond_limit(period_ns, after_ns)
+    }
+
+    fn beyond_limit(&self, period_ns: u64, after_ns: u64) -> bool {
+        let (t, tau, a) = (period_ns as f64, after_ns as f64, self.accel_counts_ns2);
+        tau + a / 2.0 * tau * t * (t + tau) < t || tau < self.from_rest_ns && a * t * t >= 2.0
+    }
+
+    /// The shortest time in which the axis can turn back over the edge that it has just crossed, ns.
+    #[must_use]
+    pub const fn turn_back_ns(&self) -> u64 {
+        self.turn_back_ns as u64
+    }
+
     /// The shortest time in which the axis can travel `counts`, ns, after an edge with the given period before it.
     #[must_use]
     pub fn travel_ns(&self, period_ns: u64, counts: f64) -> f64 {
-        let (v, a) = (self.speed_counts_ns(period_ns), self.accel_counts_ns2);
-        2.0 * counts / (v + (v * v + 2.0 * a * counts).sqrt())
+        travel_ns(self.speed_counts_ns(period_ns), self.accel_counts_ns2, counts)
     }
+}
+
+/// The time in which an axis at this speed (counts/ns) travels `counts` at full acceleration, ns.
+fn travel_ns(v: f64, a: f64, counts: f64) -> f64 {
+    2.0 * counts / (v + (v * v + 2.0 * a * counts).sqrt())
 }
 
 #[cfg(test)]
@@ -94,16 +132,39 @@ mod tests {
     #[test]
     fn without_acceleration_the_last_period_decides() {
         let g = gate(1500, 0.0).unwrap();
-        assert_eq!(g.min_period_ns(), 1500);
+        assert_eq!((g.need_ns(), g.min_period_ns()), (1500, 1500));
         assert_eq!(g.quiet_ns(2000), 2000);
     }
 
     #[test]
     fn acceleration_makes_a_long_period_no_promise_for_ever() {
-        // 1e6 counts/s²: after any rest the first count takes at least 2/(√2+2) ms, and turning back 316 µs.
+        // 1e6 counts/s²: after any rest the first count takes at least 2/(2+√6) ms, and turning back 316 µs.
         let g = gate(1500, 1e6).unwrap();
         assert_eq!(g.quiet_ns(u64::MAX), 316_227);
-        assert!(g.travel_ns(u64::MAX, 1.0) > 585_000.0 && g.travel_ns(u64::MAX, 1.0) < 586_000.0);
+        assert!((g.travel_ns(u64::MAX, 1.0) - 449_490.0).abs() < 1.0);
+    }
+
+    /// An axis that goes back by nearly the hysteresis between two edges has more than a count in which to get faster.
+    #[test]
+    fn a_run_up_through_the_hysteresis_is_within_the_limit() {
+        for h in [0.05_f64, 0.3, 0.99, 2.5] {
+            let a = 1e6;
+            let g =
+                Gate::new(GateInput { max_accel_counts_s2: a, hysteresis_counts: h, need_ns: 100 }).unwrap();
+            let (v, next) = ((2.0 * a * (1.0 + h)).sqrt(), (2.0 * a * (2.0 + h)).sqrt());
+            let (period_ns, after_ns) = (3e9 * v / a, 1e9 * (next - v) / a);
+            assert!(!g.too_soon(period_ns as u64, after_ns as u64 + 1), "h {h}");
+            assert!(g.travel_ns(period_ns as u64, 1.0) <= after_ns + 1.0, "h {h}");
+        }
+    }
+
+    #[test]
+    fn several_counts_take_as_long_as_the_fastest_start_takes() {
+        // From √(4a), the highest speed after any rest and a count of hysteresis: n = √(4a)·t + a·t²/2, √a·t = √(4 + 2n) − 2.
+        let g = gate(1500, 1e6).unwrap();
+        for (counts, ns) in [(3.0, 1_162_277.660), (7.0, 2_242_640.687)] {
+            assert!((g.travel_ns(u64::MAX, counts) - ns).abs() < 0.01, "{counts}");
+        }
     }
 
     #[test]
@@ -122,6 +183,17 @@ mod tests {
             if min > 2 {
                 prop_assert!(g.travel_ns(min - 2, 1.0) < need as f64);
             }
+        }
+
+        /// Too soon is what comes before the promised time of travel, and nothing else.
+        #[test]
+        fn too_soon_is_before_the_promise(a in 0.0..1e8_f64, log_t in 0.0..9.0_f64, part in 0.0..2.0_f64) {
+            let Some(g) = gate(1, a) else { return Ok(()) };
+            let period = 10_f64.powf(log_t) as u64;
+            let travel = g.travel_ns(period, 1.0);
+            let after = (travel * part) as u64;
+            prop_assume!((after as f64 - travel).abs() > 1e-6 * travel + 1.0);
+            prop_assert_eq!(g.too_soon(period.max(1), after), (after as f64) < travel);
         }
 
         /// Simulated axes that keep to the limit never beat the promise.

@@ -5,6 +5,7 @@ use crate::event::Status;
 use crate::link::{ControlEnd, RtEnd, link};
 use crate::setup::{Report, System, Wanted, apply};
 use rtec_driver::card::{Card, CardError};
+use std::ops::ControlFlow;
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
@@ -100,43 +101,80 @@ impl<C> Running<C> {
     }
 }
 
-/// The loop. Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system.
-pub fn run<C: Card>(mut engine: Engine, mut card: C, mut rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
-    let mut published_ns = 0;
-    let (mut beats, mut beat_ns) = (rt.beats(), engine.now_ns());
-    let error = loop {
+/// The loop, until it is asked to stop or the card fails. Nothing in it allocates, locks, logs or (on a card of mapped
+/// registers) calls the system.
+pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
+    let mut turns = Turns::new(engine, card, rt, stale_after_ns);
+    loop {
+        if let ControlFlow::Break(error) = turns.turn() {
+            return turns.end(error);
+        }
+    }
+}
+
+/// The loop, turn by turn: what [`run`] repeats, for whoever has another clock than the card's.
+#[derive(Debug)]
+pub struct Turns<C> {
+    engine: Engine,
+    card: C,
+    rt: RtEnd,
+    stale_after_ns: u64,
+    published_ns: u64,
+    beats: u64,
+    beat_ns: u64,
+}
+
+impl<C: Card> Turns<C> {
+    /// Before the first turn.
+    pub fn new(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Self {
+        let (beats, beat_ns) = (rt.beats(), engine.now_ns());
+        Self { engine, card, rt, stale_after_ns, published_ns: 0, beats, beat_ns }
+    }
+
+    /// The engine as it is between two turns.
+    pub const fn engine(&self) -> &Engine {
+        &self.engine
+    }
+
+    /// One request at most, one look, and now and then a status. It breaks with the card's error, or with none where the
+    /// end was asked for or the card has come to its own.
+    #[inline]
+    pub fn turn(&mut self) -> ControlFlow<Option<CardError>> {
+        let Self { engine, card, rt, .. } = self;
         // One request a look: however many come at once, no gap between two looks grows with their number.
         let wait_until_ns = if let Some(request) = rt.request() {
-            if let Err(error) = engine.take(request, &mut card, &mut |e| rt.report(e)) {
+            if let Err(error) = engine.take(request, card, &mut |e| rt.report(e)) {
                 engine.card_failed(error, &mut |e| rt.report(e));
             }
             // The next one may be there already: a card that sleeps must not let it wait.
             0
         } else {
-            published_ns + PUBLISH_NS
+            self.published_ns + PUBLISH_NS
         };
-        if let Err(error) = engine.poll(&mut card, wait_until_ns, &mut |e| rt.report(e)) {
+        if let Err(error) = engine.poll(card, wait_until_ns, &mut |e| rt.report(e)) {
             engine.card_failed(error, &mut |e| rt.report(e));
-            if error == CardError::Ended {
-                break None;
-            }
-            break Some(error);
+            return ControlFlow::Break(Some(error).filter(|e| *e != CardError::Ended));
         }
         let now_ns = engine.now_ns();
-        if now_ns >= published_ns + PUBLISH_NS {
+        if now_ns >= self.published_ns + PUBLISH_NS {
             if rt.stopped() && rt.all_taken() && engine.at_rest() {
-                break None;
+                return ControlFlow::Break(None);
             }
-            if rt.beats() != beats {
-                (beats, beat_ns) = (rt.beats(), now_ns);
+            if rt.beats() != self.beats {
+                (self.beats, self.beat_ns) = (rt.beats(), now_ns);
             }
-            engine.set_control_stale(now_ns - beat_ns > stale_after_ns, &mut |e| rt.report(e));
+            engine.set_control_stale(now_ns - self.beat_ns > self.stale_after_ns, &mut |e| rt.report(e));
             rt.publish(engine.status());
-            published_ns = now_ns;
+            self.published_ns = now_ns;
         }
-    };
-    let status = engine.status();
-    rt.publish(status);
-    rt.end();
-    Ended { card, status, error }
+        ControlFlow::Continue(())
+    }
+
+    /// The last status is told, and what is left is handed back.
+    pub fn end(mut self, error: Option<CardError>) -> Ended<C> {
+        let status = self.engine.status();
+        self.rt.publish(status);
+        self.rt.end();
+        Ended { card: self.card, status, error }
+    }
 }

@@ -275,9 +275,13 @@ fn a_silent_control_side_freezes_corrections_and_is_said() {
     rig.step(10);
     assert_eq!((rig.status().axes[0].completed, rig.status().axes[0].gate), (0, GateState::ControlStale));
     assert_eq!(events, [EventKind::ControlStale(true)]);
-    rig.engine.set_control_stale(false, &mut |_| true);
+    assert_eq!(rig.status().events_lost, 0);
+    // One that nobody takes is counted.
+    rig.engine.set_control_stale(false, &mut |_| false);
+    assert_eq!(rig.status().events_lost, 1);
     rig.step(10);
     assert_eq!(rig.status().axes[0].completed, 2);
+    assert_ne!(rig.status().axes[0].gate, GateState::ControlStale);
 }
 
 #[test]

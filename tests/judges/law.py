@@ -51,8 +51,14 @@ class AxisNow:
     def __init__(self, p_mm=0.0, v_mm_s=0.0, a_mm_s2=0.0, direction=0):
         self.p_mm, self.v_mm_s, self.a_mm_s2, self.direction = p_mm, v_mm_s, a_mm_s2, direction
 
-    def ahead(self, lead_s):
-        return AxisNow(self.p_mm + self.v_mm_s * lead_s, self.v_mm_s, self.a_mm_s2, self.direction)
+    def ahead(self, lead_s, age_s=0.0):
+        """As it will be: the speed is `age_s` old, and one that falls goes on falling, to rest and no further."""
+        left = self.v_mm_s
+        if self.v_mm_s > 0.0 > self.a_mm_s2:
+            left = max(self.v_mm_s + self.a_mm_s2 * (lead_s + age_s), 0.0)
+        elif self.v_mm_s < 0.0 < self.a_mm_s2:
+            left = min(self.v_mm_s + self.a_mm_s2 * (lead_s + age_s), 0.0)
+        return AxisNow(self.p_mm + self.v_mm_s * lead_s, left, self.a_mm_s2, self.direction)
 
 
 class Spike:
@@ -253,6 +259,12 @@ class Motion:
             now[a] = AxisNow(positions[a] * self.count_um / 1000.0, v, acceleration, self.turning[a].direction)
         return now
 
+    def age_s(self):
+        """A mean speed is that of the middle of its time."""
+        if len(self.rows) <= SPEED_OVER:
+            return 0.0
+        return (self.rows[-1][0] - self.rows[-1 - SPEED_OVER][0]) / 2.0
+
     def velocity(self, axis, back):
         """mm/s over the SPEED_OVER evaluations that end `back` evaluations ago; 0 where they are not known."""
         if len(self.rows) <= back + SPEED_OVER:
@@ -320,7 +332,7 @@ class Law:
     def tick(self, t_s, positions, degc, inserted=None):
         dt_s, self.last_s = clamp(t_s - self.last_s, 0.0, LONGEST_S), t_s
         now = self.motion.follow(t_s, positions, self.requested if inserted is None else inserted)
-        ahead = {a: n.ahead(self.lead_s) for a, n in now.items()}
+        ahead = {a: n.ahead(self.lead_s, self.motion.age_s()) for a, n in now.items()}
         um, slow_um = self.model.errors_um(t_s, ahead, degc)
         for a in self.axes:
             ramp_um = self.ramp_um_s * dt_s

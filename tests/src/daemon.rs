@@ -6,6 +6,7 @@ use rtec_driver::profile::Width;
 use rtec_driver::quadrature::{Decoder, State};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
@@ -67,6 +68,8 @@ pub struct Daemon {
     socket: PathBuf,
     log: Arc<Mutex<String>>,
     reader: Option<JoinHandle<()>>,
+    /// Whose program speaks to it, where that is not ours.
+    speaker: Option<(PathBuf, u32)>,
 }
 
 impl Daemon {
@@ -84,12 +87,33 @@ impl Daemon {
         Self::spawn(&mut command, socket)
     }
 
+    /// A daemon on the embedded default, homed and enabled.
+    ///
+    /// # Panics
+    /// As [`Daemon::start`] and [`Daemon::expect`].
+    #[must_use]
+    pub fn enabled(socket: &Path) -> Self {
+        let daemon = Self::start(socket, None);
+        daemon.expect(0, &["home"]);
+        daemon.expect(0, &["enable"]);
+        daemon
+    }
+
     /// Starts `command` as the daemon of `socket`.
     ///
     /// # Panics
     /// When it does not start.
     #[must_use]
     pub fn spawn(command: &mut Command, socket: &Path) -> Self {
+        Self::spawn_for(None, command, socket)
+    }
+
+    /// The same, spoken to by a user of that number with that copy of `rtecctl`.
+    ///
+    /// # Panics
+    /// When it does not start.
+    #[must_use]
+    pub fn spawn_for(speaker: Option<(PathBuf, u32)>, command: &mut Command, socket: &Path) -> Self {
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap_or_else(|e| panic!("{command:?}: {e}"));
         let log = Arc::new(Mutex::new(String::new()));
         let stderr = child.stderr.take().map(BufReader::new);
@@ -102,7 +126,7 @@ impl Daemon {
                 }
             }
         });
-        let mut daemon = Self { child, socket: socket.to_owned(), log, reader: Some(reader) };
+        let mut daemon = Self { child, socket: socket.to_owned(), log, reader: Some(reader), speaker };
         until("the daemon answers", || {
             if let Ok(Some(status)) = daemon.child.try_wait() {
                 panic!("rtecd ended with {status}: {}", daemon.log());
@@ -130,7 +154,10 @@ impl Daemon {
     /// When it cannot be run.
     #[must_use]
     pub fn user(&self, args: &[&str]) -> Output {
-        user(&self.socket, args)
+        let Some((rtecctl, uid)) = &self.speaker else { return user(&self.socket, args) };
+        let mut command = Command::new(rtecctl);
+        command.args(args).arg("--socket").arg(&self.socket).uid(*uid).gid(*uid);
+        command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"))
     }
 
     /// Runs `rtecctl` and expects an exit code; returns what was said on both outputs.
@@ -162,6 +189,18 @@ impl Daemon {
     /// Sends the daemon a signal, by its name without `SIG`.
     pub fn signal(&self, name: &str) {
         let _ = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status();
+    }
+
+    /// Stops the process until `long_enough` says so.
+    ///
+    /// # Panics
+    /// When it does not stop, or it is never long enough.
+    pub fn pause(&self, long_enough: impl FnMut() -> bool) {
+        self.signal("STOP");
+        let stat = || std::fs::read_to_string(format!("/proc/{}/stat", self.id())).unwrap_or_default();
+        until("it is stopped", || stat().contains(") T "));
+        until("that is long enough", long_enough);
+        self.signal("CONT");
     }
 
     /// Sends a signal, waits for the end, and gives exit code and log.
@@ -258,7 +297,7 @@ pub struct Machine {
 
 /// Time between two edges. Slow, and the separation in [`CONFIG`] long: daemon and controller are ordinary processes
 /// here, and each must see every single change of the other.
-const EDGE: Duration = Duration::from_millis(400);
+const EDGE: Duration = Duration::from_millis(300);
 
 /// A configuration for a [`Machine`]; `CARD` stands for the file of registers.
 pub const CONFIG: &str = "[machine]\nname = 'bench'\n[card]\nbackend = 'mapped'\nfile = 'CARD'\nhold = 'out28'\n\
@@ -468,6 +507,18 @@ impl Bench {
         }
     }
 
+    /// Waits until the scale has given so many edges.
+    ///
+    /// # Panics
+    /// When it stands.
+    pub fn edges(&self, n: u32) {
+        for _ in 0..n {
+            let scale = || self.machine.seen.scale.load(Ordering::Relaxed);
+            let from = scale();
+            until("an edge", || scale() != from);
+        }
+    }
+
     /// Asks for a total and waits until it is made.
     ///
     /// # Panics
@@ -491,6 +542,16 @@ impl Bench {
         self.machine.look_twice();
         assert_eq!(self.machine.illegal(), 0);
         assert_eq!(self.x()["in_effect"], self.machine.offset());
+    }
+
+    /// The MTC has so many counts of correction, whether a daemon runs or not.
+    ///
+    /// # Panics
+    /// When it has not.
+    pub fn balances_with(&self, counts: i64) {
+        until("an insertion is finished", || !self.machine.halfway());
+        self.machine.look_twice();
+        assert_eq!((self.machine.illegal(), self.machine.offset()), (0, counts));
     }
 
     /// Outputs of the card.

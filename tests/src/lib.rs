@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`daemon`] | a real `rtecd`, a user with `rtecctl`, and a machine at the end of a shared-memory card |
+//! | [`disk`] | a disk that is soon full |
 //! | [`gpio_sim`] | the kernel's simulated GPIO lines, from outside |
 //! | [`judge`] | LinuxCNC's `encoder` component and sigrok's graycode decoder as counters of a trace |
 //! | [`ledger`] | what a corrected trace must count, from the scale's trace and the order of the inversions |
@@ -14,6 +15,7 @@
 //! What must not live here: anything that the product needs; the judges take no formula from what they judge.
 
 pub mod daemon;
+pub mod disk;
 pub mod gpio_sim;
 pub mod judge;
 pub mod ledger;
@@ -22,7 +24,7 @@ pub mod planted;
 pub mod supervisor;
 pub mod workload;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The workspace's root.
 #[must_use]
@@ -30,22 +32,4 @@ pub fn root() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
 }
 
-/// A file of the shared real data, or `None`, said loudly, where it is not there.
-#[must_use]
-pub fn shared(file: &str) -> Option<PathBuf> {
-    let path = root().join("../shared").join(file);
-    if path.exists() {
-        return Some(path);
-    }
-    skipped(&format!("../shared/{file} not there"));
-    None
-}
-
-/// Says loudly that a test could not run. With `RTEC_REQUIRE=1`, as `.ci/run` sets it, that is a failure.
-///
-/// # Panics
-/// When nothing may be skipped.
-pub fn skipped(why: &str) {
-    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
-    eprintln!("SKIPPED: {why}");
-}
+pub use test_needs::{shared, skipped};

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_tests::daemon::{Bench, CONFIG, Daemon, Machine, alone, program, until};
+use rtec_tests::disk::SmallDisk;
 use rtec_tests::skipped;
 use rtec_tests::supervisor::Trial;
 use std::io::Write;
@@ -58,41 +59,24 @@ fn a_log_that_is_full_or_not_read_stops_nothing() {
     }
 }
 
-/// A file system that goes with its test.
-struct Mounted(PathBuf);
-
-impl Drop for Mounted {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg("--lazy").arg(&self.0).status();
-    }
-}
-
 #[test]
 fn a_full_disk_is_an_error_before_the_start_and_nothing_after_it() {
     let _alone = alone();
     let bench = Bench::default();
-    let disk = bench.at("disk");
-    std::fs::create_dir(&disk).unwrap();
-    let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=16k", "tmpfs"]).arg(&disk).output();
-    if !mount.is_ok_and(|m| m.status.success()) {
+    let Some(disk) = SmallDisk::mount(&bench.at("disk"), 16) else {
         return skipped("no file system can be mounted here");
-    }
-    let _mounted = Mounted(disk.clone());
+    };
     let config = format!("{}[control]\nstate_file = 'disk/state'\n", CONFIG.replace("CARD", "card"));
     std::fs::write(bench.at("rtec.toml"), config).unwrap();
-    let fill = || {
-        let mut file = std::fs::File::create(disk.join("fill")).unwrap();
-        while file.write(&[0; 1024]).is_ok_and(|n| n > 0) {}
-    };
-    fill();
+    disk.fill();
     let run = bench.command().output().unwrap();
     let text = String::from_utf8_lossy(&run.stderr);
     assert!(run.status.code() == Some(1) && text.contains("state file"), "{:?} {text}", run.status);
     assert!(text.contains("No space left on device"), "{text}");
 
-    std::fs::remove_file(disk.join("fill")).unwrap();
+    disk.free();
     let daemon = bench.daemon();
-    fill();
+    disk.fill();
     bench.go();
     bench.correct(6);
     bench.balances();
@@ -111,16 +95,16 @@ fn a_daemon_that_was_stopped_for_a_while_latches_or_balances() {
     bench.go();
     bench.correct(2);
     assert_eq!(bench.user(&["correct", "x", "30"]).0, Some(0));
-    daemon.signal("STOP");
-    // Long enough for edges that nobody sees.
-    std::thread::sleep(Duration::from_secs(2));
+    daemon.pause(|| {
+        // Edges that nobody sees.
+        bench.edges(4);
+        true
+    });
     assert_eq!(bench.machine.illegal(), 0);
-    daemon.signal("CONT");
-    let status = daemon.status();
+    // Its control side may run again before its real-time thread does.
+    until("what nobody saw is latched", || bench.x()["faults"].as_array().is_some_and(|all| !all.is_empty()));
     until("an insertion is finished", || !bench.machine.halfway());
     assert_eq!(bench.machine.illegal(), 0);
-    let faults = bench.x()["faults"].as_array().unwrap().len();
-    assert!(faults > 0, "edges were missed, and nothing is latched: {status}\n{}", daemon.log());
     assert_eq!(bench.user(&["status"]).0, Some(4));
 }
 
@@ -242,20 +226,13 @@ fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
     let daemon = bench.daemon();
     bench.go();
     bench.correct(2);
-    let edges = |n: u32| {
-        for _ in 0..n {
-            let scale = || bench.machine.seen.scale.load(Ordering::Relaxed);
-            let from = scale();
-            until("an edge", || scale() != from);
-        }
-    };
     assert_eq!(bench.user(&["correct", "x", "40"]).0, Some(0));
     let stopped = Stopped::thread(daemon.id() as i32);
     // Beyond `stale_ms`, and what was begun is finished.
-    edges(4);
+    bench.edges(4);
     until("an insertion is finished", || !bench.machine.halfway());
     let frozen = bench.machine.offset();
-    edges(6);
+    bench.edges(6);
     assert_eq!((bench.machine.offset(), bench.machine.illegal()), (frozen, 0), "no insertion begins");
     assert!((2..40).contains(&frozen), "{frozen}");
     drop(stopped);

@@ -1,5 +1,6 @@
 //! One blind case: what is hidden, the files the reconciler sees, and the truth beside them.
 
+use crate::bounds::beyond;
 use crate::dice::Dice;
 use crate::plan::{DESIGNS, Manner, Plan};
 use crate::run::Run;
@@ -176,15 +177,9 @@ pub(crate) fn write_run(
     Ok(path)
 }
 
-/// Whether a machine can have it: the bounds that formats.md states.
+/// Whether a machine can have it.
 pub(crate) fn physical(s: &Source) -> bool {
-    let law = s.name.split('.').next().unwrap_or_default();
-    match law {
-        "subdivision" => s.val("um").abs() < s.val("period_um") / 4.0,
-        "scale" => s.val("ppm").abs() < 1000.0,
-        "thermal_growth" | "thermal_lag" => s.val("um_per_K").abs() < 60.0,
-        _ => true,
-    }
+    beyond(&s.name, &|key| s.has(key).then(|| s.val(key))).is_empty()
 }
 
 /// Makes a case and writes it into `dir`. `law` asks for a kind of effect where the case hides one.
@@ -283,7 +278,8 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
             if dice.chance(0.7) {
                 seen.off(&mut dice, share);
             }
-            model += &seen.toml();
+            // Nobody writes down what no machine can have.
+            model += &if physical(&seen) { seen } else { k.clone() }.toml();
         }
         let model_path = dir.join("machine.toml");
         std::fs::write(&model_path, &model)?;
@@ -322,7 +318,10 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
                 .map(|h| h.toml().replace("[[effect]]\nname = ", "").replace('\n', " "))
                 .collect::<String>(),
         );
-        std::fs::write(dir.join("truth.json"), serde_json::json!({ "hidden": hidden.iter().map(|h| &h.name).collect::<Vec<_>>(), "snr": snr, "story": story }).to_string())?;
+        let truth_text: String = hidden.iter().chain(&known).map(Source::toml).collect();
+        let names = hidden.iter().map(|h| &h.name).collect::<Vec<_>>();
+        let told = serde_json::json!({ "hidden": names, "snr": snr, "story": story, "machine": truth_text });
+        std::fs::write(dir.join("truth.json"), told.to_string())?;
         let truth = hidden.iter().map(|h| h.name.clone()).collect();
         return Ok(Case {
             seed,

@@ -1,5 +1,6 @@
 //! A case put to the reconciler, and its answer read as a stranger would: from the document.
 
+use crate::bounds::beyond;
 use crate::case::{Case, rms};
 use crate::scene::Scene;
 use crate::score::{REFUSED, Reply, unordered};
@@ -162,47 +163,13 @@ pub fn covered(document: &Value, hidden: &[Source]) -> Vec<(String, bool)> {
     out
 }
 
-/// Bounds that no machine is beyond, by law and parameter; formats.md, "Bounds", and the sizes of machine tools.
-const BOUNDS: [(&str, &str, f64, f64); 19] = [
-    ("scale", "ppm", -1000.0, 1000.0),
-    ("thermal_growth", "um_per_K", -60.0, 60.0),
-    ("thermal_lag", "um_per_K", -60.0, 60.0),
-    ("thermal_expansion", "ppm_per_K", -200.0, 200.0),
-    ("thermal_growth", "reference_degC", 10.0, 30.0),
-    ("thermal_lag", "reference_degC", 10.0, 30.0),
-    ("thermal_expansion", "reference_degC", 10.0, 30.0),
-    ("thermal_lag", "tau_s", 0.0, 1e6),
-    ("warm_up", "tau_s", 0.0, 1e6),
-    ("screw_periodic", "period_mm", 0.5, 60.0),
-    ("subdivision", "period_um", 1.0, 200.0),
-    ("reversal", "um", -2000.0, 2000.0),
-    ("reversal_spike", "um", -1000.0, 1000.0),
-    ("reversal_spike", "length_mm", 0.0, 1e4),
-    ("squareness", "urad", -5000.0, 5000.0),
-    ("rotation", "urad", -10_000.0, 10_000.0),
-    ("coolant", "um", -1000.0, 1000.0),
-    ("following_error", "ms", -1000.0, 1000.0),
-    ("spindle_speed", "um_per_krpm", -500.0, 500.0),
-];
-
 /// Values of an answer that no machine can have.
 #[must_use]
 pub fn impossible(document: &Value) -> Vec<String> {
     let mut out = Vec::new();
     for e in list(&document["effects"]).iter().chain(list(&document["refined"])) {
-        let name = text(&e["name"]);
-        let law = name.split('.').next().unwrap_or_default();
         let value = |key: &str| e["parameters"][key]["value"].as_f64().or_else(|| e[key].as_f64());
-        for (_, key, lo, hi) in BOUNDS.iter().filter(|(l, ..)| *l == law) {
-            if let Some(v) = value(key).filter(|v| !(*lo..=*hi).contains(v)) {
-                out.push(format!("{name} {key} {v}"));
-            }
-        }
-        if let (true, Some(um), Some(period)) = (law == "subdivision", value("um"), value("period_um"))
-            && um.abs() > period / 4.0
-        {
-            out.push(format!("{name} um {um} at a period of {period}"));
-        }
+        out.extend(beyond(&text(&e["name"]), &value));
     }
     out
 }
@@ -218,10 +185,11 @@ pub enum Heard {
     Silent,
 }
 
-/// How many suspicions a document holds.
+/// The suspicions that a document holds: what, and its line.
 #[must_use]
-pub fn suspicions(document: &Value) -> usize {
-    list(&document["suspicions"]).len()
+pub fn suspicions(document: &Value) -> Vec<String> {
+    let line = |s: &Value| format!("{} {}: {}", text(&s["what"]), text(&s["column"]), text(&s["text"]));
+    list(&document["suspicions"]).iter().map(line).collect()
 }
 
 /// How an answer to a case with a mistake took it.

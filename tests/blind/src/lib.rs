@@ -12,6 +12,7 @@
 
 pub mod baseline;
 pub mod bench;
+pub(crate) mod bounds;
 pub mod case;
 pub mod changing;
 pub mod choose;

@@ -5,6 +5,8 @@
 
 use rtec_blind::case::Hides;
 use rtec_blind::class::{CLASSES, Class};
+use rtec_blind::judge::Heard;
+use rtec_blind::mistakes::KINDS;
 use rtec_blind::outcome::{Outcome, outcome};
 use rtec_blind::plan::Manner;
 use rtec_blind::score::Mark;
@@ -106,7 +108,13 @@ fn main() -> anyhow::Result<ExitCode> {
     }
     let outcomes = run(&plan, &asked)?;
     if asked.verbose {
-        outcomes.iter().filter(|o| !right(o.mark) || o.covered.iter().any(|c| !c.1)).for_each(tell);
+        let taken_wrong =
+            |o: &Outcome| o.mistake.as_ref().is_some_and(|m| m.1 != Heard::Said || !m.2.is_empty());
+        let told = |o: &&Outcome| match &o.mistake {
+            Some(_) => taken_wrong(o),
+            None => !right(o.mark) || o.covered.iter().any(|c| !c.1) || !o.suspicions.is_empty(),
+        };
+        outcomes.iter().filter(told).for_each(tell);
     }
     if asked.json {
         println!("{:#}", table::json(&outcomes, !asked.bare));
@@ -165,8 +173,16 @@ fn tell(o: &Outcome) {
         .filter(|c| !c.1)
         .map(|(what, _)| format!("\n    not in its interval: {what}"))
         .collect();
+    let suspected = match &o.suspicions[..] {
+        [] => String::new(),
+        said => format!("\n    suspected: {said:?}"),
+    };
+    let taken = o.mistake.as_ref().map_or(suspected, |(kind, heard, twin)| {
+        let (_, kind) = KINDS[*kind];
+        format!("\n    {kind}: {heard:?} {:?}; its clean twin: {twin:?}", o.suspicions)
+    });
     eprintln!(
-        "{:?} {} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}{}",
+        "{:?} {} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}{}{taken}",
         o.mark,
         o.class.word(),
         o.case.seed,

@@ -52,10 +52,10 @@ pub struct Outcome {
     pub impossible: Vec<String>,
     /// Where the files were refused: why.
     pub refused: Option<String>,
-    /// A mistake's number, how it was taken, and how many suspicions its clean twin raised.
-    pub mistake: Option<(usize, Heard, usize)>,
+    /// A mistake's number, how it was taken, and the suspicions that its clean twin raised.
+    pub mistake: Option<(usize, Heard, Vec<String>)>,
     /// Suspicions that were raised.
-    pub suspicions: usize,
+    pub suspicions: Vec<String>,
     /// Processor time of the reconciliation, s.
     pub seconds: f64,
 }

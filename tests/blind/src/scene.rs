@@ -164,6 +164,10 @@ impl Scene {
         } else {
             seen.scale(1.0 + off * dice.normal());
         }
+        // Nobody writes down what no machine can have.
+        if !physical(&seen) {
+            seen = s.clone();
+        }
         self.known.push(s);
         self.model.push(seen);
     }

@@ -57,6 +57,7 @@ struct Row {
     gap: [Option<f64>; 2],
     impossible: Option<usize>,
     refused: Option<usize>,
+    suspected: Option<usize>,
     seconds: Option<f64>,
 }
 
@@ -122,6 +123,7 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
         gap: [quantile(&closed, 0.5), quantile(&closed, 0.1)],
         impossible: finder.then(|| all().map(|o| o.impossible.len()).sum()),
         refused: finder.then(|| all().filter(|o| o.refused.is_some()).count()),
+        suspected: finder.then(|| all().filter(|o| !o.suspicions.is_empty()).count()),
         seconds: finder.then(|| all().map(|o| o.seconds).sum::<f64>() / of.len() as f64),
     }
 }
@@ -132,9 +134,9 @@ fn taken(outcomes: &[Outcome]) -> Vec<(&'static str, &'static str, [Share; 4])> 
         .iter()
         .enumerate()
         .filter_map(|(k, (what, text))| {
-            let of = || outcomes.iter().filter(move |o| o.mistake.is_some_and(|m| m.0 == k));
-            let how = |h: Heard| Share::of(of(), |o| o.mistake.is_some_and(|m| m.1 == h));
-            let twin = Share::of(of(), |o| o.mistake.is_some_and(|m| m.2 > 0));
+            let of = || outcomes.iter().filter(move |o| o.mistake.as_ref().is_some_and(|m| m.0 == k));
+            let how = |h: Heard| Share::of(of(), |o| o.mistake.as_ref().is_some_and(|m| m.1 == h));
+            let twin = Share::of(of(), |o| o.mistake.as_ref().is_some_and(|m| !m.2.is_empty()));
             (of().count() > 0)
                 .then(|| (*what, *text, [how(Heard::Said), how(Heard::Wrong), how(Heard::Silent), twin]))
         })
@@ -150,7 +152,14 @@ pub fn markdown(outcomes: &[Outcome], baselines: bool) -> String {
         let heads: Vec<&str> = ["class", "by", "cases"]
             .into_iter()
             .chain(first.shares.iter().map(|s| s.0))
-            .chain(["gap closed, median", "10th percentile", "impossible values", "refused", "CPU s a case"])
+            .chain([
+                "gap closed, median",
+                "10th percentile",
+                "impossible values",
+                "refused",
+                "suspected",
+                "CPU s a case",
+            ])
             .collect();
         text += &format!("| {} |\n|{}\n", heads.join(" | "), "---|".repeat(heads.len()));
     }
@@ -160,7 +169,7 @@ pub fn markdown(outcomes: &[Outcome], baselines: bool) -> String {
             .into_iter()
             .chain(r.shares.iter().map(|s| s.1.cell()))
             .chain(r.gap.iter().map(|g| or_dash(g.map(|g| format!("{:.1} %", 100.0 * g)))))
-            .chain([r.impossible, r.refused].map(|n| or_dash(n.map(|n| n.to_string()))))
+            .chain([r.impossible, r.refused, r.suspected].map(|n| or_dash(n.map(|n| n.to_string()))))
             .chain([or_dash(r.seconds.map(|s| format!("{s:.2}")))])
             .collect();
         text += &format!("| {} |\n", cells.join(" | "));
@@ -194,7 +203,7 @@ pub fn json(outcomes: &[Outcome], baselines: bool) -> Value {
             json!({
                 "class": r.class.word(), "by": r.way, "cases": r.cases, "shares": shares,
                 "gap_closed": { "median": r.gap[0], "p10": r.gap[1] },
-                "impossible_values": r.impossible, "refused": r.refused, "cpu_s": r.seconds,
+                "impossible_values": r.impossible, "refused": r.refused, "suspected": r.suspected, "cpu_s": r.seconds,
             })
         })
         .collect();

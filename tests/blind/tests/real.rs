@@ -8,13 +8,8 @@ use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> Option<String> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(name);
-    let text = std::fs::read_to_string(&path).ok();
-    if text.is_none() {
-        assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "{} is not there", path.display());
-        eprintln!("SKIPPED: ../shared/data/{name} not there");
-    }
-    text
+    let path = test_needs::shared(&format!("data/{name}"))?;
+    Some(std::fs::read_to_string(path).unwrap())
 }
 
 fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
@@ -100,7 +95,7 @@ fn the_iso_230_axis_has_a_map_and_a_reversal() {
     // A map, a reversal, and what came over the cycles: a warm-up from a zero that was set on the warm machine.
     assert_eq!(names(&r), ["position_map.y", "reversal.y", "offset.y", "warm_up.y"]);
     assert!(
-        r.places.iter().any(|p| p.against == "cycle" && p.q_value < 0.1),
+        r.places.iter().any(|p| p.against == "cycle" && p.q_value < 0.01),
         "the drift over the cycles: {:?}",
         r.places.iter().map(|p| (p.against.clone(), p.p_value, p.q_value)).collect::<Vec<_>>()
     );

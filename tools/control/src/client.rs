@@ -1,13 +1,23 @@
 //! The client's end of the control socket.
 
+use crate::closed::closed_directory;
+use crate::config::derived;
 use crate::protocol::{ClientRequest, Response};
-use std::io::{self, BufRead, BufReader, Write};
+use crate::role::Role;
+use nix::sys::socket::{ControlMessage, MsgFlags, UnixAddr, getsockopt, sendmsg, sockopt};
+use nix::unistd::Uid;
+use rtec_files::words::{printable, quoted};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, IoSlice, Write};
+use std::os::fd::{AsRawFd, RawFd};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// An answer takes milliseconds; a daemon that takes longer than this is not well.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// An answer takes milliseconds, that to a load some seconds; a daemon that takes longer than this is not well.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Nothing longer is an answer, bytes: a page of a ledger and a whole status have some hundred thousand.
+const LONGEST_ANSWER: u64 = 16 << 20;
 
 /// Why the daemon gave no answer.
 #[derive(Debug, thiserror::Error)]
@@ -20,17 +30,63 @@ pub enum ClientError {
         /// What the system said.
         source: io::Error,
     },
+    /// It runs, and this user may not speak to it.
+    #[error(
+        "cannot reach rtecd at {}: permission denied on every socket of it; ask for a group that may ([control] group, \
+         operate.group, view.group of the configuration)", socket.display()
+    )]
+    Forbidden {
+        /// Path of the socket that was tried.
+        socket: PathBuf,
+    },
+    /// Somebody else answers there.
+    #[error("{}: a process of user {uid} listens there, {}; nothing is said to it", socket.display(), expected(open.as_deref()))]
+    Impostor {
+        /// Path of the socket that was tried.
+        socket: PathBuf,
+        /// Whose process it is.
+        uid: u32,
+        /// The directory on the way there that everybody can write to.
+        open: Option<PathBuf>,
+    },
     /// The connection broke, or the answer took too long.
-    #[error("no answer from rtecd: {0}")]
+    #[error("no answer from rtecd{}", silence(.0))]
     Io(#[from] io::Error),
     /// The answer is not one.
-    #[error("rtecd answered {found:?}: {why}; are rtecctl and rtecd of the same version?")]
+    #[error("rtecd answered {found}: {}; are rtecctl and rtecd of the same version?", printable(why))]
     Answer {
         /// The line that came instead of an answer, or why none came.
         found: String,
         /// What is wrong with it.
-        why: serde_json::Error,
+        why: String,
     },
+}
+
+/// Whose process should be there.
+fn expected(open: Option<&Path>) -> String {
+    match open {
+        Some(open) => format!(
+            "and everybody can write to {}, so that anybody may have put it there: expected one of root or of this user, or a \
+             socket below directories that only their owners write to, as /run/rtec",
+            open.display()
+        ),
+        None => "expected one of root, of this user, or of the owner of the socket's directory".to_owned(),
+    }
+}
+
+/// What a broken connection means to people.
+fn silence(error: &io::Error) -> String {
+    match error.kind() {
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => format!(
+            " for {} s: it is there, but busy or stopped (systemctl status rtecd; journalctl -u rtecd)",
+            PATIENCE.as_secs()
+        ),
+        ErrorKind::UnexpectedEof | ErrorKind::BrokenPipe | ErrorKind::ConnectionReset => {
+            ": it has ended, or closed the connection (systemctl status rtecd; journalctl -u rtecd)"
+                .to_owned()
+        }
+        _ => format!(": {error}"),
+    }
 }
 
 /// A connection to the daemon.
@@ -40,16 +96,48 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects.
+    /// Connects by a socket, or, where this user may not use it, by the one of a lesser role beside it.
     ///
     /// # Errors
-    /// When nobody listens.
+    /// When nobody listens, this user may use none of them, or somebody else listens there.
     pub fn connect(socket: &Path) -> Result<Self, ClientError> {
-        let stream = UnixStream::connect(socket)
-            .map_err(|source| ClientError::Unreachable { socket: socket.to_owned(), source })?;
-        stream.set_read_timeout(Some(PATIENCE))?;
-        stream.set_write_timeout(Some(PATIENCE))?;
-        Ok(Self { stream: BufReader::new(stream) })
+        let sockets = Role::ALL.map(|role| derived(socket, role));
+        Self::connect_to(&[&sockets[2], &sockets[1], &sockets[0]])
+    }
+
+    /// Connects by the first of these sockets that this user may use.
+    ///
+    /// # Errors
+    /// As [`Client::connect`].
+    pub fn connect_to(sockets: &[&PathBuf]) -> Result<Self, ClientError> {
+        let mut failed: Vec<(&PathBuf, io::Error)> = Vec::new();
+        for socket in sockets {
+            match UnixStream::connect(socket) {
+                Ok(stream) => {
+                    is_daemon(&stream, socket)?;
+                    stream.set_read_timeout(Some(PATIENCE))?;
+                    stream.set_write_timeout(Some(PATIENCE))?;
+                    return Ok(Self { stream: BufReader::new(stream) });
+                }
+                Err(source) => failed.push((socket, source)),
+            }
+        }
+        // A socket that this user may use and nobody listens at says more than one that he may not.
+        let of = |kind: ErrorKind| failed.iter().position(|(_, e)| e.kind() == kind);
+        let denied = of(ErrorKind::PermissionDenied);
+        let other = || failed.iter().position(|(_, e)| e.kind() != ErrorKind::NotFound);
+        // The one that was named is the shortest: the others are derived from it.
+        let named = || (0..failed.len()).min_by_key(|n| failed[*n].0.as_os_str().len());
+        let Some(n) = of(ErrorKind::ConnectionRefused).or(denied).or_else(other).or_else(named) else {
+            return Err(io::Error::from(ErrorKind::NotFound).into());
+        };
+        let (socket, source) = failed.swap_remove(n);
+        let socket = socket.clone();
+        Err(if Some(n) == denied && source.kind() == ErrorKind::PermissionDenied {
+            ClientError::Forbidden { socket }
+        } else {
+            ClientError::Unreachable { socket, source }
+        })
     }
 
     /// Sends a request and waits for its answer.
@@ -57,10 +145,33 @@ impl Client {
     /// # Errors
     /// When there is none.
     pub fn ask(&mut self, request: &ClientRequest) -> Result<Response, ClientError> {
+        self.ask_with(request, &[])
+    }
+
+    /// Sends a request with open files, which the daemon reads instead of opening them itself, and waits for its answer.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn ask_with(&mut self, request: &ClientRequest, files: &[File]) -> Result<Response, ClientError> {
         let mut line = serde_json::to_string(request).map_err(io::Error::other)?;
         line.push('\n');
-        self.stream.get_mut().write_all(line.as_bytes())?;
-        self.answer()
+        let mut rest = line.as_bytes();
+        if !files.is_empty() {
+            let fds: Vec<RawFd> = files.iter().map(AsRawFd::as_raw_fd).collect();
+            let rights = [ControlMessage::ScmRights(&fds)];
+            let stream = self.stream.get_ref().as_raw_fd();
+            let sent =
+                sendmsg::<UnixAddr>(stream, &[IoSlice::new(rest)], &rights, MsgFlags::MSG_NOSIGNAL, None);
+            rest = &rest[sent.map_err(io::Error::from)?..];
+        }
+        // A daemon that refuses a connection answers before it has read: what it said is there to be read.
+        let sent = self.stream.get_mut().write_all(rest);
+        match self.answer() {
+            Err(ClientError::Io(_)) if sent.is_err() => {
+                Err(sent.err().map_or_else(unreachable_io, Into::into))
+            }
+            answer => answer,
+        }
     }
 
     /// Waits for as long as it takes: after `watch`, events come when they come.
@@ -84,10 +195,113 @@ impl Client {
     /// # Errors
     /// When there is none.
     pub fn answer(&mut self) -> Result<Response, ClientError> {
-        let mut line = String::new();
-        if self.stream.read_line(&mut line)? == 0 {
-            return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "it closed the connection").into());
+        read_answer(&mut self.stream)
+    }
+}
+
+/// Reads one answer, a line.
+///
+/// # Errors
+/// There is none: the end, a line that is no answer, or one that does not end.
+pub fn read_answer(input: impl BufRead) -> Result<Response, ClientError> {
+    let mut line = Vec::new();
+    if input.take(LONGEST_ANSWER).read_until(b'\n', &mut line)? == 0 {
+        return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "it closed the connection").into());
+    }
+    if line.len() as u64 == LONGEST_ANSWER {
+        let why = format!("{LONGEST_ANSWER} bytes without an end of line");
+        return Err(io::Error::new(io::ErrorKind::InvalidData, why).into());
+    }
+    serde_json::from_slice(&line).map_err(|why| ClientError::Answer {
+        found: quoted(String::from_utf8_lossy(&line).trim()),
+        why: why.to_string(),
+    })
+}
+
+fn unreachable_io() -> ClientError {
+    io::Error::from(ErrorKind::BrokenPipe).into()
+}
+
+/// Refuses to speak to another user's process: it could take a command and say that it was done.
+fn is_daemon(stream: &UnixStream, socket: &Path) -> Result<(), ClientError> {
+    let peer = getsockopt(stream, sockopt::PeerCredentials).map_err(io::Error::from)?;
+    let uid = peer.uid();
+    if uid == 0 || uid == Uid::effective().as_raw() {
+        return Ok(());
+    }
+    let open = match closed_directory(socket) {
+        Ok(owner) if owner == uid => return Ok(()),
+        Ok(_) => None,
+        Err(open) => open,
+    };
+    Err(ClientError::Impostor { socket: socket.to_owned(), uid, open })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whoever answers instead of the daemon: nothing of what he says acts on a terminal, and it takes no memory without end.
+    #[test]
+    fn what_is_no_answer_is_shown_short_and_as_text() {
+        for (key, says) in
+            [("\u{1b}[2J\u{7}", "\\u{1b}[2J\\u{7}"), ("\\u001b[2J", "unknown variant `\\u{1b}[2J`")]
+        {
+            let line = format!("{{\"{key}\":{}}}\n", "1".repeat(100_000));
+            let text = read_answer(line.as_bytes()).unwrap_err().to_string();
+            assert!(!text.chars().any(char::is_control) && text.len() < 1000, "{text:?}");
+            assert!(text.contains(says), "{text}");
         }
-        serde_json::from_str(&line).map_err(|why| ClientError::Answer { found: line.trim().to_owned(), why })
+        let endless =
+            read_answer(BufReader::with_capacity(1 << 20, io::repeat(b' '))).unwrap_err().to_string();
+        assert!(endless.contains("without an end of line"), "{endless}");
+        assert!(matches!(read_answer(&b""[..]), Err(ClientError::Io(_))));
+        assert_eq!(
+            read_answer(&b"{\"done\":{}}\n"[..]).unwrap(),
+            Response::Done { jumps: Vec::new(), warnings: Vec::new() }
+        );
+    }
+
+    /// Of three sockets one may be closed to this user and another left over: that one says why.
+    #[test]
+    fn a_daemon_that_has_died_is_not_mistaken_for_one_that_forbids() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        let (absent, left_over) = (at("control-long-name.sock"), at("s"));
+        drop(std::os::unix::net::UnixListener::bind(&left_over).unwrap());
+        for order in [[&absent, &left_over], [&left_over, &absent]] {
+            let error = Client::connect_to(&order).unwrap_err().to_string();
+            assert!(error.contains("refused") && error.contains("is it running?"), "{error}");
+        }
+        // None of them: the one that was named is said.
+        let (named, derived) = (at("c.sock"), at("c-view.sock"));
+        let error = Client::connect_to(&[&derived, &named]).unwrap_err().to_string();
+        assert!(error.contains("/c.sock: No such file"), "{error}");
+    }
+
+    #[test]
+    fn another_users_process_is_told_nothing() {
+        if !Uid::effective().is_root() {
+            eprintln!("skipped: to be another user takes root");
+            return;
+        }
+        let directory = tempfile::tempdir().unwrap();
+        let socket = directory.path().join("s");
+        std::fs::set_permissions(directory.path(), std::os::unix::fs::PermissionsExt::from_mode(0o777))
+            .unwrap();
+        let mut python = std::process::Command::new("python3");
+        python.args(["-c", "import os,socket,sys,time\nos.setuid(65534)\ns=socket.socket(socket.AF_UNIX)\ns.bind(sys.argv[1])\ns.listen()\nprint('ready',flush=True)\ntime.sleep(60)"]);
+        let Ok(mut impostor) = python.arg(&socket).stdout(std::process::Stdio::piped()).spawn() else {
+            eprintln!("skipped: no python3");
+            return;
+        };
+        let mut said = String::new();
+        BufReader::new(impostor.stdout.take().unwrap()).read_line(&mut said).unwrap();
+        let found = Client::connect(&socket);
+        impostor.kill().unwrap();
+        impostor.wait().unwrap();
+        assert!(matches!(found, Err(ClientError::Impostor { uid: 65_534, .. })), "{said} {found:?}");
+        let text = found.unwrap_err().to_string();
+        assert!(text.contains("everybody can write to /") && text.contains("/run/rtec"), "{text}");
     }
 }

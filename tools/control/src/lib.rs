@@ -4,21 +4,30 @@
 //! |---|---|
 //! | [`config`] | `rtec.toml`, read strictly: every finding with its line |
 //! | [`protocol`] | requests and answers of the control socket |
+//! | [`role`] | who may ask for what |
+//! | [`audit`] | the record of every command: written, read, checked |
 //! | [`client`] | the client's end of it |
+//! | [`metrics`] | the status as `OpenMetrics` and Prometheus text |
 //! | [`sources`] | sensors as Linux offers them, read for their watches |
 //! | [`card`] | the real card that a configuration names, opened |
 //! | [`profile`] | card profiles, from their files |
 //! | [`lock`] | one program at a time on a socket, on a card |
+//! | `closed` | directories into which nobody but their owners can put anything |
 //! | `lines` | the lines and register bits that a configuration names |
 //!
 //! What must not live here: decisions of the control law (`rtec-correct`), anything of a simulated machine (`rtec-sim`),
 //! the daemon's own state.
 
+pub mod audit;
 pub mod card;
 pub mod client;
+mod closed;
 pub mod config;
 mod lines;
 pub mod lock;
+pub mod metrics;
+mod needs;
 pub mod profile;
 pub mod protocol;
+pub mod role;
 pub mod sources;

@@ -1,9 +1,10 @@
 //! One program at a time: the lock beside a control socket, and the lock of a card's file.
 
 use nix::errno::Errno;
-use nix::fcntl::{Flock, FlockArg};
-use std::fs::File;
+use nix::fcntl::{Flock, FlockArg, OFlag};
+use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 /// A lock that lasts as long as this value.
@@ -34,9 +35,9 @@ pub enum LockError {
     },
 }
 
-fn lock(path: &Path, what: &'static str) -> Result<Held, LockError> {
+fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<Held, LockError> {
     let io = |source| LockError::Io { what, path: path.to_owned(), source };
-    let file = File::options().read(true).write(true).open(path).map_err(io)?;
+    let file = options.open(path).map_err(io)?;
     Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(mut held, errno)| {
         if errno != Errno::EWOULDBLOCK {
             return io(errno.into());
@@ -57,7 +58,15 @@ fn lock(path: &Path, what: &'static str) -> Result<Held, LockError> {
 /// # Errors
 /// When somebody else has it, or it cannot be opened.
 pub fn card(file: &Path) -> Result<Held, LockError> {
-    lock(file, "card")
+    // Its name may lead there over links, as those below /dev do.
+    lock(file, "card", File::options().read(true).write(true))
+}
+
+/// The lock file is written to: never through a link that somebody has put there.
+fn own() -> OpenOptions {
+    let mut options = File::options();
+    options.read(true).write(true).custom_flags((OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK).bits());
+    options
 }
 
 fn beside(socket: &Path) -> PathBuf {
@@ -73,10 +82,7 @@ fn beside(socket: &Path) -> PathBuf {
 pub fn socket(socket: &Path) -> Result<Held, LockError> {
     let path = beside(socket);
     let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
-    if !path.exists() {
-        File::create(&path).map_err(io)?;
-    }
-    let mut held = lock(&path, "lock")?;
+    let mut held = lock(&path, "lock", own().create(true).truncate(false))?;
     held.set_len(0).and_then(|()| held.rewind()).map_err(io)?;
     writeln!(held, "{}", std::process::id()).map_err(io)?;
     Ok(held)
@@ -88,5 +94,27 @@ pub fn socket(socket: &Path) -> Result<Held, LockError> {
 /// When it runs.
 pub fn keep_out(socket: &Path) -> Result<Option<Held>, LockError> {
     let path = beside(socket);
-    if path.exists() { lock(&path, "lock").map(Some) } else { Ok(None) }
+    if path.exists() { lock(&path, "lock", &own()).map(Some) } else { Ok(None) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_in_the_place_of_the_lock_is_not_written_through() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        std::fs::write(at("victim"), "precious").unwrap();
+        std::os::unix::fs::symlink(at("victim"), at("s.lock")).unwrap();
+        assert!(matches!(socket(&at("s")), Err(LockError::Io { .. })));
+        std::fs::remove_file(at("victim")).unwrap();
+        assert!(matches!(socket(&at("s")), Err(LockError::Io { .. })));
+        assert!(!at("victim").exists());
+        std::fs::remove_file(at("s.lock")).unwrap();
+        let held = socket(&at("s")).unwrap();
+        assert!(matches!(socket(&at("s")), Err(LockError::Taken { .. })));
+        drop(held);
+        assert!(keep_out(&at("s")).unwrap().is_some());
+    }
 }

@@ -7,27 +7,43 @@
 //! ← {"refused":{"why":"not_homed","text":"…"}}
 //! ```
 //!
+//! What a connection may ask for depends on the socket that it came by ([`crate::role`]).
+//!
 //! | request | fields |
 //! |---|---|
-//! | `status`, `disable`, `shadow`, `clear`, `watch` | – |
+//! | `status`, `disable`, `shadow`, `clear`, `watch`, `whoami` | – |
+//! | `observe` | `events_after`: number of the last event that is known already |
 //! | `home` | `axis`; all without it |
 //! | `enable` | `accept_jump` |
 //! | `correct` | `axis`, `total_counts`, `large` |
 //! | `probe`, `hold` | `on` |
-//! | `model_load` | `file`, `take`: the hash that was shown; without it what would change is shown |
+//! | `model_load` | `file`, `take`: the hash that was shown; without it what would change is shown; `files` |
 //! | `model_unload` | – |
 //! | `jog` | `axis`, `display_mm`: a simulated axis only |
 //! | `explain` | `axis`; all without it |
-//! | `table_load` | `errors`, `axes`, `centre_mm`, `radius_mm`, `nose_mm`, `origin_mm`, `lead_ms` |
+//! | `table_load` | `errors`, `axes`, `nose_mm`, `origin_mm`, `lead_ms`; of an arc `centre_mm`, `radius_mm` too |
 //! | `table_unload` | – |
+//! | `ledger` | `axis`, `from` |
 //!
 //! `watch` turns the connection into a stream of `event` answers until it is closed.
+//!
+//! A file is read with its caller's rights: the open descriptor comes with the request's line (`SCM_RIGHTS`, unix(7)), one for
+//! `table_load`, for `model_load` one per name in `files`: the model first, then the dictionary and the chain that it names.
+//! Without descriptors a path is only opened for root, for the daemon's own user, and where it is the configuration's own.
 
+mod status;
+mod words;
+
+use crate::role::Role;
 pub use rtec_correct::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
 pub use rtec_correct::part_table::{PartTable, TableNow};
-use rtec_rt::event::{Event, EventKind, Fault, Refusal};
+use rtec_files::words::printable;
 use serde::{Deserialize, Serialize};
+pub use status::{AxisReport, DaemonStatus, Distribution, Rt};
+pub use words::{explain_fault, explain_refusal, word};
 
+/// Version of this protocol. Fields and requests are added without a new one; it rises when something that stood is changed.
+pub const PROTOCOL: u32 = 1;
 /// Longest request line, bytes.
 pub const MAX_LINE: usize = 4096;
 
@@ -77,6 +93,14 @@ pub enum ClientRequest {
     Clear {},
     /// Send every event from now on.
     Watch {},
+    /// Changes of an axis's ledger since it was homed, a page at a time.
+    Ledger {
+        /// Name of the axis.
+        axis: String,
+        /// Number of the first change wanted.
+        #[serde(default)]
+        from: u64,
+    },
     /// A machine model: what it would change now, or take it.
     ModelLoad {
         /// The file, absolute; that of the configuration without it.
@@ -88,6 +112,9 @@ pub enum ClientRequest {
         /// Take it although its validity has ended.
         #[serde(default)]
         expired: bool,
+        /// The names of the descriptors that come with this line, absolute, in their order.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        files: Vec<String>,
     },
     /// No model from now on.
     ModelUnload {},
@@ -109,6 +136,14 @@ pub enum ClientRequest {
     TableLoad(PartTable),
     /// No part table from now on.
     TableUnload {},
+    /// Everything there is to see at this moment, in one answer.
+    Observe {
+        /// The number of the last event that is known already; all that are kept without it.
+        #[serde(default)]
+        events_after: Option<u64>,
+    },
+    /// As whom the daemon knows this connection.
+    Whoami {},
 }
 
 impl ClientRequest {
@@ -118,7 +153,8 @@ impl ClientRequest {
     /// What is wrong with it, and what is expected.
     pub fn parse(line: &str) -> Result<Self, String> {
         serde_json::from_str(line).map_err(|e| {
-            format!("found {e}; expected one JSON object such as {{\"do\":\"status\"}} or {{\"do\":\"correct\",\"axis\":\"x\",\"total_counts\":12}}")
+            let found = printable(&e.to_string()).into_owned();
+            format!("found {found}; expected one JSON object such as {{\"do\":\"status\"}} or {{\"do\":\"correct\",\"axis\":\"x\",\"total_counts\":12}}")
         })
     }
 }
@@ -134,6 +170,9 @@ pub enum Response {
         /// What `enable` moves, axis by axis.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         jumps: Vec<Jump>,
+        /// What was done all the same, and may not be meant.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        warnings: Vec<String>,
     },
     /// Not done, nothing is changed.
     Refused {
@@ -166,11 +205,163 @@ pub enum Response {
         /// What an indicator at the axis shows, mm.
         indicator_mm: f64,
     },
+    /// A page of an axis's ledger.
+    Ledger(LedgerPage),
     /// What corrections are made of.
     Explained {
         /// The axes asked for.
         axes: Vec<Explained>,
     },
+    /// Everything there is to see.
+    Observed(Box<Observed>),
+    /// Who is asking.
+    Whoami(Box<Caller>),
+}
+
+impl Response {
+    /// Done, and there is nothing more to say of it.
+    #[must_use]
+    pub const fn done() -> Self {
+        Self::Done { jumps: Vec::new(), warnings: Vec::new() }
+    }
+}
+
+/// Everything there is to see: for programs that watch the daemon.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Observed {
+    /// As `status` answers.
+    pub status: DaemonStatus,
+    /// As `explain` answers, for all axes.
+    pub explained: Vec<Explained>,
+    /// The latest events after the one that was known, oldest first.
+    pub events: Vec<Numbered>,
+    /// Events after the one that was known that are kept no more.
+    pub events_missed: u64,
+    /// Distributions of times.
+    pub histograms: Histograms,
+    /// The record of commands.
+    pub log: LogState,
+    /// Connections, by role.
+    pub clients: Vec<Clients>,
+}
+
+/// An event and its number since the daemon's start, from 1.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Numbered {
+    /// Its number.
+    pub n: u64,
+    /// When the daemon took it up, s since 1970.
+    pub at_s: f64,
+    /// The event.
+    pub event: Happened,
+}
+
+/// Whole distributions of the real-time thread's times: `[low_ns, high_ns, count]` of every bucket that is not empty.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Histograms {
+    /// Time between two looks, ns.
+    pub poll_gap_ns: Vec<[u64; 3]>,
+    /// Time from an edge to the end of the insertion it opened, ns.
+    pub edge_to_done_ns: Vec<[u64; 3]>,
+    /// Sum of all times between two looks, ns.
+    #[serde(default)]
+    pub poll_gap_sum_ns: u64,
+    /// Sum of all times from an edge to the end of its insertion, ns.
+    #[serde(default)]
+    pub edge_to_done_sum_ns: u64,
+}
+
+/// How the record of commands stands.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LogState {
+    /// Its file.
+    pub file: String,
+    /// Number of its last line; 0 before the first.
+    pub last_n: u64,
+    /// Hash of its last line.
+    pub last_hash: String,
+    /// Commands that could not be recorded since the start.
+    pub lost: u64,
+    /// What is in the way now.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trouble: Option<String>,
+}
+
+impl LogState {
+    /// What is in the way now, for people.
+    #[must_use]
+    pub fn in_words(&self) -> Option<String> {
+        let why = self.trouble.as_ref()?;
+        Some(format!("{}: {why}; {} commands are not recorded, corrections go on", self.file, self.lost))
+    }
+}
+
+/// Connections of one role.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clients {
+    /// The role.
+    pub role: Role,
+    /// How many are connected.
+    pub connected: usize,
+    /// How many of them watch.
+    pub watching: usize,
+}
+
+/// Who is at the other end of a connection, by the kernel's word (`SO_PEERCRED`).
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Caller {
+    /// User number.
+    pub uid: u32,
+    /// User name, where the number has one.
+    pub user: String,
+    /// Process number, as the daemon sees it.
+    pub pid: i32,
+    /// The process's executable, where it can be seen.
+    pub exe: String,
+    /// What may be asked for: the role of the socket.
+    pub role: String,
+    /// The requests that this allows.
+    pub may: Vec<String>,
+    /// The socket that it came by.
+    pub socket: String,
+}
+
+/// A page of the changes of an axis's ledger.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct LedgerPage {
+    /// Number of the first row; they are counted since homing, or since the daemon's start.
+    pub first: u64,
+    /// The rows, oldest first.
+    pub rows: Vec<LedgerRow>,
+    /// Number of the next row to come.
+    pub end: u64,
+    /// Rows that are no longer kept: the oldest ones.
+    pub dropped: u64,
+    /// Time of the daemon's last look, on the card's clock, ns.
+    pub now_ns: u64,
+    /// Position at that look, counts.
+    pub now_counts: i64,
+}
+
+/// A change of an axis's ledger, seen between two looks of the daemon (some 10 ms).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct LedgerRow {
+    /// The look before, on the card's clock, ns.
+    pub since_ns: u64,
+    /// Position then, counts.
+    pub since_counts: i64,
+    /// The look that saw the change, ns.
+    pub t_ns: u64,
+    /// Position then, counts.
+    pub position_counts: i64,
+    /// Accepted total, counts.
+    pub requested: i64,
+    /// Inserted, counts; in shadow mode what would have been.
+    pub completed: i64,
+    /// What is really in the MTC's count, counts.
+    pub in_effect: i64,
+    /// Insertions since the daemon's start.
+    pub insertions: u64,
 }
 
 /// How far an axis moves when corrections are enabled now.
@@ -229,281 +420,10 @@ pub struct TripReport {
     pub degc: Vec<Option<f64>>,
 }
 
-/// The state of the corrector.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct DaemonStatus {
-    /// The machine's name, as `[machine] name` has it.
-    pub machine: String,
-    /// `run`, `shadow`, `probe`, `hold`, `fault` or `disabled`.
-    pub mode: String,
-    /// Every axis is homed.
-    pub homed: bool,
-    /// Since the daemon's start, s.
-    pub uptime_s: f64,
-    /// The ledger of every axis balances.
-    pub balanced: bool,
-    /// Latched faults of the machine as a whole.
-    pub faults: Vec<Fault>,
-    /// Why nothing is corrected now, and what to do about it; empty while correcting.
-    pub why_not: Vec<String>,
-    /// The real-time thread: set-up, losses and latencies.
-    pub rt: Rt,
-    /// The model that runs.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub model: Option<RunningModel>,
-    /// The part table that is loaded.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub table: Option<PartTable>,
-    /// What the part table takes out at this moment, where it is in force.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub table_now: Option<TableNow>,
-    /// The temperature sensors, in the configuration's order.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sensors: Vec<Reading>,
-    /// The axes, in the configuration's order.
-    pub axes: Vec<AxisReport>,
-}
-
-/// The real-time thread: how it was set up, what it lost, how quick it is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(clippy::struct_excessive_bools)] // Each is a lamp of its own.
-pub struct Rt {
-    /// The thread runs.
-    pub alive: bool,
-    /// The card's backend: `mock`, `gpio`, `mapped`, `port` or `replay`.
-    pub card: String,
-    /// Corrections may be enabled on this card with this set-up.
-    pub may_arm: bool,
-    /// The CPU it is pinned to; none for an ordinary thread.
-    pub cpu: Option<usize>,
-    /// Its `SCHED_FIFO` priority; none for an ordinary thread.
-    pub priority: Option<u8>,
-    /// Real-time settings that are not as they should be: name, what was found, what to do.
-    pub missing: Vec<String>,
-    /// Looks at the card so far.
-    pub polls: u64,
-    /// Events that found the ring full.
-    pub events_lost: u64,
-    /// The control side is silent.
-    pub control_stale: bool,
-    /// The disable switch is on.
-    pub disable_switch: bool,
-    /// Time between two looks, ns.
-    pub poll_gap_ns: Distribution,
-    /// Time from an edge to the end of the insertion it opened, ns.
-    pub edge_to_done_ns: Distribution,
-}
-
-/// A distribution of times, ns.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Distribution {
-    /// Smallest value, ns.
-    pub min: u64,
-    /// Median, ns.
-    pub p50: u64,
-    /// 99th percentile, ns.
-    pub p99: u64,
-    /// 99.99th percentile, ns.
-    pub p9999: u64,
-    /// Largest value, ns.
-    pub max: u64,
-    /// Number of values.
-    pub samples: u64,
-}
-
-/// One axis: its position, its correction and its ledger.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct AxisReport {
-    /// The axis's name, as `[[axis]] name` has it.
-    pub name: String,
-    /// Position by the scale since homing, counts.
-    pub position_counts: i64,
-    /// The same position, mm.
-    pub position_mm: f64,
-    /// Total correction that the engine has accepted, counts since homing.
-    pub requested: i64,
-    /// Inserted, counts; in shadow mode what would have been.
-    pub completed: i64,
-    /// What is really in the MTC's count, counts.
-    pub in_effect: i64,
-    /// The MTC's count minus the scale's, counts: the other side of the ledger.
-    pub mtc_minus_scale: i64,
-    /// Both inverters are on.
-    pub inverted: bool,
-    /// The axis is homed: its position and its totals mean something.
-    pub homed: bool,
-    /// Why it is or is not correcting: `done`, `inserting`, `waiting_for_edge`, `too_fast`, …
-    pub gate: String,
-    /// Scale edges per second.
-    pub edge_rate_hz: f64,
-    /// Latched faults of this axis.
-    pub faults: Vec<Fault>,
-    /// Largest total that is accepted, counts.
-    pub max_correction_counts: i64,
-    /// Belief window: the largest change of the total that is believed at once, counts.
-    pub window_counts: i64,
-    /// Insertions made since the daemon's start.
-    pub insertions: u64,
-    /// Edges at which the gate was shut.
-    pub waited_for_gate: u64,
-    /// Edges inside an insertion, with a certain outcome.
-    pub overlaps: u64,
-    /// Insertions given up because the process looked too late.
-    pub late: u64,
-    /// Illegal transitions of the scale.
-    pub illegal: u64,
-}
-
-/// A name as the protocol writes it.
-#[must_use]
-pub fn word(name: impl Serialize) -> String {
-    match serde_json::to_value(name) {
-        Ok(serde_json::Value::String(word)) => word,
-        _ => String::new(),
-    }
-}
-
-/// What a refusal means, and what to do.
-#[must_use]
-pub const fn explain_refusal(why: Refusal) -> &'static str {
-    match why {
-        Refusal::NoSuchAxis => "there is no such axis",
-        Refusal::FaultLatched => {
-            "a fault is latched: see `rtecctl status`, mend its cause, then `rtecctl clear`"
-        }
-        Refusal::NotHomed => "not homed: move to the home position, then `rtecctl home`",
-        Refusal::Disabled => {
-            "corrections are disabled: `rtecctl enable` first; only a total of 0 is taken now"
-        }
-        Refusal::DisableSwitch => "the hardware disable switch is on",
-        Refusal::Probing => "probing mode is on: `rtecctl probe off` first",
-        Refusal::AboveMaximum => "beyond max_correction_counts of this axis; nothing is changed",
-        Refusal::NotBelieved => {
-            "I don't believe you: the change is larger than window_counts of this axis. Nothing is changed; --large if it \
-             is meant"
-        }
-        Refusal::NotArmable => {
-            "the real-time set-up or the measured latency is missing and the card drives a real machine: see \
-             `rtecctl status` and `rtecctl platform`"
-        }
-        Refusal::Busy => "an insertion is under way: ask again",
-    }
-}
-
-/// What a fault means, and what to do.
-#[must_use]
-pub const fn explain_fault(fault: Fault) -> &'static str {
-    match fault {
-        Fault::IllegalTransition => {
-            "A and B of the scale changed at once, or an edge was missed: check the scale and its cable, clear, home again"
-        }
-        Fault::LedgerImbalance => {
-            "counts to the MTC minus counts of the scale is not what was completed: clear, home again"
-        }
-        Fault::OrderUnknown => {
-            "a real edge and an inversion fell together: the MTC's count is uncertain by a cycle; wire the read-back or \
-             raise guard_ns, clear, home again"
-        }
-        Fault::PollGap => {
-            "the lines were not looked at for too long: see `rtecctl platform`, clear, home again"
-        }
-        Fault::StillNotBelieved => {
-            "I still don't believe you: three requests in a row outside the belief window; clear"
-        }
-        Fault::ErrorLimit => "a request reached error_counts of this axis; clear",
-        Fault::ReadBackMismatch => {
-            "A' and B' are not what the inverters should make of A and B: check the gates, home again"
-        }
-        Fault::Card => "the card could not be read or written: see the log, then restart the daemon",
-        Fault::Interrupted => {
-            "the daemon before this one ended in the middle of an insertion; it has been finished, but the MTC counted \
-             mirrored meanwhile: clear, home again"
-        }
-        Fault::InvertersMoved => {
-            "the inverters are not where the state file left them: the MTC's count is uncertain; clear, home again"
-        }
-        Fault::SequenceGap => {
-            "the kernel merged two edges into one (its sequence numbers jump): the axis is too fast for these GPIO lines, \
-             or their interrupt thread is kept waiting (`rtecctl platform`); clear, home again"
-        }
-        Fault::QueueOverflow => {
-            "edges came faster than they were taken from the kernel's queue, which dropped the oldest: see \
-             `rtecctl platform`, clear, home again"
-        }
-        Fault::EdgeMissed => {
-            "a line is not where its edges have led: an edge was never reported, or with the wrong polarity; check the \
-             signal and the axis's speed, clear, home again"
-        }
-        Fault::CounterOverflow => "the card's own counter overflowed: clear, home again",
-        Fault::CounterError => {
-            "the card's own decoder saw an illegal transition, or disagrees with its lines: check the scale and its \
-             cable, clear, home again"
-        }
-    }
-}
-
-impl Happened {
-    /// An event in words. `axis` gives the name and µm per count of an axis.
-    #[must_use]
-    pub fn of(event: &Event, axis: Option<(&str, f64)>) -> Self {
-        let mut trip = None;
-        let (kind, text) = match event.kind {
-            EventKind::Refused { total_counts: 0, why } => {
-                ("refused", format!("refused: {}", explain_refusal(why)))
-            }
-            EventKind::Refused { total_counts, why } => {
-                ("refused", format!("{total_counts:+} counts refused: {}", explain_refusal(why)))
-            }
-            EventKind::Fault(fault) => ("fault", format!("{}: {}", word(fault), explain_fault(fault))),
-            EventKind::Warning { total_counts } => {
-                ("warning", format!("a request of {total_counts:+} counts passed the warning limit"))
-            }
-            EventKind::HomeSet { position_counts } => {
-                ("home_set", format!("counter set to {position_counts}"))
-            }
-            EventKind::Homed => ("homed", "homed".to_owned()),
-            EventKind::Overlap => {
-                ("overlap", "an edge fell into an insertion and is in the ledger".to_owned())
-            }
-            EventKind::Late => ("late", "an insertion was given up: looked too late".to_owned()),
-            EventKind::Mode(mode) => ("mode", format!("mode {}", word(mode))),
-            EventKind::ControlStale(true) => {
-                ("control_stale", "the control side is silent: corrections freeze".to_owned())
-            }
-            EventKind::ControlStale(false) => ("control_stale", "the control side is heard again".to_owned()),
-            EventKind::Trip(capture) => {
-                let (position_counts, uncertainty_counts) = capture.position_counts();
-                let count_um = axis.map_or(0.0, |(_, um)| um);
-                let position_mm = position_counts * count_um / 1000.0;
-                trip = Some(TripReport {
-                    position_counts,
-                    position_mm,
-                    uncertainty_counts,
-                    uncertainty_um: uncertainty_counts * count_um,
-                    at_ns: [capture.trip_ns.0, capture.trip_ns.1],
-                    error_um: None,
-                    corrected_mm: None,
-                    degc: Vec::new(),
-                });
-                ("trip", format!("probe tripped at {position_counts:.3} ± {uncertainty_counts:.3} counts"))
-            }
-            EventKind::Bounce => {
-                ("bounce", "the probe tripped again before the capture was complete".to_owned())
-            }
-        };
-        Self {
-            t_ns: event.t_ns,
-            axis: axis.map(|(name, _)| name.to_owned()),
-            kind: kind.to_owned(),
-            text,
-            trip,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_rt::event::Refusal;
 
     #[test]
     fn requests_are_strict() {
@@ -518,15 +438,31 @@ mod tests {
             (r#"{"do":"correct","axis":"x"}"#, "missing field `total_counts`"),
             (r#"{"do":"correct","axis":"x","total_counts":1.5}"#, "floating point"),
             (r#"{"do":"probe","on":"yes"}"#, "invalid type"),
+            (r#"{"do":"\u001b[2J"}"#, "unknown variant `\\u{1b}[2J`"),
         ] {
             let found = ClientRequest::parse(line).unwrap_err();
             assert!(found.contains(wants), "{found}");
         }
     }
 
+    /// What the document for other programs shows is what is taken.
+    #[test]
+    fn the_document_s_requests_are_taken() {
+        let text = include_str!("../PROTOCOL.md");
+        assert!(text.starts_with(&format!("# The control protocol, version {PROTOCOL}\n")));
+        let requests: Vec<_> = text.lines().filter(|l| l.starts_with("{\"do\"")).collect();
+        assert_eq!(requests.len(), 14);
+        for line in requests {
+            ClientRequest::parse(line).unwrap();
+        }
+        for name in Role::SetUp.may() {
+            assert!(text.contains(&format!("\"{name}\"")) || text.contains(&format!("`{name}`")), "{name}");
+        }
+    }
+
     #[test]
     fn answers_have_the_shape_that_is_documented() {
-        let done = Response::Done { jumps: Vec::new() };
+        let done = Response::done();
         assert_eq!(serde_json::to_string(&done).unwrap(), r#"{"done":{}}"#);
         let refused = Response::Refused { why: word(Refusal::NotHomed), text: "t".into(), jumps: Vec::new() };
         assert_eq!(serde_json::to_string(&refused).unwrap(), r#"{"refused":{"why":"not_homed","text":"t"}}"#);

@@ -11,8 +11,9 @@
 use nix::fcntl::OFlag;
 use rtec_correct::sensors::{SensorConfig, SensorSource, Use, Watch};
 use rtec_files::InputError;
+use rtec_files::words::quoted;
 use rtec_model::record::Record;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{self, Read};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -26,12 +27,26 @@ pub struct Feed {
     from: String,
     stream: Option<Stream>,
     partial: Vec<u8>,
+    /// The keys that somebody reads; all, up to [`KEYS`], where nobody says.
+    keys: Option<BTreeSet<String>>,
     values: BTreeMap<String, f64>,
     trouble: String,
+    /// The last line that could not be read, until somebody asks.
+    odd: Option<String>,
     retry_at: f64,
     /// When it is next made sure that the device is still the one that was opened.
     check_at: f64,
 }
+
+/// Keys of a feed of which nobody says which are read.
+const KEYS: usize = 256;
+/// What a poll takes in at most, bytes: a poll is some tens of milliseconds, and a sensor's line some tens of bytes.
+const MOST: usize = 256 << 10;
+/// A line that is longer is no sensor's, bytes.
+const LONGEST_LINE: usize = 4096;
+
+/// A value beyond this, and one that is no number at all, is no reading of any sensor, °C.
+const LARGEST: f64 = 1e6;
 
 /// Time between two tries to connect, and between two looks whether a device is still there, s.
 const RETRY_S: f64 = 5.0;
@@ -50,11 +65,19 @@ impl Feed {
             from: from.to_owned(),
             stream: None,
             partial: Vec::new(),
+            keys: None,
             values: BTreeMap::new(),
             trouble: "not connected yet".to_owned(),
+            odd: None,
             retry_at: f64::NEG_INFINITY,
             check_at: f64::NEG_INFINITY,
         }
+    }
+
+    /// A feed of which these keys are read, and no others kept.
+    #[must_use]
+    pub fn of(from: &str, keys: impl IntoIterator<Item = String>) -> Self {
+        Self { keys: Some(keys.into_iter().collect()), ..Self::new(from) }
     }
 
     fn connect(&self) -> io::Result<Stream> {
@@ -80,6 +103,11 @@ impl Feed {
         self.values.get(key).copied().ok_or(&self.trouble)
     }
 
+    /// The last line that could not be read since this was asked last, in words.
+    pub fn odd_line(&mut self) -> Option<String> {
+        self.odd.take()
+    }
+
     /// Takes in what has come; values are taken once, so that silence shows.
     pub fn poll(&mut self, now_s: f64) {
         self.values.clear();
@@ -103,7 +131,13 @@ impl Feed {
             }
         }
         let mut buffer = [0; 4096];
+        let mut left = MOST;
         while let Some(stream) = &mut self.stream {
+            if left == 0 {
+                // What it sends is old by the time it is read, and there is no end to it.
+                self.lose(format!("it sends more than {MOST} bytes between two looks"), now_s);
+                return;
+            }
             let got = match stream {
                 Stream::Tcp(s) => s.read(&mut buffer),
                 Stream::Serial(s) => s.read(&mut buffer),
@@ -111,37 +145,57 @@ impl Feed {
             match got {
                 Ok(0) if matches!(stream, Stream::Serial(_)) => break,
                 Ok(n) if n > 0 => {
+                    left = left.saturating_sub(n);
                     self.partial.extend_from_slice(&buffer[..n]);
                     self.take_lines();
                 }
                 Err(e) if e.kind() == io::ErrorKind::WouldBlock => break,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
                 end => {
-                    self.trouble = end.err().map_or("closed by the other side".to_owned(), |e| e.to_string());
-                    self.stream = None;
-                    self.retry_at = now_s + RETRY_S;
+                    self.lose(
+                        end.err().map_or("closed by the other side".to_owned(), |e| e.to_string()),
+                        now_s,
+                    );
                 }
             }
         }
     }
 
+    /// Gives a connection up, and what came by it.
+    fn lose(&mut self, why: String, now_s: f64) {
+        self.trouble = why;
+        self.stream = None;
+        self.partial.clear();
+        self.values.clear();
+        self.retry_at = now_s + RETRY_S;
+    }
+
     fn take_lines(&mut self) {
-        while let Some(end) = self.partial.iter().position(|b| *b == b'\n') {
-            let line: Vec<u8> = self.partial.drain(..=end).collect();
-            let text = String::from_utf8_lossy(&line);
-            let mut words = text.trim().splitn(2, ['=', ' ', '\t', ',']);
+        let mut begin = 0;
+        while let Some(end) = self.partial[begin..].iter().position(|b| *b == b'\n') {
+            let line = String::from_utf8_lossy(&self.partial[begin..begin + end]).into_owned();
+            begin += end + 1;
+            let mut words = line.trim().splitn(2, ['=', ' ', '\t', ',']);
             if let (Some(key), Some(value)) = (words.next(), words.next()) {
-                if let Ok(v) = value.trim().parse::<f64>() {
-                    self.values.insert(key.trim().to_owned(), v);
+                let key = key.trim();
+                let read = self.keys.as_ref().is_none_or(|keys| keys.contains(key));
+                if !read || !self.values.contains_key(key) && self.values.len() >= KEYS {
+                    continue;
+                }
+                let value = value.trim().parse::<f64>().ok();
+                if let Some(v) = value.filter(|v| v.abs() <= LARGEST) {
+                    self.values.insert(key.to_owned(), v);
                 } else {
-                    self.trouble = format!("`{}` is no line NAME VALUE", text.trim());
+                    self.trouble = format!("{} is no line NAME VALUE", quoted(line.trim()));
+                    self.odd = Some(self.trouble.clone());
                 }
             }
         }
+        self.partial.drain(..begin);
         // A feed that never ends its line is no feed.
-        if self.partial.len() > 65_536 {
+        if self.partial.len() > LONGEST_LINE {
             self.partial.clear();
-            "a line longer than 64 KiB".clone_into(&mut self.trouble);
+            self.trouble = format!("a line longer than {LONGEST_LINE} bytes");
         }
     }
 }
@@ -182,7 +236,11 @@ impl Bank {
         for c in &configs {
             match &c.source {
                 SensorSource::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
-                    feeds.push(Feed::new(from));
+                    let keys = configs.iter().filter_map(|c| match &c.source {
+                        SensorSource::Line { from: other, key } if other == from => Some(key.clone()),
+                        _ => None,
+                    });
+                    feeds.push(Feed::of(from, keys));
                 }
                 SensorSource::Csv { record, .. } if !replays.contains_key(record) => {
                     replays.insert(record.clone(), recording(record)?);
@@ -419,6 +477,55 @@ mod tests {
             bank.sensors()[0].fault()
         );
         assert_eq!(bank.usable(&["T1".into()], 20.0).0, Use::Hold);
+    }
+
+    /// A hostile neighbour on the network: escapes, endless keys, endless lines, a stream without a pause.
+    #[test]
+    fn whatever_comes_over_the_network_stays_within_bounds() {
+        let server = TcpListener::bind("127.0.0.1:0").unwrap();
+        let from = server.local_addr().unwrap().to_string();
+        let mut feed = Feed::of(&from, ["T1".to_owned()]);
+        feed.poll(0.0);
+        let (mut peer, _) = server.accept().unwrap();
+        let until = |feed: &mut Feed, is: &dyn Fn(&Feed) -> bool| {
+            for _ in 0..20_000 {
+                feed.poll(1.0);
+                if is(feed) {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            panic!("{feed:?}");
+        };
+        peer.write_all(b"T1 \x1b[2J\x1b]0;owned\x07\n").unwrap();
+        until(&mut feed, &|f| f.trouble.contains("no line"));
+        assert!(!feed.trouble.chars().any(char::is_control), "{:?}", feed.trouble);
+        for wild in ["1e308", "-1e7", "inf", "nan"] {
+            peer.write_all(format!("T1 {wild}\n").as_bytes()).unwrap();
+            until(&mut feed, &|f| f.trouble.contains(&format!("'T1 {wild}' is no line")));
+            assert_eq!(feed.values.get("T1"), None);
+        }
+        for n in 0..10_000 {
+            writeln!(peer, "K{n} 1").unwrap();
+        }
+        peer.write_all(b"T1 20.5\n").unwrap();
+        until(&mut feed, &|f| f.values.contains_key("T1"));
+        assert_eq!(feed.values.len(), 1, "keys that nobody reads are not kept");
+        peer.write_all(&[b'x'; LONGEST_LINE + 1]).unwrap();
+        until(&mut feed, &|f| f.trouble.contains("longer than"));
+        assert!(feed.partial.len() <= LONGEST_LINE);
+        // Without a pause: every poll ends, and soon the feed is given up.
+        let flood = std::thread::spawn(move || while peer.write_all(&[b'\n'; 4096]).is_ok() {});
+        until(&mut feed, &|f| f.trouble.contains("between two looks"));
+        assert!(feed.stream.is_none());
+        flood.join().unwrap();
+        // Where nobody says which keys are read there are not more than this.
+        let mut feed = Feed::new(&from);
+        for n in 0..10_000 {
+            feed.partial.extend_from_slice(format!("K{n} 1\n").as_bytes());
+        }
+        feed.take_lines();
+        assert_eq!(feed.values.len(), KEYS);
     }
 
     /// A bug once: a serial adapter that was pulled out and put in again stayed silent for good.

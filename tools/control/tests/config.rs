@@ -82,7 +82,8 @@ fn values_arrive_where_they_belong() {
     assert_eq!(engine.design, Design::Original);
     assert!((engine.max_accel_counts_s2 - 2e6).abs() < 1e-6);
     // The budget caps the maximum, and says so.
-    assert_eq!((engine.max_correction_counts, config.notes.len()), (400, 1));
+    assert_eq!((engine.max_correction_counts, config.notes.len()), (400, 2));
+    assert!(config.notes[1].contains("view has no group"), "{:?}", config.notes);
     assert_eq!(engine.rest, RestPolicy::Insert { after_ns: 2_500_000 });
     assert_eq!((engine.detect_ns, engine.write_ns, engine.guard_ns), (2000, 300, 200));
     assert_eq!(axis.home_counts, -20_000);
@@ -221,4 +222,71 @@ fn a_place_that_cannot_be_is_explained() {
         let found = card_of(card).unwrap_err();
         assert!(found.contains(wants), "{found}\n  wants {wants}");
     }
+}
+
+#[test]
+fn what_this_computer_lacks_is_found_on_it_and_nowhere_else() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("rtec.toml");
+    let text = CONTRACT
+        .replace("file = \"regs\"", "uio = \"/dev/null-and-void\"")
+        .replace("group = \"rtec\"", "group = \"nobody-has-this\"\nview = { group = \"nor-this\" }");
+    std::fs::write(&file, format!("{text}[model]\nfile = \"missing.toml\"\n")).unwrap();
+    assert!(Config::load(&file).is_ok());
+    let found = Config::check_here(&file).unwrap_err().to_string();
+    for wants in ["/dev/null-and-void", "nobody-has-this", "nor-this", "missing.toml"] {
+        assert!(found.contains(wants), "no {wants} in {found}");
+    }
+    assert_eq!(found.lines().count(), 4, "{found}");
+}
+
+#[test]
+fn a_name_without_end_and_a_broken_line_are_one_finding() {
+    let long = CONTRACT.replace("name = \"lathe\"", &format!("name = \"{}\"", "x".repeat(1 << 20)));
+    let found = Config::parse(Path::new("rtec.toml"), &long).unwrap_err().to_string();
+    assert!(found.lines().count() == 1 && found.len() < 300, "{}", &found[..300]);
+    // A line that is no line, anywhere in the embedded default.
+    let lines: Vec<&str> = EMBEDDED.lines().collect();
+    for n in 0..lines.len() {
+        for broken in ["lines = { a = 'in0',", "x = \"\"\"", "name = \"", "[[axis", "= = =", "a = [1, 2"] {
+            let text: Vec<&str> =
+                lines[..n].iter().copied().chain([broken]).chain(lines[n + 1..].iter().copied()).collect();
+            let found = Config::parse(Path::new("rtec.toml"), &text.join("\n")).unwrap_err();
+            assert!(found.0.len() <= 5, "line {n} {broken}: {} findings\n{found}", found.0.len());
+        }
+    }
+}
+
+/// Every key that is read stands in the document, in the table of its section.
+#[test]
+fn the_document_names_every_key() {
+    let text = include_str!("../CONFIG.md");
+    let table = |section: &str| {
+        let head = format!("| `{section}` | meaning |");
+        let from = text.find(&head).unwrap_or_else(|| panic!("no table of {section}"));
+        text[from..].split("\n\n").next().unwrap()
+    };
+    let (mut sections, mut keys) = (std::collections::BTreeSet::new(), 0);
+    for backend in ["mock", "gpio", "mapped", "port", "replay"] {
+        let config = format!(
+            "[machine]\nqqq=1\n[card]\nbackend='{backend}'\nqqq=1\n[[axis]]\nname='x'\nqqq=1\n[[sensor]]\nname='T'\n\
+             source='line'\nfrom='h:1'\nqqq=1\n[rt]\nqqq=1\n[model]\nqqq=1\n[control]\nqqq=1\nview={{qqq=1}}\n"
+        );
+        let findings = Config::parse(Path::new("q.toml"), &config).unwrap_err();
+        for finding in &findings.0 {
+            let Some((section, known)) =
+                finding.expected.strip_prefix("a key of ").and_then(|e| e.split_once(": "))
+            else {
+                continue;
+            };
+            let table = table(if section == "view" { "[control]" } else { section });
+            for key in known.split(", ") {
+                let named = [format!("`{key}`"), format!("{key}`"), format!(" {key},"), format!(" {key} }}")];
+                assert!(named.iter().any(|n| table.contains(n.as_str())), "{key} of {section}");
+                keys += 1;
+            }
+            sections.insert(section.to_owned());
+        }
+    }
+    assert!(sections.len() >= 8 && keys > 150, "{sections:?} {keys}");
 }

@@ -13,9 +13,10 @@ use rtec_model::effect::Difference;
 use rtec_model::live::AxisNow;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Axis;
-use rtec_part::errors::PointError;
+use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
 use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
+use std::time::{Duration, Instant};
 
 /// Logged temperatures of these sensors, oldest first: time, s, and °C. What a lag is brought up from.
 pub type Past<'p> = &'p dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)>;
@@ -59,6 +60,57 @@ pub struct Corrector {
     changed: bool,
     /// The day, since 1970-01-01.
     today: i64,
+}
+
+/// Makes models ready for a machine; it may go to another thread while the corrector works on.
+#[derive(Debug, Clone)]
+pub struct Preparer {
+    layout_axes: Vec<Axis>,
+    now: Vec<AxisNow>,
+    started_s: f64,
+}
+
+/// A model that is ready to be taken.
+#[derive(Debug)]
+pub struct Prepared(ModelSource);
+
+impl Preparer {
+    /// Makes a model ready, its lags brought up from the past.
+    ///
+    /// # Errors
+    /// What it reads and this machine does not have.
+    pub fn prepare(
+        &self,
+        machine: Machine,
+        watches: &[Watch],
+        past: Past<'_>,
+    ) -> Result<Prepared, InputError> {
+        let mut source = ModelSource::new(machine, &self.layout_axes, watches)?;
+        let rows = past(&source.live.layout().sensors);
+        source.catch_up(rows, self.started_s, &self.now);
+        Ok(Prepared(source))
+    }
+}
+
+impl Prepared {
+    /// The model.
+    #[must_use]
+    pub fn machine(&self) -> &Machine {
+        &self.0.machine
+    }
+
+    /// How long one evaluation takes on this computer, at best of three; the model is left as it is.
+    #[must_use]
+    pub fn evaluation_time(&self, preparer: &Preparer, now_s: f64) -> Duration {
+        let mut shortest = Duration::MAX;
+        for _ in 0..3 {
+            let mut trial = self.0.trial();
+            let begun = Instant::now();
+            trial(now_s - preparer.started_s, &preparer.now);
+            shortest = shortest.min(begun.elapsed());
+        }
+        shortest
+    }
 }
 
 impl Corrector {
@@ -115,20 +167,10 @@ impl Corrector {
         model.map_or_else(Vec::new, |m| m.machine.expired(self.today))
     }
 
-    /// Makes a model ready, its lags brought up from the past.
-    ///
-    /// # Errors
-    /// What it reads and this machine does not have.
-    fn prepare(
-        &self,
-        machine: Machine,
-        watches: &[Watch],
-        past: Past<'_>,
-    ) -> Result<ModelSource, InputError> {
-        let mut source = ModelSource::new(machine, &self.layout_axes, watches)?;
-        let rows = past(&source.live.layout().sensors);
-        source.catch_up(rows, self.started_s, &self.now);
-        Ok(source)
+    /// What makes a model ready for this machine, on any thread.
+    #[must_use]
+    pub fn preparer(&self) -> Preparer {
+        Preparer { layout_axes: self.layout_axes.clone(), now: self.now.clone(), started_s: self.started_s }
     }
 
     /// Takes a model; corrections go to it in a ramp.
@@ -136,11 +178,15 @@ impl Corrector {
     /// # Errors
     /// What it reads and this machine does not have.
     pub fn load(&mut self, machine: Machine, watches: &[Watch], past: Past<'_>) -> Result<(), InputError> {
-        let mut source = self.prepare(machine, watches, past)?;
+        self.take(self.preparer().prepare(machine, watches, past)?);
+        Ok(())
+    }
+
+    /// Takes a model that was made ready; corrections go to it in a ramp.
+    pub fn take(&mut self, Prepared(mut source): Prepared) {
         source.although_expired = !source.machine.expired(self.today).is_empty();
         self.model = Some(source);
         self.changed = true;
-        Ok(())
     }
 
     /// No model from now on; corrections go back in a ramp. Says whether there was one.
@@ -158,7 +204,7 @@ impl Corrector {
     ///
     /// # Errors
     /// What was found and what was expected.
-    pub fn load_table(&mut self, wanted: PartTable, errors: Vec<PointError>) -> Result<(), String> {
+    pub fn load_table(&mut self, wanted: PartTable, errors: FeatureErrors) -> Result<(), String> {
         let named = |n: usize| self.axes[n].place.is_some();
         let table = PartErrors::new(wanted, errors, &self.setups, named)?;
         self.unload_table();
@@ -221,18 +267,14 @@ impl Corrector {
     }
 
     /// What a model would change now.
-    ///
-    /// # Errors
-    /// What it reads and this machine does not have.
+    #[must_use]
     pub fn preview(
         &self,
-        machine: Machine,
+        Prepared(mut then): Prepared,
         watches: &[Watch],
-        past: Past<'_>,
         now_s: f64,
         status: &Status,
-    ) -> Result<ModelPreview, InputError> {
-        let mut then = self.prepare(machine, watches, past)?;
+    ) -> ModelPreview {
         then.read(watches, now_s);
         then.evaluate(now_s - self.started_s, &self.now, false);
         let axes = self.axes.iter().zip(&self.setups).zip(status.axes()).map(|((axis, setup), s)| {
@@ -249,7 +291,7 @@ impl Corrector {
         let axes = axes.collect();
         let warnings = self.notes(&then);
         let machine = &then.machine;
-        Ok(ModelPreview {
+        ModelPreview {
             name: machine.name().to_owned(),
             file: machine.path.display().to_string(),
             sha256: machine.sha256().to_owned(),
@@ -257,7 +299,7 @@ impl Corrector {
             warnings,
             expired: machine.expired(self.today),
             axes,
-        })
+        }
     }
 
     /// An axis has been homed: its counters and totals are zero.
@@ -353,8 +395,10 @@ impl Corrector {
         let probing = status.mode == Mode::Probe;
         if self.lead_s > 0.0 {
             let mut ahead = self.now.clone();
+            let slowing_s = self.lead_s + self.motion.speed_age_s();
             for a in &mut ahead {
                 a.position_mm += a.velocity_mm_s * self.lead_s;
+                a.velocity_mm_s = slowed_mm_s(a, slowing_s);
             }
             model.evaluate(now_s - self.started_s, &ahead, probing);
         } else {
@@ -469,6 +513,8 @@ impl Corrector {
             sha256: model.machine.sha256().to_owned(),
             fits: fits(&model.machine),
             expired: model.machine.expired(self.today),
+            age_days: model.machine.age_days(self.today),
+            days_left: model.machine.days_left(self.today),
             notes: self.notes(model),
         })
     }
@@ -522,4 +568,14 @@ fn fits(machine: &Machine) -> Vec<String> {
         )
     };
     machine.fits().iter().map(of).collect()
+}
+
+/// Velocity of an axis that slows down as it will be after this time, at most at rest. What goes with the speed is then off before
+/// the axis stands: taken off later, it would move the table back, and turn the axis round.
+fn slowed_mm_s(a: &AxisNow, after_s: f64) -> f64 {
+    if a.velocity_mm_s * a.acceleration_mm_s2 >= 0.0 {
+        return a.velocity_mm_s;
+    }
+    let size = (a.velocity_mm_s.abs() - a.acceleration_mm_s2.abs() * after_s).max(0.0);
+    size.copysign(a.velocity_mm_s)
 }

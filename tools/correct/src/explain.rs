@@ -133,6 +133,12 @@ pub struct RunningModel {
     /// Fits whose validity has ended.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub expired: Vec<String>,
+    /// Days since its oldest fit; none where no fit carries a date.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub age_days: Option<i64>,
+    /// Days until the first of its fits ends; below zero, past it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub days_left: Option<i64>,
     /// What to know now: past its date, outside the range it was fitted on, at a limit.
     pub notes: Vec<String>,
 }

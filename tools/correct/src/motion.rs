@@ -69,6 +69,14 @@ impl Motion {
         &self.now
     }
 
+    /// How old a velocity is, s: it is the mean over the time until now.
+    pub(crate) fn speed_age_s(&self) -> f64 {
+        match (self.seen.iter().rev().nth(SPEED_OVER), self.seen.back()) {
+            (Some(from), Some(to)) => (to.t_ns - from.t_ns) as f64 * 0.5e-9,
+            _ => 0.0,
+        }
+    }
+
     /// Positions have been counted anew.
     pub(crate) fn forget(&mut self) {
         self.seen.clear();

@@ -1,28 +1,34 @@
 //! A part's errors as a source: taken out where the tool cuts (NISTIR 4854, section 5), and nowhere else.
 
 use crate::AxisSetup;
-use rtec_part::errors::PointError;
+use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
+use rtec_part::line_table::LineTable;
 use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
 use serde::{Deserialize, Serialize};
 
-/// A part table acts in full within this distance of its arc, mm, and no more beyond the second: a tool on its way
+/// A part table acts in full within this distance of its feature, mm, and no more beyond the second: a tool on its way
 /// elsewhere is none of its business.
 pub(crate) const NEAR_MM: [f64; 2] = [2.0, 10.0];
 
-/// The errors of a part along an arc, and the cut that takes them out. Pairs are along the part's axis (Z) and across
-/// it (X).
+/// A kilometre: the bounds of every position.
+const FARTHEST_MM: f64 = 1e6;
+
+/// The errors of a part along an arc or a straight feature, and the cut that takes them out. Pairs are along the part's axis (Z)
+/// and across it (X).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PartTable {
-    /// `error.cor`, absolute: angle in rad and error in µm a line.
+    /// `error.cor`, absolute: angle in rad and error in µm a line; of a straight feature with its place.
     pub errors: String,
     /// Names of the two axes.
     pub axes: [String; 2],
-    /// Centre of the arc in part coordinates.
-    pub centre_mm: [f64; 2],
-    /// Radius of the finished surface.
-    pub radius_mm: f64,
+    /// Centre of the arc in part coordinates; none of a straight feature, whose errors bring their places.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub centre_mm: Option<[f64; 2]>,
+    /// Radius of the finished surface; none of a straight feature.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radius_mm: Option<f64>,
     /// Radius of the tool's nose.
     pub nose_mm: f64,
     /// Machine position at which the nose's centre is at the part's origin.
@@ -38,9 +44,9 @@ pub struct TableNow {
     pub points: usize,
     /// `in_force`, `ready` where the tool is elsewhere, or `off`.
     pub state: String,
-    /// From the tool to the arc, mm: 0 on it.
+    /// From the tool to the arc or the straight feature, mm: 0 on it.
     pub off_mm: f64,
-    /// Within this distance of the arc it acts, mm.
+    /// Within this distance of it the table acts, mm.
     pub acts_within_mm: f64,
     /// What it takes out here, µm, in the order of its axes; when it is not in force, what it would.
     pub um: [f64; 2],
@@ -49,11 +55,17 @@ pub struct TableNow {
     pub why: Option<String>,
 }
 
+#[derive(Debug)]
+enum Table {
+    Arc(FinishTable),
+    Line(LineTable),
+}
+
 /// The part table that is loaded.
 #[derive(Debug)]
 pub(crate) struct PartErrors {
     pub(crate) shown: PartTable,
-    table: FinishTable,
+    table: Table,
     /// The table's two axes (Z and X of the part) as indices of the corrector's axes.
     pub(crate) axes: [usize; 2],
 }
@@ -65,7 +77,7 @@ impl PartErrors {
     /// What was found and what was expected.
     pub(crate) fn new(
         shown: PartTable,
-        errors: Vec<PointError>,
+        errors: FeatureErrors,
         of: &[AxisSetup],
         named: impl Fn(usize) -> bool,
     ) -> Result<Self, String> {
@@ -77,34 +89,45 @@ impl PartErrors {
                 format!("found axis {name:?} for the part table, expected one of {}", names())
             })?;
         }
-        let [cz, cx] = shown.centre_mm;
         let [oz, ox] = shown.origin_mm;
-        // A kilometre: the bounds of every position.
-        let good = [cz, cx, oz, ox].iter().all(|v| v.abs() <= 1e6)
-            && shown.radius_mm > 0.0
-            && shown.radius_mm <= 1e6
+        let within = |places: &[f64]| places.iter().all(|v| v.abs() <= FARTHEST_MM);
+        let good = within(&[oz, ox])
             && (0.0..=1e3).contains(&shown.nose_mm)
             && (0.0..=1e3).contains(&shown.lead_ms)
             && axes[0] != axes[1];
         if !good {
-            return Err(
-                "found a part table with a value out of range; expected two axes, finite places, a positive \
-                        radius_mm, nose_mm of 0 to 1000 and lead_ms of 0 to 1000"
-                    .to_owned(),
-            );
+            return Err("found a part table with a value out of range; expected two axes, finite places, nose_mm of 0 to 1000 and \
+                        lead_ms of 0 to 1000"
+                .to_owned());
         }
-        let cut = FinishCut {
-            centre: Zx::new(cz, cx),
-            radius_mm: shown.radius_mm,
-            nose_mm: shown.nose_mm,
-            origin: Zx::new(oz, ox),
-        };
         let counts = axes.map(|n| AxisCounts {
             count_um: of[n].count_um,
             increment: of[n].increment_counts,
             sign: 1.0,
         });
-        Ok(Self { table: FinishTable::new(cut, counts, errors), axes, shown })
+        let (nose_mm, origin) = (shown.nose_mm, Zx::new(oz, ox));
+        let table = match errors {
+            FeatureErrors::Line(errors) => {
+                if shown.radius_mm.is_some() || shown.centre_mm.is_some() {
+                    return Err("found a radius or a centre for the errors of a straight feature, expected none: the \
+                                errors bring their places"
+                        .to_owned());
+                }
+                Table::Line(LineTable { errors, axes: counts, nose_mm, origin })
+            }
+            FeatureErrors::Arc(errors) => {
+                let arc = shown.centre_mm.zip(shown.radius_mm);
+                let arc = arc.filter(|(c, r)| within(c) && *r > 0.0 && *r <= FARTHEST_MM);
+                let Some(([cz, cx], radius_mm)) = arc else {
+                    return Err("found the errors of an arc without its place; expected a finite centre_mm and a positive \
+                                radius_mm"
+                        .to_owned());
+                };
+                let cut = FinishCut { centre: Zx::new(cz, cx), radius_mm, nose_mm, origin };
+                Table::Arc(FinishTable::new(cut, counts, errors))
+            }
+        };
+        Ok(Self { shown, table, axes })
     }
 
     /// What it takes out at a machine position that is reached in the table's lead, µm.
@@ -113,17 +136,29 @@ impl PartErrors {
         let off_mm = self.off_mm(place + velocity_mm_s * lead_s);
         let [near, far] = NEAR_MM;
         let share = ((far - off_mm) / (far - near)).clamp(0.0, 1.0);
-        self.table.components_um(place, velocity_mm_s, lead_s) * share
+        let um = match &self.table {
+            Table::Arc(table) => table.components_um(place, velocity_mm_s, lead_s),
+            Table::Line(table) => table.components_um(place, velocity_mm_s, lead_s),
+        };
+        um * share
     }
 
-    /// From a machine position to the arc that the tool's nose runs on.
+    /// From a machine position to the arc or the stretch that the tool's nose runs on.
     pub(crate) fn off_mm(&self, place: Zx) -> f64 {
-        let cut = &self.table.cut;
-        ((place - cut.origin - cut.centre).norm() - cut.radius_mm - cut.nose_mm).abs()
+        match &self.table {
+            Table::Arc(table) => {
+                let cut = &table.cut;
+                ((place - cut.origin - cut.centre).norm() - cut.radius_mm - cut.nose_mm).abs()
+            }
+            Table::Line(table) => table.off_mm(place),
+        }
     }
 
     /// Number of probed points that the table came from.
     pub(crate) fn points(&self) -> usize {
-        self.table.points()
+        match &self.table {
+            Table::Arc(table) => table.points(),
+            Table::Line(table) => table.errors.len(),
+        }
     }
 }

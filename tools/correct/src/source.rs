@@ -296,6 +296,12 @@ impl ModelSource {
         self.live.evaluate(&self.inputs.frame(t_s, axes, probing));
     }
 
+    /// An evaluation that leaves what runs as it is.
+    pub(crate) fn trial(&self) -> impl FnMut(f64, &[AxisNow]) {
+        let mut live = self.live.clone();
+        move |t_s, axes| live.evaluate(&self.inputs.frame(t_s, axes, false))
+    }
+
     /// The error of an axis where all of them are at these places, µm; what runs is left as it is.
     pub(crate) fn error_um_at(&self, place: usize, t_s: f64, axes: &[AxisNow], probing: bool) -> f64 {
         let mut live = self.live.clone();

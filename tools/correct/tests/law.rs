@@ -8,7 +8,9 @@ use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
-use rtec_part::errors::PointError;
+use rtec_part::cor::PointError;
+use rtec_part::cor::{FeatureErrors, LineError};
+use rtec_part::fit::Zx;
 use rtec_rt::event::{AxisStatus, Fault, MAX_AXES, Mode, Status};
 use std::path::Path;
 
@@ -173,17 +175,17 @@ fn part(axes: [&str; 2]) -> PartTable {
     PartTable {
         errors: "error.cor".to_owned(),
         axes: axes.map(str::to_owned),
-        centre_mm: [0.0; 2],
-        radius_mm: 39.0,
+        centre_mm: Some([0.0; 2]),
+        radius_mm: Some(39.0),
         nose_mm: 1.0,
         origin_mm: [0.0; 2],
         lead_ms: 0.0,
     }
 }
 
-fn part_errors() -> Vec<PointError> {
+fn part_errors() -> FeatureErrors {
     let point = |(angle_rad, error_um)| PointError { angle_rad, error_um, along_mm: None };
-    [(0.0, 10.0), (0.5, 0.0), (1.6, 0.0)].map(point).to_vec()
+    FeatureErrors::Arc([(0.0, 10.0), (0.5, 0.0), (1.6, 0.0)].map(point).to_vec())
 }
 
 #[test]
@@ -226,6 +228,61 @@ fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
     assert_eq!(bench.corrector.table_now(&bench.status), None);
 }
 
+/// A taper of 30° from Z 100, X 20 on, 40 mm long, probed every 10 mm. Its corrections by hand: n = (−sin 30°, cos 30°) in Z and X,
+/// the nose's centre 1 mm outside.
+#[test]
+fn a_straight_features_table_acts_along_it_and_fades_beyond_its_ends() {
+    let (sin, cos) = (0.5, 0.75_f64.sqrt());
+    let um = [0.0, 8.0, 12.0, 4.0, 2.0];
+    let point = |k: usize| LineError {
+        angle_rad: 120.0_f64.to_radians(),
+        error_um: um[k],
+        along_mm: 10.0 * k as f64 - 20.0,
+        place: Zx::new(100.0 + 10.0 * k as f64 * cos, 20.0 + 10.0 * k as f64 * sin),
+    };
+    let errors = || FeatureErrors::Line((0..5).map(point).collect());
+    let wanted = PartTable { centre_mm: None, radius_mm: None, ..part(["z", "x"]) };
+    let mut bench = Bench::new();
+    bench.corrector.load_table(wanted.clone(), errors()).unwrap();
+    let mut seen = |along_mm: f64, off_mm: f64| {
+        let kept = bench.status;
+        let z_mm = 100.0 + along_mm * cos - (1.0 + off_mm) * sin;
+        let x_mm = 20.0 + along_mm * sin + (1.0 + off_mm) * cos;
+        bench.status.axes[2].position_counts = (z_mm * 1000.0).round() as i64;
+        bench.status.axes[0].position_counts = (x_mm * 1000.0).round() as i64;
+        bench.run(0.5, 2, |_| None);
+        let now = bench.corrector.table_now(&bench.status).unwrap();
+        bench.status = Status { t_ns: bench.status.t_ns, ..kept };
+        now
+    };
+    // Between two points, at one, off it where it fades from 2 to 10 mm, and beyond its end.
+    for (along_mm, off_mm, error_um) in [
+        (15.0, 0.0, 10.0),
+        (20.0, 0.0, 12.0),
+        (20.0, 6.0, 6.0),
+        (20.0, -6.0, 6.0),
+        (41.0, 0.0, 2.0),
+        (46.0, 0.0, 1.0),
+    ] {
+        let now = seen(along_mm, off_mm);
+        let [z, x] = now.um;
+        assert!(
+            (z + error_um * sin).abs() < 2e-3 && (x - error_um * cos).abs() < 2e-3,
+            "{along_mm}, {off_mm}: {now:?}"
+        );
+        assert_eq!((now.state.as_str(), now.points), ("in_force", 5));
+    }
+    assert_eq!(seen(80.0, 0.0).state, "ready");
+    for (wrong, said) in [
+        (part(["z", "x"]), "found a radius or a centre"),
+        (PartTable { nose_mm: -1.0, ..wanted.clone() }, "nose_mm of 0 to 1000"),
+    ] {
+        let text = bench.corrector.load_table(wrong, errors()).unwrap_err();
+        assert!(text.contains(said), "{text}");
+    }
+    assert!(bench.corrector.load_table(wanted, part_errors()).unwrap_err().contains("errors of an arc"));
+}
+
 #[test]
 fn a_part_table_that_does_not_fit_the_machine_is_refused_and_the_one_before_it_stays() {
     let mut bench = Bench::new();
@@ -239,7 +296,7 @@ fn a_part_table_that_does_not_fit_the_machine_is_refused_and_the_one_before_it_s
     for (wanted, said) in [
         (part(["b", "x"]), "found axis \"b\" for the part table, expected one of x, y, z"),
         (part(["z", "z"]), "two axes"),
-        (beside(|t| t.radius_mm = -1.0), "a positive radius_mm"),
+        (beside(|t| t.radius_mm = Some(-1.0)), "a positive radius_mm"),
         (beside(|t| t.origin_mm[1] = f64::NAN), "finite places"),
         (beside(|t| t.lead_ms = 2000.0), "lead_ms of 0 to 1000"),
     ] {

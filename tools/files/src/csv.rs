@@ -4,17 +4,6 @@
 //! Lines and comments are ours, because the `csv` crate knows comments only as whole lines and gives no columns. Cells
 //! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote simply at their
 //! commas.
-//!
-//! ```
-//! use rtec_files::csv::Reader;
-//! let text = "t, \"T3, bed\" # degC\n0,20.5\n";
-//! let mut reader = Reader::new("log.csv".as_ref(), text.as_bytes())?;
-//! let header = reader.header("t and a temperature")?;
-//! let at = header.place("T3, bed")?;
-//! let row = reader.row()?.expect("one row");
-//! assert_eq!(header.cells(row)?[at].finite()?, 20.5);
-//! # Ok::<(), rtec_files::InputError>(())
-//! ```
 
 use crate::input::InputError;
 use crate::lines::Lines;
@@ -521,11 +510,12 @@ impl Header {
     }
 }
 
-/// A cell as it must be written so that it reads back: in quotes where it holds a comma, a quote, a `#` or has blanks
-/// at its ends.
+/// A cell as it must be written so that it reads back: in quotes where it is empty, has blanks at its ends, or holds a
+/// comma, a quote, a `#`, what else may part cells, or a byte-order mark.
 #[must_use]
 pub fn cell(text: &str) -> Cow<'_, str> {
-    if text.contains([',', '"', '#', ';', '\t']) || text.trim().len() < text.len() {
+    let quoted = [',', '"', '#', ';', '\t', '\u{feff}'];
+    if text.is_empty() || text.contains(quoted) || text.trim().len() < text.len() {
         return Cow::Owned(format!("\"{}\"", text.replace('"', "\"\"")));
     }
     Cow::Borrowed(text)
@@ -540,6 +530,15 @@ pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_column_is_found_by_its_quoted_name() {
+        let mut reader = reader("t, \"T3, bed\" # degC\n0,20.5\n");
+        let header = reader.header("t and a temperature").unwrap();
+        let at = header.place("T3, bed").unwrap();
+        let row = reader.row().unwrap().unwrap();
+        assert_eq!(header.cells(row).unwrap()[at].finite().unwrap().to_string(), "20.5");
+    }
 
     fn reader(text: &str) -> Reader<&[u8]> {
         Reader::new(Path::new("a.csv"), text.as_bytes()).unwrap()
@@ -653,5 +652,9 @@ mod tests {
         let names = ["t", "T3, bed", "5\" pipe", "#1", " x ", "a;b", "µ", ""];
         let line = header_line(names);
         assert_eq!(rows(&line).unwrap(), [names]);
+        // A name that would pass for a blank line, or for the file's byte-order mark.
+        for name in ["", "\u{feff}t"] {
+            assert_eq!(rows(&header_line([name])).unwrap(), [[name]]);
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! The one shape of error for a file that a person wrote: where, what was found, what was expected.
 
+use crate::words::printable;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -56,14 +57,14 @@ impl InputError {
 
 impl fmt::Display for InputError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.file.display())?;
+        f.write_str(&printable(&self.file.to_string_lossy()))?;
         if self.line > 0 {
             write!(f, ":{}", self.line)?;
             if self.column > 0 {
                 write!(f, ":{}", self.column)?;
             }
         }
-        write!(f, ": found {}, expected {}", self.found, self.expected)
+        write!(f, ": found {}, expected {}", printable(&self.found), printable(&self.expected))
     }
 }
 
@@ -78,6 +79,13 @@ mod tests {
         let e = InputError::at_offset(Path::new("m.toml"), "a = 1\nµb = 2\n", 8, "x", "y");
         assert_eq!((e.line, e.column), (2, 2));
         assert_eq!(e.to_string(), "m.toml:2:2: found x, expected y");
+    }
+
+    #[test]
+    fn what_a_file_says_does_not_act_on_a_terminal() {
+        let e = InputError::whole(Path::new("m\u{1b}[1m.toml"), "unknown key \u{1b}[2J\n", "none of\u{7}");
+        let said = "m\\u{1b}[1m.toml: found unknown key \\u{1b}[2J\\n, expected none of\\u{7}";
+        assert_eq!(e.to_string(), said);
     }
 
     #[test]

@@ -24,7 +24,7 @@ pub fn read(file: &Path) -> Result<String, InputError> {
 /// It cannot be read, is no regular file (a folder, a pipe, a device), or is longer than [`LONGEST`].
 pub fn bytes(file: &Path) -> Result<Vec<u8>, InputError> {
     let mut content = Vec::new();
-    let opened = open(file)?;
+    let opened = open_regular(file)?;
     opened.take(LONGEST + 1).read_to_end(&mut content).map_err(|e| unreadable(file, &e))?;
     if content.len() as u64 > LONGEST {
         return Err(InputError::whole(file, format!("more than {LONGEST} bytes"), "a shorter file"));
@@ -32,7 +32,11 @@ pub fn bytes(file: &Path) -> Result<Vec<u8>, InputError> {
     Ok(content)
 }
 
-fn open(file: &Path) -> Result<File, InputError> {
+/// Opens a regular file, and nothing else.
+///
+/// # Errors
+/// It cannot be opened, or is no regular file.
+pub fn open_regular(file: &Path) -> Result<File, InputError> {
     // Without waiting: a pipe that nobody writes to would hold us up before we could ask what it is.
     let opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(file);
     let opened = opened.map_err(|e| unreadable(file, &e))?;

@@ -1,5 +1,7 @@
 //! Words in messages: the one that was probably meant, and text as it is shown.
 
+use std::borrow::Cow;
+
 /// The word that was probably meant: a few letters away, or begun with all of the other's letters.
 #[must_use]
 pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
@@ -14,10 +16,24 @@ pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     words.iter().find(begun).copied()
 }
 
-/// Text as an error message shows it: quoted, cut where it is long.
+/// Text as a terminal may show it: what cannot be seen (controls, directions, marks without width) is written out.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let seen = |c: char| c == ' ' || c.is_alphanumeric() || c.is_ascii_punctuation();
+    if text.chars().all(seen) {
+        return Cow::Borrowed(text);
+    }
+    let each = text.chars().map(|c| match c {
+        '\'' | '"' | '\\' => c.to_string(),
+        _ => c.escape_debug().to_string(),
+    });
+    Cow::Owned(each.collect())
+}
+
+/// Text as an error message shows it: quoted, printable, cut where it is long.
 #[must_use]
 pub fn quoted(text: &str) -> String {
-    format!("'{}'", cut(text))
+    format!("'{}'", printable(&cut(text)))
 }
 
 /// What stands in a place, as an error message shows it.
@@ -32,6 +48,21 @@ pub(crate) fn cut(text: &str) -> String {
         None => text.to_owned(),
         Some((at, _)) => format!("{}…", &text[..at]),
     }
+}
+
+/// An error with its causes, each said once: many say their cause themselves.
+#[must_use]
+pub fn whole(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let said = error.to_string();
+        if !text.contains(&said) {
+            text = format!("{text}: {said}");
+        }
+        cause = error.source();
+    }
+    text
 }
 
 #[cfg(test)]
@@ -51,8 +82,40 @@ mod tests {
     }
 
     #[test]
+    fn what_cannot_be_seen_is_written_out() {
+        let plain = "found 'x' = 5.0 \"µm\", a\\b";
+        assert_eq!(printable(plain), plain);
+        assert_eq!(printable("20 °C ±1…"), "20 °C ±1…");
+        assert_eq!(printable("a\u{1b}[2J\r\nb\t\u{7f}\u{9b}"), "a\\u{1b}[2J\\r\\nb\\t\\u{7f}\\u{9b}");
+        // A right-to-left override would turn the rest of the line around.
+        assert_eq!(printable("\u{202e}gnorw\u{200b}"), "\\u{202e}gnorw\\u{200b}");
+    }
+
+    #[test]
     fn long_text_is_cut_between_characters() {
         assert_eq!(quoted("µ"), "'µ'");
         assert_eq!(quoted(&"µ".repeat(61)), format!("'{}…'", "µ".repeat(60)));
+    }
+
+    #[test]
+    fn a_cause_is_said_once() {
+        use std::fmt;
+        #[derive(Debug)]
+        struct Outer(&'static str, fmt::Error);
+        impl fmt::Display for Outer {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(self.0)
+            }
+        }
+        impl std::error::Error for Outer {
+            fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+                Some(&self.1)
+            }
+        }
+        let cause = fmt::Error.to_string();
+        assert_eq!(whole(&fmt::Error), cause);
+        assert_eq!(whole(&Outer("opening it", fmt::Error)), format!("opening it: {cause}"));
+        let says_it = format!("opening it: {cause}; is it there?").leak();
+        assert_eq!(whole(&Outer(says_it, fmt::Error)), *says_it);
     }
 }

@@ -2,9 +2,12 @@
 //!
 //! A gauge's zero is arbitrary: every response of every record has a constant of its own, which is found and thrown
 //! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
-//! neighbours in time share does not make them narrower.
+//! neighbours in time share does not make them narrower. The same is done with stretches of every axis' places, as what no
+//! effect explains (a wave, a bend) is the same at a place every time; the widest interval stands.
 
-use crate::thermal::{Fitted, Intervals, jackknife_interval, quantile};
+use crate::places::{self, Left};
+use crate::statistics::quantile;
+use crate::thermal::{Fitted, Intervals, jackknife_interval};
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_model::date;
@@ -12,6 +15,7 @@ use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
 use rtec_model::machine::{FitNote, Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};
 use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Stretches of rows that are left out in turn.
@@ -33,6 +37,8 @@ pub(crate) struct Problem {
     y: Vec<f64>,
     /// Where each response of each record starts, and where it ends.
     pieces: Vec<std::ops::Range<usize>>,
+    /// Where an axis was at every row, mm, by its name; nothing where it stood still.
+    at_mm: BTreeMap<String, Vec<Option<f64>>>,
 }
 
 impl Problem {
@@ -53,6 +59,38 @@ impl Problem {
         for (all, own) in self.columns.iter_mut().zip(columns) {
             all.extend(less_mean(own));
         }
+    }
+
+    /// Where the axes were that moved through the response pushed last.
+    fn moved(&mut self, record: &Record) {
+        let Some(piece) = self.pieces.last().cloned() else { return };
+        for (axis, p) in places::moving(record) {
+            let all = self.at_mm.entry(axis).or_default();
+            all.resize(piece.start, None);
+            all.extend(p.iter().copied().map(Some));
+        }
+    }
+
+    /// Stretches that are left out in turn: those of time, and those of each axis' places; every row's block.
+    fn stretches(&self) -> Vec<Vec<usize>> {
+        // Every stretch is one of its record's response, so that each holds rows of all of them.
+        let block = |i: usize| {
+            let piece = self.pieces.iter().find(|r| r.contains(&i));
+            piece.map_or(0, |r| (i - r.start) * BLOCKS / r.len())
+        };
+        let in_time: Vec<usize> = (0..self.y.len()).map(block).collect();
+        let of_axis = |p: &Vec<Option<f64>>| {
+            let own = places::stretches(p, BLOCKS)?;
+            Some(
+                in_time
+                    .iter()
+                    .enumerate()
+                    .map(|(i, t)| own.get(i).copied().flatten().unwrap_or(*t))
+                    .collect(),
+            )
+        };
+        let by_place: Vec<Vec<usize>> = self.at_mm.values().filter_map(of_axis).collect();
+        std::iter::once(in_time).chain(by_place).collect()
     }
 
     /// The first column that those before it make up.
@@ -105,12 +143,26 @@ impl Problem {
         if let Some(k) = scale.iter().position(|s| *s <= 1e-12) {
             return Err(k);
         }
-        // Every stretch is one of its record's response, so that each holds rows of all of them.
-        let block = |i: usize| {
-            let piece = self.pieces.iter().find(|r| r.contains(&i));
-            piece.map_or(0, |r| (i - r.start) * BLOCKS / r.len())
-        };
-        let blocks: Vec<usize> = (0..self.y.len()).map(block).collect();
+        if let Some(k) = self.dependent(&scale) {
+            return Err(k);
+        }
+        let mut found: Vec<Found> = Vec::new();
+        for blocks in self.stretches() {
+            let of_these = self.jackknifed(&blocks, &scale).ok_or(p - 1)?;
+            if found.is_empty() {
+                found = of_these;
+                continue;
+            }
+            let width = |f: &Found| f.interval[1] - f.interval[0];
+            let wider = found.iter_mut().zip(of_these).filter(|(f, other)| width(other) > width(f));
+            wider.for_each(|(f, other)| *f = other);
+        }
+        Ok(found)
+    }
+
+    /// The solution with intervals from leaving out each block in turn.
+    fn jackknifed(&self, blocks: &[usize], scale: &[f64]) -> Option<Vec<Found>> {
+        let p = self.columns.len();
         let mut grams = vec![(DMatrix::<f64>::zeros(p, p), DVector::<f64>::zeros(p)); BLOCKS];
         for (i, b) in blocks.iter().enumerate() {
             let (g, h) = &mut grams[*b];
@@ -127,11 +179,9 @@ impl Problem {
             all
         };
         let (g, h) = sum(None);
-        if let Some(k) = self.dependent(&scale) {
-            return Err(k);
-        }
-        let all = g.cholesky().ok_or(p - 1)?.solve(&h);
-        let parts: Vec<DVector<f64>> = (0..BLOCKS)
+        let all = g.cholesky()?.solve(&h);
+        let used = (0..BLOCKS).filter(|b| blocks.contains(b));
+        let parts: Vec<DVector<f64>> = used
             .filter_map(|b| {
                 let (g, h) = sum(Some(b));
                 Some(g.cholesky()?.solve(&h))
@@ -142,7 +192,7 @@ impl Problem {
             let parts: Vec<f64> = parts.iter().map(|v| v[k] / scale[k]).collect();
             Found { value, interval: jackknife_interval(value, &parts) }
         });
-        Ok(found.collect())
+        Some(found.collect())
     }
 }
 
@@ -153,6 +203,8 @@ pub struct NamedReport {
     pub effects: Vec<Fitted>,
     /// RMS per response over all records, each record's own zero taken off, µm: before, and after.
     pub rms_um: Vec<(String, [f64; 2])>,
+    /// What is left that is no noise, by response.
+    pub warnings: Vec<String>,
 }
 
 /// `scale.x`, or `thermal_expansion.x:T3-T20` where the effect reads temperatures.
@@ -199,6 +251,37 @@ fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputErro
     Ok(effects)
 }
 
+/// Half widths of a response by the kinds of run that say something of it, with each piece's response and kind.
+fn by_kind_um(
+    problem: &Problem,
+    found: &[Found],
+    piece_of: &[(Role, Option<String>)],
+    role: &Role,
+) -> BTreeMap<String, f64> {
+    let own = piece_of.iter().filter(|(r, _)| r == role);
+    let kinds: BTreeSet<&String> = own.filter_map(|(_, kind)| kind.as_ref()).collect();
+    let width = |kind: &String| {
+        let take = |piece: usize| piece_of[piece].0 == *role && piece_of[piece].1.as_ref() == Some(kind);
+        (kind.clone(), problem.half_width_um(found, take))
+    };
+    kinds.into_iter().map(width).collect()
+}
+
+/// What is left of each piece that is no noise, a line each.
+fn structure(
+    problem: &Problem,
+    found: &[Found],
+    owners: &[&Record],
+    piece_of: &[(Role, Option<String>)],
+) -> Vec<String> {
+    let of = |n: usize| {
+        let (record, role) = (owners[n], &piece_of[n].0);
+        let left: Vec<f64> = problem.pieces[n].clone().map(|i| problem.left_um(found, i)).collect();
+        Some(format!("{}: {role}: {}", record.path.display(), Left::of(record, &left, found.len())?))
+    };
+    (0..problem.pieces.len()).filter_map(of).collect()
+}
+
 /// Fits effects that the user names, beside all that the base holds already: by least squares on all error responses
 /// of the records. Gives the base with the effects added.
 ///
@@ -217,7 +300,9 @@ pub fn fit_named(
     let count: usize = effects.iter().map(Effect::coefficient_count).sum();
     let mut problem = Problem::new(count);
     let mut roles: Vec<Role> = Vec::new();
-    let mut piece_role = Vec::new();
+    // Response and kind of run.
+    let mut piece_of: Vec<(Role, Option<String>)> = Vec::new();
+    let mut owners: Vec<&Record> = Vec::new();
     for record in records {
         let left = base.beyond(record)?;
         let bound = effects
@@ -246,10 +331,12 @@ pub fn fit_named(
                 continue;
             }
             problem.push(&column.data, &columns, zero_is_known);
+            problem.moved(record);
+            owners.push(record);
             if !roles.contains(&column.role) {
                 roles.push(column.role.clone());
             }
-            piece_role.push(column.role.clone());
+            piece_of.push((column.role.clone(), FitNote::kind_of(record)));
         }
     }
     let owner = |k: usize| {
@@ -266,8 +353,9 @@ pub fn fit_named(
         let experiment = owner(k).map_or(String::new(), |e| e.description().experiment.clone());
         usage(found, &format!("a record that does: {experiment}"))
     })?;
-    let rms = |role: &Role| problem.rms_um(&found, |piece| piece_role[piece] == *role);
+    let rms = |role: &Role| problem.rms_um(&found, |piece| piece_of[piece].0 == *role);
     let rms_um = roles.iter().map(|r| (r.to_string(), rms(r))).collect();
+    let warnings = structure(&problem, &found, &owners, &piece_of);
     let mut machine = base.clone();
     for role in &roles {
         let seen: Vec<&Record> = records.iter().filter(|r| r.column(role).is_some()).copied().collect();
@@ -276,13 +364,14 @@ pub fn fit_named(
             date: date.to_owned(),
             valid_until: date::parse(date).map_or_else(|| date.to_owned(), |d| date::format(d + valid_days)),
             rms_um: rms(role)[1],
-            half_width_um: problem.half_width_um(&found, |piece| piece_role[piece] == *role),
+            half_width_um: problem.half_width_um(&found, |piece| piece_of[piece].0 == *role),
             valid: Vec::new(),
             at_mm: Some(FitNote::places(&seen)),
+            by_kind_um: by_kind_um(&problem, &found, &piece_of, role),
             from: seen.iter().map(|r| Source::of(r)).collect(),
         };
         if let Some(earlier) = base.fits().iter().find(|f| f.response == note.response) {
-            note.on(earlier);
+            note.on(earlier, 0.0);
         }
         machine.note_fit(note);
     }
@@ -304,5 +393,5 @@ pub fn fit_named(
         };
         machine.push(effect.clone(), provenance).map_err(|e| usage(e.to_string(), "each effect once"))?;
     }
-    Ok((machine, NamedReport { effects: fitted, rms_um }))
+    Ok((machine, NamedReport { effects: fitted, rms_um, warnings }))
 }

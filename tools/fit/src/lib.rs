@@ -4,12 +4,16 @@
 //! |---|---|
 //! | [`thermal`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
 //! | [`least`] | least squares for effects and chain terms that are named |
+//! | `places` | what is left at a place every time |
 //! | [`quiet`] | temperatures without their sensors' noise |
+//! | `statistics` | means and ranks |
 //! | [`chain`] | a chain's polynomials, fitted component by component |
 //!
 //! What must not live here: which effect is missing altogether (`rtec-reconcile`).
 
 pub mod chain;
 pub mod least;
+mod places;
 pub mod quiet;
+mod statistics;
 pub mod thermal;

@@ -7,25 +7,7 @@ use rtec_fit::thermal::{self, Options};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// A small portable generator (splitmix64).
-struct Dice(u64);
-
-impl Dice {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-    fn within(&mut self, lo: f64, hi: f64) -> f64 {
-        lo + (hi - lo) * self.unit()
-    }
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.unit()).ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
-    }
-}
+use test_needs::dice::Dice;
 
 /// The law of an axis: of the bearing's difference to the air, maybe bent, maybe late.
 #[derive(Debug, Clone, Copy)]
@@ -42,13 +24,13 @@ impl Truth {
         }
         let sign = if d.unit() < 0.5 { -1.0 } else { 1.0 };
         Some(Self {
-            per_k: sign * d.within(1.0, 8.0),
+            per_k: sign * d.between(1.0, 8.0),
             per_k2: if d.unit() < 0.5 {
                 0.0
             } else {
-                d.within(0.02, 0.08) * if d.unit() < 0.5 { -1.0 } else { 1.0 }
+                d.between(0.02, 0.08) * if d.unit() < 0.5 { -1.0 } else { 1.0 }
             },
-            tau_s: if d.unit() < 0.5 { 0.0 } else { d.within(600.0, 3000.0) },
+            tau_s: if d.unit() < 0.5 { 0.0 } else { d.between(600.0, 3000.0) },
         })
     }
 }
@@ -58,20 +40,20 @@ fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
     let (n, h) = (240, 120.0);
     let mut speed = 0.0;
     let bodies: [(f64, f64); 6] = [
-        (d.within(8.0, 16.0), d.within(600.0, 1500.0)),
-        (d.within(4.0, 9.0), d.within(2000.0, 4000.0)),
-        (d.within(3.0, 8.0), d.within(4500.0, 9000.0)),
-        (d.within(1.0, 4.0), d.within(9000.0, 20000.0)),
-        (d.within(5.0, 10.0), d.within(900.0, 2500.0)),
-        (d.within(2.0, 5.0), d.within(3000.0, 6000.0)),
+        (d.between(8.0, 16.0), d.between(600.0, 1500.0)),
+        (d.between(4.0, 9.0), d.between(2000.0, 4000.0)),
+        (d.between(3.0, 8.0), d.between(4500.0, 9000.0)),
+        (d.between(1.0, 4.0), d.between(9000.0, 20000.0)),
+        (d.between(5.0, 10.0), d.between(900.0, 2500.0)),
+        (d.between(2.0, 5.0), d.between(3000.0, 6000.0)),
     ];
     let mut state = [0.0; 6];
-    let own: Vec<f64> = (0..6).map(|_| d.within(0.2, 1.0)).collect();
-    let phase: Vec<f64> = (0..7).map(|_| d.within(0.0, 6.0)).collect();
+    let own: Vec<f64> = (0..6).map(|_| d.between(0.2, 1.0)).collect();
+    let phase: Vec<f64> = (0..7).map(|_| d.between(0.0, 6.0)).collect();
     let (mut t, mut warm) = (vec![], vec![vec![]; 7]);
     for i in 0..n {
         if i % 20 == 0 {
-            speed = if d.unit() < 0.35 { 0.0 } else { d.within(0.2, 1.0) };
+            speed = if d.unit() < 0.35 { 0.0 } else { d.between(0.2, 1.0) };
         }
         let now = i as f64 * h;
         t.push(now);
@@ -93,8 +75,8 @@ fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
         columns.push(column((*name).into(), Role::Temperature, read));
     }
     for (k, truth) in truths.iter().enumerate() {
-        let (sd, phi, mut ar) = (d.within(0.1, 0.6), d.within(0.0, 0.7), 0.0);
-        let zero = d.within(-20.0, 20.0);
+        let (sd, phi, mut ar) = (d.between(0.1, 0.6), d.between(0.0, 0.7), 0.0);
+        let zero = d.between(-20.0, 20.0);
         let mut late = warm[0][0] - warm[6][0];
         let e = (0..n).map(|i| {
             ar = phi * ar + (1.0 - phi * phi).sqrt() * d.normal();
@@ -119,62 +101,67 @@ fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
     Record::new(Path::new("drift.run.toml"), Kind::Drift, columns).unwrap()
 }
 
+/// What one machine's fit says, each statement right or not.
+fn judged(seed: u64) -> Vec<(&'static str, bool)> {
+    let mut found = Vec::new();
+    let mut note = |what: &'static str, good: bool| found.push((what, good));
+    let mut d = Dice::new(900 + seed);
+    let truths = [Truth::random(&mut d)];
+    let record = drift(&mut d, &truths);
+    let (_, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();
+    for (truth, r) in truths.iter().zip(&reports) {
+        let laws: Vec<_> = r.effects.iter().filter(|e| e.sensor.is_some()).collect();
+        let Some(truth) = truth else {
+            note("nothing where there is nothing", laws.is_empty());
+            continue;
+        };
+        let right =
+            laws.iter().find(|e| e.sensor.as_deref() == Some("T1") && e.minus.as_deref() == Some("air"));
+        let holds = |key: &str, value: f64| {
+            right.and_then(|e| e.parameters.get(key)).is_some_and(|p| p.low <= value && value <= p.high)
+        };
+        note("the right difference", right.is_some());
+        note("no other beside it", laws.len() == 1);
+        note("late or not", right.is_some_and(|e| (e.name == "thermal_lag.x") == (truth.tau_s > 0.0)));
+        let bent = right.is_some_and(|e| e.parameters["um_per_K2"].value != 0.0);
+        if truth.per_k2 == 0.0 {
+            note("no square where there is none", !bent);
+        } else {
+            note("a square where there is one", bent);
+            note("µm/K² in its interval", holds("um_per_K2", truth.per_k2));
+        }
+        note("µm/K in its interval", holds("um_per_K", truth.per_k));
+        if truth.tau_s > 0.0 {
+            note("lag in its interval", holds("tau_s", truth.tau_s));
+        }
+        let missed = (truth.tau_s > 0.0 && !holds("tau_s", truth.tau_s))
+            || (truth.per_k2 == 0.0) == bent
+            || laws.len() != 1
+            || !holds("um_per_K", truth.per_k);
+        if std::env::var_os("RTEC_SHOW").is_some() && missed {
+            println!(
+                "{seed}: {truth:?}: {:?}\n   {:?}",
+                laws.iter().map(|e| (&e.name, &e.sensor, &e.minus, &e.parameters)).collect::<Vec<_>>(),
+                r.rounds.iter().map(|r| (&r.added, r.r, r.cv_rms_um)).collect::<Vec<_>>()
+            );
+        }
+    }
+    found
+}
+
 #[test]
 fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
-    let machines = std::env::var("RTEC_MACHINES").ok().and_then(|v| v.parse().ok()).unwrap_or(200);
+    let machines: u64 = std::env::var("RTEC_MACHINES").ok().and_then(|v| v.parse().ok()).unwrap_or(200);
+    let first: u64 = std::env::var("RTEC_FIRST").ok().and_then(|v| v.parse().ok()).unwrap_or(0);
     let mut counts: BTreeMap<&str, [u32; 2]> = BTreeMap::new();
-    let mut note = |what: &'static str, good: bool| {
-        let c = counts.entry(what).or_default();
-        c[usize::from(good)] += 1;
-    };
-    for seed in 0..machines {
-        let mut d = Dice(900 + seed);
-        let truths = [Truth::random(&mut d)];
-        let record = drift(&mut d, &truths);
-        let (_, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();
-        for (truth, r) in truths.iter().zip(&reports) {
-            let laws: Vec<_> = r.effects.iter().filter(|e| e.sensor.is_some()).collect();
-            let Some(truth) = truth else {
-                note("nothing where there is nothing", laws.is_empty());
-                continue;
-            };
-            let right =
-                laws.iter().find(|e| e.sensor.as_deref() == Some("T1") && e.minus.as_deref() == Some("air"));
-            let holds = |key: &str, value: f64| {
-                right.and_then(|e| e.parameters.get(key)).is_some_and(|p| p.low <= value && value <= p.high)
-            };
-            note("the right difference", right.is_some());
-            note("no other beside it", laws.len() == 1);
-            note(
-                "late or not",
-                right.is_some_and(|e| {
-                    (e.name == "thermal_lag.x" || e.name == "thermal_lag.y") == (truth.tau_s > 0.0)
-                }),
-            );
-            if truth.per_k2 == 0.0 {
-                note(
-                    "no square where there is none",
-                    right.is_some_and(|e| e.parameters["um_per_K2"].value == 0.0),
-                );
-            } else {
-                note("µm/K² in its interval", holds("um_per_K2", truth.per_k2));
-            }
-            note("µm/K in its interval", holds("um_per_K", truth.per_k));
-            if truth.tau_s > 0.0 {
-                note("lag in its interval", holds("tau_s", truth.tau_s));
-            }
-            if std::env::var_os("RTEC_SHOW").is_some() && (laws.len() != 1 || !holds("um_per_K", truth.per_k))
-            {
-                println!(
-                    "{seed}: {truth:?}: {:?}",
-                    laws.iter().map(|e| (&e.name, &e.sensor, &e.minus, &e.parameters)).collect::<Vec<_>>()
-                );
-                println!(
-                    "   {:?}",
-                    r.rounds.iter().map(|r| (&r.added, r.r, r.cv_rms_um)).collect::<Vec<_>>()
-                );
-            }
-        }
+    let halves = std::thread::scope(|s| {
+        let half =
+            |k: u64| move || (k..machines).step_by(2).flat_map(|m| judged(first + m)).collect::<Vec<_>>();
+        let both = [s.spawn(half(0)), s.spawn(half(1))];
+        both.map(|t| t.join().unwrap())
+    });
+    for (what, good) in halves.into_iter().flatten() {
+        counts.entry(what).or_default()[usize::from(good)] += 1;
     }
     let share = |what: &str| {
         let [bad, good] = counts[what];
@@ -185,9 +172,9 @@ fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
     }
     assert!(share("nothing where there is nothing") >= 0.97);
     // A law that was put on another sensor counts as missed.
-    for what in ["µm/K in its interval", "µm/K² in its interval"] {
+    for what in ["µm/K in its interval", "µm/K² in its interval", "lag in its interval"] {
         assert!((0.9..=0.98).contains(&share(what)), "{what}: {}", share(what));
     }
-    assert!((0.85..=0.98).contains(&share("lag in its interval")), "{}", share("lag in its interval"));
+    assert!(share("no square where there is none") >= 0.95 && share("a square where there is one") >= 0.8);
     assert!(share("the right difference") >= 0.95 && share("no other beside it") >= 0.9);
 }

@@ -12,12 +12,9 @@ use std::path::{Path, PathBuf};
 
 /// A file of `../shared/data`, seen from the workspace's root.
 fn shared(name: &str) -> Option<(PathBuf, String)> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(name);
-    if let Ok(text) = std::fs::read_to_string(&path) {
-        return Some((path, text));
-    }
-    eprintln!("SKIPPED: ../shared/data/{name} not there");
-    None
+    let path = test_needs::shared(&format!("data/{name}"))?;
+    let text = std::fs::read_to_string(&path).unwrap();
+    Some((path, text))
 }
 
 /// `KEY = VALUE [mm]` lines of the owners' report, in µm.

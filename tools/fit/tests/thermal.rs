@@ -216,3 +216,79 @@ fn a_lag_earns_its_place_or_is_not_there() {
         }
     }
 }
+
+/// Eight hours cannot tell a lag of five from a drift: the allowance for that covers all that the blocks leave. The gauge's own
+/// scatter is in the interval all the same.
+#[test]
+fn no_interval_is_narrower_than_the_gauges_scatter() {
+    const NOISE_UM: f64 = 0.15;
+    for seed in 1..=6 {
+        let (mut noise, n) = (Noise(0x9e37_79b9 * seed), 480);
+        let loads: Vec<f64> = (0..16).map(|_| 12.0 * noise.uniform()).collect();
+        let (mut near, mut far, mut late) = (0.0, 0.0, 0.0);
+        let (mut columns, mut e) = ([Vec::new(), Vec::new(), Vec::new()], Vec::new());
+        for i in 0..n {
+            near += 60.0 / 1500.0 * (loads[i * loads.len() / n] - near);
+            far += 60.0 / 5000.0 * (0.6 * near - far);
+            late += (1.0 - (-60.0_f64 / 20_000.0).exp()) * (near - late);
+            for (column, over) in columns.iter_mut().zip([0.0, near, far]) {
+                column.push(20.0 + over + 0.05 * noise.normal());
+            }
+            e.push(4.0 * late + NOISE_UM * noise.normal());
+        }
+        let mut all = vec![("t".to_owned(), Role::Time, (0..n).map(|i| 60.0 * i as f64).collect())];
+        all.extend(
+            columns
+                .into_iter()
+                .zip(["T0", "T1", "T2"])
+                .map(|(c, name)| (name.to_owned(), Role::Temperature, c)),
+        );
+        all.push(("e".to_owned(), error("z"), e));
+        let (machine, reports) = thermal::fit(&[&record(all)], &[], &Options::default()).unwrap();
+        let stated = reports[0].interval95.half_width_um;
+        println!("seed {seed}: ± {stated:.3} µm, {:.3} RMS", reports[0].rms_um.train);
+        assert!(stated > 1.7 * NOISE_UM, "seed {seed}: ± {stated} µm; {}", machine.to_text());
+    }
+}
+
+/// A body that lags by more than the record is long: said, as what is fitted may then be another one.
+#[test]
+fn a_lag_that_the_record_is_too_short_for_is_said() {
+    let record = |hours: f64, tau_s: f64| {
+        let n = (hours * 60.0) as usize;
+        let (mut quick, mut slow) = (0.0, 0.0);
+        let mut c: [Vec<f64>; 5] = Default::default();
+        for i in 0..n {
+            let on = if (i / 45) % 3 == 2 { 0.2 } else { 1.0 };
+            quick += (10.0 * on - quick) * (60.0 / 900.0);
+            slow += (quick - slow) * (60.0 / tau_s);
+            let rough = |k: usize| ((i * k * 7919) % 101) as f64 / 50.0 - 1.0;
+            let air = 20.0 + 0.2 * (i as f64 / 70.0).sin() + 0.01 * rough(3);
+            let row = [
+                60.0 * i as f64,
+                air,
+                air + quick + 0.01 * rough(5),
+                21.0 + 0.01 * rough(7),
+                4.0 * slow + 0.1 * rough(11),
+            ];
+            c.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+        }
+        let roles = ["time", "temperature", "temperature", "temperature", "error.z"];
+        let columns = roles.iter().zip(["t", "air", "T1", "T2", "e"]).zip(c).map(|((role, name), data)| {
+            let role = Role::parse(role).unwrap();
+            Column { name: name.into(), unit: role.unit().unwrap().into(), role, data }
+        });
+        Record::new(Path::new("d.run.toml"), Kind::Drift, columns.collect()).unwrap()
+    };
+    let said = |r: Record| {
+        let options = Options { environment: Some("air".into()), ..Options::default() };
+        let (_, reports) = thermal::fit(&[&r], &[], &options).unwrap();
+        reports[0].warnings.iter().any(|w| w.contains("as long as records of"))
+    };
+    for tau_s in [9000.0, 20_000.0] {
+        assert!(said(record(2.5, tau_s)), "{tau_s} s in 2.5 hours");
+    }
+    for tau_s in [600.0, 1500.0] {
+        assert!(!said(record(5.0, tau_s)), "{tau_s} s in 5 hours");
+    }
+}

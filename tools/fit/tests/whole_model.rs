@@ -8,24 +8,7 @@ use rtec_fit::thermal::{self, Options};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
-
-struct Dice(u64);
-
-impl Dice {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-    fn within(&mut self, lo: f64, hi: f64) -> f64 {
-        lo + (hi - lo) * self.unit()
-    }
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.unit()).ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
-    }
-}
+use test_needs::dice::Dice;
 
 /// Ten effects: scales, reversals, squareness, waves that no fit is asked for, growth of both axes, one of them late.
 struct Truth {
@@ -39,10 +22,10 @@ struct Truth {
 
 impl Truth {
     fn random(d: &mut Dice) -> Self {
-        let mut pair = |lo: f64, hi: f64| [d.within(lo, hi), d.within(lo, hi)];
+        let mut pair = |lo: f64, hi: f64| [d.between(lo, hi), d.between(lo, hi)];
         let (scale, reversal, wave, growth) =
             (pair(-60.0, 60.0), pair(-6.0, 6.0), pair(0.3, 1.5), pair(1.0, 5.0));
-        Self { scale, reversal, wave, growth, squareness: d.within(-40.0, 40.0), noise: d.within(0.1, 0.4) }
+        Self { scale, reversal, wave, growth, squareness: d.between(-40.0, 40.0), noise: d.between(0.1, 0.4) }
     }
 
     /// Errors of x and y at a place, µm; growth from the warmth of the bearing and what lags behind it.
@@ -140,7 +123,7 @@ fn runs(truth: &Truth, d: &mut Dice) -> Vec<Record> {
     let p: Vec<[f64; 2]> = (0..360).map(|i| [150.0 * angle(i).cos(), 150.0 * angle(i).sin()]).collect();
     let dir = (0..360).map(|i| [-angle(i).sin().signum(), angle(i).cos().signum()]).collect();
     out.push(record(truth, d, "circle", Kind::Ballbar, &Rows { p, dir, every_s: 0.1, speed: cold() }));
-    let levels: Vec<f64> = (0..10).map(|_| if d.unit() < 0.3 { 0.0 } else { d.within(0.3, 1.0) }).collect();
+    let levels: Vec<f64> = (0..10).map(|_| if d.unit() < 0.3 { 0.0 } else { d.between(0.3, 1.0) }).collect();
     let speed = Box::new(move |i: usize| levels[(i / 30) % 10]) as Box<dyn Fn(usize) -> f64>;
     let still = Rows { p: vec![[0.0; 2]; 300], dir: vec![[1.0; 2]; 300], every_s: 120.0, speed };
     out.push(record(truth, d, "drift", Kind::Drift, &still));
@@ -156,7 +139,7 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
     let kinds = ["linear x", "linear y", "plate", "circle", "drift"];
     let mut inside = [(0.0, 0.0); 5];
     for seed in 0..12 {
-        let mut d = Dice(4000 + seed);
+        let mut d = Dice::new(4000 + seed);
         let truth = Truth::random(&mut d);
         let (train, later) = (runs(&truth, &mut d), runs(&truth, &mut d));
         let geometry: Vec<&Record> = train[..4].iter().collect();
@@ -193,7 +176,10 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
     for (kind, (own, all)) in kinds.iter().zip(inside) {
         println!("{kind:10} {:5.1} % inside", 100.0 * own / all);
     }
-    for (own, all) in inside {
-        assert!((0.9..=1.0).contains(&(own / all)));
+    for (kind, (own, all)) in kinds.iter().zip(inside) {
+        // Growth of y lags: whether the machine was warm before a run of its own begins nobody knows, so its interval is wider
+        // through the first minutes, which are all that a run along y has.
+        let most = if *kind == "linear y" { 1.0 } else { 0.99 };
+        assert!((0.9..=most).contains(&(own / all)), "{kind}: {own} of {all}");
     }
 }

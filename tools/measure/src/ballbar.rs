@@ -22,6 +22,8 @@ use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
 mod diagnosis;
+mod search;
+mod structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
 
@@ -118,6 +120,12 @@ pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>, InputError> {
     planes.into_iter().map(|(plane, traces)| plane_of(plane, &traces)).collect()
 }
 
+/// So much of a circle may be missing where it starts and stops, degrees, or two rows of it.
+const MISSING_DEG: f64 = 2.0;
+
+/// A mean radius further off than by any scale: µm per mm of radius.
+const FAR_OFF: f64 = 0.5;
+
 fn same_plane(a: &str, b: &str) -> bool {
     a == b || a.split_once('-').is_some_and(|(x, y)| format!("{y}-{x}") == b)
 }
@@ -130,8 +138,26 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
     let of_both = |f: fn(&[Row]) -> Option<f64>| both.iter().filter_map(|b| f(b)).reduce(f64::max);
     let mean_radius: Vec<f64> = both.iter().filter_map(|b| Some(round_fit(&pairs(b))?[0])).collect();
     let mut warnings = Vec::new();
-    if contours.iter().any(|c| c.turned_deg < 359.0) {
-        warnings.push("a contour of less than a full circle: its deviations are those of the arc".to_owned());
+    let short =
+        |c: &&Contour| 360.0 - c.turned_deg > MISSING_DEG.max(2.5 * c.turned_deg / c.trace.len() as f64);
+    if let Some(c) = contours.iter().find(short) {
+        let turned = c.turned_deg.round();
+        warnings.push(format!(
+            "a contour of less than a full circle, {turned:.0}°: its deviations are those of the arc"
+        ));
+    }
+    let off = mean_radius
+        .iter()
+        .copied()
+        .find(|um| traces[0].record.circle().is_some_and(|c| um.abs() > FAR_OFF * c.radius_mm));
+    let one_way = contours
+        .iter()
+        .map(|c| c.radius_um)
+        .find(|um| traces[0].record.circle().is_some_and(|c| um.abs() > FAR_OFF * c.radius_mm));
+    if let Some(um) = off.or(one_way) {
+        warnings.push(format!(
+            "the mean radius is {um:.0} µm off the nominal one: radius_mm is not the bar's, or its zero is not set; F and D say nothing else"
+        ));
     }
     let diagnosis = diagnosis::diagnose(traces, &mut warnings)?;
     Ok(Ballbar {

@@ -16,7 +16,7 @@ pub mod own;
 pub mod siemens;
 
 use rtec_files::{InputError, nearest};
-use rtec_model::effect::{Effect, Naming, Need, Quantity};
+use rtec_model::effect::{Difference, Effect, Naming, Need, Quantity};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
@@ -248,6 +248,24 @@ impl<'m> Errors<'m> {
             Frame { axes: &axes, temperatures_degc: &self.degc, channels: &channels, ..Frame::default() };
         live.evaluate(&frame);
         live.errors_um()[0]
+    }
+
+    /// The sensors that the axis' errors are taken from, with the temperatures that the table holds at, °C: 20 where none was stated.
+    ///
+    /// # Errors
+    /// As [`Errors::along`].
+    pub fn temperatures_degc(&self) -> Result<Vec<(&str, f64)>, InputError> {
+        let live = self.live()?;
+        let read: Vec<&str> = live
+            .parts()
+            .filter(|p| acts_on(p.effect, &self.axis))
+            .filter_map(|p| p.effect.delta.as_ref())
+            .flat_map(Difference::sensors)
+            .collect();
+        let all = self.layout.sensors.iter().zip(&self.degc);
+        let chained = self.machine.chain().is_some();
+        let own = all.filter(|(name, _)| chained || read.contains(&name.as_str()));
+        Ok(own.map(|(name, degc)| (name.as_str(), *degc)).collect())
     }
 
     /// What a person should know: effects of the axis that a table of positions cannot hold, and temperatures outside the
@@ -544,6 +562,14 @@ impl Dense {
 fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
     let up = |step: f64| round_to((step / position_mm - 1e-6).ceil().max(1.0) * position_mm, position_mm);
     let mut steps = Vec::new();
+    // Those that end at the range's end come first.
+    let whole = (span_mm / position_mm).round();
+    for parts in 1..most.min(MANY) {
+        let per = whole / parts as f64;
+        if (span_mm / position_mm - whole).abs() < 1e-6 && (per - per.round()).abs() < 1e-9 && per >= 1.0 {
+            steps.push(per * position_mm);
+        }
+    }
     for power in -7..=5 {
         for part in ROUND {
             let step = part * 10f64.powi(power);
@@ -560,7 +586,8 @@ fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
         parts = (parts * 9 / 8).max(parts + 1);
     }
     steps.push(up(span_mm / (most - 1) as f64));
-    steps.sort_by(|a, b| b.total_cmp(a));
+    let past = |step: &f64| (span_mm / step - 1e-9).ceil().max(1.0) * step - span_mm > position_mm / 2.0;
+    steps.sort_by(|a, b| past(a).cmp(&past(b)).then(b.total_cmp(a)));
     steps.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     steps
 }

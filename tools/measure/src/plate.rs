@@ -1,4 +1,8 @@
 //! A plate of holes drilled by the machine and measured elsewhere: offset, scale, rotation, and what is left.
+//!
+//! Two fits stand side by side. The plate's owners (SDSS plug plates) take offset, scale and rotation first, then a quadrupole out of what
+//! is left; their figures are comparable only so. On holes that do not fill a square or a disc the first fit takes a share of
+//! what belongs to the quadrupole; [`Joint`] fits everything linear at once and does not.
 
 use crate::plot::Vectors;
 use rtec_files::InputError;
@@ -31,7 +35,8 @@ pub struct Plate {
     pub rms_um: f64,
     /// The same for the holes of each nominal diameter (mm), where the record has it: drills differ.
     pub rms_um_by_diameter: BTreeMap<String, f64>,
-    /// Magnitude m of the quadrupole in what is left, mm per mm: a hole at r, θ is shifted by r·m·cos 2(θ − φ) along its radius.
+    /// Magnitude m of the quadrupole in what is left, mm per mm, as the plate's owners have it: a hole at r, θ about the origin of the
+    /// record's positions is shifted by r·m·cos 2(θ − φ) along its radius, and not across it.
     pub quadrupole: f64,
     /// The same in ppm: longer by so much along φ, shorter by so much across.
     pub quadrupole_ppm: f64,
@@ -39,13 +44,49 @@ pub struct Plate {
     pub quadrupole_deg: f64,
     /// RMS of the residual's length after the quadrupole too, µm.
     pub rms_quadrupole_um: f64,
-    /// The scale as a temperature of an aluminium plate, K: the data cannot tell the two apart.
+    /// The joint fit's mean scale as a temperature of an aluminium plate, K: the data cannot tell the two apart.
     #[serde(rename = "scale_as_aluminium_K")]
     pub scale_as_aluminium_k: f64,
+    /// All linear terms fitted at once.
+    pub joint: Joint,
     /// What this data cannot tell.
     pub remark: String,
     /// Residual of every hole after offset, scale and rotation, µm (x, y), in the record's order.
     pub residual_um: Vec<[f64; 2]>,
+}
+
+/// Offset, a scale for each axis, squareness and rotation by one fit: error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Joint {
+    /// Scale of x, ppm, as the effect `scale.x`.
+    pub scale_x_ppm: f64,
+    /// Scale of y, ppm.
+    pub scale_y_ppm: f64,
+    /// Squareness c + d, µrad, as `squareness.x.y`: positive where the angle between the positive axes is below 90°.
+    pub squareness_urad: f64,
+    /// Rotation (d − c)/2, µrad, counter-clockwise positive: the antisymmetric part.
+    pub rotation_urad: f64,
+    /// Quadrupole as a pure stretch, ppm: longer by so much along its angle, shorter by so much across, without turning.
+    pub quadrupole_ppm: f64,
+    /// The direction in which it is longest, degrees from x.
+    pub quadrupole_deg: f64,
+    /// RMS of the residual's length, µm.
+    pub rms_um: f64,
+}
+
+impl Joint {
+    /// From the slopes x on x, y on y, x on y and y on x, ppm or µrad.
+    fn of([sx, sy, c, d]: [f64; 4], rms_um: f64) -> Self {
+        Self {
+            scale_x_ppm: sx,
+            scale_y_ppm: sy,
+            squareness_urad: c + d,
+            rotation_urad: (d - c) / 2.0,
+            quadrupole_ppm: (sx - sy).hypot(c + d) / 2.0,
+            quadrupole_deg: ((c + d).atan2(sx - sy) / 2.0).to_degrees(),
+            rms_um,
+        }
+    }
 }
 
 /// What a plate's fit makes small.
@@ -121,6 +162,12 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         at.map(|v| v * f)
     };
     let (quad, left_quad) = solve(2, &radial, &left)?;
+    let affine =
+        |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], 0.0], [0.0, y[i]], [y[i], 0.0], [0.0, x[i]]][j];
+    let errors =
+        nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { ex[row / 2] } else { ey[row / 2] });
+    // Errors in µm over positions in mm: thousandths of a ppm, and of a µrad.
+    let (fit_all, left_all) = solve(6, &affine, &errors)?;
     let rms_of = |left: &nalgebra::DVector<f64>, rows: &[usize]| {
         let sum: f64 = rows.iter().map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).sum();
         1000.0 * (sum / rows.len() as f64).sqrt()
@@ -132,10 +179,11 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
             kinds.entry(format!("{d}")).or_default().push(i);
         }
     }
+    let joint = Joint::of([2, 3, 4, 5].map(|i| 1000.0 * fit_all[i]), rms_of(&left_all, &all) / 1000.0);
     let (a, b) = (fit[2], fit[3]);
     let scale = a.hypot(b);
     let rotation = b.atan2(a);
-    let as_k = (scale - 1.0) / ALUMINIUM_PER_K;
+    let as_k = (joint.scale_x_ppm + joint.scale_y_ppm) / 2e6 / ALUMINIUM_PER_K;
     Ok(Plate {
         holes: n,
         offset_mm: [fit[0], fit[1]],
@@ -150,9 +198,10 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         quadrupole_deg: (quad[1].atan2(quad[0]) / 2.0).to_degrees(),
         rms_quadrupole_um: rms_of(&left_quad, &all),
         scale_as_aluminium_k: as_k,
+        joint,
         remark: format!(
-            "a scale of {:+.1} ppm cannot be told from an aluminium plate measured {as_k:+.2} K from where it was drilled",
-            (scale - 1.0) * 1e6
+            "a scale of {:+.1} ppm (mean of x and y) cannot be told from an aluminium plate measured {as_k:+.2} K from where it was drilled",
+            f64::midpoint(joint.scale_x_ppm, joint.scale_y_ppm)
         ),
         residual_um: (0..n).map(|i| [1000.0 * left[2 * i], 1000.0 * left[2 * i + 1]]).collect(),
     })

@@ -247,7 +247,11 @@ impl Chart {
             chart.draw_series(LineSeries::new([(*x, y0), (*x, y1)], BLACK.mix(0.3)))?;
             // One below the other, so that short phases do not write over each other.
             let y = y1 - (y1 - y0) * (0.01 + 0.045 * (i % 4) as f64);
-            chart.draw_series([Text::new(format!(" {name}"), (*x, y), small.clone())])?;
+            // Far on the right a name stands left of its line, so that it does not run into the legend.
+            let right = *x > x0 + 0.6 * (x1 - x0);
+            let anchor = Pos::new(if right { HPos::Right } else { HPos::Left }, VPos::Top);
+            let text = if right { format!("{name} ") } else { format!(" {name}") };
+            chart.draw_series([Text::new(text, (*x, y), small.clone().pos(anchor))])?;
         }
         if let Some(legend) = legend {
             let named = self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty());

@@ -3,6 +3,7 @@
 
 mod of;
 
+pub(crate) use of::short;
 pub use of::{ballbar, diagonals, drift, plate, positioning, repeatability};
 
 use crate::iso230::Conditions;
@@ -59,10 +60,23 @@ pub struct Report {
     facts: Vec<(String, String)>,
     /// What to know before using it.
     warnings: Vec<String>,
+    /// How many of the warnings are suspicions against the input.
+    doubts: usize,
     sections: Vec<Section>,
 }
 
+/// What is done with rows that look wild or doubled.
+pub const KEPT: &str = "these rows are in all figures here: a standard knows no row to leave out; look at them, then measure again or take \
+                        them out of the file";
+
 impl Report {
+    /// Puts a suspicion before the other warnings, with what is done with its rows where it is about rows.
+    pub fn doubt(&mut self, text: &str, rows: bool) {
+        let at = self.doubts;
+        self.doubts += 1;
+        self.warnings.insert(at, if rows { format!("{text}; {KEPT}") } else { text.to_owned() });
+    }
+
     fn new(title: &str, records: &[Record], conditions: &Conditions) -> Self {
         let mut facts = Vec::new();
         for r in records {
@@ -74,16 +88,21 @@ impl Report {
         }
         facts.extend(conditions.words.iter().cloned());
         facts.extend(conditions.instrument.iter().map(|(k, v)| (format!("instrument {k}"), v.clone())));
-        for r in records {
-            for c in r.columns.iter().filter(|c| c.role == rtec_model::record::Role::Temperature) {
-                let [lo, hi] = c
-                    .data
-                    .iter()
-                    .fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
-                facts.push((format!("temperature {}", c.name), format!("{lo:.2} to {hi:.2} °C")));
+        let mut ranges: Vec<(&str, [f64; 2])> = Vec::new();
+        let temperature = |c: &&rtec_model::record::Column| c.role == rtec_model::record::Role::Temperature;
+        for c in records.iter().flat_map(|r| r.columns.iter().filter(temperature)) {
+            let place = ranges.iter().position(|(name, _)| *name == c.name).unwrap_or(ranges.len());
+            if place == ranges.len() {
+                ranges.push((&c.name, [f64::INFINITY, f64::NEG_INFINITY]));
             }
+            let range = &mut ranges[place].1;
+            *range = c.data.iter().fold(*range, |[l, h], v| [l.min(*v), h.max(*v)]);
         }
-        Self { title: title.to_owned(), facts, warnings: Vec::new(), sections: Vec::new() }
+        if !ranges.is_empty() {
+            let each = ranges.iter().map(|(name, [lo, hi])| format!("{name} {lo:.2} to {hi:.2}"));
+            facts.push(("temperatures (°C)".to_owned(), each.collect::<Vec<_>>().join("; ")));
+        }
+        Self { title: title.to_owned(), facts, warnings: Vec::new(), doubts: 0, sections: Vec::new() }
     }
 
     fn table(&mut self, table: Table) {
@@ -164,7 +183,7 @@ impl Report {
              .warn{{background:#fff6e5;border-left:4px solid #e69f00;padding:.4em .8em;margin:.6em 0}}\
              figure{{margin:1.2em 0}}figure svg{{display:block;width:100%;height:auto}}\
              @media print{{body{{font-size:10.5pt;max-width:none;margin:0;padding:0}}\
-             *{{print-color-adjust:exact;-webkit-print-color-adjust:exact}}figure{{margin:.8em 0}}}}\
+             *{{print-color-adjust:exact;-webkit-print-color-adjust:exact}}figure{{margin:.8em 0}}figure svg{{max-height:105mm}}}}\
              </style></head><body><h1>{0}</h1>",
             escape(&self.title)
         );

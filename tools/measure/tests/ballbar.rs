@@ -2,110 +2,16 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::ballbar::{self, Ballbar};
+mod circles;
+
+use circles::{Noise, Run, column, map_without_line, near, one};
+use rtec_measure::ballbar;
 use rtec_model::circle::Circle;
-use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Kind, Record};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
-
-fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
-    Column::new(name, Role::parse(role).unwrap(), data)
-}
-
-/// Circles by angle and time only: each a sense of turning and a feed.
-struct Run {
-    radius_mm: f64,
-    plane: [&'static str; 2],
-    circles: Vec<(f64, f64)>,
-    rows: usize,
-}
-
-impl Run {
-    fn both(radius_mm: f64, feed_mm_s: f64) -> Self {
-        Self { radius_mm, plane: ["x", "y"], circles: vec![(1.0, feed_mm_s), (-1.0, feed_mm_s)], rows: 720 }
-    }
-
-    /// Rows of time, angle and sense of turning.
-    fn rows(&self) -> Vec<[f64; 3]> {
-        let mut now = 0.0;
-        let mut rows = Vec::new();
-        for (turn, feed) in &self.circles {
-            let step = TAU * 1.02 / self.rows as f64;
-            for i in 0..self.rows {
-                rows.push([now, turn * (i as f64 + 0.5) * step + 0.4, *turn]);
-                now += step * self.radius_mm / feed;
-            }
-            now += 3.0;
-        }
-        rows
-    }
-
-    fn record(&self, name: &str, error: impl FnMut([f64; 3]) -> f64) -> Record {
-        let rows = self.rows();
-        let columns = vec![
-            column("t", "time", rows.iter().map(|r| r[0]).collect()),
-            column("a", "angle", rows.iter().map(|r| r[1].rem_euclid(TAU)).collect()),
-            column("e", "error.r", rows.into_iter().map(error).collect()),
-        ];
-        let record = Record::new(Path::new(name), Kind::Ballbar, columns).unwrap();
-        let plane = self.plane.map(|n| Axis::new(n).unwrap());
-        record.with_circle(Circle { radius_mm: self.radius_mm, plane }).unwrap()
-    }
-
-    /// As a machine's model has it, with noise of this size and memory.
-    fn of_machine(&self, effects: &str, noise: &mut Noise, sd: f64, phi: f64) -> Record {
-        let ideal = self.record("b.run.toml", |_| 0.0);
-        let mut text = String::from("name = \"m\"\neffect = []\n");
-        if !effects.is_empty() {
-            text = String::from("name = \"m\"\n");
-        }
-        for line in effects.lines().map(str::trim).filter(|l| !l.is_empty()) {
-            let (name, values) = line.split_once(' ').unwrap();
-            let _ = write!(text, "[[effect]]\nname = \"{name}\"\n{}\n", values.replace("; ", "\n"));
-        }
-        let machine = Machine::parse(Path::new("m.toml"), &text).unwrap();
-        let said = machine.predict(&ideal).unwrap().columns.swap_remove(0).1;
-        let mut said = said.into_iter();
-        let mut last = 0.0;
-        self.record("b.run.toml", |_| {
-            last = phi * last + (1.0 - phi * phi).sqrt() * sd * noise.normal();
-            said.next().unwrap() + last
-        })
-    }
-}
-
-struct Noise(u64);
-
-impl Noise {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        let (u, v) = (1.0 - self.unit(), self.unit());
-        (-2.0 * u.ln()).sqrt() * (TAU * v).cos()
-    }
-
-    fn within(&mut self, lo: f64, hi: f64) -> f64 {
-        lo + (hi - lo) * self.unit()
-    }
-}
-
-fn one(records: &[Record]) -> Ballbar {
-    let mut all = ballbar::evaluate(records).unwrap();
-    assert_eq!(all.len(), 1);
-    all.swap_remove(0)
-}
-
-#[track_caller]
-fn near(got: impl Into<Option<f64>>, want: f64, within: f64) {
-    let got = got.into().unwrap();
-    assert!((got - want).abs() <= within, "{got} and {want}");
-}
 
 /// 25 µrad at 150 mm are 1.9 µm on the circle, and 25 µrad.
 #[test]
@@ -150,20 +56,12 @@ fn numpy_finds_the_same() {
     let csv = folder.path().join("b.csv");
     std::fs::write(&csv, rtec_measure::record::to_csv(&record)).unwrap();
     let judge = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/judges/ballbar.py");
-    // The distribution's own interpreter, which the distribution's numpy belongs to.
-    let out = std::process::Command::new("/usr/bin/python3").arg(judge).arg(csv).arg("150").output();
-    let out = match out {
-        Ok(out) if out.status.success() => String::from_utf8(out.stdout).unwrap(),
-        Ok(out) if String::from_utf8_lossy(&out.stderr).contains("ModuleNotFoundError") => {
-            eprintln!("SKIPPED: no numpy (apt-get install python3-numpy)");
-            return;
-        }
-        Ok(out) => panic!("{}", String::from_utf8_lossy(&out.stderr)),
-        Err(e) => {
-            eprintln!("SKIPPED: no /usr/bin/python3 ({e})");
-            return;
-        }
-    };
+    if !test_needs::python("numpy", "python3-numpy") {
+        return;
+    }
+    let out = std::process::Command::new(test_needs::PYTHON).arg(judge).arg(csv).arg("150").output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let out = String::from_utf8(out.stdout).unwrap();
     let judged = |key: &str| -> f64 {
         let at = out.find(&format!("\"{key}\": ")).unwrap() + key.len() + 4;
         out[at..].split([',', '}']).next().unwrap().trim().parse().unwrap()
@@ -233,7 +131,9 @@ fn one_way_at_one_feed_cannot_tell_squareness_from_a_lag_and_two_feeds_can() {
     assert_eq!((found.g_b, found.h, found.d), (None, None, None));
     run.circles = vec![(1.0, 10.0), (1.0, 50.0)];
     let found = one(&[run.of_machine(effects, &mut Noise(3), 0.05, 0.0)]);
-    near(found.diagnosis.squareness_urad, 25.0, 0.5);
+    // A spike that one way does not show could have moved it.
+    let [lo, hi] = found.diagnosis.interval_95["squareness_urad"];
+    assert!(lo < 25.0 && 25.0 < hi && hi - lo < 10.0, "{lo} {hi}");
     near(found.diagnosis.servo_mismatch_ms, 0.5, 0.02);
     assert_eq!(found.contours.len(), 2);
 }
@@ -290,6 +190,30 @@ fn without_plane_and_radius_there_are_deviations_only() {
     near(found.g_b, 4.0, 0.01);
     assert_eq!(found.diagnosis.squareness_urad, None);
     assert!(found.warnings.iter().any(|w| w.contains("radius_mm")), "{:?}", found.warnings);
+}
+
+/// A circle whose first and last rows were cut off is one all the same; one that lacks ten degrees is an arc, and is said to be.
+#[test]
+fn a_circle_without_its_start_and_stop_is_a_full_one() {
+    let says_arc = |rows: usize, turned_deg: f64| {
+        let step = turned_deg.to_radians() / rows as f64;
+        let angle: Vec<f64> = (0..rows).map(|i| i as f64 * step).collect();
+        let columns = vec![
+            column("t", "time", (0..rows).map(|i| i as f64 * 0.1).collect()),
+            column("e", "error.r", angle.iter().map(|a| 2.0 * (2.0 * a).cos()).collect()),
+            column("a", "angle", angle),
+        ];
+        let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+        let circle = Circle { radius_mm: 150.0, plane: ["x", "y"].map(|n| Axis::new(n).unwrap()) };
+        let found = one(&[record.with_circle(circle).unwrap()]);
+        found.warnings.iter().any(|w| w.contains("less than a full circle"))
+    };
+    for (rows, turned_deg) in [(360, 360.0), (358, 358.0), (359, 359.0), (70, 350.0), (3600, 358.5)] {
+        assert!(!says_arc(rows, turned_deg), "{rows} rows over {turned_deg}°");
+    }
+    for (rows, turned_deg) in [(350, 350.0), (68, 340.0), (3560, 356.0)] {
+        assert!(says_arc(rows, turned_deg), "{rows} rows over {turned_deg}°");
+    }
 }
 
 #[test]
@@ -360,4 +284,82 @@ fn intervals_hold_the_truth_on_random_machines() {
         let share = f64::from(n) / f64::from(all);
         assert!(all > 50 && (0.90..=0.99).contains(&share), "{name}: {n} of {all}");
     }
+}
+
+/// What the diagnosis has no law for (maps, bends, several waves on a screw, warming up) neither passes for one of its causes nor
+/// leaves intervals too narrow.
+#[test]
+fn intervals_hold_the_truth_beside_effects_that_have_no_law_here() {
+    let mut noise = Noise(31);
+    let mut held: BTreeMap<&str, (u32, u32)> = BTreeMap::new();
+    let (mut false_spikes, mut false_waves) = (0, 0);
+    let machines = 120;
+    for machine in 0..machines {
+        let scale = [noise.within(-30.0, 30.0), noise.within(-30.0, 30.0)];
+        let square = noise.within(-40.0, 40.0);
+        let reversal = [noise.within(-8.0, 8.0), 0.0];
+        let servo = noise.within(-1.0, 1.0);
+        let mut effects = format!(
+            "scale.x ppm = {}\nscale.y ppm = {}\nsquareness.x.y urad = {square}\nreversal.x um = {}\n\
+             following_error.x ms = {servo}\n",
+            scale[0], scale[1], reversal[0]
+        );
+        let waves = machine % 4 == 0;
+        if waves {
+            for axis in ["x", "y"] {
+                for mm in [noise.within(4.0, 7.0), noise.within(9.0, 20.0)] {
+                    let (um, phase) = (noise.within(0.5, 2.5), noise.within(0.0, TAU));
+                    let _ = writeln!(
+                        effects,
+                        "screw_periodic.{axis} period_mm = {mm}; um = {um}; phase_rad = {phase}"
+                    );
+                }
+            }
+        }
+        if machine % 4 == 1 || machine % 4 == 3 {
+            for axis in ["x", "y"] {
+                let _ = writeln!(effects, "position_map.{axis} {}", map_without_line(&mut noise, 4.0));
+            }
+            if machine % 8 == 1 {
+                let _ = writeln!(effects, "straightness.x.y {}", map_without_line(&mut noise, 4.0));
+            }
+        }
+        if machine % 4 >= 2 {
+            for axis in ["x", "y"] {
+                let (um, tau) = (noise.within(-15.0, 15.0), noise.within(60.0, 2000.0));
+                let _ = writeln!(effects, "warm_up.{axis} um = {um}; tau_s = {tau}");
+            }
+        }
+        let run = Run { rows: 360, ..Run::both(150.0, noise.within(5.0, 50.0)) };
+        let phi = if machine % 2 == 0 { 0.0 } else { 0.5 };
+        let found = one(&[run.of_machine(&effects, &mut noise, 0.2, phi)]);
+        let d = &found.diagnosis;
+        let mut count = |kind: &'static str, name: &str, truth: f64| {
+            let [lo, hi] = d.interval_95[name];
+            let (n, all) = held.entry(kind).or_default();
+            *n += u32::from((lo..=hi).contains(&truth));
+            *all += 1;
+            if std::env::var("SHOW").is_ok() {
+                eprintln!("{machine} {kind} {truth:.2} [{lo:.2}, {hi:.2}] {}", (lo..=hi).contains(&truth));
+            }
+        };
+        count("scale", "scale_mismatch_ppm", scale[0] - scale[1]);
+        count("squareness", "squareness_urad", square);
+        count("servo", "servo_mismatch_ms", servo);
+        count("reversal x", "reversal.x", reversal[0]);
+        count("reversal y", "reversal.y", reversal[1]);
+        false_spikes += d.spike.len();
+        false_waves += if waves { 0 } else { d.cyclic.len() };
+    }
+    for (name, (n, all)) in &held {
+        eprintln!("{name:12} {n} of {all}: {:.1} %", 100.0 * f64::from(*n) / f64::from(*all));
+    }
+    eprintln!("spikes told where there were none: {false_spikes}, waves {false_waves}");
+    let (n, all) = held.values().fold((0, 0), |a, v| (a.0 + v.0, a.1 + v.1));
+    assert!((0.90..=0.99).contains(&(f64::from(n) / f64::from(all))), "{n} of {all}");
+    for (name, (n, all)) in held {
+        assert!((0.90..=1.0).contains(&(f64::from(n) / f64::from(all))), "{name}: {n} of {all}");
+    }
+    assert!(false_spikes * 20 <= machines, "{false_spikes}");
+    assert!(false_waves * 20 <= machines, "{false_waves}");
 }

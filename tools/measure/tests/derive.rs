@@ -164,13 +164,8 @@ fn a_gap_in_time_parts_two_runs() {
 /// (95.11 kg, 203.50 N s/m, 20.39 N, −3.165 N; 4.08 % of the force left).
 #[test]
 fn a_real_axis_has_the_mass_and_friction_that_its_owners_found() {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/axis_dynamics/identification.csv");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "{} is not there", path.display());
-        eprintln!("SKIPPED: {} not there", path.display());
-        return;
-    };
+    let Some(path) = test_needs::shared("data/axis_dynamics/identification.csv") else { return };
+    let text = std::fs::read_to_string(path).unwrap();
     let rows: Vec<Vec<f64>> =
         text.lines().skip(1).map(|l| l.split(',').map(|w| w.parse().unwrap()).collect()).collect();
     let get = |k: usize, factor: f64| rows.iter().map(|r| factor * r[k]).collect::<Vec<f64>>();

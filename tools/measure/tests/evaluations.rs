@@ -76,3 +76,35 @@ fn a_drift_test_is_evaluated_phase_by_phase() {
     assert_eq!(charts[0].marks.len(), 4);
     assert!(charts[0].svg(800, 500).unwrap().contains("at rest after heat"));
 }
+
+/// A plate that is not square with a scale for each axis, squareness and rotation: one fit gives each back; one after another, as
+/// owners of plates publish it, does not, and leaves more.
+#[test]
+fn a_plate_that_is_not_square_is_fitted_at_once() {
+    let mut holes: Vec<(f64, f64)> = Vec::new();
+    for i in 0..9 {
+        for j in 0..4 {
+            holes.push((-240.0 + 60.0 * f64::from(i), -60.0 + 40.0 * f64::from(j)));
+        }
+    }
+    let (sx, sy, c, d) = (30.0, -10.0, 13.0, 12.0);
+    let of = |f: &dyn Fn(f64, f64) -> f64| holes.iter().map(|(x, y)| f(*x, *y)).collect::<Vec<_>>();
+    let column = |name: &str, role: &str, data| Column::new(name, Role::parse(role).unwrap(), data);
+    let columns = vec![
+        column("x", "position.x", of(&|x, _| x)),
+        column("y", "position.y", of(&|_, y| y)),
+        column("ex", "error.x", of(&|x, y| (sx * x + c * y) / 1000.0 + 4.0)),
+        column("ey", "error.y", of(&|x, y| (sy * y + d * x) / 1000.0 - 7.0)),
+    ];
+    let record = Record::new(Path::new("p.run.toml"), Kind::Plate, columns).unwrap();
+    let p = rtec_measure::plate::evaluate(&record, rtec_measure::plate::Norm::Squares).unwrap();
+    let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-6, "{got} and {want}");
+    near(p.joint.scale_x_ppm, sx);
+    near(p.joint.scale_y_ppm, sy);
+    near(p.joint.squareness_urad, c + d);
+    near(p.joint.rotation_urad, (d - c) / 2.0);
+    near(p.joint.quadrupole_ppm, 20.0_f64.hypot(12.5));
+    near(p.joint.quadrupole_deg, (25.0_f64.atan2(40.0) / 2.0).to_degrees());
+    near(p.joint.rms_um, 0.0);
+    assert!(p.rms_quadrupole_um > 1.0 && (p.scale_ppm - 10.0).abs() > 5.0, "{p:?}");
+}

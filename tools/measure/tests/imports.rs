@@ -360,3 +360,24 @@ fn a_table_is_read_as_a_file_of_ones_own_describes_it() {
         refused(read(&form.replace(from, to), table), line, says);
     }
 }
+
+/// Numbers that a file only claims: they take neither memory nor time.
+#[test]
+fn counts_that_no_file_holds_are_refused_at_once() {
+    let rtl = RTL.replace("Run-count: 4", "Run-count: 18446744073709551615");
+    let read = import::rtl(Path::new("x.rtl"), &rtl, &axis(), Path::new(TO));
+    refused(read, 0, "Run-count 18446744073709551615");
+    let ecmc = |text: &str| import::ecmc_dat(Path::new("x.dat"), text, &axis(), Path::new(TO));
+    refused(ecmc("REF_DATA_FWD[1,18446744073709551615]=1\n"), 0, "cycle 18446744073709551615 of 1 readings");
+    let whole = "TGT_DATA[1]=1\nREF_DATA_FWD[1,1]=1.001\nREF_DATA_BWD[1,1]=0.999\n";
+    assert_eq!(ecmc(whole).unwrap().rows(), 2);
+}
+
+/// A zone of four bytes that are not four letters.
+#[test]
+fn a_time_in_strange_letters_is_no_time() {
+    let text = "2022-08-08T13:51:37+1\u{e9}1|e|1\n";
+    let read =
+        import::shdr(Path::new("l"), text, &columns(&["e=error.x"]), Kind::Drift, false, Path::new(TO));
+    refused(read, 1, "a time as");
+}

@@ -3,35 +3,11 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::plausible::{What, suspicions, unusable};
+use rtec_measure::plausible::{What, steps_of, suspicions, unusable};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::f64::consts::TAU;
 use std::path::Path;
-
-/// A small portable generator (splitmix64).
-struct Dice(u64);
-
-impl Dice {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-    fn within(&mut self, lo: f64, hi: f64) -> f64 {
-        lo + (hi - lo) * self.unit()
-    }
-    fn below(&mut self, n: usize) -> usize {
-        (self.unit() * n as f64) as usize
-    }
-    fn chance(&mut self, p: f64) -> bool {
-        self.unit() < p
-    }
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.unit()).ln()).sqrt() * (TAU * self.unit()).cos()
-    }
-}
+use test_needs::dice::Dice;
 
 fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
     let role = Role::parse(role).unwrap();
@@ -44,8 +20,8 @@ fn record(name: &str, kind: Kind, columns: Vec<Column>) -> Record {
 
 /// Noise with memory from row to row, maybe read in steps.
 fn noise(d: &mut Dice, n: usize) -> (Vec<f64>, Option<f64>) {
-    let (sd, phi) = ((d.within(-1.6, 1.2)).exp(), if d.chance(0.5) { d.within(0.0, 0.7) } else { 0.0 });
-    let step = d.chance(0.3).then(|| sd * d.within(0.1, 1.2));
+    let (sd, phi) = ((d.between(-1.6, 1.2)).exp(), if d.chance(0.5) { d.between(0.0, 0.7) } else { 0.0 });
+    let step = d.chance(0.3).then(|| sd * d.between(0.1, 1.2));
     let mut x = 0.0;
     let v = (0..n).map(|_| {
         x = phi * x + (1.0 - phi * phi).sqrt() * d.normal();
@@ -77,18 +53,18 @@ impl Machine {
         let step_k = [0.0, 0.001, 0.01, 0.0625, 0.1][d.below(5)];
         let mut sensors = vec![(0.02, 20000.0)];
         for _ in 0..3 + d.below(4) {
-            let gain = d.within(2.0, 14.0);
-            sensors.push((gain, d.within(300.0, 6000.0)));
+            let gain = d.between(2.0, 14.0);
+            sensors.push((gain, d.between(300.0, 6000.0)));
         }
         let sign = if d.chance(0.5) { 1.0 } else { -1.0 };
         Self {
-            ppm: sign * d.within(20.0, 90.0),
-            reversal: d.within(-8.0, 8.0),
-            wave: d.within(0.0, 3.0),
-            period: d.within(3.0, 40.0),
-            travel: d.within(120.0, 950.0),
+            ppm: sign * d.between(20.0, 90.0),
+            reversal: d.between(-8.0, 8.0),
+            wave: d.between(0.0, 3.0),
+            period: d.between(3.0, 40.0),
+            travel: d.between(120.0, 950.0),
             targets: 9 + d.below(25),
-            um_per_k: d.within(1.5, 5.0),
+            um_per_k: d.between(1.5, 5.0),
             sensors,
             step_k,
         }
@@ -100,7 +76,7 @@ impl Machine {
 
     /// Temperatures over a cycle of spindle speeds, the air first; speeds in krpm.
     fn temperatures(&self, d: &mut Dice, t: &[f64], krpm: &[f64]) -> Vec<Vec<f64>> {
-        let (air, drift, phase) = (d.within(18.0, 24.0), d.within(0.3, 1.5), d.within(0.0, TAU));
+        let (air, drift, phase) = (d.between(18.0, 24.0), d.between(0.3, 1.5), d.between(0.0, TAU));
         let span = t[t.len() - 1];
         let of = |(k, (gain, tau)): (usize, &(f64, f64)), d: &mut Dice| {
             let (mut x, mut v) = (0.0, Vec::new());
@@ -139,7 +115,7 @@ impl Machine {
         let (e, step) = noise(d, n);
         let e = e.iter().zip(&p).zip(&dir).map(|((e, p), dir)| e + self.error(*p, *dir)).collect();
         let mut columns = vec![];
-        let dwell = d.within(3.0, 30.0);
+        let dwell = d.between(3.0, 30.0);
         let t: Vec<f64> = (0..n).map(|i| (i as f64 * dwell * 10.0).round() / 10.0).collect();
         if d.chance(0.7) {
             columns.push(column("t", "time", t.clone()));
@@ -165,10 +141,10 @@ impl Machine {
         let n = 150 + d.below(500);
         let every = [10.0, 30.0, 60.0][d.below(3)];
         let t: Vec<f64> = (0..n).map(|i| i as f64 * every).collect();
-        let (mut krpm, mut speed) = (vec![], d.within(2.0, 8.0));
+        let (mut krpm, mut speed) = (vec![], d.between(2.0, 8.0));
         for _ in 0..n {
             if d.chance(0.02) {
-                speed = if d.chance(0.4) { 0.0 } else { d.within(1.0, 10.0) };
+                speed = if d.chance(0.4) { 0.0 } else { d.between(1.0, 10.0) };
             }
             krpm.push(speed);
         }
@@ -215,7 +191,7 @@ impl Machine {
 
     /// A circle both ways, sampled while it moves; with speeds, maybe accelerations.
     fn ballbar(&self, d: &mut Dice) -> Record {
-        let (radius, feed, m) = (150.0, d.within(10.0, 60.0), 150 + d.below(500));
+        let (radius, feed, m) = (150.0, d.between(10.0, 60.0), 150 + d.below(500));
         let mut c: Vec<Vec<f64>> = vec![vec![]; 9];
         let mut t = 0.0;
         for turn in [1.0, -1.0] {
@@ -260,7 +236,7 @@ impl Machine {
     fn dynamics(d: &mut Dice) -> Record {
         let n = 400 + d.below(2000);
         let dt = 20.0 / n as f64;
-        let (f, a) = (d.within(0.1, 0.5), d.within(10.0, 80.0));
+        let (f, a) = (d.between(0.1, 0.5), d.between(10.0, 80.0));
         let w = TAU * f;
         let t: Vec<f64> = (0..n).map(|i| i as f64 * dt).collect();
         let p: Vec<f64> = t.iter().map(|t| a * (w * t).sin() + 3.0 * (2.3 * w * t).sin()).collect();
@@ -370,7 +346,7 @@ fn wild(mut r: Record, d: &mut Dice, share: f64, sds: f64) -> Record {
 }
 
 /// Name, the clean records, the mistake, what must be said, and of which column ("" for any).
-const PAIRS: [(&str, Clean, Mistake, What, &str); 42] = [
+const PAIRS: [(&str, Clean, Mistake, What, &str); 53] = [
     ("position in m", positioning, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
     ("position in µm", positioning, |r, _| vec![scaled(one(r), "x", 1e3, 0.0)], What::Unit, "x"),
     ("plate in m", plate, |r, _| vec![scaled(one(r), "X", 1e-3, 0.0)], What::Unit, "X"),
@@ -530,7 +506,78 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 42] = [
         "T3",
     ),
     ("5 % wild rows", positioning, |r, d| vec![wild(one(r), d, 0.05, 40.0)], What::Outliers, "e"),
+    ("two wild approaches of all", repeated, |r, d| vec![wild(one(r), d, 0.02, 40.0)], What::Outliers, "e"),
+    ("time in minutes, drift", warming, |r, _| vec![scaled(one(r), "t", 1.0 / 60.0, 0.0)], What::Unit, "t"),
+    ("time in hours, drift", warming, |r, _| vec![scaled(one(r), "t", 1.0 / 3600.0, 0.0)], What::Unit, "t"),
     ("1 % wild rows", drift, |r, d| vec![wild(one(r), d, 0.01, 40.0)], What::Outliers, "e"),
+    (
+        "the direction of one run of several",
+        positioning,
+        |r, _| {
+            let mut r = one(r);
+            let m = r
+                .columns
+                .iter()
+                .find(|c| c.name == "dir")
+                .unwrap()
+                .data
+                .iter()
+                .take_while(|d| **d > 0.0)
+                .count();
+            by_name(&mut r, "dir").data[..m].iter_mut().for_each(|v| *v = -1.0);
+            vec![again(&r)]
+        },
+        What::Direction,
+        "dir",
+    ),
+    (
+        "a gauge that stands from the first row on",
+        positioning,
+        |r, _| vec![scaled(one(r), "e", 0.0, 1.7)],
+        What::Stuck,
+        "e",
+    ),
+    ("a gauge that stands, drift", drift, |r, _| vec![scaled(one(r), "e", 0.0, -3.0)], What::Stuck, "e"),
+    (
+        "a sign that turns on the way",
+        repeated,
+        |r, _| vec![patched(one(r), "e", 0.4, 1.0, |v| -v)],
+        What::Sign,
+        "e",
+    ),
+    (
+        "a sign that turns on the way, drift",
+        growing,
+        |r, _| vec![patched(one(r), "e", 0.6, 1.0, |v| -v)],
+        What::Sign,
+        "e",
+    ),
+    ("position in inches", long_axis, |r, _| vec![scaled(one(r), "x", 1.0 / 25.4, 0.0)], What::Unit, "x"),
+    (
+        "temperature and error exchanged",
+        drift,
+        |r, _| {
+            let mut r = one(r);
+            let e = std::mem::take(&mut by_name(&mut r, "e").data);
+            let t = std::mem::replace(&mut by_name(&mut r, "T1").data, e);
+            by_name(&mut r, "e").data = t;
+            vec![again(&r)]
+        },
+        What::Swapped,
+        "e",
+    ),
+    (
+        "a clock put forward",
+        warming_through,
+        |r, _| {
+            let at = r[0].rows() / 8;
+            let mut r = one(r);
+            by_name(&mut r, "t").data[at..].iter_mut().for_each(|t| *t += 3600.0);
+            vec![again(&r)]
+        },
+        What::Jump,
+        "t",
+    ),
     (
         "a sign in one of three",
         three_positioning,
@@ -582,6 +629,78 @@ fn positioning_timed(m: &Machine, d: &mut Dice) -> Vec<Record> {
     }
 }
 
+/// A test cycle of five times both ways.
+fn repeated(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    loop {
+        let r = m.positioning(d, "a");
+        if r.columns.iter().any(|c| c.name == "n" && c.data.iter().any(|n| *n >= 4.0)) {
+            return vec![r];
+        }
+    }
+}
+
+/// A drift test in which the machine warms.
+fn warming(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    loop {
+        let r = m.drift(d, "a");
+        let warm = |c: &&Column| {
+            let (lo, hi) = c.data.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+            c.role == Role::Temperature && hi - lo > 4.0
+        };
+        if r.columns.iter().filter(warm).count() >= 3 {
+            return vec![r];
+        }
+    }
+}
+
+/// A drift test in which the machine grows by more than its noise, at rest at first.
+fn growing(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    loop {
+        let r = one(warming(m, d));
+        let e = &r.columns.iter().find(|c| c.name == "e").unwrap().data;
+        let size = e.iter().fold(0.0_f64, |s, v| s.max(v.abs()));
+        let at = (e.len() as f64 * 0.6) as usize;
+        let rough = e.windows(2).map(|w| (w[1] - w[0]).abs()).sum::<f64>() / e.len() as f64;
+        if size > 10.0 && e[at].abs() > 12.0 * rough {
+            return vec![r];
+        }
+    }
+}
+
+/// A scale that is far off, over an axis of half a metre.
+fn long_axis(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    let sensors = m.sensors.clone();
+    let long = Machine { ppm: 60.0, wave: 1.0, reversal: 3.0, travel: 400.0 + m.travel / 2.0, sensors, ..*m };
+    loop {
+        let r = long.positioning(d, "a");
+        let e = &r.columns.iter().find(|c| c.name == "e").unwrap().data;
+        let rough = e.windows(2).map(|w| (w[1] - w[0]).abs()).sum::<f64>() / e.len() as f64;
+        if rough < 4.0 {
+            return vec![r];
+        }
+    }
+}
+
+/// A machine that warms from the first row on at one speed.
+fn warming_through(m: &Machine, d: &mut Dice) -> Vec<Record> {
+    let slow = m.sensors.iter().map(|(gain, tau)| (*gain, tau.max(3000.0))).collect();
+    let steady = Machine { sensors: slow, step_k: 0.001, ..*m };
+    loop {
+        let r = steady.drift(d, "a");
+        let t = |k: usize| &r.columns.iter().find(|c| c.name == format!("T{k}")).unwrap().data;
+        let at = r.rows() / 8;
+        let rate = |k: usize, i: usize| (t(k)[i + 9] - t(k)[i]) / 9.0;
+        let every = r.columns[0].data[1];
+        let enough = |k: usize| {
+            let (a, b) = (rate(k, at - 10), rate(k, at));
+            (a - b).abs() < 0.15 * a.abs() && a.abs() * 3600.0 / every > 2.5
+        };
+        if at > 12 && (1..4).filter(|k| enough(*k)).count() >= 2 {
+            return vec![r];
+        }
+    }
+}
+
 /// Sensors whose readings move from row to row.
 fn lively_drift(m: &Machine, d: &mut Dice) -> Vec<Record> {
     let fine = Machine { step_k: 0.001, sensors: m.sensors.clone(), ..*m };
@@ -595,12 +714,14 @@ fn each_mistake_is_said_and_its_clean_twin_is_not() {
     for (k, (name, make, mistake, what, of)) in PAIRS.iter().enumerate() {
         let (mut own, mut missed, mut false_ones) = (0_u32, Vec::new(), Vec::new());
         for turn in 0..TURNS {
-            let mut d = Dice(1000 * k as u64 + turn);
+            let mut d = Dice::new(1000 * k as u64 + turn);
             let machine = Machine::random(&mut d);
             let records = make(&machine, &mut d);
             let twin = suspicions(&records);
+            let steps = steps_of(&records);
             clean += 1;
-            wrong += u32::from(!twin.is_empty());
+            wrong += u32::from(!twin.is_empty() || !steps.is_empty());
+            false_ones.extend(steps);
             false_ones.extend(twin.iter().map(ToString::to_string));
             let found = suspicions(&mistake(records, &mut d));
             let right = found.iter().any(|s| s.what == *what && (of.is_empty() || s.column == *of));
@@ -624,10 +745,53 @@ fn each_mistake_is_said_and_its_clean_twin_is_not() {
     assert!(rate >= 0.9 && false_rate <= 0.01);
 }
 
+/// A bar's length in inches, and one that is not the bar's.
+#[test]
+fn a_radius_in_inches_or_off_is_said() {
+    let record = |radius_mm: f64, off_um: f64| {
+        let angles: Vec<f64> = (0..720).map(|i| TAU * f64::from(i) / 360.0).collect();
+        let e = angles.iter().map(|a| off_um + 2.0 * (2.0 * a).sin() + (a * 97.0).sin()).collect();
+        let columns = vec![column("a", "angle", angles), column("e", "error.r", e)];
+        let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
+        let circle = rtec_model::circle::Circle { radius_mm, plane };
+        record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
+    };
+    for inches in [100.0, 150.0, 300.0].map(|mm| mm / 25.4) {
+        let said = suspicions(&[record((inches * 1e4_f64).round() / 1e4, 3.0)]);
+        assert!(said.iter().any(|s| s.what == What::Unit && s.text.contains("inches")), "{inches}: {said:?}");
+    }
+    for mm in [50.0, 100.0, 150.0, 300.0] {
+        assert_eq!(suspicions(&[record(mm, 3.0)]), [], "{mm}");
+    }
+    let warned = |r: Record| rtec_measure::ballbar::evaluate(&[r]).unwrap()[0].warnings.join("\n");
+    assert!(warned(record(150.0, -850.0)).contains("-850 µm off the nominal"));
+    assert!(!warned(record(150.0, -20.0)).contains("off the nominal"));
+}
+
+/// An error that steps and stays is said with its row, and is no suspicion: counts that are lost do that.
+#[test]
+fn a_step_of_the_error_is_said() {
+    let mut told = 0;
+    for turn in 0..25 {
+        let mut d = Dice::new(7000 + turn);
+        let machine = Machine::random(&mut d);
+        let clean = one(growing(&machine, &mut d));
+        let rough = {
+            let e = &clean.columns.iter().find(|c| c.name == "e").unwrap().data;
+            e.windows(2).map(|w| (w[1] - w[0]).abs()).fold(0.0, f64::max)
+        };
+        let stepped = patched(clean.clone(), "e", 0.45, 1.0, |v| v + 8.0 * rough);
+        let row = (clean.rows() as f64 * 0.45) as usize + 1;
+        assert_eq!(steps_of(&[clean]), Vec::<String>::new());
+        told += usize::from(steps_of(&[stepped]).iter().any(|s| s.contains(&format!("at row {row} "))));
+    }
+    assert!(told >= 20, "{told} of 25");
+}
+
 /// What a fit leaves out, and how a suspicion names its rows.
 #[test]
 fn unusable_rows_and_sensors_are_left_out() {
-    let mut d = Dice(77);
+    let mut d = Dice::new(77);
     let machine = Machine::random(&mut d);
     let clean = machine.drift(&mut d, "a");
     let off = scaled(clean.clone(), "T2", 0.0, 999.9);
@@ -649,4 +813,25 @@ fn unusable_rows_and_sensors_are_left_out() {
     assert_eq!(left.temperature("T2"), None);
     assert_eq!(left.temperature("T1"), clean.temperature("T1"));
     assert_eq!(unusable(&suspicions(&[clean])), rtec_measure::plausible::Unusable::default());
+}
+
+/// A ballbar's positions in inches beside a radius in millimetres; in millimetres nothing is said.
+#[test]
+fn inches_on_a_circle_are_said() {
+    let record = |per_mm: f64| {
+        let angles: Vec<f64> = (0..720).map(|i| TAU * f64::from(i) / 360.0).collect();
+        let of = |f: fn(f64) -> f64| angles.iter().map(|a| 150.0 * f(*a) * per_mm).collect::<Vec<_>>();
+        let columns = vec![
+            column("a", "angle", angles.clone()),
+            column("x", "position.x", of(f64::cos)),
+            column("y", "position.y", of(f64::sin)),
+            column("e", "error.r", angles.iter().map(|a| 2.0 * (2.0 * a).sin()).collect()),
+        ];
+        let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
+        let circle = rtec_model::circle::Circle { radius_mm: 150.0, plane };
+        record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
+    };
+    let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
+    assert_eq!(said(record(1.0)), []);
+    assert_eq!(said(record(1.0 / 25.4)), [(What::Unit, "x".to_owned()), (What::Unit, "y".to_owned())]);
 }

@@ -57,21 +57,18 @@ fn numpy_finds_the_same() {
     std::fs::write(&csv, rtec_measure::record::to_csv(&record)).unwrap();
     let judge = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/judges/iso230_2.py");
     let stated = CONDITIONS.lines().skip(1).map(|l| l.replace(' ', ""));
-    // The distribution's own interpreter, which the distribution's numpy belongs to.
-    let out =
-        Command::new("/usr/bin/python3").arg(judge).arg(csv).args(["y", "dir", "e"]).args(stated).output();
-    let out = match out {
-        Ok(out) if out.status.success() => String::from_utf8(out.stdout).unwrap(),
-        Ok(out) if String::from_utf8_lossy(&out.stderr).contains("ModuleNotFoundError") => {
-            eprintln!("SKIPPED: no numpy (apt-get install python3-numpy)");
-            return;
-        }
-        Ok(out) => panic!("{}", String::from_utf8_lossy(&out.stderr)),
-        Err(e) => {
-            eprintln!("SKIPPED: no /usr/bin/python3 ({e})");
-            return;
-        }
-    };
+    if !test_needs::python("numpy", "python3-numpy") {
+        return;
+    }
+    let out = Command::new(test_needs::PYTHON)
+        .arg(judge)
+        .arg(csv)
+        .args(["y", "dir", "e"])
+        .args(stated)
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let out = String::from_utf8(out.stdout).unwrap();
     let number = |text: &str, key: &str| -> f64 {
         let at = text.find(&format!("\"{key}\": ")).unwrap() + key.len() + 4;
         text[at..].split([',', '}']).next().unwrap().trim().parse().unwrap()

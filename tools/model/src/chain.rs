@@ -5,7 +5,7 @@
 //! position and errs by six components, each a polynomial of position and of a temperature difference. The error is
 //! where the tool point is in the frame of the work, minus where it should be.
 
-use crate::effect::{Against, Difference, Missing, STANDARD_DEGC};
+use crate::effect::{Against, Difference, Missing, STANDARD_DEGC, read_difference};
 use crate::record::{Axis, Record, Role};
 use nalgebra::{Matrix4, Vector4};
 use rtec_files::InputError;
@@ -289,19 +289,8 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
             .iter()
             .position(|n| Some(*n) == of.str("a component").ok())
             .ok_or_else(|| of.error(of.text(), format!("one of {}", COMPONENTS.join(", "))))?;
-        let text = |key: &str| c.get(key).map(|e| e.str("a sensor's name").map(str::to_owned)).transpose();
-        let delta = match (text("sensor")?, text("minus")?, c.get("reference_degC")) {
-            (Some(_), Some(_), Some(r)) => {
-                return Err(r.key_error("`minus` and `reference_degC` both", "one of the two, or neither"));
-            }
-            (Some(sensor), Some(minus), None) => Some(Difference::pair(&sensor, &minus)),
-            (Some(sensor), None, Some(r)) => {
-                Some(Difference { sensor, against: Against::Reference(crate::machine::reference_degc(r)?) })
-            }
-            (Some(sensor), None, None) => Some(Difference::single(&sensor)),
-            (None, None, None) => None,
-            (None, _, _) => return Err(of.error("no `sensor`", "the sensor that `minus` is taken from")),
-        };
+        let heated = ["sensor", "minus", "reference_degC"].iter().any(|key| c.get(key).is_some());
+        let delta = heated.then(|| read_difference(c)).transpose()?;
         let form =
             "terms = [{ p = 1, dT = 0, value = 2.5 }]: coefficient (µm or µrad) of (p/100 mm)^p · ΔT^dT";
         let mut terms = Vec::new();

@@ -4,7 +4,7 @@
 //! circle's centre, and the bar reads `e_a·cos θ + e_b·sin θ` of their
 //! errors `e_a` and `e_b` (ISO 230-4; formats.md, "Run record").
 
-use crate::record::{Axis, Column, Role};
+use crate::role::{Axis, Column, Role};
 use std::f64::consts::{PI, TAU};
 
 /// The circle of a run with a radial error.
@@ -53,7 +53,7 @@ impl Circle {
             }
             if !velocity && !has(Role::Direction(axis.clone())) {
                 let sign = |v: f64| if v.abs() < AT_REST { 0.0 } else { v.signum() };
-                add(Role::Direction, "direction", &|row| sign(slope(row)) * crate::effect::sign(rate[row]));
+                add(Role::Direction, "direction", &|row| sign(slope(row)) * crate::role::sign(rate[row]));
             }
         }
         Derived { share, columns }

@@ -7,6 +7,7 @@
 //! | [`machine`] | `machine.toml`: a list of named effects, read strictly, written without losing a comment |
 //! | [`live`] | a model evaluated at one instant, without allocation |
 //! | [`record`] | a run in memory: what an effect is evaluated over, column by column |
+//! | `role` | what a column is: its role and axis |
 //! | [`circle`] | a circular run measured by a bar: what its angle says of the two axes |
 //! | [`date`] | calendar days |
 //!
@@ -21,3 +22,4 @@ pub mod limits;
 pub mod live;
 pub mod machine;
 pub mod record;
+mod role;

@@ -1,6 +1,6 @@
 //! What a value can be at all, by its role; and what a temperature input reads while no sensor is on it.
 
-use crate::record::Role;
+use crate::role::Role;
 
 /// The values that a column of this role can hold at all, in the role's unit: wider than any machine by orders, so that
 /// sums and squares stay numbers. What is possible but unlikely is the business of `rtec_measure::plausible`.

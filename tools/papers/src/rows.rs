@@ -64,6 +64,11 @@ impl Is {
         }
     }
 
+    /// Agreement would say nothing: a figure of the other sign, or none, would agree as well. (Of a zero it says how small it is.)
+    fn cannot_tell(self, says: f64) -> bool {
+        matches!(self, Self::Within(apart) if says != 0.0 && apart >= says.abs())
+    }
+
     fn words(self, unit: &str) -> String {
         match self {
             Self::Within(0.0) => "equal".to_owned(),
@@ -104,6 +109,7 @@ impl Rows {
     ) {
         let met = is.met(says, gets);
         let same = shown(says) == shown(gets);
+        let vague = met && !same && is.cannot_tell(says);
         self.0.push(Row {
             place: place.to_owned(),
             what: what.to_owned(),
@@ -117,8 +123,19 @@ impl Rows {
             gets: shown(gets),
             we: Some(gets),
             agreement: is.words(unit),
-            verdict: if met { Verdict::Agrees } else { Verdict::Differs },
-            why: if same { String::new() } else { why.to_owned() },
+            verdict: match (met, vague) {
+                (_, true) => Verdict::NotCompared,
+                (true, false) => Verdict::Agrees,
+                (false, false) => Verdict::Differs,
+            },
+            why: match (same, vague) {
+                (true, _) => String::new(),
+                (false, true) => format!(
+                    "cannot tell: the figure is no larger than what it may be off ({})",
+                    is.words(unit)
+                ),
+                (false, false) => why.to_owned(),
+            },
         });
     }
 
@@ -191,6 +208,15 @@ mod tests {
         rows.number(("t", "w", ""), 1.0, 1.0, Is::Within(0.0), "never shown");
         rows.number(("t", "w", ""), 1.0, 2.0, Is::Within(0.0), "shown");
         assert_eq!((rows.0[0].why.as_str(), rows.0[0].verdict), ("", Verdict::Agrees));
+        // As far off as the figure is large: zero and the other sign would agree too.
+        rows.number(("t", "w", "in"), 0.0002, -0.0001, Is::Within(0.0003), "");
+        assert_eq!(rows.0[2].verdict, Verdict::NotCompared);
+        assert!(rows.0[2].why.contains("cannot tell"), "{}", rows.0[2].why);
+        rows.number(("t", "w", "in"), 0.0002, 0.0009, Is::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0004, 0.0003, Is::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0, 0.0001, Is::Within(0.0003), "");
+        let verdicts: Vec<Verdict> = rows.0[3..].iter().map(|r| r.verdict).collect();
+        assert_eq!(verdicts, [Verdict::Differs, Verdict::Agrees, Verdict::Agrees]);
         assert_eq!((rows.0[1].why.as_str(), rows.0[1].verdict), ("shown", Verdict::Differs));
     }
 }

@@ -1,7 +1,7 @@
 //! The post-process loop: a batch measured on a coordinate measuring machine against nominal. What is systematic is
 //! offered as a change, with its statistics; nothing is applied (NISTIR 4854, section 1).
 
-use crate::errors::PointError;
+use crate::cor::{MOST_RAD, MOST_UM, PointError};
 use rtec_files::InputError;
 use rtec_files::Sheet;
 use serde::Serialize;
@@ -139,6 +139,14 @@ fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
         let nominal = sheet.numbers("nominal_mm")?;
         sheet.numbers("measured_mm")?.iter().zip(nominal).map(|(m, n)| (m - n) * 1e3).collect()
     };
+    for (name, column, most, unit) in
+        [("error", Some(&errors), MOST_UM, "µm"), ("angle", angles.as_ref(), MOST_RAD, "rad")]
+    {
+        if let Some(row) = column.and_then(|c| c.iter().position(|v| v.abs() > most)) {
+            let expected = format!("{name}s within ±{most} {unit}: more is another part");
+            return Err(sheet.finding(row, format!("a larger {name}"), expected));
+        }
+    }
     // Angles are keys by their micro-radians: what a file repeats is the same place.
     let mut groups: BTreeMap<(String, i64), (Series, Vec<String>)> = BTreeMap::new();
     for row in 0..sheet.len() {

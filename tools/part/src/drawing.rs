@@ -123,6 +123,9 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     Ok((reader.chain(pieces)?, unit))
 }
 
+/// No part is farther from its drawing's origin, mm.
+const FARTHEST_MM: f64 = 1e5;
+
 #[derive(Debug, Clone)]
 struct Piece {
     segment: Segment,
@@ -189,6 +192,11 @@ impl Reader<'_> {
                 };
                 ("ARC", flat(&a.normal, &[a.center.z]), vec![s])
             }
+            // The greater axis is the major one (DXF, group code 40); a smaller ratio than this is a line.
+            EntityType::Ellipse(e) if !(1e-6..=1.0 + 1e-9).contains(&e.minor_axis_ratio) => {
+                let what = format!("with an axis ratio of {:e}", e.minor_axis_ratio);
+                return refuse("ELLIPSE", &what, "a minor axis of 0.000001 to 1 times the major one");
+            }
             EntityType::Ellipse(e) => {
                 let sweep = (e.end_parameter - e.start_parameter).rem_euclid(TAU);
                 let m = mirror(&e.normal);
@@ -248,19 +256,28 @@ impl Reader<'_> {
             return refuse(kind, "out of the drawing's plane", "a flat drawing at elevation 0");
         }
         for segment in segments {
-            let chords = segment.polyline();
-            if !chords.iter().all(|p| p.z.is_finite() && p.x.is_finite()) {
-                return refuse(kind, "with a coordinate that is no number", "finite coordinates");
-            }
-            if segment.length_mm() <= self.options.tolerance_mm {
-                return refuse(kind, "without length", "entities longer than the tolerance");
-            }
-            if chords.iter().any(|p| p.x < -self.options.tolerance_mm) {
-                return refuse(kind, "below the axis", "the half profile at Y ≥ 0");
+            if let Some((what, expected)) = self.unfit(&segment) {
+                return refuse(kind, what, expected);
             }
             out.push(Piece { segment, entity: named(kind), line });
         }
         Ok(())
+    }
+
+    /// Why a piece is none of a part's contour: what, expected.
+    fn unfit(&self, segment: &Segment) -> Option<(&'static str, &'static str)> {
+        let chords = segment.polyline();
+        if !chords.iter().all(|p| p.z.is_finite() && p.x.is_finite()) {
+            Some(("with a coordinate that is no number", "finite coordinates"))
+        } else if chords.iter().any(|p| p.z.abs().max(p.x.abs()) > FARTHEST_MM) {
+            Some(("more than 100 m from the origin", "a part that a machine could hold"))
+        } else if segment.length_mm() <= self.options.tolerance_mm {
+            Some(("without length", "entities longer than the tolerance"))
+        } else if chords.iter().any(|p| p.x < -self.options.tolerance_mm) {
+            Some(("below the axis", "the half profile at Y ≥ 0"))
+        } else {
+            None
+        }
     }
 
     fn spline(&self, s: &dxf::entities::Spline) -> Option<Spline> {

@@ -1,6 +1,7 @@
 //! Part errors from probed points: probe tip, geometric-thermal correction, fit, `error.cor` and whiskers
 //! (NISTIR 4854, section 3).
 
+use crate::cor::{PointError, error_cor};
 use crate::fit::{self, FitError, FitShape, FittedShape, Zx, sequence};
 use crate::svg::Svg;
 use rtec_files::InputError;
@@ -38,18 +39,6 @@ pub enum Nominal {
         /// Nominal angle to the Z axis, in degrees.
         taper_deg: Option<f64>,
     },
-}
-
-/// The error of one point.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PointError {
-    /// Direction of the surface normal from the part's +Z axis, in rad.
-    pub angle_rad: f64,
-    /// Deviation along that normal, in µm; positive: too much material outside.
-    pub error_um: f64,
-    /// Place along a straight feature, in mm from the points' centroid.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub along_mm: Option<f64>,
 }
 
 /// The robust fit that stands beside the report's.
@@ -213,11 +202,12 @@ impl Probed {
     }
 
     /// Do the points lie on a straight line rather than on an arc? A circle that explains them hardly better than a line is
-    /// none: its radius would be whatever the noise makes of it.
+    /// none: its radius would be whatever the noise makes of it. Nor is one that is far flatter than the points are long,
+    /// unless an arc is what was `expected`: a straight feature's commonest error is to be bowed.
     ///
     /// # Errors
     /// Too few points to tell, or points that determine no shape.
-    pub fn is_straight(&self) -> Result<bool, InputError> {
+    pub fn is_straight(&self, expected: bool) -> Result<bool, InputError> {
         let points = &self.tip_centre;
         let spread = |shape: FitShape| {
             fit::least_squares(shape, points, None)
@@ -230,8 +220,13 @@ impl Probed {
             return Err(as_input(FitError::TooFew { found: points.len(), needed: 4 }));
         }
         let line_um = spread(FitShape::Line).map_err(as_input)?;
+        let length_mm = points.iter().map(|p| (*p - points[0]).norm()).fold(0.0, f64::max);
+        let bowed = match fit::least_squares(FitShape::Circle, points, None) {
+            Ok(FittedShape::Circle { radius_mm, .. }) => !expected && radius_mm > BOWED * length_mm,
+            _ => false,
+        };
         // A circle that cannot be fitted to points of a line: they lie on it exactly.
-        Ok(spread(FitShape::Circle).map_or(true, |circle_um| circle_um >= STRAIGHT * line_um))
+        Ok(bowed || spread(FitShape::Circle).map_or(true, |circle_um| circle_um >= STRAIGHT * line_um))
     }
 
     /// How far the points lie outside the expected ones on average, along the normals, µm: of a straight feature its
@@ -357,6 +352,8 @@ impl Probed {
 
 /// The share of a line's deviations that a circle must leave at most to be one.
 const STRAIGHT: f64 = 0.25;
+/// A radius of so many times the points' length is a bow of a straight feature: less than 0.13 mm on 100 mm.
+const BOWED: f64 = 100.0;
 
 /// A sensor's column: T and a number, or `temperature.` and its name.
 fn is_sensor(name: &str) -> bool {
@@ -393,19 +390,6 @@ fn place(fitted: &FittedShape) -> ([f64; 2], Option<f64>) {
     }
 }
 
-/// One line of a straight feature's `error.cor`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LineError {
-    /// Direction of the surface normal from the part's +Z axis, in rad.
-    pub angle_rad: f64,
-    /// Deviation along that normal, in µm; positive: too much material outside.
-    pub error_um: f64,
-    /// Place along the feature, in mm from the points' centroid.
-    pub along_mm: f64,
-    /// The surface there, in part coordinates.
-    pub place: Zx,
-}
-
 impl ErrorReport {
     /// `error.cor`: of an arc by angle, as the report has it; of a straight feature, whose angle is one, five numbers a line:
     /// angle (rad), error (µm), place along it (mm), and the surface's Z and X there (mm). With `with_size` the constant
@@ -432,92 +416,6 @@ impl ErrorReport {
             }
         }
     }
-}
-
-/// Read a straight feature's `error.cor`; `None` where the file is one by angle.
-///
-/// # Errors
-/// Not five finite numbers in a line after a first one with five, places that do not ascend.
-pub fn read_line_cor(file: &Path) -> Result<Option<Vec<LineError>>, InputError> {
-    let text = rtec_files::text::read(file)?;
-    let rows = text.lines().enumerate().filter_map(|(i, line)| {
-        let content = line.split('#').next().unwrap_or_default();
-        let words: Vec<&str> = content.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
-        (!words.is_empty()).then_some((i + 1, words))
-    });
-    let mut errors: Vec<LineError> = Vec::new();
-    for (line, words) in rows {
-        if errors.is_empty() && words.len() != 5 {
-            return Ok(None);
-        }
-        let numbers: Option<Vec<f64>> =
-            words.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
-        let Some([angle_rad, error_um, along_mm, z, x]) = numbers.as_deref() else {
-            let expected = "angle in rad, error in µm, place along the feature, Z and X in mm";
-            return Err(InputError::at(file, line, 1, format!("'{}'", words.join(" ")), expected));
-        };
-        if errors.last().is_some_and(|e| e.along_mm >= *along_mm) {
-            let found = format!("place {along_mm} after a larger or equal one");
-            return Err(InputError::at(file, line, 1, found, "ascending places"));
-        }
-        let place = Zx::new(*z, *x);
-        errors.push(LineError { angle_rad: *angle_rad, error_um: *error_um, along_mm: *along_mm, place });
-    }
-    Ok((!errors.is_empty()).then_some(errors))
-}
-
-/// The table of NISTIR 4854, section 5: one line per point, angle from the part's +Z axis in rad and error in µm,
-/// angles ascending.
-#[must_use]
-pub fn error_cor(errors: &[PointError]) -> String {
-    let mut sorted = errors.to_vec();
-    sorted.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
-    sorted.iter().fold(String::new(), |mut text, e| {
-        let _ = writeln!(text, "{:.6} {:.3}", e.angle_rad, e.error_um);
-        text
-    })
-}
-
-/// A part's error is no larger, µm: a form that is 10 mm off is another part (as the bounds of `form_bump` have it).
-const MOST_UM: f64 = 10_000.0;
-/// Angles of a part are within some turns.
-const MOST_RAD: f64 = 1e3;
-
-/// Read an `error.cor`: two numbers a line, separated by blanks or a comma, `#` starts a comment.
-///
-/// # Errors
-/// Not two numbers within what a part can have in a line, angles that do not ascend, or no line at all.
-pub fn read_error_cor(file: &Path) -> Result<Vec<PointError>, InputError> {
-    let mut errors: Vec<PointError> = Vec::new();
-    for (i, line) in rtec_files::text::read(file)?.lines().enumerate() {
-        let content = line.split('#').next().unwrap_or_default();
-        let words: Vec<&str> = content.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
-        if words.is_empty() {
-            continue;
-        }
-        let numbers: Option<Vec<f64>> =
-            words.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
-        let Some([angle_rad, error_um]) = numbers.as_deref() else {
-            let found = format!("'{}'", content.trim());
-            return Err(InputError::at(file, i + 1, 1, found, "angle in rad and error in µm"));
-        };
-        if angle_rad.abs() > MOST_RAD || error_um.abs() > MOST_UM {
-            let found = format!("'{}'", content.trim());
-            let expected = format!(
-                "an angle within ±{MOST_RAD} rad and an error within ±{MOST_UM} µm: more is another part"
-            );
-            return Err(InputError::at(file, i + 1, 1, found, expected));
-        }
-        if errors.last().is_some_and(|e| e.angle_rad >= *angle_rad) {
-            let found = format!("angle {angle_rad} after a larger or equal one");
-            return Err(InputError::at(file, i + 1, 1, found, "ascending angles"));
-        }
-        errors.push(PointError { angle_rad: *angle_rad, error_um: *error_um, along_mm: None });
-    }
-    if errors.is_empty() {
-        return Err(InputError::whole(file, "no line at all", "angle in rad and error in µm"));
-    }
-    Ok(errors)
 }
 
 /// The error bars: foot on the nominal outline, head beyond it by the magnified error.

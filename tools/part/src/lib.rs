@@ -6,7 +6,8 @@
 //! | [`path`] | probing points, the probe's path, collisions |
 //! | [`program`] | the NC probing program: template, parameters, dialects |
 //! | [`probe`] | captured trips against the plan |
-//! | [`fit`], [`errors`] | circle and line through points; probed points to `error.cor` and whiskers |
+//! | [`fit`], [`errors`] | circle and line through points; probed points to errors and whiskers |
+//! | [`cor`] | `error.cor`, read and written |
 //! | [`table`], [`line_table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |
 //! | [`svg`] | drawings as SVG |
@@ -18,6 +19,7 @@
 
 pub mod batch;
 pub mod contour;
+pub mod cor;
 #[cfg(feature = "dxf")]
 pub mod drawing;
 pub mod errors;

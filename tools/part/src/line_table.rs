@@ -1,6 +1,6 @@
 //! The finish cut of a straight feature: errors by place become requested counts by machine position.
 
-use crate::errors::LineError;
+use crate::cor::LineError;
 use crate::fit::Zx;
 use crate::table::{AxisCounts, FinishRow};
 use std::fmt::Write as _;
@@ -19,6 +19,58 @@ pub struct LineTable {
 }
 
 impl LineTable {
+    /// Direction of the surface normal, and along the feature towards larger places.
+    fn directions(&self) -> (Zx, Zx) {
+        let n = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| Zx::at_angle(e.angle_rad));
+        let way = self.errors.last().zip(self.errors.first()).map(|(b, a)| b.place - a.place);
+        // Across the normal, the way that the places go.
+        let along = Zx::new(n.x, -n.z);
+        (n, along * way.map_or(1.0, |w| w.dot(along).signum()))
+    }
+
+    /// Where a machine position is to the feature's first point: along it, and off the line that the nose's centre runs on.
+    fn at(&self, machine: Zx) -> [f64; 2] {
+        let (n, along) = self.directions();
+        let first = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| e.place);
+        let from = machine - self.origin - first;
+        [from.dot(along), from.dot(n) - self.nose_mm]
+    }
+
+    /// Error at a place, from the first point's: linear between the probed points, the end values beyond them.
+    #[must_use]
+    pub fn error_um(&self, from_first_mm: f64) -> f64 {
+        let Some(first) = self.errors.first() else { return 0.0 };
+        let along_mm = first.along_mm + from_first_mm;
+        let next = self.errors.partition_point(|e| e.along_mm <= along_mm);
+        match (next.checked_sub(1).and_then(|i| self.errors.get(i)), self.errors.get(next)) {
+            (Some(a), Some(b)) => {
+                let part = (along_mm - a.along_mm) / (b.along_mm - a.along_mm);
+                a.error_um + part * (b.error_um - a.error_um)
+            }
+            (Some(e), None) | (None, Some(e)) => e.error_um,
+            (None, None) => 0.0,
+        }
+    }
+
+    /// Components of the error, in µm, at the machine position that is reached in `lead_s` at a velocity in mm/s, as
+    /// [`crate::table::FinishTable::components_um`] has them of an arc.
+    #[must_use]
+    pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
+        let [along_mm, _] = self.at(machine + velocity_mm_s * lead_s);
+        self.directions().0 * self.error_um(along_mm)
+    }
+
+    /// From a machine position to the stretch that the nose's centre runs on, mm.
+    #[must_use]
+    pub fn off_mm(&self, machine: Zx) -> f64 {
+        let [along_mm, off_mm] = self.at(machine);
+        let length_mm = match (self.errors.first(), self.errors.last()) {
+            (Some(a), Some(b)) => b.along_mm - a.along_mm,
+            _ => 0.0,
+        };
+        off_mm.hypot((along_mm - length_mm).max(-along_mm).max(0.0))
+    }
+
     /// The table: at each probed point and `between` steps between each two.
     #[must_use]
     pub fn rows(&self, between: usize) -> Vec<FinishRow> {

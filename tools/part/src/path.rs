@@ -2,6 +2,7 @@
 //! sections 3 and 4).
 
 use crate::contour::{Contour, SurfacePlace};
+use crate::cor::MOST_MM;
 use crate::fit::Zx;
 use crate::svg::Svg;
 use crate::unit::Unit;
@@ -371,16 +372,11 @@ pub fn pathfin(records: &[PathPoint], unit: Unit) -> String {
 /// A line that is no touch record, gauging points out of sequence, or none at all.
 pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
     let records = read_records(file, unit)?;
-    if let Some(i) = records.iter().position(|r| !matches!(r.role, PathRole::Touch(_))) {
-        return Err(InputError::at(
-            file,
-            i + 1,
-            1,
-            "a record that is no touch",
-            "the expected trips, as touches",
-        ));
+    if let Some((line, _)) = records.iter().find(|(_, r)| !matches!(r.role, PathRole::Touch(_))) {
+        let expected = "the expected trips, as touches";
+        return Err(InputError::at(file, *line, 1, "a record that is no touch", expected));
     }
-    Ok(records.into_iter().map(|r| r.at).collect())
+    Ok(records.into_iter().map(|(_, r)| r.at).collect())
 }
 
 /// Read a path file.
@@ -389,18 +385,19 @@ pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
 /// A line that is no record, gauging points out of sequence, or no record at all.
 pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputError> {
     let records = read_records(file, unit)?;
-    let order = |i: usize| records.get(i).map(|r: &PathPoint| r.role);
-    for (i, r) in records.iter().enumerate() {
+    let order = |i: usize| records.get(i).map(|(_, r): &(usize, PathPoint)| r.role);
+    for (i, (line, r)) in records.iter().enumerate() {
         let touch_is_embraced = !matches!(r.role, PathRole::Touch(_))
             || i > 0 && order(i - 1) == Some(PathRole::Start) && order(i + 1) == Some(PathRole::Finish);
         if !touch_is_embraced {
-            return Err(InputError::at(file, i + 1, 0, "a touch", "start, touch and finish in this order"));
+            return Err(InputError::at(file, *line, 0, "a touch", "start, touch and finish in this order"));
         }
     }
-    Ok(records)
+    Ok(records.into_iter().map(|(_, r)| r).collect())
 }
 
-fn read_records(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputError> {
+/// The records and the lines that they stand in.
+fn read_records(file: &Path, unit: Unit) -> Result<Vec<(usize, PathPoint)>, InputError> {
     let mut records = Vec::new();
     let mut touches = 0;
     for (i, line) in rtec_files::text::read(file)?.lines().enumerate() {
@@ -430,7 +427,11 @@ fn read_records(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputError> {
         let numbers: Option<Vec<f64>> =
             rest.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         let Some([z, x, _]) = numbers.as_deref() else { return bad(line.trim(), form) };
-        records.push(PathPoint { role, at: Zx::new(*z, *x) * unit.0 });
+        let at = Zx::new(*z, *x) * unit.0;
+        if at.z.abs().max(at.x.abs()) > MOST_MM {
+            return bad(line.trim(), &format!("places within ±{MOST_MM} mm"));
+        }
+        records.push((i + 1, PathPoint { role, at }));
     }
     if touches == 0 {
         return Err(InputError::whole(file, "no gauging point", "start, touch, finish for each point"));

@@ -1,6 +1,6 @@
 //! The finish cut's corrections: errors by angle become requested counts by machine position (NISTIR 4854, section 5).
 
-use crate::errors::PointError;
+use crate::cor::PointError;
 use crate::fit::Zx;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -98,7 +98,7 @@ pub struct FinishTable {
 }
 
 impl FinishTable {
-    /// A table from the errors of the semi-finish cut, angles ascending as [`crate::errors::read_error_cor`] reads
+    /// A table from the errors of the semi-finish cut, angles ascending as [`crate::cor::read_arc`] reads
     /// them.
     #[must_use]
     pub fn new(cut: FinishCut, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {

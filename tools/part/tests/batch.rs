@@ -5,7 +5,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::InputError;
 use rtec_part::batch::{Batch, BatchFinding, Judgement, evaluate};
-use rtec_part::errors::PointError;
+use rtec_part::cor::PointError;
 use std::fmt::Write as _;
 
 const JUDGEMENT: Judgement = Judgement { alpha: 0.01, least_um: 1.0 };
@@ -128,4 +128,18 @@ fn bad_batches_are_named() {
     let same = judged("part,feature,error_um\n1,d,4\n2,d,4\n3,d,4\n1,e,0\n2,e,0\n3,e,0\n", None).unwrap();
     assert_eq!(finding(&same, "d"), BatchFinding::Systematic);
     assert_eq!(finding(&same, "e"), BatchFinding::Nothing);
+}
+
+/// Their sums are no numbers any more.
+#[test]
+fn errors_and_angles_of_no_part_are_refused() {
+    for (rows, found) in [
+        ("1,d,1.7e308,0\n2,d,1.7e308,0\n3,d,1.7e308,0\n", "a larger error"),
+        ("1,d,1,0\n2,d,2,1e300\n3,d,1,0\n", "a larger angle"),
+    ] {
+        let e = judged(&format!("part,feature,error_um,angle_rad\n{rows}"), None).unwrap_err();
+        assert!(e.found == found && e.line > 1, "{e}");
+    }
+    let e = judged("part,feature,nominal_mm,measured_mm\n1,d,0,1e6\n", None).unwrap_err();
+    assert_eq!((e.found.as_str(), e.line), ("a larger error", 2));
 }

@@ -182,3 +182,24 @@ fn bad_drawings_are_named() {
     }
     assert!(read(&folder.path().join("none.dxf"), &Options::default()).is_err());
 }
+
+#[test]
+fn what_no_machine_could_hold_is_refused_at_once() {
+    let ellipse = |major: f64, ratio: f64| {
+        EntityType::Ellipse(Ellipse {
+            major_axis: Vector::new(major, 0.0, 0.0),
+            minor_axis_ratio: ratio,
+            start_parameter: 0.0,
+            end_parameter: 1.5,
+            ..Ellipse::default()
+        })
+    };
+    let found = finding(vec![ellipse(1.0, 4e9)]);
+    assert!(found.found.contains("axis ratio of 4e9"), "{found}");
+    let found = finding(vec![ellipse(1.0, 1e-9)]);
+    assert!(found.found.contains("axis ratio"), "{found}");
+    let found = finding(vec![ellipse(1e6, 0.5)]);
+    assert!(found.found.contains("more than 100 m"), "{found}");
+    let found = finding(vec![line((0.0, 1.0), (1e9, 1.0))]);
+    assert!(found.found.contains("more than 100 m"), "{found}");
+}

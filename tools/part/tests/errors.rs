@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_part::errors::{Nominal, Probed, error_cor, read_error_cor};
+use rtec_part::cor::{FeatureErrors, error_cor, read_arc};
+use rtec_part::errors::{Nominal, Probed};
 use rtec_part::fit::Zx;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -61,7 +62,7 @@ fn error_cor_is_read_as_it_is_written() {
     let report =
         Probed::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
     let text = error_cor(&report.errors);
-    let back = read_error_cor(&files.with("error.cor", &text)).unwrap();
+    let back = read_arc(&files.with("error.cor", &text)).unwrap();
     assert_eq!(back.len(), 20);
     for (a, b) in back.iter().zip(&report.errors) {
         assert!((a.angle_rad - b.angle_rad).abs() < 1e-6 && (a.error_um - b.error_um).abs() < 1e-3);
@@ -75,7 +76,22 @@ fn error_cor_is_read_as_it_is_written() {
         ("0 1\n0.1 1e300\n", 2),
         ("-1e300 1\n", 1),
     ] {
-        assert_eq!(read_error_cor(&files.with("error.cor", bad)).unwrap_err().line, line, "{bad:?}");
+        assert_eq!(read_arc(&files.with("error.cor", bad)).unwrap_err().line, line, "{bad:?}");
+    }
+    // Of a straight feature: a face at Z 5, its normal along Z.
+    let face = "0 1 -10 5 0\n0 2 0 5 -10\n0 1.5 10 5 -20\n";
+    assert_eq!(FeatureErrors::read(&files.with("error.cor", face)).unwrap().len(), 3);
+    for (bad, line) in [
+        ("0 1 -10 5 0\n0 1e300 0 5 -10\n", 2),
+        ("0 1 -10 5 0\n0 2 1e300 5 -10\n", 2),
+        ("0 1 -10 5 0\n0 2 -10 5 -10\n", 2),
+        ("0 1 -10 5 0\n0 2 0 15 0\n", 2),
+        ("0 1 -10 5 0\n0.5 2 0 5 -10\n", 2),
+        ("0 1 -10 5 0\n0 2\n", 2),
+        ("0 1 -10 5 0\n", 0),
+    ] {
+        let said = FeatureErrors::read(&files.with("error.cor", bad)).unwrap_err();
+        assert_eq!(said.line, line, "{bad:?}: {said}");
     }
 }
 

@@ -84,6 +84,10 @@ fn the_path_file_is_read_as_it_is_written() {
         ("LINE 1,2,0\n", 1),
         ("POINT hover 1, 2, 0\n", 1),
         ("POINT touch 1, 1, 2, 0\n", 1),
+        // Lines are the file's, not the records'.
+        ("\n\nPOINT touch 1, 1, 2, 0\n", 3),
+        // A place that a writer could not write down again.
+        ("POINT start 1, 1e305, 0\n", 1),
         ("", 0),
     ] {
         std::fs::write(&file, bad).unwrap();

@@ -185,9 +185,7 @@ fn a_template_that_asks_for_the_unknown_is_named() {
 /// LinuxCNC's interpreter runs the program; its canonical moves are the path.
 #[test]
 fn linuxcnc_runs_its_dialect() {
-    if Command::new("rs274").arg("-?").output().is_err() {
-        assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "rs274 is not there and nothing may be skipped");
-        eprintln!("SKIPPED: rs274 is not there (Debian: linuxcnc-uspace)");
+    if !test_needs::installed("rs274", "linuxcnc-uspace") {
         return;
     }
     for unit in [Unit::MM, Unit::INCH] {

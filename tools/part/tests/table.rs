@@ -1,7 +1,7 @@
 //! The correction table: counts and signs, interpolation, coordinates, sending ahead, and the program instead.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_part::errors::PointError;
+use rtec_part::cor::PointError;
 use rtec_part::fit::Zx;
 use rtec_part::table::{AxisCounts, FinishCut, FinishTable, csv};
 use std::f64::consts::{FRAC_PI_2, TAU};

@@ -16,6 +16,8 @@ use std::path::{Path, PathBuf};
 
 /// The daemon's user, and the group whose members may speak to it.
 const USER: &str = "rtec";
+/// The group that has the devices, with the daemon's user alone in it.
+const DEVICES: &str = "rtec-dev";
 /// Folder of drop-ins: additions to the service's unit file.
 const DROP_INS: &str = "etc/systemd/system/rtecd.service.d";
 
@@ -139,7 +141,7 @@ impl Tree<'_> {
             Some(line) => format!(
                 "put `{line}` into /etc/rtec/devices, then: udevadm trigger -s gpio -s pci -s uio -s ppdev"
             ),
-            None => format!("chgrp {USER} /{} && chmod g+rw /{0}", file.display()),
+            None => format!("chgrp {DEVICES} /{} && chmod g+rw /{0}", file.display()),
         };
         match std::fs::metadata(self.system.path(file)) {
             Ok(found) => {

@@ -36,6 +36,23 @@ fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
     })
 }
 
+/// Other periods that explain as much at targets that lie on no grid.
+fn as_good(f: &Finding) -> Option<String> {
+    let others: Vec<String> =
+        f.rivals.iter().filter_map(|r| Some(format!("{:.4}", r.differs.as_ref()?.1))).collect();
+    let parameter = f.effect.description().parameters.first()?;
+    let unit = &parameter.unit;
+    (!others.is_empty()).then(|| {
+        format!(
+            "at the targets of {} a period of {:.4} {unit} explains no more than {} {unit}: more targets, at uneven distances, \
+             tell which it is",
+            f.effect.name(),
+            f.effect.scalar(0),
+            others.join(", ")
+        )
+    })
+}
+
 /// What to do next.
 pub(crate) fn advice(
     verdict: Verdict,
@@ -53,7 +70,7 @@ pub(crate) fn advice(
         }
         Verdict::NothingMissing => Vec::new(),
     };
-    parts.extend(effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train)));
+    parts.extend(effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train).or_else(|| as_good(f))));
     parts.join("; ")
 }
 
@@ -112,6 +129,7 @@ mod tests {
         let rival = |name: &str, sensor: Option<&str>| Rival {
             name: name.into(),
             sensor: sensor.map(Difference::single),
+            differs: None,
             margin: 0.5,
         };
         let rivals =

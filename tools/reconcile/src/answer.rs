@@ -13,6 +13,8 @@ pub struct Rival {
     pub name: String,
     /// Its temperature difference, where it has one.
     pub sensor: Option<Difference>,
+    /// The value that differs where the name is the same: a parameter, in its own unit.
+    pub differs: Option<(String, f64)>,
     /// Log odds by which the explanation given is better.
     pub margin: f64,
 }
@@ -53,6 +55,8 @@ pub struct Answer {
     pub phi: f64,
     /// Size of the noise per response.
     pub sigma: Vec<f64>,
+    /// Log likelihood of the best account of the records, in their own units, less the price of its freedom.
+    pub evidence: f64,
 }
 
 /// A name that was tried.

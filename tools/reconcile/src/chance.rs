@@ -1,7 +1,7 @@
 //! What chance alone would find: the same search on noise made from the residual by moving its blocks about.
 
 use crate::gram::{Cholesky, Products, Vector, dot};
-use crate::search::{AtPhi, Search, Set};
+use crate::search::{AtPhi, Search, Set, Share};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 
@@ -112,7 +112,8 @@ impl Search<'_, '_> {
         let mut best_named = vec![f64::NEG_INFINITY; draws.len()];
         let mut best_any = best_named.clone();
         for (i, atom) in self.all.atoms.iter().enumerate() {
-            let price = atom.cost + self.dimension_cost(atom.columns.len());
+            let columns = atom.columns.len();
+            let price = atom.cost + self.dimension_cost(columns) + self.crowding_cost(columns);
             let named = self.all.list[atom.hypothesis].named();
             for (d, value) in rounds.with_atom(self, i).into_iter().enumerate() {
                 let gain = value - rounds.null[d];
@@ -136,12 +137,22 @@ impl Search<'_, '_> {
 /// Rounds of noise, each fitted by the model's own parameters at every noise coefficient.
 struct Rounds {
     empty: Set,
-    /// Per round and column of the bank.
-    with_bank: Vec<Vec<Products>>,
-    /// Per round and noise coefficient: L⁻¹ of the right-hand side, and what is left.
-    start: Vec<Vec<(Vec<f64>, f64)>>,
+    count: usize,
+    /// Per noise coefficient.
+    at: Vec<RoundsAt>,
     /// Per round: log likelihood without anything beside the model.
     null: Vec<f64>,
+}
+
+/// The rounds at one noise coefficient.
+struct RoundsAt {
+    /// Per column of the bank, one value for each round: its product with the round's noise, less what the model's own
+    /// parameters explain of both.
+    with_bank: Vec<f64>,
+    /// Per parameter of the model, one value for each column of the bank: its share, L⁻¹ of their products.
+    shares: Vec<Share>,
+    /// Per round: sum of squares that the model's own parameters leave.
+    rss: Vec<f64>,
 }
 
 impl Rounds {
@@ -149,74 +160,87 @@ impl Rounds {
         let empty = search.empty();
         let ranges = &search.stack.ranges;
         let with_bank = search.all.bank.products(&draws.iter().collect::<Vec<_>>());
-        let start: Vec<Vec<(Vec<f64>, f64)>> = draws
-            .iter()
-            .map(|d| {
-                let known = empty.ids.iter().map(|i| d.products(&search.vectors[*i].data, ranges));
-                let known: Vec<Products> = known.collect();
-                let own = d.products(&d.data, ranges);
-                let fit = |at: &AtPhi| {
-                    let mut z: Vec<f64> = known.iter().map(|p| p.at(at.phi)).collect();
-                    at.factor.forward(&mut z);
-                    let rss = (own.at(at.phi) - dot(&z, &z)).max(1e-9);
-                    (z, rss)
-                };
-                empty.fits.iter().map(fit).collect()
-            })
-            .collect();
-        let null = start.iter().map(|of| {
-            let values = empty.fits.iter().zip(of).map(|(at, (_, rss))| search.loglik_of(at.phi, *rss));
+        let with_known = |d: &Vector| -> Vec<Products> {
+            empty.ids.iter().map(|i| d.products(&search.vectors[*i].data, ranges)).collect()
+        };
+        let known: Vec<Vec<Products>> = draws.iter().map(with_known).collect();
+        let own: Vec<Products> = draws.iter().map(|d| d.products(&d.data, ranges)).collect();
+        let of = |at: &AtPhi| {
+            let shares = search.shares(&empty.ids, at, &[]);
+            let mut out = RoundsAt {
+                with_bank: vec![0.0; search.all.bank.len() * draws.len()],
+                shares,
+                rss: Vec::with_capacity(draws.len()),
+            };
+            for (d, products) in with_bank.iter().enumerate() {
+                let mut z: Vec<f64> = known[d].iter().map(|p| p.at(at.phi)).collect();
+                at.factor.forward(&mut z);
+                out.rss.push((own[d].at(at.phi) - dot(&z, &z)).max(1e-9));
+                let mut with: Vec<f64> = products.iter().map(|p| p.at(at.phi)).collect();
+                for (z, share) in z.iter().zip(&out.shares) {
+                    share.take_off(*z, &mut with);
+                }
+                let places = out.with_bank[d..].iter_mut().step_by(draws.len());
+                places.zip(with).for_each(|(place, w)| *place = w);
+            }
+            out
+        };
+        let at: Vec<RoundsAt> = empty.fits.iter().map(of).collect();
+        let null = (0..draws.len()).map(|d| {
+            let values = empty.fits.iter().zip(&at).map(|(fit, at)| search.loglik_of(fit.phi, at.rss[d]));
             search.best_phi(&values.collect::<Vec<f64>>(), 0).0
         });
         let null = null.collect();
-        Self { empty, with_bank, start, null }
+        Self { empty, count: draws.len(), at, null }
     }
 
     /// Log likelihood of each round with a grid point's columns beside the model.
     fn with_atom(&self, search: &Search<'_, '_>, atom: usize) -> Vec<f64> {
         let columns = &search.all.atoms[atom].columns;
-        let (k, b) = (columns.len(), self.empty.ids.len());
-        let mut values = vec![Vec::with_capacity(self.empty.fits.len()); self.start.len()];
-        for (f, at) in self.empty.fits.iter().enumerate() {
-            let (a, factor) = self.reduced(search, atom, at);
-            for (d, values) in values.iter_mut().enumerate() {
-                let (z, rss) = &self.start[d][f];
-                let mut g: Vec<f64> = (0..k)
-                    .map(|c| self.with_bank[d][columns[c]].at(at.phi) - dot(&a[c * b..(c + 1) * b], z))
-                    .collect();
-                factor.forward(&mut g);
-                let gain: f64 = g.iter().filter(|x| x.is_finite()).map(|x| x * x).sum();
-                values.push(search.loglik_of(at.phi, (rss - gain).max(1e-9 * rss)));
+        let (k, rounds) = (columns.len(), self.count);
+        let mut values = vec![0.0; self.at.len() * rounds];
+        let mut g = vec![0.0; k * rounds];
+        for ((fit, at), values) in self.empty.fits.iter().zip(&self.at).zip(values.chunks_exact_mut(rounds)) {
+            let factor = at.factor(search, atom, fit.phi);
+            for (c, g) in columns.iter().zip(g.chunks_exact_mut(rounds)) {
+                g.copy_from_slice(&at.with_bank[c * rounds..(c + 1) * rounds]);
+            }
+            factor.forward_many(&mut g, rounds);
+            // What each round gains, then what it comes to.
+            for g in g.chunks_exact(rounds) {
+                values.iter_mut().zip(g).for_each(|(v, g)| *v += g * g);
+            }
+            for (v, rss) in values.iter_mut().zip(&at.rss) {
+                *v = search.loglik_of(fit.phi, (rss - *v).max(1e-9 * rss));
             }
         }
-        values.iter().map(|v| search.best_phi(v, 0).0).collect()
+        let mut own = Vec::with_capacity(self.at.len());
+        let mut best = |d: usize| {
+            own.clear();
+            own.extend(values[d..].iter().step_by(rounds));
+            search.best_phi(&own, 0).0
+        };
+        (0..rounds).map(&mut best).collect()
     }
+}
 
-    /// A grid point's columns less what the model's own parameters explain of them: their share, and the factor of what
-    /// is left.
-    fn reduced(&self, search: &Search<'_, '_>, atom: usize, at: &AtPhi) -> (Vec<f64>, Cholesky) {
+impl RoundsAt {
+    /// Factor of the products among a grid point's columns, less what the model's own parameters explain of them.
+    fn factor(&self, search: &Search<'_, '_>, atom: usize, phi: f64) -> Cholesky {
         let columns = &search.all.atoms[atom].columns;
-        let (k, b) = (columns.len(), self.empty.ids.len());
-        let mut a = vec![0.0; k * b];
-        for (c, column) in columns.iter().enumerate() {
-            let row = &mut a[c * b..(c + 1) * b];
-            for (x, id) in row.iter_mut().zip(&self.empty.ids) {
-                *x = search.against_bank(*id)[*column].at(at.phi);
-            }
-            at.factor.forward(row);
-        }
+        let k = columns.len();
         let mut m = vec![0.0; k * k];
         let mut p = 0;
         for r in 0..k {
             for c in 0..=r {
-                let full = search.all.own[atom][p].at(at.phi);
+                let full = search.all.own[atom][p].at(phi);
                 p += 1;
-                let left = full - dot(&a[r * b..(r + 1) * b], &a[c * b..(c + 1) * b]);
+                let explained: f64 = self.shares.iter().map(|s| s[columns[r]] * s[columns[c]]).sum();
+                let left = full - explained;
                 m[r * k + c] = if r == c && left < 1e-6 * full { f64::INFINITY } else { left };
             }
         }
-        let factor = Cholesky::new(&m, k);
-        (a, factor)
+        Cholesky::new(&m, k)
     }
 }
 

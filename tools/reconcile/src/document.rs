@@ -59,6 +59,9 @@ fn rival(r: &Rival) -> Value {
     let mut map = Map::new();
     map.insert("name".into(), json!(r.name));
     sensor_keys(&mut map, r.sensor.as_ref());
+    if let Some((parameter, value)) = &r.differs {
+        map.insert(parameter.clone(), json!(value));
+    }
     map.insert("log_odds".into(), json!(r.margin));
     Value::Object(map)
 }
@@ -103,6 +106,7 @@ impl Reconciliation {
             })).collect::<Vec<_>>(),
             "gap": if let [one] = &gaps[..] { one.clone() } else { json!(gaps) },
             "suspicions": self.suspicions,
+            "left_out": self.left_out,
             "derived": self.derived,
             "advice": self.advice,
             "tried": self.ranking.iter().map(|t| json!({

@@ -3,21 +3,23 @@
 //! is left out of the analysis and said; it is never named as an effect.
 
 use crate::answer::Answer;
-use crate::gap::Gap;
+use crate::gap::{self, Gap, Trace};
 use crate::problem::{Stack, rms};
+use crate::suspected::{ALIKE, about, centred, is_sensor, simulated, whole};
+use crate::swapped::{exchanged, swapped_alike};
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role};
 
-/// A mistake is believed where with it undone the model explains so much of the record's variance, and as the record stands
-/// no more than [`UNLIKE`].
-const ALIKE: f64 = 0.8;
+/// Nor is a mistake believed where the model explains more than this as the record stands.
 const UNLIKE: f64 = 0.3;
+/// The same for the other sign, where the model makes the record far worse.
+const OPPOSITE: f64 = 0.45;
 /// The same for what changes the model's side alone: so much of the variance that was left is left.
 const BETTER: f64 = 0.2;
 /// A row is wild that is so many robust standard deviations off; more than this share of them are no wild rows.
 const WILD: f64 = 20.0;
-const MOST_WILD: f64 = 0.06;
+const MOST_WILD: f64 = 0.12;
 /// Fewer rows tell nothing.
 const FEWEST: usize = 12;
 /// A hold-out that the better model leaves so many times the training's remainder of is of another machine, or state.
@@ -28,46 +30,98 @@ pub(crate) struct Doubts {
     pub(crate) said: Vec<Suspicion>,
     /// The training records without what is doubted; none where all of it is.
     pub(crate) train: Vec<Record>,
-    /// The same of the hold-outs.
-    pub(crate) holdout: Vec<Record>,
+    /// Of each of them, the numbers that its rows had as measured.
+    pub(crate) rows: Vec<Vec<usize>>,
+    /// What was left out of the training, a line each.
+    pub(crate) left_out: Vec<String>,
+    holdout: Vec<Record>,
+    of_holdout: Vec<Suspicion>,
 }
 
-/// Looks at all records beside each other and beside the model.
+/// Looks at all records beside each other and beside the model. What a hold-out shows changes nothing of the training.
 pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
-    let all: Vec<Record> = train.iter().chain(holdout).cloned().collect();
-    let mut said = plausible::suspicions(&all);
-    for record in &all {
-        let doubted = said.iter().any(|s| about(s, record) && whole(s, record));
-        if !doubted {
-            said.extend(beside_the_model(record, machine));
+    let all: Vec<&Record> = train.iter().chain(holdout).collect();
+    let twice = plausible::repeated(&all);
+    let again = |(first, k): &(usize, usize)| Suspicion::again(all[*first], all[*k]);
+    let mut left_out: Vec<String> =
+        twice.iter().map(|(_, k)| format!("{}: given twice", all[*k].path.display())).collect();
+    let mut said: Vec<Suspicion> = twice.iter().map(again).collect();
+    let once = |from: usize, records: &[Record]| -> Vec<Record> {
+        let new = |k: &usize| twice.iter().all(|(_, again)| *again != from + k);
+        (0..records.len()).filter(new).map(|k| records[k].clone()).collect()
+    };
+    let (train, holdout) = (once(0, train), once(train.len(), holdout));
+    let against_model = |records: &[Record], said: &mut Vec<Suspicion>| {
+        // Without what is off by itself: an open input's code is no sign of anything else.
+        let left = records.iter().filter_map(|r| without(r, said, machine).map(|(r, _)| r));
+        let left: Vec<Record> = left.collect();
+        let found: Vec<Suspicion> = left.iter().filter_map(|r| beside_the_model(r, machine)).collect();
+        said.extend(swapped_alike(&left, &found, machine));
+        said.extend(found);
+    };
+    let mut of_train = plausible::suspicions(&train);
+    against_model(&train, &mut of_train);
+    let mut together = plausible::suspicions(&[&train[..], &holdout].concat());
+    together.retain(|s| !of_train.contains(s));
+    // What only the hold-outs' side of a pair shows of a training record is said, and no more.
+    let (mut of_holdout, beside): (Vec<_>, Vec<_>) =
+        together.into_iter().partition(|s| holdout.iter().any(|r| about(s, r)));
+    against_model(&holdout, &mut of_holdout);
+    said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
+    let (left, rows): (Vec<Record>, Vec<Vec<usize>>) =
+        train.iter().filter_map(|r| without(r, &of_train, machine)).unzip();
+    left_out.extend(lines(&train, &left, &of_train));
+    Doubts { said, train: left, rows, left_out, holdout, of_holdout }
+}
+
+impl Doubts {
+    /// The hold-outs without what is doubted, for a model: what it does not read may be off. And what was left out.
+    pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
+        let left = self.holdout.iter().filter_map(|r| without(r, &self.of_holdout, model));
+        let left: Vec<Record> = left.map(|(r, _)| r).collect();
+        let lines = lines(&self.holdout, &left, &self.of_holdout);
+        (left, lines)
+    }
+
+    /// More that is doubted of whole records of the training.
+    pub(crate) fn also(&mut self, more: Vec<Suspicion>) {
+        for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
+            match more.iter().find(|s| about(s, &record)) {
+                Some(s) => {
+                    self.rows.remove(k);
+                    self.left_out.push(format!("{}: all of it ({})", record.path.display(), s.what.name()));
+                }
+                None => self.train.insert(0, record),
+            }
         }
+        self.said.extend(more);
     }
-    let left = |records: &[Record]| records.iter().filter_map(|r| without(r, &said, machine)).collect();
-    let (train, holdout) = (left(train), left(holdout));
-    Doubts { said, train, holdout }
 }
 
-fn about(s: &Suspicion, record: &Record) -> bool {
-    s.record == record.path.display().to_string()
-}
-
-fn is_sensor(record: &Record, name: &str) -> bool {
-    let sensor = |c: &Column| c.name == name && matches!(c.role, Role::Temperature | Role::Channel);
-    record.columns.iter().any(sensor)
-}
-
-/// Whether it is about the whole record: what it means all along is not known.
-fn whole(s: &Suspicion, record: &Record) -> bool {
-    match s.what {
-        What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
-        What::Swapped => true,
-        What::Range => !is_sensor(record, &s.column) && s.rows.is_empty(),
-        _ => false,
+/// What is missing of the records afterwards, a line each.
+fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String> {
+    let mut out = Vec::new();
+    for record in before {
+        let path = record.path.display();
+        let mut why: Vec<&str> = said.iter().filter(|s| about(s, record)).map(|s| s.what.name()).collect();
+        why.dedup();
+        let why = if why.is_empty() { "in another record".to_owned() } else { why.join(", ") };
+        let Some(left) = after.iter().find(|r| r.path == record.path) else {
+            out.push(format!("{path}: all of it ({why})"));
+            continue;
+        };
+        let rows = record.rows() - left.rows();
+        if rows > 0 {
+            out.push(format!("{path}: {rows} of {} rows ({why})", record.rows()));
+        }
+        let gone = |c: &&Column| left.columns.iter().all(|o| o.name != c.name);
+        out.extend(record.columns.iter().filter(gone).map(|c| format!("{path}: {} ({why})", c.name)));
     }
+    out
 }
 
 /// The record without what is doubted of it; none where nothing is left that could be trusted.
-fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<Record> {
+fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Record, Vec<usize>)> {
     if said.iter().any(|s| about(s, record) && whole(s, record)) {
         return None;
     }
@@ -81,11 +135,14 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<Rec
     let mut rows = plausible::unusable(&of_rows).rows(record);
     let mut sensors: Vec<&str> = Vec::new();
     for s in said.iter().filter(|s| is_sensor(record, &s.column)) {
-        if !read(&s.column) {
+        let (own, few) = (s.row_list(), s.is_few());
+        if few && about(s, record) {
+            // A few bad readings cost their rows.
+            rows.extend(own);
+        } else if !few && !read(&s.column) {
             // Doubted in one record, it is no cause in any.
             sensors.push(&s.column);
-        } else if about(s, record) {
-            let own = s.row_list();
+        } else if !few && about(s, record) {
             if own.is_empty() {
                 return None;
             }
@@ -100,21 +157,7 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<Rec
     }
     let mut left = if keep.len() < record.rows() { record.select(&keep) } else { record.clone() };
     left.columns.retain(|c| !sensors.contains(&c.name.as_str()) || !is_sensor(record, &c.name));
-    Some(left)
-}
-
-/// Minus its mean.
-fn centred(x: &[f64]) -> Vec<f64> {
-    let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
-    x.iter().map(|x| x - mean).collect()
-}
-
-fn simulated(record: &Record, role: &Role, machine: &Machine) -> Vec<f64> {
-    let mut sum = vec![0.0; record.rows()];
-    for e in machine.effects() {
-        let _absent = e.add(record, role, &mut sum);
-    }
-    centred(&sum)
+    Some((left, keep))
 }
 
 /// A mistake that the record and the model show together.
@@ -135,7 +178,9 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
             (1e3, What::Unit, "it agrees with the model only 1000 times as large: given in mm, called µm?"),
             (1e-3, What::Unit, "it agrees with the model only 1000 times smaller: given in nm?"),
         ] {
-            if share(by, &s) > ALIKE && now < UNLIKE {
+            // No effect that is missing makes of a model its own opposite.
+            let opposite = by < 0.0 && share(by, &s) > OPPOSITE && now < -1.0;
+            if opposite || share(by, &s) > ALIKE && now < UNLIKE {
                 return Some(told(what, &c.name, text.to_owned()));
             }
         }
@@ -167,27 +212,9 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
                 return Some(told(What::Unit, &name(&position), text));
             }
         }
-        let sensors: Vec<&str> = record.names(&Role::Temperature).collect();
-        for (i, a) in sensors.iter().enumerate() {
-            for b in &sensors[i + 1..] {
-                let mut other = record.clone();
-                for column in other.columns.iter_mut().filter(|c| c.role == Role::Temperature) {
-                    let from = match column.name.as_str() {
-                        n if n == *a => b,
-                        n if n == *b => a,
-                        _ => continue,
-                    };
-                    if let Some(data) = record.temperature(from) {
-                        column.data = data.to_vec();
-                    }
-                }
-                if better(&other) {
-                    let text = format!("the run agrees with the model only with {a} and {b} exchanged");
-                    return Some(told(What::Swapped, a, text));
-                }
-            }
-        }
-        None
+        exchanged(record, c, machine).map(|[a, b]| {
+            told(What::Swapped, &a, format!("the run agrees with the model only with {a} and {b} exchanged"))
+        })
     })
 }
 
@@ -237,21 +264,29 @@ pub(crate) fn without_rows(record: &Record, rows: &[usize]) -> Record {
     if rows.is_empty() || keep.is_empty() { record.clone() } else { record.select(&keep) }
 }
 
-/// A hold-out that the better model describes far worse than the training, and no better than the model as it was: then how
-/// much of its gap is closed says nothing.
-pub(crate) fn other_machine(holdout: &[Record], gap: &mut [Gap]) -> Option<Suspicion> {
-    let record = holdout.first()?;
-    let far = gap.iter_mut().find(|g| {
-        let floor = g.floor.max(g.train[1]);
-        g.holdout
-            .is_some_and(|[before, after]| g.is_wider() || (after > OTHER * floor && after > 0.7 * before))
-    })?;
-    let [_, after] = far.holdout?;
-    far.doubted = true;
-    let (unit, train) = (if far.unit == "um" { "µm" } else { far.unit.as_str() }, far.train[1]);
-    let text = format!(
-        "the model that leaves {train:.2} {unit} of the training leaves {after:.2} {unit} of the hold-out: another machine, \
-         or another state of it?"
-    );
-    Some(Suspicion::new(record, "", What::OtherMachine, &[], text))
+/// The hold-outs that the better model describes far worse than the training, and no better than the model as it was, by
+/// their numbers: how much of their gap is closed says nothing. `traces` are those of the hold-outs, record by record.
+pub(crate) fn other_machines(holdout: &[Record], traces: &[Trace], gap: &[Gap]) -> Vec<(usize, Suspicion)> {
+    let mut found = Vec::new();
+    let mut rest = traces;
+    for (k, record) in holdout.iter().enumerate() {
+        let (own, further) = rest.split_at(record.responses().count().min(rest.len()));
+        rest = further;
+        for g in gap {
+            let floor = g.floor.max(g.train[1]);
+            let Some([before, after]) = gap::pooled(own, &g.unit, true) else { continue };
+            let worse = after > gap::WORSE * before.max(g.floor) && after > 2.0 * floor;
+            if worse || (after > OTHER * floor && after > 0.7 * before) {
+                let unit = if g.unit == "um" { "µm" } else { g.unit.as_str() };
+                let text = format!(
+                    "the model that leaves {:.2} {unit} of the training leaves {after:.2} {unit} of this hold-out: another \
+                     machine, or another state of it?",
+                    g.train[1]
+                );
+                found.push((k, Suspicion::new(record, "", What::OtherMachine, &[], text)));
+                break;
+            }
+        }
+    }
+    found
 }

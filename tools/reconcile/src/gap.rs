@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 
 /// Folds of the blocked cross-validation.
 const FOLDS: usize = 5;
+/// A fold is of so many blocks where one is too long.
+const PIECES: usize = 4;
 /// Fewer degrees of freedom among repeats say nothing of the repeatability.
 const FEWEST_REPEATS: f64 = 10.0;
 
@@ -21,7 +23,7 @@ pub struct Gap {
     pub train: [f64; 2],
     /// The same on the hold-outs.
     pub holdout: Option<[f64; 2]>,
-    /// The same by blocked cross-validation, where there is no hold-out.
+    /// The same by blocked cross-validation, where anything was fitted.
     pub blocked: Option<[f64; 2]>,
     /// Repeatability of the data.
     pub floor: f64,
@@ -29,8 +31,8 @@ pub struct Gap {
     pub doubted: bool,
 }
 
-/// A gap that is wider afterwards by more than this share of itself is no chance.
-const WIDER: f64 = 0.1;
+/// A gap that is so many times as wide afterwards is no chance.
+pub(crate) const WORSE: f64 = 1.1;
 
 impl Gap {
     /// Share of the gap that is closed on the hold-out (or by cross-validation): 1 is down to the floor.
@@ -40,10 +42,10 @@ impl Gap {
         (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
     }
 
-    /// Whether the gap is wider afterwards.
+    /// Whether the gap of rows that nothing was learned from is wider afterwards, by cross-validation.
     pub(crate) fn is_wider(&self) -> bool {
-        let [before, after] = self.holdout.or(self.blocked).unwrap_or(self.train);
-        after > (1.0 + WIDER) * before.max(self.floor)
+        let [before, after] = self.blocked.unwrap_or(self.train);
+        after > WORSE * before.max(self.floor)
     }
 }
 
@@ -101,19 +103,24 @@ fn unit_of(response: &str) -> &'static str {
     if response.starts_with("force") { "N" } else { "um" }
 }
 
-/// The gap of the responses of each unit. `fold`: by cross-validation too, where there is no hold-out.
+/// The gap of the responses of each unit.
 pub(crate) fn gaps(
     stack: &Stack<'_>,
     train: &[Record],
     traces: &[Trace],
     terms: &[Term],
     answer: &Answer,
-    fold: bool,
 ) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();
     units.dedup();
-    let blocked = fold.then(|| blocked(stack, terms, answer));
+    let fitted = terms.iter().any(|t| t.half.iter().any(|h| *h > 0.0));
+    let folds = fitted.then(|| blocked(stack, terms, answer, 1));
+    let before = |unit: &str| pooled(traces, unit, false).map_or(0.0, |t| t[0]);
+    // What a block alone shows (a stretch of a map, where a plate is measured line by line) its absence leaves open: that is
+    // no prediction that fails. Shorter blocks leave a part of it.
+    let open = |all: &Vec<f64>| units.iter().any(|u| rms(&in_own_unit(stack, all, u)) > WORSE * before(u));
+    let blocked = folds.map(|all| if open(&all) { blocked(stack, terms, answer, PIECES) } else { all });
     let freedom = terms.iter().flat_map(|t| &t.half).filter(|h| **h > 0.0).count() as f64;
     let of = |unit: &str| {
         let train_gap = pooled(traces, unit, false).unwrap_or([0.0; 2]);
@@ -129,11 +136,18 @@ pub(crate) fn gaps(
 }
 
 /// RMS before and after over all responses of a unit, of the training records or of the held-out ones.
-fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {
+pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {
     let of: Vec<&Trace> =
         traces.iter().filter(|t| t.holdout == held && unit_of(&t.response) == unit).collect();
     let pool = |f: fn(&Trace) -> &[f64]| rms(&of.iter().flat_map(|t| f(t)).copied().collect::<Vec<_>>());
     (!of.is_empty()).then(|| [pool(|t| &t.before), pool(|t| &t.after)])
+}
+
+/// The gaps with other hold-outs' traces in place of those they have.
+pub(crate) fn on_holdouts(gap: &mut [Gap], traces: &[Trace]) {
+    for g in gap {
+        g.holdout = pooled(traces, &g.unit, true);
+    }
 }
 
 /// The segments of a unit's responses.
@@ -183,14 +197,17 @@ fn repeatability(stack: &Stack<'_>, train: &[Record], answer: &Answer, unit: &st
     (freedom > FEWEST_REPEATS).then(|| (sum / freedom).sqrt())
 }
 
-/// What the better model leaves of rows that its parameters were not fitted on, block by block, weighed.
-fn blocked(stack: &Stack<'_>, terms: &[Term], answer: &Answer) -> Vec<f64> {
+/// What the better model leaves of rows that its parameters were not fitted on, block by block, weighed; each fold is of so
+/// many blocks.
+fn blocked(stack: &Stack<'_>, terms: &[Term], answer: &Answer, pieces: usize) -> Vec<f64> {
     let mut out = vec![0.0; stack.n];
     for fold in 0..FOLDS {
         let mut keep = vec![true; stack.n];
         for s in &stack.ranges {
-            let n = s.len();
-            keep[s.start + n * fold / FOLDS..s.start + n * (fold + 1) / FOLDS].fill(false);
+            let (n, blocks) = (s.len(), FOLDS * pieces);
+            for b in (fold..blocks).step_by(FOLDS) {
+                keep[s.start + n * b / blocks..s.start + n * (b + 1) / blocks].fill(false);
+            }
         }
         let mut without = terms.to_vec();
         fit::fit(stack, &mut without, answer.phi, 2, Some(&keep));

@@ -29,6 +29,8 @@ impl Products {
 pub(crate) struct Vector {
     pub(crate) data: Vec<f64>,
     neighbours: Vec<f64>,
+    /// Outside these rows it is zero.
+    covers: Range<usize>,
 }
 
 impl Vector {
@@ -41,11 +43,21 @@ impl Vector {
                 out[i - 1] += x[i];
             }
         }
-        Self { data, neighbours }
+        let zero = |s: &&Range<usize>| data[(*s).clone()].iter().all(|x| *x == 0.0);
+        let from = segments.iter().find(|s| !zero(s)).map_or(0, |s| s.start);
+        let to = segments.iter().rev().find(|s| !zero(s)).map_or(from, |s| s.end);
+        Self { data, neighbours, covers: from..to }
+    }
+
+    /// Whether it is zero at all of these rows, as it is at those of another response than its own.
+    fn is_zero(&self, rows: &Range<usize>) -> bool {
+        self.covers.end <= rows.start || rows.end <= self.covers.start
     }
 
     pub(crate) fn products(&self, other: &[f64], segments: &[Range<usize>]) -> Products {
-        let Some(rows) = rows_of(segments) else { return Products::default() };
+        let Some(rows) = rows_of(segments).filter(|rows| !self.is_zero(rows)) else {
+            return Products::default();
+        };
         let [plain, lagged] = dots(&self.data[rows.clone()], &self.neighbours[rows.clone()], &other[rows]);
         Products { plain, lagged, ends: ends(&self.data, other, segments) }
     }
@@ -89,9 +101,9 @@ const LANES: usize = 8;
 /// A function for any processor, and the same again for one with registers of 256 bits: the same digits, as no products
 /// and sums are fused.
 macro_rules! wide {
-    ($(#[$doc:meta])* fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty $body:block) => {
+    ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty $body:block) => {
         $(#[$doc])*
-        fn $name($($arg: $type),*) -> $out {
+        $vis fn $name($($arg: $type),*) -> $out {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx2")]
@@ -127,7 +139,7 @@ wide! {
 
 wide! {
     /// `[a·c, b·c]` in one run through the memory.
-    fn dots(a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2] {
+    pub(crate) fn dots(a: &[f64], b: &[f64], c: &[f64]) -> [f64; 2] {
         let (mut first, mut second) = ([0.0; LANES], [0.0; LANES]);
         let (ca, cb, cc) = (a.chunks_exact(LANES), b.chunks_exact(LANES), c.chunks_exact(LANES));
         let mut tail = [0.0; 2];
@@ -142,6 +154,23 @@ wide! {
             }
         }
         [fold(first) + tail[0], fold(second) + tail[1]]
+    }
+}
+
+wide! {
+    /// `b - by·a` in place of b.
+    fn long_minus(b: &mut [f64], by: f64, a: &[f64]) -> () {
+        for (b, a) in b.iter_mut().zip(a) {
+            *b -= by * a;
+        }
+    }
+}
+
+/// `b - by·a` in place of b.
+pub(crate) fn minus(b: &mut [f64], by: f64, a: &[f64]) {
+    // What acts on different responses has nothing in common.
+    if by != 0.0 {
+        long_minus(b, by, a);
     }
 }
 
@@ -327,6 +356,13 @@ impl Bank {
                 .count();
             let rows = self.rows(covers);
             let n = rows.len();
+            if vectors.iter().all(|v| v.is_zero(&rows)) {
+                for out in &mut out {
+                    out.resize(from + alike, Products::default());
+                }
+                from += alike;
+                continue;
+            }
             panel.resize(alike * n, 0.0);
             for (i, column) in panel.chunks_exact_mut(n).enumerate() {
                 self.read(from + i, covers, column);
@@ -426,6 +462,25 @@ impl Cholesky {
             let row = &self.l[i * self.n..];
             b[i] = (b[i] - dot(&row[..i], &b[..i])) / row[i];
         }
+    }
+
+    /// L⁻¹B, in place: B row by row, `width` values each.
+    pub(crate) fn forward_many(&self, b: &mut [f64], width: usize) {
+        for i in 0..self.n {
+            let (before, at) = b.split_at_mut(i * width);
+            let (row, at) = (self.row(i), &mut at[..width]);
+            for (l, before) in row.iter().zip(before.chunks_exact(width)) {
+                minus(at, *l, before);
+            }
+            for x in at {
+                *x /= row[i];
+            }
+        }
+    }
+
+    /// A row of L, up to its diagonal.
+    pub(crate) fn row(&self, i: usize) -> &[f64] {
+        &self.l[i * self.n..=i * self.n + i]
     }
 
     /// L⁻ᵀb, in place.
@@ -528,6 +583,12 @@ mod tests {
         let (mut m, mut once) = (a, [8.0, 8.0, 16.0]);
         reduce(&mut m, &mut once);
         assert_eq!(once.map(f64::to_bits), b.map(f64::to_bits));
+        // The same, twice as much beside it.
+        let mut many = [8.0, 16.0, 8.0, 16.0, 16.0, 32.0];
+        c.forward_many(&mut many, 2);
+        for (pair, b) in many.chunks(2).zip(b) {
+            assert!((pair[0] - b).abs() < 1e-12 && (pair[1] - 2.0 * b).abs() < 1e-12);
+        }
         c.backward(&mut b);
         assert!((b[0] - 1.0).abs() < 1e-12 && (b[1] - 2.0).abs() < 1e-12 && b[2] == 0.0);
     }

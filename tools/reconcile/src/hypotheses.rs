@@ -155,12 +155,19 @@ impl Hypotheses {
         let [lo, hi] = effect.description().parameters[0].bounds;
         let (from, to) = (1.0 / (hi * facts.unit_mm), 1.0 / (lo * facts.unit_mm));
         let mut wave = Wave::new(stack, h, response, &along, from, to);
+        // What is constant on the axis shows its share in the radial error.
+        let dictionary = Dictionary::default();
+        let constant = dictionary.laws().find(|l| l.describe().constant)?;
+        let constant = dictionary.effect(&format!("{}.{axis}", constant.describe().name)).ok()?;
+        let share = stack.basis(&constant).into_iter().next()?;
         if stack.responses[response] != own {
-            // What is constant on the axis shows its share in the radial error.
-            let dictionary = Dictionary::default();
-            let constant = dictionary.laws().find(|l| l.describe().constant)?;
-            let constant = dictionary.effect(&format!("{}.{axis}", constant.describe().name)).ok()?;
-            wave.share = stack.basis(&constant).first()?[wave.rows.clone()].to_vec();
+            wave.share = share[wave.rows.clone()].to_vec();
+        }
+        for other in (0..stack.responses.len()).filter(|r| *r != response && radial(&stack.responses[*r])) {
+            let rows = stack.rows(other);
+            let along = stack
+                .column(Some(other), |r, row| r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row]));
+            wave.also.push((rows.clone(), along[rows.clone()].to_vec(), share[rows].to_vec()));
         }
         if let (Some(steps), Some(step)) = (facts.steps, resolution(&wave.places)) {
             // What is finer than the positions are read cannot be told from something coarser.

@@ -6,15 +6,16 @@
 //! | module | what |
 //! |---|---|
 //! | `workflow` | the whole of it: analysis, last fit, what is written into the model |
-//! | `doubt` | people's mistakes: said, and left out |
+//! | `doubt`, `swapped`, `suspected` | people's mistakes: said, and left out; two sensors exchanged; what a suspicion is about |
 //! | `problem`, `gram` | runs and model as one least-squares problem; products of columns under correlated noise |
 //! | `cause`, `hypotheses`, `shapes`, `teeth`, `waves`, `extent` | what may be missing: effects over their grids, shapes of no name |
 //! | `search` | the set of explanations that the data pay for |
 //! | `analysis`, `tuning` | the search again and again, the model's own parameters and the noise's size mended in between |
 //! | `chance` | what the same search finds in noise |
-//! | `naming`, `steady` | which of it is named, what else it might be; explanations by heat that predict |
-//! | `fit` | all effects jointly, with an interval for each value |
+//! | `naming`, `simpler`, `leftover`, `steady` | which of it is named, what else it might be; fewer names; what they leave; explanations by heat that predict |
+//! | `fit`, `fitted` | all effects jointly, with an interval for each value; which of them keep their place |
 //! | `where_found` | where measured and simulated disagree |
+//! | `room` | the sensors that a fit of growth chooses on the same drift |
 //! | `unexplained` | a curve that stands for what has no name |
 //! | `answer` | what the analysis found, before anything is written |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
@@ -31,15 +32,21 @@ mod document;
 mod doubt;
 mod extent;
 mod fit;
+mod fitted;
 mod gap;
 mod gram;
 mod hypotheses;
+mod leftover;
 mod naming;
 mod problem;
 mod report;
+mod room;
 mod search;
 mod shapes;
+mod simpler;
 mod steady;
+mod suspected;
+mod swapped;
 mod teeth;
 #[cfg(test)]
 mod testing;

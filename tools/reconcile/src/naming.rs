@@ -4,27 +4,13 @@
 use crate::answer::{Answer, Finding, ROUNDS, Rival, Tried};
 use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
-use crate::problem::rms;
+use crate::leftover::{beyond_bounds, slightest, unexplained};
 use crate::search::{Found, Member, Search, Set};
+use crate::simpler::{DECISIVE, merged, plainer, slimmed, with_offset};
 use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC};
 
-/// Log odds below which the data do not decide between two explanations.
-const DECISIVE: f64 = 3.0;
-/// Log odds by which a shape without a name must beat the best named explanation.
-const SHAPE_DECISIVE: f64 = 5.0;
-/// The same where the names leave little.
-const SHAPE_INSTEAD: f64 = 12.0;
-
-/// An effect that does less than this share of what is left is not worth a name: on a real machine everything shows a
-/// little of everything.
-const WORTH: f64 = 0.2;
-/// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
-const EXPLAINED: f64 = 0.25;
-/// Where named effects leave less than this share of the gap, they are not exchanged for a shape without a name,
-/// however well it fits: no law is true to a fiftieth.
-const NEARLY_ALL: f64 = 0.05;
-/// A member that is worth less than this, nats, may be there only for what another one's values miss.
-const WEAK: f64 = 30.0;
+/// The same hypothesis with other values free is taken instead where it is so much better.
+const RECHOSEN: f64 = 1.0;
 /// More waves of one law on an axis are no name.
 const NAMED_WAVES: usize = 2;
 /// Most rivals that are listed for one effect.
@@ -45,7 +31,9 @@ struct Conclusion<'f> {
 pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
     let named = renamed(search, found.named.clone());
     let named = slimmed(search, named);
-    let mut named = with_offset(search, &named);
+    let named = with_offset(search, &named);
+    let named = plainer(search, found, named);
+    let mut named = merged(search, &named);
     let any = slimmed(search, found.any.clone());
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
@@ -57,17 +45,23 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     } else {
         named = search.with_references(named);
     }
+    let mut beyond = Vec::new();
     if !search.physical(&named) {
         // Outside its bounds nothing is named, however well it fits: what is left of the set, or the best that a machine may
         // have.
+        let full = named.clone();
         let left = search.bounded(named);
         let best = found.visited.iter().find(|set| search.physical(set) && set.score > left.score).cloned();
-        named = standing_out(search, best.unwrap_or(left), &chance, level);
-        named = search.bounded(named);
+        let best = standing_out(search, best.unwrap_or_else(|| left.clone()), &chance, level);
+        let best = search.bounded(best);
+        beyond = beyond_bounds(search, &best, &full, &chance, level);
+        // Nothing takes the place of what no machine has.
+        named = if beyond.is_empty() { best } else { standing_out(search, left, &chance, level) };
     }
     let (named, crowd) = without_crowds(search, named);
     let mut unexplained = unexplained(search, &named, &any, &chance, level);
     let set = if unexplained.is_empty() { named } else { any.clone() };
+    unexplained.extend(beyond);
     let (set, again) = without_crowds(search, set);
     unexplained.extend(crowd.into_iter().chain(again));
     unexplained.dedup();
@@ -76,6 +70,7 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     let findings = conclusion.findings(search, &mut tried);
     let Conclusion { set, unexplained, .. } = conclusion;
     let best = if any.score > set.score { any } else { set };
+    let evidence = best.score - search.weight();
     // What only wanders slowly makes values less certain; what is left is judged without it.
     let best = search.wandering(true, best);
     let (_, phi) = search.residual(&best);
@@ -91,6 +86,7 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
         residual,
         phi,
         sigma: search.stack.sigma.clone(),
+        evidence,
     }
 }
 
@@ -197,37 +193,6 @@ fn pruned(search: &Search<'_, '_>, named: Set, chance: &Chance, level: f64) -> S
     }
 }
 
-/// The member that does least, where that is too little for a name.
-fn slightest(search: &Search<'_, '_>, named: &Set) -> Option<usize> {
-    let left = rms(&search.residual(named).0);
-    let does: Vec<f64> = (0..named.members.len()).map(|i| search.share(named, i)).collect();
-    let least = (0..does.len()).min_by(|a, b| does[*a].total_cmp(&does[*b]))?;
-    (does[least] < WORTH * left).then_some(least)
-}
-
-/// Structure that the names leave to shapes; empty where the names keep their place.
-fn unexplained(search: &Search<'_, '_>, named: &Set, any: &Set, chance: &Chance, level: f64) -> Vec<Shape> {
-    let whole = rms(&search.residual(&search.empty()).0);
-    let left = rms(&search.residual(named).0);
-    let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
-    // Names that leave next to nothing, or that the shape only stands beside, keep their place.
-    let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
-    let kept = mostly && (beside || left < NEARLY_ALL * whole);
-    // A shape in place of the names, not beside them, has to be the far better account where they leave little.
-    // The more names one shape replaces, the less.
-    let each = any.members.len() as f64 / named.members.len().max(1) as f64;
-    let needed = if mostly { SHAPE_INSTEAD * each.min(1.0) } else { SHAPE_DECISIVE };
-    if kept || any.score <= named.score + needed {
-        return Vec::new();
-    }
-    // In place of names it is the whole that chance would have to give.
-    let gain = if beside { search.gain(named, any) } else { search.gain(&search.empty(), any) };
-    if chance.of_anything(gain) > level {
-        return Vec::new();
-    }
-    any.members.iter().filter_map(|m| m.cause.shape().cloned()).collect()
-}
-
 impl Conclusion<'_> {
     /// The set's effects with what the data cannot tell from each, strongest first.
     fn findings(&self, search: &mut Search<'_, '_>, tried: &mut TriedList) -> Vec<Finding> {
@@ -247,12 +212,18 @@ impl Conclusion<'_> {
             {
                 // Another reference temperature and a constant (or a scale) beside the law do the same to these data.
                 if effect.delta.as_ref().is_some_and(plausible_reference) {
-                    rivals.push(Rival { name: level.name(), sensor: None, margin: 0.0 });
+                    rivals.push(Rival { name: level.name(), sensor: None, differs: None, margin: 0.0 });
                 } else if let Some((own, level)) = split_reference(&effect, level) {
                     effect = own;
                     let (held, rivals) = (Vec::new(), Vec::new());
                     findings.push(Finding { effect: level, held, p_value, evidence, rivals });
                 }
+            }
+            let rest = search.without(&self.set, i);
+            let period = &effect.description().parameters.first().map_or("", |p| p.name.as_str()).to_owned();
+            for (value, margin) in search.other_periods(&rest, &self.set.members[i]) {
+                let differs = Some((period.clone(), value));
+                rivals.push(Rival { name: effect.name(), sensor: None, differs, margin });
             }
             rivals.sort_by(|a, b| a.margin.total_cmp(&b.margin));
             rivals.truncate(MOST_RIVALS);
@@ -270,8 +241,10 @@ impl Conclusion<'_> {
         let p_value = self.chance.of_name(evidence, self.set.members.len() == 1);
         let parts = self.set.members[member].cause.parts(by);
         let others = self.equals.iter().flatten().map(|h| rival(search, *h, 0.0));
-        let mut all: Vec<Rival> =
-            parts.iter().map(|e| Rival { name: e.name(), sensor: e.delta.clone(), margin: 0.0 }).collect();
+        let mut all: Vec<Rival> = parts
+            .iter()
+            .map(|e| Rival { name: e.name(), sensor: e.delta.clone(), differs: None, margin: 0.0 })
+            .collect();
         for o in others {
             if !all.iter().any(|r| r.name == o.name && r.sensor == o.sensor) {
                 all.push(o);
@@ -377,7 +350,7 @@ impl Conclusion<'_> {
 /// A hypothesis as another explanation.
 fn rival(search: &Search<'_, '_>, hypothesis: usize, margin: f64) -> Rival {
     let h = &search.all.list[hypothesis];
-    Rival { name: h.name.clone(), sensor: h.sensor().cloned(), margin }
+    Rival { name: h.name.clone(), sensor: h.sensor().cloned(), differs: None, margin }
 }
 
 /// Linear parameters that a cause does not let free.
@@ -407,7 +380,9 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
                 ranking.iter().find(|r| r.name == *own).map_or(named.score, |r| r.evidence.max(named.score));
             let better =
                 if first.name == *own { offer.score > named.score + 1e-6 } else { first.evidence > present };
-            if offer.hypothesis == member || !better {
+            // The same with other values free is a better name, too.
+            let alike = offer.hypothesis == member && offer.score < named.score + RECHOSEN;
+            if alike || !better {
                 continue;
             }
             let next = search.take(&rest, &offer);
@@ -420,62 +395,6 @@ fn renamed(search: &mut Search<'_, '_>, set: Set) -> Set {
         }
     }
     named
-}
-
-/// The set without members that are worth little beside the others, where those then find better values: two half truths may
-/// hold the place of a whole one.
-fn slimmed(search: &mut Search<'_, '_>, set: Set) -> Set {
-    let mut best = set;
-    loop {
-        let weak: Vec<Set> = (0..best.members.len())
-            .map(|i| search.without(&best, i))
-            .filter(|rest| best.score - rest.score < WEAK)
-            .collect();
-        let mut better = None;
-        for rest in weak {
-            let rest = search.polish(rest);
-            if rest.score > better.as_ref().map_or(best.score, |b: &Set| b.score) {
-                better = Some(rest);
-            }
-        }
-        match better {
-            Some(set) => best = set,
-            None => return best,
-        }
-    }
-}
-
-/// A constant beside a member may make another explanation of that member better than itself: a step that a search
-/// by single steps does not take.
-fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
-    let offsets: Vec<usize> = (0..search.all.list.len())
-        .filter(|h| search.all.list[*h].law().is_some_and(|l| l.constant))
-        .collect();
-    let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor().is_some();
-    let n = set.members.len();
-    let mut rests: Vec<Set> = (0..n).map(|i| search.without(set, i)).collect();
-    // Two sensors with a constant between them may be their difference.
-    for i in (0..n).filter(|i| thermal(*i)) {
-        for j in (i + 1..n).filter(|j| thermal(*j)) {
-            rests.push(search.without(&search.without(set, j), i));
-        }
-    }
-    let mut best = set.clone();
-    for rest in rests {
-        for h in &offsets {
-            if set.members.iter().any(|m| m.hypothesis == *h) {
-                continue;
-            }
-            let Some(offset) = search.offer_of(&rest, *h) else { continue };
-            let level = search.take(&rest, &offset);
-            let Some(offer) = search.offers(&level, 1, 0, false).into_iter().next() else { continue };
-            if offer.score > best.score + 1e-6 {
-                let next = search.take(&level, &offer);
-                best = search.polish(next);
-            }
-        }
-    }
-    best
 }
 
 /// A set without its weakest member, without the weakest of what is left, and so on to the empty set.

@@ -150,17 +150,31 @@ impl<'r> Stack<'r> {
     }
 
     /// What constant and straight line over the rows are made of, in a map's heights: one row of weights each. Offset,
-    /// scale and squareness are for those. `raw`: the columns of its heights.
+    /// scale and squareness are for those. The rows are those of the axis's own error where there are any; in a circle's
+    /// radial error the map counts as it is, not by its share. `raw`: the columns of its heights.
     pub(crate) fn levels(&self, effect: &Effect, raw: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let Some(along) = effect.axes().last() else { return Vec::new() };
         let role = Role::Position(along.clone());
+        let own = effect.axes().first().map(|a| Role::Error(a.clone()));
+        let of_own = |s: &&Segment| Some(&self.responses[s.response]) == own.as_ref();
+        let any_own = self.segments.iter().any(|s| of_own(&s));
         // An axis that a record does not log stands still in it: that row is no part of a line.
         let place = self.column(None, |r, row| r.data(&role).map_or(f64::NAN, |p| p[row]));
+        let rows: Vec<usize> = self
+            .segments
+            .iter()
+            .filter(|s| !any_own || of_own(s))
+            .flat_map(|s| s.rows.clone())
+            .filter(|row| !place[*row].is_nan())
+            .collect();
+        // Heights at a row add up to one, in a radial error to the axis's share.
+        let share: Vec<f64> = rows.iter().map(|row| raw.iter().map(|c| c[*row]).sum()).collect();
         let weight = |of: &dyn Fn(f64) -> f64| -> Vec<f64> {
-            let logged = |c: &Vec<f64>| {
-                c.iter().zip(&place).filter(|(_, p)| !p.is_nan()).map(|(c, p)| c * of(*p)).sum()
+            let at = |c: &Vec<f64>| {
+                let each = rows.iter().zip(&share).filter(|(_, s)| s.abs() > LEAST_SHARE);
+                each.map(|(row, s)| c[*row] / s * of(place[*row])).sum()
             };
-            raw.iter().map(logged).collect()
+            raw.iter().map(at).collect()
         };
         let rows = weight(&|_| 1.0);
         let whole: f64 = rows.iter().sum::<f64>().max(1.0);
@@ -255,6 +269,8 @@ pub(crate) struct Known {
     pub(crate) target: f64,
 }
 
+/// Where an axis has a smaller share in a circle's radial error it shows nothing there.
+const LEAST_SHARE: f64 = 1e-6;
 /// How far a model's value may be off, as a share of what its effect does to the error: one standard deviation.
 const TRUST: f64 = 0.1;
 /// The same for what bends the shape of an effect: a period, a lag, a phase.

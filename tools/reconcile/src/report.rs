@@ -40,6 +40,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
     }
     places(&mut h, r);
     ranking(&mut h, r);
+    doubts(&mut h, r);
     if !r.advice.is_empty() {
         let _ = write!(h, "<h2>Next experiment</h2><p>{}</p>", escape(&r.advice));
     }
@@ -51,6 +52,22 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
         number(r.phi)
     );
     h
+}
+
+fn doubts(h: &mut String, r: &Reconciliation) {
+    for (title, lines) in [
+        ("What looks like a mistake", r.suspicions.iter().map(ToString::to_string).collect()),
+        ("Left out", r.left_out.clone()),
+    ] {
+        let lines: Vec<String> = lines;
+        if !lines.is_empty() {
+            let _ = write!(h, "<h2>{title}</h2><ul>");
+            for line in &lines {
+                let _ = write!(h, "<li>{}", escape(line));
+            }
+            h.push_str("</ul>");
+        }
+    }
 }
 
 fn refined(h: &mut String, r: &Reconciliation) {

@@ -6,7 +6,7 @@ use crate::hypotheses::{Atom, Hypotheses, Hypothesis};
 use crate::problem::Stack;
 use crate::teeth::Teeth;
 use crate::waves::Wave;
-use rtec_model::effect::sign;
+use rtec_model::effect::{STANDARD_DEGC, sign};
 use rtec_model::record::{Axis, Record, Role};
 use std::f64::consts::{PI, TAU};
 
@@ -16,6 +16,10 @@ const SHAPE_COST: f64 = 2.0;
 const KNEES: i32 = 5;
 /// Numbers of hats over the position that are more than a map's.
 const FINE: [usize; 2] = [64, 96];
+/// Products of more temperatures than these are too many to look at.
+const MOST_SENSORS: usize = 6;
+/// A product beside its two factors is so much less likely, as if it were one of so many grid points.
+const SENSORS_GRID: usize = 50;
 /// Fewest rows that saw teeth are looked for in.
 const ROWS_FOR_TEETH: usize = 40;
 /// Fewest rows, but one, that a knee is looked for in.
@@ -189,6 +193,7 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
         self.knees();
         self.in_time();
         self.smooth();
+        self.sensors_together();
         self.by_direction();
         self.along_position();
         self.in_proportion_to_position();
@@ -269,6 +274,32 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
             for k in sizes {
                 let columns = self.hats(&data, *k);
                 self.add(&[&label], "smooth", columns);
+            }
+        }
+    }
+
+    /// Products of two temperatures, and of these with the position.
+    fn sensors_together(&mut self) {
+        let warm: Vec<(String, Vec<f64>)> =
+            self.scalars.iter().filter(|(l, _)| l.starts_with("temperature")).cloned().collect();
+        if warm.len() > MOST_SENSORS {
+            return;
+        }
+        let role = Role::Position(self.axis.clone());
+        let place = self.get(&role).map(|p| (role.to_string(), p));
+        for (i, (a, x)) in warm.iter().enumerate() {
+            for (b, y) in &warm[i + 1..] {
+                let from = |t: &[f64]| self.over(t, |t| t - STANDARD_DEGC);
+                let both = times(&from(x), &from(y));
+                let bent = vec![both.clone(), from(x), from(y)];
+                if let Some((name, p)) = &place {
+                    let with: Vec<Vec<f64>> = bent.iter().map(|c| times(c, p)).chain([p.clone()]).collect();
+                    let manner = "in proportion to position and to two temperatures";
+                    self.offer(&[name, a, b], manner, vec![with[0].clone()], 2);
+                    self.offer(&[name, a, b], manner, with, SENSORS_GRID);
+                }
+                self.offer(&[a, b], "in proportion to two temperatures", vec![both], 2);
+                self.offer(&[a, b], "in proportion to two temperatures", bent, SENSORS_GRID);
             }
         }
     }

@@ -29,6 +29,10 @@ const LONGEST_LAG: f64 = 1.0 / 3.0;
 const SURROUNDINGS_K: f64 = 1.0;
 /// So many explanations, of as many places, are averaged.
 const AVERAGED: usize = 5;
+/// Prediction so much worse than fitting is no matter of few early rows.
+const WANDERS: f64 = 2.5;
+/// What is left of a longer memory is structure and no noise.
+const NOISE_MEMORY: f64 = 0.7;
 /// Fewer rows predict nothing.
 const FEWEST_ROWS: usize = 200;
 
@@ -125,6 +129,9 @@ impl Search<'_, '_> {
         let all: Vec<&[f64]> = set.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
         let own = trial(&run.y, &all, &[(0.0, Vec::new())], run.span_s)?;
         let plausible = self.plausible(set);
+        if own.ahead < WANDERS * own.fitted && self.leaves_noise(set) && self.physical(set) {
+            return None;
+        }
         let simple = plausible && set.members.iter().filter(|m| grows(&m.cause)).count() < 2;
         let bound = if simple { UNSTEADY } else { UNSTEADY_SUM };
         if plausible && own.ahead < bound * own.fitted {
@@ -146,6 +153,15 @@ impl Search<'_, '_> {
         tried.retain(|t| t.trial.ahead <= EQUAL * least);
         let equals = tried.iter().map(|t| t.hypothesis).collect();
         Some((self.in_place(&rest, &sum), equals))
+    }
+
+    /// Whether nothing but noise is left, of no longer memory than noise has: then what explains the rows explains all of
+    /// them, and early rows that predict the later ones badly only say how little they tell.
+    fn leaves_noise(&mut self, set: &Set) -> bool {
+        let free = self.wandering(true, set.clone());
+        let (_, phi) = self.residual(&free);
+        let _back = self.wandering(false, Set::clone(&free));
+        phi < NOISE_MEMORY
     }
 
     /// The mean of several explanations, each by how well it predicts: one for each place of the machine, the best few.

@@ -18,15 +18,22 @@ impl Teeth {
     pub(crate) fn column(&self, stack: &Stack<'_>) -> Vec<f64> {
         let [lo, hi] = stack.time_s;
         let span = (hi - lo).max(1e-300);
-        stack.column(Some(self.response), |record, row| {
-            let place = (self.turns * (record.time_s()[row] - lo) / span + self.phase).rem_euclid(1.0);
-            if self.saw {
-                place - 0.5
-            } else if place < 0.5 {
-                0.5
-            } else {
-                -0.5
+        let mut out = vec![0.0; stack.n];
+        for s in stack.segments.iter().filter(|s| s.response == self.response) {
+            let time = stack.record(s).time_s();
+            for (x, t) in out[s.rows.clone()].iter_mut().zip(time) {
+                let turns = self.turns * (t - lo) / span + self.phase;
+                // The same digits as a remainder, in a fraction of its time.
+                let place = turns - turns.floor();
+                *x = if self.saw {
+                    place - 0.5
+                } else if place < 0.5 {
+                    0.5
+                } else {
+                    -0.5
+                };
             }
-        })
+        }
+        out
     }
 }

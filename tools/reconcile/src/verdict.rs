@@ -86,6 +86,8 @@ pub struct Reconciliation {
     pub places: Vec<Place>,
     /// Mistakes that the data show: what they are against was left out.
     pub suspicions: Vec<Suspicion>,
+    /// What was left out, a line each: records, rows, sensors.
+    pub left_out: Vec<String>,
     /// Velocities and accelerations that were derived from positions, a line each.
     pub derived: Vec<String>,
     /// What was added, strongest first, with half widths of the intervals.
@@ -135,7 +137,7 @@ mod tests {
             let effect = Dictionary::default().effect("scale.x").unwrap();
             (Finding { effect, held: Vec::new(), p_value: 0.0, evidence: 9.0, rivals }, vec![0.1])
         };
-        let rival = Rival { name: "offset.x".into(), sensor: None, margin: 1.0 };
+        let rival = Rival { name: "offset.x".into(), sensor: None, differs: None, margin: 1.0 };
         let shape =
             Shape { response: "error.x".into(), against: vec!["time".into()], manner: "smooth".into() };
         assert_eq!(Verdict::of(&[], &[]), Verdict::NothingMissing);

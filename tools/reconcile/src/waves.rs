@@ -17,6 +17,8 @@ pub(crate) struct Wave {
     pub(crate) along: Vec<f64>,
     /// What the wave is multiplied with at those rows (its axis' share in a circle's radial error); empty for one.
     pub(crate) share: Vec<f64>,
+    /// Further rows that show it: a circle's radial error beside the axis's own; each with the variable and the share.
+    pub(crate) also: Vec<(Range<usize>, Vec<f64>, Vec<f64>)>,
     /// The variable in rising order, each value once.
     pub(crate) places: Vec<f64>,
     /// Frequencies to search, in periods per unit of the variable.
@@ -47,6 +49,7 @@ impl Wave {
             rows,
             along,
             share: Vec::new(),
+            also: Vec::new(),
             places,
             from,
             to,

@@ -45,6 +45,9 @@ impl Place {
 
 /// Stretches of a channel that a smooth function is made of.
 const STRETCHES: usize = 8;
+/// Readings so near beside the whole range are at one place, and a place has so many rows.
+const SAME_PLACE: f64 = 1e-3;
+const ROWS_OF_PLACE: usize = 5;
 /// Differences of more temperatures than these are too many to look at.
 const PAIRED_TEMPERATURES: usize = 6;
 
@@ -55,6 +58,9 @@ const ENOUGH: usize = 20;
 
 /// A place this clear is taken out before weaker ones are looked at.
 const CLEAR: f64 = 0.01;
+
+/// A channel is looked at beside so many more of the stronger ones, and one fewer each time.
+const BESIDE: usize = 2;
 
 /// The smallest p-value that is given.
 pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
@@ -87,13 +93,18 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
         let mut alone: Vec<(Vec<f64>, Place)> =
             channels(stack, &segments).into_iter().filter_map(of).collect();
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
-        let mut left = residual.clone();
+        let mut left = vec![residual.clone()];
         for (x, mut found) in alone {
-            if let Some(beside) = place(&role, &found.against, &x, &left, sigma) {
-                found.p_value = found.p_value.min(beside.p_value);
+            // What runs along with a stronger one (cycles with the time) is looked at without taking that out, too.
+            for left in left.iter().skip(1).rev().take(BESIDE) {
+                if let Some(beside) = place(&role, &found.against, &x, left, sigma) {
+                    found.p_value = found.p_value.min(beside.p_value);
+                }
             }
             if found.p_value <= CLEAR {
-                flatten(&x, &mut left);
+                let mut without = left[left.len() - 1].clone();
+                flatten(&x, &mut without);
+                left.push(without);
             }
             out.push(found);
         }
@@ -172,21 +183,15 @@ fn channels(stack: &Stack<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)>
 fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
     let (response, against) = (response.to_owned(), against.to_owned());
     let bins = stretches(x)?;
-    let mut bin = vec![0usize; x.len()];
+    let mut bin = vec![0u8; x.len()];
     for (b, rows) in bins.iter().enumerate() {
         for i in rows {
-            bin[*i] = b;
+            bin[*i] = b as u8;
         }
     }
-    let mut sums = vec![0.0; bins.len()];
-    let mut explained = |at: &mut dyn FnMut(usize) -> usize| -> f64 {
-        sums.fill(0.0);
-        for (i, b) in bin.iter().enumerate() {
-            sums[*b] += residual[at(i)];
-        }
-        sums.iter().zip(&bins).map(|(s, b)| s * s / b.len() as f64).sum()
-    };
-    let own = explained(&mut |i| i);
+    let explained =
+        |sums: [f64; STRETCHES]| -> f64 { sums.iter().zip(&bins).map(|(s, b)| s * s / b.len() as f64).sum() };
+    let own = explained(sums_by(bin.chunks(bin.len()), residual, |_| 0));
     // As long as the residual remembers, blocks stay together.
     let n = residual.len();
     let squares = dot(residual, residual);
@@ -203,7 +208,8 @@ fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64)
         }
         // Blocks begin anywhere, so that no row keeps its neighbours' bin.
         let shift = below(&mut rng, n);
-        let chance = explained(&mut |i| (order[i / length] * length + i % length + shift) % n);
+        let begin = |block: usize| (order[block] * length + shift) % n;
+        let chance = explained(sums_by(bin.chunks(length), residual, begin));
         larger += usize::from(chance >= own);
         tried += 1;
     }
@@ -215,14 +221,61 @@ fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64)
     Some(Place { response, against, statistic, p_value, q_value: 1.0, profile })
 }
 
-/// Takes a channel's means over its stretches out of a residual.
+/// Sums of a residual by stretch. `blocks`: the stretch of each row, block by block of rows; `begin`: from which row on a
+/// block has its values of the residual, which begins anew at its end.
+fn sums_by<'b>(
+    blocks: impl Iterator<Item = &'b [u8]>,
+    residual: &[f64],
+    begin: impl Fn(usize) -> usize,
+) -> [f64; STRETCHES] {
+    // Neighbours are mostly of one stretch: summed apart they do not wait for one another.
+    const APART: usize = 4;
+    let mut sums = [[0.0; STRETCHES]; APART];
+    let mut add = |bins: &[u8], values: &[f64]| {
+        let (b, v) = (bins.chunks_exact(APART), values.chunks_exact(APART));
+        for (bin, r) in b.remainder().iter().zip(v.remainder()) {
+            sums[0][usize::from(*bin) % STRETCHES] += r;
+        }
+        for (b, v) in b.zip(v) {
+            for k in 0..APART {
+                sums[k][usize::from(b[k]) % STRETCHES] += v[k];
+            }
+        }
+    };
+    for (k, bins) in blocks.enumerate() {
+        let from = begin(k);
+        let (bins, rest) = bins.split_at(bins.len().min(residual.len() - from));
+        add(bins, &residual[from..from + bins.len()]);
+        add(rest, &residual[..rest.len()]);
+    }
+    std::array::from_fn(|bin| sums.iter().map(|s| s[bin]).sum())
+}
+
+/// Takes a channel's means out of a residual: at each of its places where there are many rows of each, over its stretches
+/// otherwise.
 fn flatten(x: &[f64], residual: &mut [f64]) {
-    for rows in stretches(x).into_iter().flatten() {
+    let groups = places_of(x).or_else(|| stretches(x)).unwrap_or_default();
+    for rows in groups {
         let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len() as f64;
         for i in &rows {
             residual[*i] -= mean;
         }
     }
+}
+
+/// Rows by place, where a channel comes back to few: targets that are approached again and again differ by little.
+fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
+    let mut order: Vec<usize> = (0..x.len()).collect();
+    order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
+    let range = x[*order.last()?] - x[order[0]];
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for i in order {
+        match groups.last_mut() {
+            Some(g) if x[i] - x[g[g.len() - 1]] <= SAME_PLACE * range => g.push(i),
+            _ => groups.push(vec![i]),
+        }
+    }
+    (groups.len() > 1 && groups.iter().all(|g| g.len() >= ROWS_OF_PLACE)).then_some(groups)
 }
 
 /// Rows by stretch: by value where there are few, by equal numbers of rows otherwise; none for a constant.
@@ -290,6 +343,20 @@ mod tests {
             few += usize::from(z.p_value < 0.05);
         }
         assert!(few <= 6, "{few} of 40 below 5 %");
+    }
+
+    /// Row by row: the value of row i of block k is the one that lies i rows behind the block's beginning.
+    #[test]
+    fn blocks_are_summed_where_they_are_moved_to() {
+        let residual = noise(9, 103);
+        let bin: Vec<u8> = (0..103).map(|i| (i * i / 7 % 8) as u8).collect();
+        let begin = |block: usize| (block * 37 + 90) % 103;
+        let sums = sums_by(bin.chunks(10), &residual, begin);
+        for (b, sum) in sums.iter().enumerate() {
+            let rows = (0..103).filter(|i| usize::from(bin[*i]) == b);
+            let want: f64 = rows.map(|i| residual[(begin(i / 10) + i % 10) % 103]).sum();
+            assert!((sum - want).abs() < 1e-12, "stretch {b}: {sum}, not {want}");
+        }
     }
 
     /// The example of the paper: of fifteen p-values four are below the line at 5 %.

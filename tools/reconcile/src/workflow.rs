@@ -5,11 +5,13 @@ use crate::advice::advice;
 use crate::analysis::analyse;
 use crate::answer::{Answer, Finding, Rival};
 use crate::cause::Shape;
-use crate::doubt::{self, doubts};
-use crate::fit::{self, Term, Way};
-use crate::gap::{Gap, gaps, traces};
-use crate::problem::{Stack, known, rms};
-use crate::unexplained;
+use crate::doubt::{self, Doubts, doubts};
+use crate::fit::Term;
+use crate::fitted::Fitted;
+use crate::gap::{self, Gap, Trace, gaps, traces};
+use crate::problem::Stack;
+use crate::room;
+use crate::swapped;
 use crate::verdict::{Reconciliation, Refined, Verdict};
 use crate::where_found::{self, Place};
 use rtec_files::InputError;
@@ -21,15 +23,14 @@ use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
 use std::borrow::Cow;
 
-/// How far a value must move from the model's, in standard errors: about one in ten thousand by chance.
-const BEYOND_CHANCE: f64 = 3.9;
 /// What is left is no agreement when it is so many times the noise.
 const FAR: f64 = 8.0;
+/// How often wild rows are looked for.
+const PASSES: usize = 2;
+/// So few rows tell no effect from chance.
+const FEWEST_TO_LEARN: usize = 8;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
-/// Steps of the last fit, and of one curve of several that stand for a shape.
-const STEPS: usize = 12;
-const CURVE_STEPS: usize = 6;
 
 /// The first stage alone: where measured and simulated disagree.
 ///
@@ -44,6 +45,38 @@ pub fn find(train: &[Record], machine: &Machine) -> Result<Vec<Place>, InputErro
     Ok(where_found::places(&stack, &file))
 }
 
+/// The model can be evaluated on every record, and there is something to explain.
+fn can_be_read(train: &[Record], holdout: &[Record], machine: &Machine) -> Result<(), InputError> {
+    for record in train.iter().chain(holdout) {
+        machine.predict(record)?;
+    }
+    if let Some(record) = train.first().filter(|_| train.iter().all(|r| r.responses().next().is_none())) {
+        let expected = "a column of role error.AXIS or force.AXIS: no effect of a model is a tilt";
+        return Err(InputError::whole(&record.path, "no response", expected));
+    }
+    Ok(())
+}
+
+/// Why so few rows teach nothing.
+fn too_few(rows: usize) -> Option<String> {
+    match rows {
+        0 => Some("every record is doubted: mend what the suspicions say, then reconcile again".to_owned()),
+        n if n < FEWEST_TO_LEARN => Some(format!("{n} rows tell nothing apart: at least {FEWEST_TO_LEARN}")),
+        _ => None,
+    }
+}
+
+/// No share is said of a gap that is wider with what was found; what to say where it is a hold-out's.
+fn doubt_the_worse(gap: &mut [Gap]) -> Option<&'static str> {
+    for g in gap.iter_mut().filter(|g| g.is_wider()) {
+        g.doubted = true;
+    }
+    let worse = |g: &Gap| g.holdout.is_some_and(|[before, after]| after > gap::WORSE * before.max(g.floor));
+    let g = gap.iter_mut().find(|g| worse(g))?;
+    g.doubted = true;
+    Some("the hold-out is not better off with what was found: how much is closed is not said")
+}
+
 /// Reconciles: the whole workflow.
 ///
 /// # Errors
@@ -54,85 +87,91 @@ pub fn reconcile(
     machine: &Machine,
     options: &Options,
 ) -> Result<Reconciliation, InputError> {
-    for record in train.iter().chain(holdout) {
-        machine.predict(record)?;
-    }
-    if let Some(record) = train.first().filter(|_| train.iter().all(|r| r.responses().next().is_none())) {
-        let expected = "a column of role error.AXIS or force.AXIS: no effect of a model is a tilt";
-        return Err(InputError::whole(&record.path, "no response", expected));
-    }
+    can_be_read(train, holdout, machine)?;
     let (train, holdout, derived) = with_motion(train, holdout);
     let (train, holdout) = (&train[..], &holdout[..]);
-    let doubts = doubts(train, holdout, machine);
-    let nothing_left = doubts.train.is_empty();
-    let given = if nothing_left { train.to_vec() } else { doubts.train };
-    let Analysed { train, wild, mut answer, used, every } = Analysed::of(given, machine, options.level);
+    let mut doubts = doubts(train, holdout, machine);
+    let analysed = Analysed::without_doubts(train, &mut doubts, machine, options.level);
+    let rows: usize = doubts.train.iter().map(Record::rows).sum();
+    let why_nothing = too_few(rows);
+    let Analysed { train, wild, mut answer, used, every } = analysed;
     let train = &train[..];
-    if nothing_left {
-        // All of it is doubted: it is shown beside the model as it is, and nothing is learned from it.
+    let mut stack = Stack::new(&used);
+    stack.sigma.clone_from(&answer.sigma);
+    let work = Work { stack: &stack, train, used: &used, machine, options };
+    if why_nothing.is_some() {
+        // It is shown beside the model as it is, and nothing is learned from it.
         answer.findings.clear();
         answer.unexplained.clear();
     }
-    let mut stack = Stack::new(&used);
-    stack.sigma.clone_from(&answer.sigma);
-    let mut fitted = Fitted::of(&stack, machine, &answer);
-    let mut model = machine.clone();
-    let shape = answer.unexplained.first().filter(|_| options.unexplained);
-    let laws = shape.and_then(|shape| fitted.stand_in(&stack, shape, train, &mut model, answer.phi));
-    for (f, t) in answer.findings.iter_mut().zip(fitted.found()) {
-        f.effect = whole_counts(&t.effect, train, &t.half);
+    let mut better = work.better(&mut answer, why_nothing.is_none());
+    let (mut held, held_out) = doubts.holdouts(&better.model);
+    let (mut traces_of, mut gap) = work.figures(&better, &answer, &held);
+    let mut why = why_nothing.clone();
+    let withdrawn = work.withdraw(&mut answer, &mut better, &mut gap);
+    if !withdrawn.is_empty() {
+        let names = withdrawn.join(", ");
+        why = Some(format!("{names}: not added, as what fits these rows does not predict them by blocks"));
+        if answer.unexplained.is_empty() {
+            let manner = "what fits it does not predict it by blocks";
+            answer.unexplained.push(along_nothing(&stack, &gap[0], manner));
+        }
+        held = doubts.holdouts(&better.model).0;
+        (traces_of, gap) = work.figures(&better, &answer, &held);
     }
-    warm_plate(&mut answer.findings, train, machine.dictionary());
-    let refined = if nothing_left { Vec::new() } else { fitted.correct(&mut model) };
-    let write = Writer { train, date: options.date.as_ref() };
-    let mut effects = Vec::new();
-    for (f, t) in answer.findings.iter().zip(fitted.found()) {
-        // An effect of this very identity is in the model already: then it was a correction, not an addition.
-        if write.add(&mut model, &f.effect, &t.half, "") {
-            effects.push((f.clone(), t.half.clone()));
+    if let Some(note) = doubt_the_worse(&mut gap) {
+        why = Some(why.map_or_else(|| note.to_owned(), |w| format!("{w}; {note}")));
+    }
+    let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
+    let strangers = doubt::other_machines(&held, &traces_of[first_held..], &gap);
+    let mut left_out = [doubts.left_out, held_out].concat();
+    if strangers.len() < held.len() {
+        // The figures are those of the others.
+        let strange = |file: &Record| strangers.iter().any(|(k, _)| held[*k].path == file.path);
+        let good: Vec<Record> = held.iter().filter(|r| !strange(r)).cloned().collect();
+        gap::on_holdouts(&mut gap, &traces(&[], &good, machine, &better.model));
+        let path = |k: usize| held[k].path.display();
+        left_out.extend(strangers.iter().map(|(k, s)| format!("{}: no figures ({})", path(*k), s.what)));
+    } else if !strangers.is_empty() {
+        for g in &mut gap {
+            g.doubted = true;
         }
     }
-    let curve = fitted.curve().filter(|t| write.add(&mut model, &t.effect, &t.half, ": unexplained"));
-    let curve = curve.map(|t| t.effect.clone()).zip(laws);
-    let (mut traces_of, mut gap) = (Vec::new(), Vec::new());
     let mut said = doubts.said;
+    left_out.extend(
+        wild.iter().map(|s| format!("{}: {} of {} rows ({})", s.record, s.row_list().len(), rows, s.what)),
+    );
     said.extend(wild);
-    let mut why = None;
-    if options.figures {
-        traces_of = traces(train, &doubts.holdout, machine, &model);
-        gap = gaps(&stack, &used, &traces_of, &fitted.terms, &answer, doubts.holdout.is_empty());
-        said.extend(doubt::other_machine(&doubts.holdout, &mut gap));
-        if doubts.holdout.is_empty() && gap.iter().any(Gap::is_wider) {
-            why =
-                Some("what fits these rows does not predict them by blocks: how much is closed is not said");
-            gap.iter_mut().filter(|g| g.is_wider()).for_each(|g| g.doubted = true);
-        }
-        let far = gap.iter().find(|g| g.train[1] > FAR * g.floor);
-        if let Some(g) = far.filter(|_| effects.is_empty() && answer.unexplained.is_empty()) {
-            // Nothing was found, and far more is left than the noise: that is no model without a gap.
-            answer.unexplained.push(Shape {
-                response: answer_response(&stack, g),
-                against: vec!["time".to_owned()],
-                manner: format!(
-                    "{:.0} times as large as the noise, along nothing in particular",
-                    g.train[1] / g.floor
-                ),
-            });
-        }
+    said.extend(strangers.into_iter().map(|(_, s)| s));
+    let far = gap.iter().find(|g| g.train[1] > FAR * g.floor);
+    if let Some(g) = far.filter(|_| better.effects.is_empty() && answer.unexplained.is_empty()) {
+        // Nothing was found, and far more is left than the noise: that is no model without a gap.
+        let manner =
+            format!("{:.0} times as large as the noise, along nothing in particular", g.train[1] / g.floor);
+        answer.unexplained.push(along_nothing(&stack, g, &manner));
+    } else if let (true, Some(g)) = (rows == 0, gap.first()) {
+        answer.unexplained.push(along_nothing(&stack, g, "not looked at, as every record is doubted"));
+    }
+    let Better { model, refined, effects, curve, .. } = better;
+    // What was withdrawn on the way is not accepted.
+    let named =
+        |label: &str| label.split(' ').next().is_some_and(|n| effects.iter().any(|e| e.0.effect.name() == n));
+    let shapes = !answer.unexplained.is_empty();
+    for t in answer.ranking.iter_mut().filter(|t| t.accepted) {
+        t.accepted = named(&t.label) || (shapes && t.label.starts_with("unnamed"));
     }
     let verdict = Verdict::of(&effects, &answer.unexplained);
-    let mut advice = advice(verdict, &effects, &answer.unexplained, train, machine.dictionary());
-    if nothing_left {
-        why = Some("every record is doubted: mend what the suspicions say, then reconcile again");
-    }
+    let mut advice = work.advice(verdict, &effects, &answer.unexplained);
     if let Some(why) = why {
-        advice = if advice.is_empty() { why.to_owned() } else { format!("{why}; {advice}") };
+        let alone = advice.is_empty() || why_nothing.is_some();
+        advice = if alone { why } else { format!("{why}; {advice}") };
     }
     Ok(Reconciliation {
         verdict,
         places: where_found::places(&stack, &answer.file),
         advice,
         suspicions: said,
+        left_out,
         derived,
         effects,
         unexplained: answer.unexplained,
@@ -146,6 +185,100 @@ pub fn reconcile(
         phi: answer.phi,
         every,
     })
+}
+
+/// What a better model is made with.
+struct Work<'w> {
+    stack: &'w Stack<'w>,
+    train: &'w [Record],
+    used: &'w [Record],
+    machine: &'w Machine,
+    options: &'w Options,
+}
+
+/// A better model, and what is better about it.
+struct Better {
+    terms: Vec<Term>,
+    model: Machine,
+    refined: Vec<Refined>,
+    effects: Vec<(Finding, Vec<f64>)>,
+    curve: Option<(Effect, String)>,
+}
+
+impl Work<'_> {
+    /// The last fit, written into the model; `learn`: the model's own parameters may be corrected.
+    fn better(&self, answer: &mut Answer, learn: bool) -> Better {
+        let Self { stack, train, machine, options, .. } = *self;
+        let mut fitted = Fitted::of(stack, machine, answer);
+        let mut model = machine.clone();
+        let shape = answer.unexplained.first().filter(|_| options.unexplained && learn);
+        let laws = shape.and_then(|shape| fitted.stand_in(stack, shape, train, &mut model, answer.phi));
+        for (f, t) in answer.findings.iter_mut().zip(fitted.found()) {
+            f.effect = whole_counts(&t.effect, train, &t.half);
+        }
+        warm_plate(&mut answer.findings, train, machine.dictionary());
+        let refined = if learn { fitted.correct(&mut model) } else { Vec::new() };
+        let write = Writer { train, date: options.date.as_ref() };
+        let mut effects = Vec::new();
+        for (f, t) in answer.findings.iter().zip(fitted.found()) {
+            // An effect of this very identity is in the model already: then it was a correction, not an addition.
+            if write.add(&mut model, &f.effect, &t.half, "") {
+                effects.push((f.clone(), t.half.clone()));
+            }
+        }
+        let curve = fitted.curve().filter(|t| write.add(&mut model, &t.effect, &t.half, ": unexplained"));
+        let curve = curve.map(|t| t.effect.clone()).zip(laws);
+        Better { terms: fitted.terms, model, refined, effects, curve }
+    }
+
+    /// Takes out what makes rows worse that it was not learned from, that is no explanation: one finding after the other,
+    /// each time that without which blocks are predicted best. The names of those.
+    fn withdraw(&self, answer: &mut Answer, better: &mut Better, gap: &mut Vec<Gap>) -> Vec<String> {
+        let mut names = Vec::new();
+        while !better.effects.is_empty() && gap.iter().any(Gap::is_wider) {
+            let all = answer.findings.clone();
+            let alone = all.len() < 2;
+            let mut best: Option<(f64, usize)> = None;
+            for i in 0..all.len() {
+                answer.findings.clone_from(&all);
+                answer.findings.remove(i);
+                let without = self.better(answer, !alone);
+                let (_, gap) = self.figures(&without, answer, &[]);
+                let left = |g: &Gap| g.blocked.unwrap_or(g.train)[1] / g.floor.max(f64::MIN_POSITIVE);
+                let worst = gap.iter().map(left).fold(0.0, f64::max);
+                if best.as_ref().is_none_or(|b| worst < b.0) {
+                    best = Some((worst, i));
+                }
+            }
+            let Some((_, out)) = best else { break };
+            answer.findings.clone_from(&all);
+            names.push(answer.findings.remove(out).effect.name());
+            *better = self.better(answer, !alone);
+            *gap = self.figures(better, answer, &[]).1;
+        }
+        names
+    }
+
+    /// What to do next, and where a fit of growth reads other temperatures.
+    fn advice(&self, verdict: Verdict, effects: &[(Finding, Vec<f64>)], shapes: &[Shape]) -> String {
+        let next = advice(verdict, effects, shapes, self.train, self.machine.dictionary());
+        let other = self.options.figures.then(|| room::other_sensors(effects, self.train, self.machine));
+        let said = [Some(next).filter(|n| !n.is_empty()), other.flatten()];
+        said.into_iter().flatten().collect::<Vec<_>>().join("; ")
+    }
+
+    /// Measured minus simulated before and after, and the gap.
+    fn figures(&self, better: &Better, answer: &Answer, held: &[Record]) -> (Vec<Trace>, Vec<Gap>) {
+        let traces = traces(self.train, held, self.machine, &better.model);
+        let gap = gaps(self.stack, self.used, &traces, &better.terms, answer);
+        (traces, gap)
+    }
+}
+
+/// Structure of a unit's responses that is said to be there and is given no cause.
+fn along_nothing(stack: &Stack<'_>, gap: &Gap, manner: &str) -> Shape {
+    let response = answer_response(stack, gap);
+    Shape { response, against: vec!["time".to_owned()], manner: manner.to_owned() }
 }
 
 /// The response that a gap's rows are largest in.
@@ -171,101 +304,6 @@ fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record
     };
     let (train, holdout) = (of(train), of(holdout));
     (train, holdout, notes)
-}
-
-/// All effects after the last fit.
-struct Fitted {
-    /// The model's own, then what was found, then maybe a curve.
-    terms: Vec<Term>,
-    file: Vec<Effect>,
-    /// Which of the model's own moved beyond chance.
-    moved: Vec<bool>,
-    found: usize,
-}
-
-impl Fitted {
-    /// Fits the model's effects and the findings jointly, then once more without those of the model's that did not move
-    /// beyond chance: they stay as the file has them.
-    fn of(stack: &Stack<'_>, machine: &Machine, answer: &Answer) -> Self {
-        let file: Vec<Effect> = machine.effects().cloned().collect();
-        let mut terms = present(stack, answer);
-        terms.extend(answer.findings.iter().map(|f| Term::new(stack, f.effect.clone(), &f.held)));
-        fit::fit(stack, &mut terms, answer.phi, STEPS, None);
-        let moved: Vec<bool> = file.iter().zip(&terms).map(|(f, t)| beyond_chance(f, t)).collect();
-        for (term, effect) in terms.iter_mut().zip(&file).zip(&moved).filter(|(_, m)| !**m).map(|(t, _)| t) {
-            *term = Term::fixed(effect.clone());
-        }
-        fit::fit(stack, &mut terms, answer.phi, STEPS, None);
-        Self { terms, file, moved, found: answer.findings.len() }
-    }
-
-    /// What was found.
-    fn found(&self) -> &[Term] {
-        &self.terms[self.file.len()..self.file.len() + self.found]
-    }
-
-    /// The curve that stands for what has no name.
-    fn curve(&self) -> Option<&Term> {
-        self.terms.get(self.file.len() + self.found)
-    }
-
-    /// Writes what moved beyond chance into the model.
-    fn correct(&self, model: &mut Machine) -> Vec<Refined> {
-        let mut refined = Vec::new();
-        for (place, before) in self.file.iter().enumerate().filter(|(e, _)| self.moved[*e]) {
-            let (after, half) = (&self.terms[place].effect, &self.terms[place].half);
-            write_values(model, place, after, half);
-            refined.push(Refined { place, before: before.clone(), after: (after.clone(), half.clone()) });
-        }
-        refined
-    }
-
-    /// Adds the curve that stands for a shape to the terms, with as many knots as the data pay for. The laws that the
-    /// model names then.
-    fn stand_in(
-        &mut self,
-        stack: &Stack<'_>,
-        shape: &Shape,
-        train: &[Record],
-        model: &mut Machine,
-        phi: f64,
-    ) -> Option<String> {
-        let mut best: Option<(f64, Machine, Vec<Term>, String)> = None;
-        for knots in [5, 9, 17, 33] {
-            let (mut machine, mut all) = (model.clone(), self.terms.clone());
-            let Some(curve) = unexplained::stand_in(shape, knots, train, &mut machine) else { continue };
-            all.push(Term::new(stack, curve.effect, &[]));
-            fit::fit(stack, &mut all, phi, CURVE_STEPS, None);
-            let n = stack.n as f64;
-            let score = n * rms(&fit::residual(stack, &all)).max(1e-12).ln() + 0.5 * knots as f64 * n.ln();
-            if best.as_ref().is_none_or(|b| score < b.0) {
-                best = Some((score, machine, all, curve.laws));
-            }
-        }
-        let (_, machine, all, laws) = best?;
-        (*model, self.terms) = (machine, all);
-        Some(laws)
-    }
-}
-
-/// The model's own effects as terms, each held to the file's values as far as they are trusted.
-fn present(stack: &Stack<'_>, answer: &Answer) -> Vec<Term> {
-    let mut ways: Vec<Vec<Way>> = answer.present.iter().map(|_| Vec::new()).collect();
-    for k in known(stack, 1.0, &answer.anchor, &answer.present) {
-        if let Some(e) = k.effect {
-            ways[e].push(Way { along: k.along, sd: k.sd });
-        }
-    }
-    let of =
-        |((effect, anchor), ways): ((&Effect, &Effect), Vec<Way>)| Term::given(effect.clone(), anchor, ways);
-    answer.present.iter().zip(&answer.anchor).zip(ways).map(of).collect()
-}
-
-/// Whether a fit has moved a value of the model's effect so far from the file's.
-fn beyond_chance(file: &Effect, term: &Term) -> bool {
-    file.values().iter().zip(term.effect.values()).zip(&term.half).any(|((a, b), half)| {
-        *half > 0.0 && (a - b).abs() > BEYOND_CHANCE / 1.96 * half && (a - b).abs() > 1e-9 * a.abs()
-    })
 }
 
 /// What is written beside an effect.
@@ -300,25 +338,50 @@ struct Analysed {
 }
 
 impl Analysed {
-    /// A few wild rows hide all else: what an answer leaves of them is far off everything, and then it is looked at once
-    /// more without them.
-    fn of(train: Vec<Record>, machine: &Machine, level: f64) -> Self {
-        let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
-        let (answer, used, every) = thinned(&quiet, machine, level);
-        let rows = if every == 1 { doubt::wild(&quiet, &answer) } else { Vec::new() };
-        if rows.iter().all(Vec::is_empty) {
-            let used = used.into_owned();
-            return Self { train, wild: Vec::new(), answer, used, every };
+    /// The training records without what is doubted of them before, or for what comes of the analysis; all of them where
+    /// all are doubted.
+    fn without_doubts(train: &[Record], doubts: &mut Doubts, machine: &Machine, level: f64) -> Self {
+        if doubts.train.is_empty() {
+            let whole = train.iter().map(|r| (0..r.rows()).collect()).collect();
+            return Self::of(train.to_vec(), whole, machine, level);
         }
-        let pairs = || rows.iter().enumerate().filter(|(_, w)| !w.is_empty());
-        let wild = pairs().filter_map(|(i, w)| doubt::say_wild(&train[i], w)).collect();
-        let without = |records: &[Record]| -> Vec<Record> {
-            records.iter().zip(&rows).map(|(r, w)| doubt::without_rows(r, w)).collect()
-        };
-        let (train, quiet) = (without(&train), without(&quiet));
-        let (answer, used, every) = thinned(&quiet, machine, level);
-        let used = used.into_owned();
-        Self { train, wild, answer, used, every }
+        let first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
+        let evidence = |records: &[Record]| analyse(records, machine, level, false).map(|a| a.evidence);
+        let swapped = swapped::instead(&first.used, machine, &first.answer, evidence);
+        let more = !swapped.is_empty();
+        doubts.also(swapped);
+        if !more || doubts.train.is_empty() {
+            return first;
+        }
+        Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level)
+    }
+
+    /// A few wild rows hide all else: what an answer leaves of them is far off everything, and then it is looked at once
+    /// more without them; the worst hide the others.
+    ///
+    /// `rows`: of each record, the numbers that its rows had as measured.
+    fn of(mut train: Vec<Record>, mut rows: Vec<Vec<usize>>, machine: &Machine, level: f64) -> Self {
+        let mut quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
+        let mut wild: Vec<Suspicion> = Vec::new();
+        let mut passes = 0;
+        loop {
+            let (answer, used, every) = thinned(&quiet, machine, level);
+            let off = if every == 1 && passes < PASSES { doubt::wild(&quiet, &answer) } else { Vec::new() };
+            if off.iter().all(Vec::is_empty) {
+                let used = used.into_owned();
+                return Self { train, wild, answer, used, every };
+            }
+            drop(used);
+            passes += 1;
+            for (i, off) in off.iter().enumerate().filter(|(_, w)| !w.is_empty()) {
+                let measured: Vec<usize> = off.iter().map(|k| rows[i][*k]).collect();
+                wild.extend(doubt::say_wild(&train[i], &measured));
+                train[i] = doubt::without_rows(&train[i], off);
+                quiet[i] = doubt::without_rows(&quiet[i], off);
+                let kept = (0..rows[i].len()).filter(|k| off.binary_search(k).is_err());
+                rows[i] = kept.map(|k| rows[i][k]).collect();
+            }
+        }
     }
 }
 
@@ -355,7 +418,7 @@ fn warm_plate(findings: &mut [Finding], train: &[Record], dictionary: &Dictionar
     }
     for f in findings.iter_mut().filter(|f| scale(f)) {
         let name = format!("{}.{}", expansion.name, f.effect.axes()[0]);
-        f.rivals.push(Rival { name, sensor: None, margin: 0.0 });
+        f.rivals.push(Rival { name, sensor: None, differs: None, margin: 0.0 });
     }
 }
 
@@ -371,20 +434,6 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
         }
     }
     out
-}
-
-fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]) {
-    let width = effect.width();
-    for (i, p) in effect.description().parameters.iter().enumerate() {
-        if p.search == Search::Chosen {
-            continue;
-        }
-        let values = effect.get(i);
-        let interval: Vec<[f64; 2]> =
-            values.iter().zip(&half[i * width..]).map(|(v, h)| [v - h, v + h]).collect();
-        // The values come from the law itself; they keep its bounds.
-        let _written = model.set(place, &p.name, values, Some(&interval));
-    }
 }
 
 fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {

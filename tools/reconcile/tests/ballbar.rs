@@ -106,12 +106,31 @@ fn two_lobes_are_no_probe() {
     let r = reconciled(circles(5, |a, _| 20e-3 * R * a.cos().powi(2)), "effect = []\n");
     let found = added(&r);
     assert!(
-        found.iter().all(|(n, _)| !n.starts_with("probe_lobing") && !n.starts_with("form_bump")),
+        !found.is_empty() && found.iter().any(|(n, _)| n.starts_with("scale.")),
         "{} {found:?}",
         r.verdict
     );
     let rivals = r.effects.iter().flat_map(|(f, _)| &f.rivals);
     assert!(!rivals.map(|r| r.name.clone()).any(|n| n.starts_with("probe_")));
+}
+
+/// Around a circle at one speed the acceleration is the position: with much noise as with little both are said.
+#[test]
+fn scale_and_acceleration_are_told_as_one() {
+    let r = reconciled(circles(7, |a, _| 20e-3 * R * a.cos().powi(2) + noisy(a)), "effect = []\n");
+    let (finding, _) = &r.effects[0];
+    let mut both: Vec<String> = finding.rivals.iter().map(|r| r.name.clone()).collect();
+    both.push(finding.effect.name());
+    both.sort();
+    both.dedup();
+    assert_eq!(both, ["acceleration_error.x", "scale.x"], "{}", r.verdict);
+    assert_eq!(r.verdict.name(), "not_separable");
+}
+
+/// 1.4 µm more of noise, by the angle's last digits.
+fn noisy(angle: f64) -> f64 {
+    let mut normal = noise(angle.to_bits());
+    1.4 * (0..3).map(|_| normal()).sum::<f64>() / 3f64.sqrt()
 }
 
 #[test]

@@ -2,8 +2,10 @@
 
 use crate::Outcome;
 use rtec_control::client::{Client, ClientError};
-use rtec_control::config::{Config, INSTALLED, default_directory};
-use rtec_control::protocol::{ClientRequest, Jump, Response};
+use rtec_control::config::{Config, ControlConfig, INSTALLED};
+use rtec_control::protocol::{ClientRequest, Jump, Observed, Response};
+use rtec_files::InputError;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Which daemon, and in which form its answer is printed.
@@ -26,31 +28,64 @@ impl Daemon {
         Self { socket, config: None, json: false }
     }
 
-    fn socket(&self) -> anyhow::Result<PathBuf> {
-        if let Some(socket) = &self.socket {
-            return Ok(socket.clone());
-        }
-        match &self.config {
-            Some(file) => Ok(Config::load(file)?.control.socket),
-            // Somebody else's file, and not named by the user: where it is not right the daemon has said so.
-            None => Ok(Config::load(Path::new(INSTALLED))
-                .map_or_else(|_| default_directory().join("control.sock"), |c| c.control.socket)),
-        }
+    /// The configuration that was named.
+    pub(crate) fn config_file(&self) -> Option<&Path> {
+        self.config.as_deref()
     }
 
+    /// Where the daemon is to be found, as configured.
+    fn control(&self) -> anyhow::Result<ControlConfig> {
+        let mut control = match &self.config {
+            Some(file) => Config::load(file)?.control,
+            // Somebody else's file, and not named by the user: where it is not right the daemon has said so.
+            None => Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded()).control,
+        };
+        if let Some(socket) = &self.socket {
+            // Another daemon than that of the file: what is not derived from the socket is not its.
+            control = ControlConfig { socket: socket.clone(), ..Config::embedded().control };
+        }
+        Ok(control)
+    }
+
+    /// Connects by the socket for everything, or, where this user may not use it, by one that allows less.
     pub(crate) fn connect(&self) -> anyhow::Result<Client> {
-        Client::connect(&self.socket()?).map_err(unreachable)
+        let sockets = self.control()?.sockets();
+        Client::connect_to(&[&sockets[0].path, &sockets[1].path, &sockets[2].path]).map_err(unreachable)
+    }
+
+    /// Connects by the socket that only shows; where this user may not use it, by another.
+    pub(crate) fn view(&self) -> anyhow::Result<Client> {
+        let sockets = self.control()?.sockets();
+        Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path]).map_err(unreachable)
+    }
+
+    /// The record of every command: where a running daemon says, else where it is configured.
+    pub(crate) fn log_path(&self) -> anyhow::Result<PathBuf> {
+        let told = self.connect().ok().and_then(|mut client| {
+            let latest = ClientRequest::Observe { events_after: Some(u64::MAX) };
+            match client.ask(&latest) {
+                Ok(Response::Observed(all)) => Some(PathBuf::from(all.log.file)),
+                _ => None,
+            }
+        });
+        told.map_or_else(|| Ok(self.control()?.log_path()), Ok)
     }
 
     /// Asks, and prints the answer where JSON is wanted. Anything but "done" is an error with its exit code.
     pub(crate) fn ask(&self, request: &ClientRequest) -> anyhow::Result<Response> {
+        self.ask_with(request, &[])
+    }
+
+    /// The same, with open files for the daemon to read.
+    pub(crate) fn ask_with(&self, request: &ClientRequest, files: &[File]) -> anyhow::Result<Response> {
         let mut client = self.connect()?;
-        let response = client.ask(request).map_err(unreachable)?;
+        let response = client.ask_with(request, files).map_err(unreachable)?;
         if self.json {
             match &response {
                 // Documents stand bare.
                 Response::Status(status) => println!("{}", serde_json::to_string(status)?),
                 Response::Explained { axes } => println!("{}", serde_json::json!({ "axes": axes })),
+                Response::Whoami(caller) => println!("{}", serde_json::to_string(caller)?),
                 other => println!("{}", serde_json::to_string(other)?),
             }
         }
@@ -67,14 +102,35 @@ impl Daemon {
     }
 }
 
+/// A file that the daemon is to read, opened with this user's rights.
+pub(crate) fn open(file: &Path) -> Result<File, InputError> {
+    rtec_files::text::open_regular(file)
+}
+
 /// A user's file as the daemon finds it, which has a directory of its own. One that is not there is the daemon's to
 /// refuse, by the name as it was given.
 pub(crate) fn absolute(file: &Path) -> String {
     file.canonicalize().unwrap_or_else(|_| file.to_owned()).display().to_string()
 }
 
-/// "Done", a status or an event; anything else as the error that it is.
+/// No event is later than this one.
+pub(crate) const NO_EVENTS: Option<u64> = Some(u64::MAX);
+
+/// Everything that the daemon shows, with the events after one that is known already.
+pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow::Result<Observed> {
+    match check(client.ask(&ClientRequest::Observe { events_after }).map_err(unreachable)?)? {
+        Response::Observed(seen) => Ok(*seen),
+        other => anyhow::bail!("rtecd answered {other:?}; are rtecctl and rtecd of the same version?"),
+    }
+}
+
+/// "Done", a status or an event; anything else as the error that it is. What is not as it was meant is said.
 pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
+    if let Response::Done { warnings, .. } = &response {
+        for warning in warnings {
+            eprintln!("warning: {warning}");
+        }
+    }
     match response {
         Response::Refused { text, jumps, .. } => {
             let lines: Vec<String> = std::iter::once(text).chain(jumps.iter().map(describe)).collect();

@@ -46,9 +46,26 @@ fn one_nan_costs_its_row_and_not_the_run() {
         ["record", "--out", "r.run.toml", "--feed", &from, "--columns", "gz=error.z", "--period", "0.02"];
     let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["--duration", "1.5"]].concat()));
     assert_eq!(code, Some(0), "{err}");
-    assert!(err.contains("left out: gz (error.z) is `NaN`, expected a finite number"), "{err}");
+    assert!(err.contains("'gz nan' is no line NAME VALUE") && err.contains("rows are missing"), "{err}");
     let record = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap();
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
+}
+
+/// A gauge that says nothing more while its line stays open: its last value is no reading of the rows that follow.
+#[test]
+fn a_gauge_that_goes_silent_gives_no_more_rows() {
+    let dir = tempfile::tempdir().unwrap();
+    let from = feed(|i| if i < 20 { format!("gz {i}.5\nT1 20.0\n") } else { "T1 20.1\n".to_owned() });
+    let words = ["record", "--out", "r.run.toml", "--feed", &from, "--columns", "gz=error.z,T1=temperature"];
+    let to = ["--period", "0.02", "--duration", "1.5"];
+    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &to].concat()));
+    assert_eq!(code, Some(0), "{err}");
+    assert!(err.contains("gz no new reading") && err.contains("rows are missing"), "{err}");
+    let record = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap();
+    let mut readings = record.responses().next().unwrap().data.clone();
+    let rows = readings.len();
+    readings.dedup();
+    assert!(rows <= 20 && readings.len() == rows, "{rows} rows of 20 readings: {readings:?}");
 }
 
 #[test]
@@ -226,14 +243,56 @@ fn diagonals(folder: &Path) {
     }
 }
 
+/// Both diagonals of the face x y, 500 mm long: 18 µrad out of square, 6 ppm long.
+fn faces(folder: &Path) {
+    for (n, sign) in [1.0, -1.0].iter().enumerate() {
+        let mut noise = Noise(n as u64 + 20);
+        let mut rows = Vec::new();
+        for _ in 0..3 {
+            for way in [1.0, -1.0] {
+                for k in 0..9 {
+                    let s = f64::from(if way > 0.0 { k } else { 8 - k }) / 8.0;
+                    let (x, y) = (400.0 * if *sign > 0.0 { s } else { 1.0 - s }, 300.0 * s);
+                    let along = 6e-3 * 500.0 * s + 18e-3 * y * sign * 400.0 / 500.0;
+                    rows.push(vec![x, y, way, along + 0.8 * way + noise.next()]);
+                }
+            }
+        }
+        let columns = [
+            ("x", "position.x", "mm"),
+            ("y", "position.y", "mm"),
+            ("dir", "direction.d", "1"),
+            ("e", "error.d", "um"),
+        ];
+        write(folder, &format!("f{n}"), "kind = \"positioning\"", &columns, &rows);
+    }
+}
+
+/// How x pitches, over 800 mm, in arcseconds.
+fn tilt(folder: &Path) {
+    let mut noise = Noise(30);
+    let mut rows = Vec::new();
+    for _ in 0..5 {
+        for way in [1.0, -1.0] {
+            for k in 0..11 {
+                let x = 80.0 * f64::from(if way > 0.0 { k } else { 10 - k }) + 3.0;
+                rows.push(vec![x, way, 2.5 * (x / 250.0).sin() + 0.3 * way + 0.2 * noise.next()]);
+            }
+        }
+    }
+    let columns =
+        [("x", "position.x", "mm"), ("dir", "direction.x", "1"), ("pitch", "angle_error.x.b", "arcsec")];
+    write(folder, "tilt", "kind = \"positioning\"", &columns, &rows);
+}
+
 const CONDITIONS: &str = "machine = \"machining centre 12\"\naxis = \"Y, 800 mm\"\noperator = \"N. N.\"\n[instrument]\nname = \"laser interferometer\"\n\
                           calibrated = \"2026-01-15\"\n[test]\nfeed_mm_per_min = 1000\ndwell_s = 4\n[thermal]\n\
                           scale = { sensor = \"T3\", ppm_per_K = 8.5 }\n[uncertainty]\ndevice_um_per_m = 0.8\nmisalignment_mm = 1.0\n\
                           machine_ppm_per_K = 8.5\nmachine_temperature_K = 0.3\ndrift_um = 1.2\nset_up_um = 0.3\n";
 
-/// Five reports; kept in target/reports for whoever wants to look at them, and as pictures where Chromium is there.
+/// Reports; kept in target/reports for whoever wants to look at them, and as pictures where Chromium is there.
 #[test]
-fn five_reports_are_pages_of_their_own() {
+fn reports_are_pages_of_their_own() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();
     positioning(folder, "y", 800.0, |w| w);
@@ -242,13 +301,16 @@ fn five_reports_are_pages_of_their_own() {
     drift(folder);
     plate(folder);
     diagonals(folder);
+    faces(folder);
+    tilt(folder);
     std::fs::write(folder.join("conditions.toml"), CONDITIONS).unwrap();
     let reports = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/reports");
     std::fs::create_dir_all(&reports).unwrap();
-    let tests: [(&str, &[&str], &[&str]); 5] = [
+    // Page, standard and its words, what stands on it.
+    let tests: [(&str, &[&str], &[&str]); 7] = [
         (
             "iso230-2",
-            &["y.run.toml", "--conditions", "conditions.toml"],
+            &["iso230-2", "y.run.toml", "--conditions", "conditions.toml"],
             &[
                 "laser interferometer",
                 "feed (mm/min)",
@@ -261,24 +323,34 @@ fn five_reports_are_pages_of_their_own() {
         ),
         (
             "ballbar",
-            &["slow.run.toml", "fast.run.toml"],
+            &["ballbar", "slow.run.toml", "fast.run.toml"],
             &["squareness", "µrad", "servo mismatch", "95 % interval", "times enlarged", "counter-clockwise"],
         ),
         (
             "iso230-3",
-            &["drift.run.toml"],
+            &["iso230-3", "drift.run.toml"],
             &["environment (ETVE)", "4000 rpm", "at rest after heat", "K/h", "bearing"],
         ),
-        ("plate", &["plate.run.toml"], &["quadrupole", "ppm", "this arrow is", "times enlarged"]),
+        ("plate", &["plate", "plate.run.toml"], &["quadrupole", "ppm", "this arrow is", "times enlarged"]),
         (
             "iso230-6",
-            &["d0.run.toml", "d1.run.toml", "d2.run.toml", "d3.run.toml"],
+            &["iso230-6", "d0.run.toml", "d1.run.toml", "d2.run.toml", "d3.run.toml"],
             &["PPP", "NNP", "squareness.x.y", "distance along it (mm)"],
+        ),
+        (
+            "faces",
+            &["iso230-6", "f0.run.toml", "f1.run.toml"],
+            &["squareness.x.y", "distance along it (mm)", "face diagonals"],
+        ),
+        (
+            "tilt",
+            &["iso230-2", "tilt.run.toml"],
+            &["Tilts while moving x", "arcsec", "position x (mm)", "angle_error.x.b"],
         ),
     ];
     for (standard, words, want) in tests {
         let page = reports.join(format!("{standard}.html"));
-        let to = ["evaluate", "--standard", standard, "--html", page.to_str().unwrap()];
+        let to = ["evaluate", "--html", page.to_str().unwrap(), "--standard"];
         let (code, text, err) = said(&rtecctl(folder, &[&to[..], words].concat()));
         assert_eq!(code, Some(0), "{standard}: {err}");
         assert!(text.lines().count() > 8, "{standard}: {text}");

@@ -45,16 +45,34 @@ fn folder() -> tempfile::TempDir {
 /// The judge's verdict on a table; `None` where Python 3.11 is not there.
 fn judged(dir: &Path, words: &str) -> Option<(bool, String)> {
     let judge = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/judges/tables.py");
-    let python = "/usr/bin/python3";
-    if !Command::new(python).args(["-c", "import tomllib"]).output().is_ok_and(|o| o.status.success()) {
-        assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "{python} has no tomllib");
-        eprintln!("SKIPPED: {python} has no tomllib");
+    if !test_needs::python("tomllib", "python3, 3.11 or later") {
         return None;
     }
-    let out =
-        Command::new(python).arg(judge).args(words.split_whitespace()).current_dir(dir).output().unwrap();
+    let out = Command::new(test_needs::PYTHON)
+        .arg(judge)
+        .args(words.split_whitespace())
+        .current_dir(dir)
+        .output()
+        .unwrap();
     let said = format!("{}{}", String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
     Some((out.status.success(), said))
+}
+
+/// What depends on heat is in the table at some temperature: which one is said.
+#[test]
+fn the_temperatures_that_a_table_holds_at_are_said() {
+    let dir = folder();
+    let words = "--axis x --from 0 --to 300 --format csv --out t.csv";
+    let (document, said) = export(dir.path(), words);
+    assert!(said.contains("it holds at these temperatures: T1 20 degC"), "{said}");
+    assert_eq!(document["temperatures_degC"]["T1"], 20.0);
+    let (_, said) = export(dir.path(), &format!("{words} --temperatures T1=31.5"));
+    assert!(said.contains("it holds at these temperatures: T1 31.5 degC"), "{said}");
+    let (document, said) = export(dir.path(), &words.replace("--axis x", "--axis y"));
+    assert!(
+        !said.contains("temperatures") && document["temperatures_degC"].as_object().unwrap().is_empty(),
+        "{said}"
+    );
 }
 
 const FORMATS: [(&str, &str); 6] = [

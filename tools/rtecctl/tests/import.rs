@@ -24,19 +24,10 @@ fn rows(file: &Path) -> (Vec<String>, Vec<Vec<f64>>) {
     (names, lines.map(|l| l.split(',').map(|w| w.parse().unwrap()).collect()).collect())
 }
 
-fn skipped(what: &str) {
-    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "{what}");
-    eprintln!("SKIPPED: {what}");
-}
-
 /// A real axis' log comes in with one command: volts become newtons, metres millimetres, velocity and acceleration are derived.
 #[test]
 fn a_real_axis_comes_in_with_force_velocity_and_acceleration() {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/axis_dynamics/identification.csv");
-    if !path.exists() {
-        return skipped(&format!("{} not there", path.display()));
-    }
+    let Some(path) = test_needs::shared("data/axis_dynamics/identification.csv") else { return };
     let dir = tempfile::tempdir().unwrap();
     let said = import(
         dir.path(),
@@ -68,8 +59,8 @@ fn a_real_axis_comes_in_with_force_velocity_and_acceleration() {
 /// What LinuxCNC's own halsampler wrote of a sawtooth whose slope is known.
 #[test]
 fn what_halsampler_writes_comes_in() {
-    if !Path::new("/usr/bin/halsampler").exists() {
-        return skipped("no halsampler (Debian: linuxcnc-uspace)");
+    if !test_needs::installed("halsampler", "linuxcnc-uspace") {
+        return;
     }
     let dir = tempfile::tempdir().unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/linuxcnc/sample");
@@ -143,4 +134,20 @@ fn what_cannot_be_read_is_named_and_nothing_is_written() {
         out.status.code() == Some(2) && said.contains("semi.csv:1: found columns parted by semicolons"),
         "{said}"
     );
+}
+
+/// A compensation file does not say its unit: which one was taken is said.
+#[test]
+fn the_unit_of_a_compensation_file_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let lines: Vec<String> = (0..12).map(|k| format!("{k} {k}.0001 {k}.0002\n")).collect();
+    std::fs::write(dir.path().join("x.comp"), lines.concat()).unwrap();
+    let words = "x.comp --format linuxcnc-comp0 --axis x --out x.run.toml";
+    assert!(import(dir.path(), words).contains("were read in mm: --unit"));
+    assert!(
+        import(dir.path(), &format!("{words} --unit inch"))
+            .contains("were read in inches, written in mm and µm")
+    );
+    let (_, data) = rows(&dir.path().join("x.csv"));
+    assert!(data.iter().any(|r| r.iter().any(|v| (v - 11.0 * 25.4).abs() < 1e-6)), "{data:?}");
 }

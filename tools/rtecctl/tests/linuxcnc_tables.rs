@@ -22,12 +22,7 @@ fn error_um(p: f64, direction: f64) -> f64 {
 }
 
 fn available() -> bool {
-    let there = Path::new("/usr/bin/linuxcnc").exists();
-    if !there {
-        assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "no LinuxCNC (Debian: linuxcnc-uspace)");
-        eprintln!("SKIPPED: no LinuxCNC (Debian: linuxcnc-uspace)");
-    }
-    there
+    test_needs::installed("linuxcnc", "linuxcnc-uspace")
 }
 
 /// Place (mm), joint, trim by HAL and motor command minus command (µm), in the order of the places.

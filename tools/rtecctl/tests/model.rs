@@ -139,7 +139,7 @@ fn few_of_twenty_sensors_leave_a_tenth_of_the_drift() {
             100.0 * rms / without,
             100.0 * r["coverage"].as_f64().unwrap(),
         );
-        assert!(sensors.len() <= 5 && rms <= 0.12 * without, "{report:#}");
+        assert!(sensors.len() <= 5 && rms <= 0.1 * without, "{report:#}");
         // The dry run logs no coolant: it is dry.
         let on_wet =
             |model: &str| report["dry_wet"][format!("{model}_model_on_wet_rms_um")].as_f64().unwrap();
@@ -262,7 +262,7 @@ fn a_chain_is_shown_and_exported_along_an_axis() {
     for line in [
         "carriage (tool), offset 0, 0, 0 mm, moved by z along 0, 0, 1",
         "ey = +50 µrad",
-        "dz = +1.2·(p/100 mm)·ΔT µm   ΔT = T2",
+        "dz = +1.2·(p/100 mm)·ΔT µm   ΔT = T2-20",
     ] {
         assert!(shown.contains(line), "{line} in {shown}");
     }

@@ -161,10 +161,28 @@ fn a_straight_feature_is_recognised_and_gets_its_table() {
     assert!((place("z") - (100.0 - 10.0 * cos - off * sin)).abs() < 1e-3, "{row}");
     assert!((place("x") - (30.0 - 10.0 * sin + off * cos)).abs() < 1e-3, "{row}");
     assert_eq!(std::fs::read_to_string(folder.join("t/g01.nc")).unwrap().lines().count(), 12);
-    // What is by place is no table by angle: the daemon's is refused it before it is asked.
-    let load = "load --socket none --centre-z-mm 127 --radius-mm 38.1 --errors o/error.cor";
-    let output = part(folder, &load.split_whitespace().collect::<Vec<_>>());
-    assert_eq!(output.status.code(), Some(2));
+    // What is by place has no centre: refused before the daemon is asked, which is not there.
+    let load = |more: &str| {
+        let line = format!("load --socket none --errors o/error.cor {more}");
+        let output = part(folder, &line.split_whitespace().collect::<Vec<_>>());
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, said) = load("--centre-z-mm 127 --radius-mm 38.1");
+    assert!(code == Some(2) && said.contains("bring their places"), "{said}");
+    assert_eq!(load("--nose-mm 0.8").0, Some(3));
+    // Bowed by 8 µm over 55 mm: a circle of 47 m lies through the points, and it is a taper all the same.
+    let bowed = (0..12).fold(String::from("z_mm,x_mm\n"), |mut text, k| {
+        let s = 5.0 * f64::from(k);
+        let off = 0.008 * (1.0 - (s / 27.5 - 1.0).powi(2));
+        let _ = writeln!(text, "{:.5},{:.5}", 20.0 + s * cos + off * sin, 10.0 - s * sin + off * cos);
+        text
+    });
+    std::fs::write(folder.join("bowed.csv"), bowed).unwrap();
+    let document = json(folder, &["errors", "--points", "bowed.csv", "--json"]);
+    assert_eq!(document["feature"], "line");
+    let bow = document["errors"].as_array().unwrap().iter().map(|e| e["error_um"].as_f64().unwrap());
+    let (low, high) = bow.fold((f64::MAX, f64::MIN), |(l, h), e| (l.min(e), h.max(e)));
+    assert!((high - low - 7.93).abs() < 0.05, "{low} to {high}: 8 µm less what no point is at");
     // An arc's table wants its arc.
     std::fs::write(folder.join("arc.cor"), "0.0 -1.3\n0.1 2.5\n").unwrap();
     let output = part(folder, &["table", "--errors", "arc.cor", "--out", "no"]);
@@ -227,9 +245,7 @@ fn numbers_of_a_probe_that_cannot_be_are_refused() {
 
 /// LinuxCNC's interpreter reads the G01 moves; where they run it must be within 1.5 µm of the corrected arc.
 fn worst_of_g01_um(folder: &Path, g01: &str, errors: &[(f64, f64)]) -> Option<f64> {
-    if Command::new("rs274").arg("-?").output().is_err() {
-        assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "rs274 is not there and nothing may be skipped");
-        eprintln!("SKIPPED: rs274 is not there (Debian: linuxcnc-uspace)");
+    if !test_needs::installed("rs274", "linuxcnc-uspace") {
         return None;
     }
     std::fs::write(folder.join("g01.ngc"), format!("G21 G18 G8 G90 G94\n{g01}M2\n")).unwrap();
@@ -445,4 +461,68 @@ fn the_program_is_opened_in_linuxcnc() {
     assert_eq!(program(&format!("--program-folder nc_files --download {nobody}")).status.code(), Some(3));
     assert_eq!(program("--program-folder none").status.code(), Some(2));
     assert_eq!(program("--download x").status.code(), Some(2));
+}
+
+/// One request by hand: the status line, and what follows.
+fn http(address: &str, request: &str) -> String {
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(std::time::Duration::from_secs(30))).unwrap();
+    std::io::Write::write_all(&mut stream, request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    std::io::Read::read_to_string(&mut stream, &mut answer).unwrap();
+    answer
+}
+
+#[test]
+fn the_page_is_for_whoever_started_it_and_nobody_holds_it_up() {
+    use std::io::{BufRead, Write};
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("nose.dxf"), drawing(38.1)).unwrap();
+    let mut page = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(["part", "points", "nose.dxf", "--feature", "F1:5", "--tip-mm", "2.5", "--web", "--out", "out"])
+        .current_dir(folder.path())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    std::io::BufReader::new(page.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let url = line.split_whitespace().find(|w| w.starts_with("http://")).unwrap_or_else(|| panic!("{line}"));
+    let (address, secret) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+    let secret = secret.trim_end_matches('/');
+    assert!(secret.len() == 32 && secret.chars().all(|c| c.is_ascii_hexdigit()), "{url}");
+    let post = |path: &str, body: &str| {
+        let length = body.len();
+        let head = format!(
+            "POST {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\nContent-Length: {length}"
+        );
+        http(address, &format!("{head}\r\n\r\n{body}"))
+    };
+    // Another user of this machine finds the port, and no more.
+    for path in ["/remove", "/00000000000000000000000000000000/remove", "/save", "/done", "/"] {
+        let answer = post(path, "{\"index\":0}");
+        assert!(answer.starts_with("HTTP/1.1 403"), "{path}: {answer}");
+    }
+    // Nor does he hold it up, however slow his request is and however long he says that it will be.
+    let strangers: Vec<_> = [3_000_000_u64, 1_000_000_000_000_000]
+        .into_iter()
+        .flat_map(|length| [format!("{length}"), format!("{length}\r\nExpect: 100-continue")])
+        .map(|length| {
+            let mut stranger = std::net::TcpStream::connect(address).unwrap();
+            let head = format!("POST /add HTTP/1.1\r\nHost: {address}\r\nContent-Length: {length}\r\n\r\n{{");
+            stranger.write_all(head.as_bytes()).unwrap();
+            stranger
+        })
+        .collect();
+    // One that never finishes its request holds up no other.
+    let mut slow = std::net::TcpStream::connect(address).unwrap();
+    let head = format!("POST /{secret}/add HTTP/1.1\r\nHost: {address}\r\nContent-Length: 3000\r\n\r\n{{");
+    slow.write_all(head.as_bytes()).unwrap();
+    let answer = post(&format!("/{secret}/remove"), "{\"index\":0}");
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    let plan: Value = serde_json::from_str(answer.split("\r\n\r\n").nth(1).unwrap()).unwrap();
+    assert_eq!(plan["points"].as_array().unwrap().len(), 4);
+    let answer = post(&format!("/{secret}/done"), "{}");
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    assert_eq!(page.wait().unwrap().code(), Some(0));
+    drop(strangers);
 }

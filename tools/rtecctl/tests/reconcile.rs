@@ -13,7 +13,10 @@ fn gauge() -> String {
         for stream in listener.incoming() {
             let Ok(mut stream) = stream else { return };
             for i in 0_u32.. {
-                let little = f64::from(i * 7919 % 1000) / 1000.0 - 0.5;
+                // Scattered, not stepped: whatever is read of it, no period is in it.
+                let mixed = (i ^ i >> 16).wrapping_mul(0x7feb_352d);
+                let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x846c_a68b);
+                let little = f64::from((mixed ^ mixed >> 16) % 1000) / 1000.0 - 0.5;
                 if writeln!(stream, "gz {}", 5.0 + little).is_err() {
                     break;
                 }

@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 use std::process::{Command, Output};
+use test_needs::skipped;
 
 fn latency(options: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_rtecctl"))
@@ -13,12 +14,6 @@ fn latency(options: &[&str]) -> Output {
 
 fn text(out: &Output) -> String {
     String::from_utf8(out.stdout.clone()).expect("UTF-8")
-}
-
-/// Says loudly that something could not be compared; with `RTEC_REQUIRE=1` that is a failure.
-fn skipped(why: &str) {
-    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
-    eprintln!("SKIPPED: {why}");
 }
 
 /// What a line looks like: every number as one 9, every run of blanks as it may vary with the numbers' width.

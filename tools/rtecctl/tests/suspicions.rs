@@ -61,3 +61,53 @@ fn a_fit_warns_and_leaves_out_what_is_no_measurement() {
     let document: Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!(document["suspicions"].as_array().map(Vec::len), Some(2));
 }
+
+/// A run of scale and reversal over so many targets; positions, direction and error as they are written.
+fn positioning(dir: &Path, ppm: f64, write: impl Fn(f64, f64, f64) -> (f64, f64, f64)) {
+    let mut csv = String::from("x,d,e\n");
+    for cycle in 0..3 {
+        for up in [1.0, -1.0] {
+            for k in 0..11 {
+                let at = 60.0 * f64::from(if up > 0.0 { k } else { 10 - k });
+                let rough = 0.2 * (f64::from((k * 7919 + cycle * 31) % 13) / 6.0 - 1.0);
+                let (x, d, e) = write(at, up, ppm * at / 1000.0 + 1.5 * up + rough);
+                writeln!(csv, "{x:.4},{d},{e:.6}").unwrap();
+            }
+        }
+    }
+    std::fs::write(dir.join("p.csv"), csv).unwrap();
+    let columns = "x = { role = \"position.x\", unit = \"mm\" }\nd = { role = \"direction.x\", unit = \"1\" }\n\
+                   e = { role = \"error.x\", unit = \"um\" }\n";
+    let side = format!("file = \"p.csv\"\nkind = \"positioning\"\n[columns]\n{columns}");
+    std::fs::write(dir.join("p.run.toml"), side).unwrap();
+}
+
+/// What looks wrong is not carried on into a model; what no model can hold is not written even when it is asked for.
+#[test]
+fn no_model_is_written_from_what_looks_wrong_nor_one_that_cannot_be_loaded() {
+    let dir = tempfile::tempdir().unwrap();
+    let fit = |more: &str| {
+        let words = format!("model fit --effects scale.x,reversal.x --record p.run.toml --out m.toml{more}");
+        let out = rtecctl(dir.path(), &words);
+        let there = dir.path().join("m.toml").exists();
+        (out.status.code(), String::from_utf8_lossy(&out.stderr).into_owned(), there)
+    };
+    let despite = " --despite-suspicions";
+    positioning(dir.path(), 80.0, |x, d, e| (x / 25.4, d, e));
+    let (code, said, there) = fit("");
+    assert!(code == Some(2) && !there && said.contains("inches") && said.contains(despite.trim()), "{said}");
+    // 80 ppm are 2032 ppm by these positions.
+    let (code, said, there) = fit(despite);
+    assert!(code == Some(2) && !there && said.contains("is not written") && said.contains("203"), "{said}");
+    positioning(dir.path(), 80.0, |x, d, e| (x, f64::midpoint(d, 1.0), e));
+    let (code, said, there) = fit("");
+    assert!(code == Some(2) && !there && said.contains("0 and 1"), "{said}");
+    positioning(dir.path(), 30.0, |x, d, e| (x, d, e / 1000.0));
+    let (code, said, there) = fit("");
+    assert!(code == Some(2) && !there && said.contains("millimetres"), "{said}");
+    let (code, said, there) = fit(despite);
+    assert!(code == Some(0) && there, "{said}");
+    positioning(dir.path(), 30.0, |x, d, e| (x, d, e));
+    let (code, said, there) = fit("");
+    assert!(code == Some(0) && there && !said.contains("suspicions"), "{said}");
+}

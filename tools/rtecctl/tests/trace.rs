@@ -4,7 +4,6 @@
 
 use rtec_driver::quadrature::Decoder;
 use rtec_files::trace::TraceReader;
-use std::path::Path;
 use std::process::{Command, Output};
 
 fn trace(args: &[&str]) -> Output {
@@ -63,16 +62,7 @@ fn bad_input_ends_with_2_says_where_and_leaves_no_file() {
 #[test]
 fn a_real_axis_is_followed_to_the_count() {
     const HYSTERESIS_COUNTS: f64 = 0.25;
-    let record =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/axis_dynamics/identification.csv");
-    if !record.exists() {
-        assert!(
-            std::env::var_os("RTEC_REQUIRE").is_none(),
-            "RTEC_REQUIRE is set, but the record is not there"
-        );
-        eprintln!("SKIPPED: ../shared/data/axis_dynamics/identification.csv not there");
-        return;
-    }
+    let Some(record) = test_needs::shared("data/axis_dynamics/identification.csv") else { return };
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path().join("scale.csv");
     let (from, to) = (record.to_str().unwrap(), out.to_str().unwrap());

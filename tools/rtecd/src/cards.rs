@@ -12,7 +12,7 @@ use rtec_files::trace::TraceReader;
 use rtec_part::fit::Zx;
 use rtec_sim::duty::{Cuts, Duty};
 use rtec_sim::lathe::Lathe;
-use rtec_sim::strokes::{MovingAxes, StrokeMotion, Truth, moving_axes};
+use rtec_sim::strokes::{MovingAxes, Operator, StrokeMotion, Truth, moving_axes};
 use rtec_sim::wires::MachineWires;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -26,9 +26,15 @@ const MAX_POINTS: usize = 50_000_000;
 /// Who stands at the simulated machine: jogs its axes, and reads display and indicator.
 pub(crate) struct Stand {
     axes: Vec<(Arc<Truth>, Simulated)>,
+    operator: Operator,
 }
 
 impl Stand {
+    /// Lets the axes go to and fro, or has them stop at the end of their cycle.
+    pub(crate) fn feed(&self, on: bool) {
+        self.operator.feed(on);
+    }
+
     /// Sends an axis to a place of the controller's display, mm.
     pub(crate) fn jog_to(&self, n: usize, display_mm: f64) {
         let (truth, simulated) = &self.axes[n];
@@ -45,7 +51,7 @@ impl Stand {
     }
 }
 
-/// Axes that go to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
+/// Axes that stand until they are homed and then go to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
 pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) {
     let motions: Vec<_> = config
         .axes
@@ -61,9 +67,8 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) 
         })
         .collect();
     let (axes, operator) = moving_axes(&motions, config.lines);
-    operator.cycle_start();
-    let both = operator.truth.into_iter().zip(config.axes.iter().map(|a| a.simulated));
-    let stand = Stand { axes: both.collect() };
+    let both = operator.truth.iter().cloned().zip(config.axes.iter().map(|a| a.simulated));
+    let stand = Stand { axes: both.collect(), operator };
     (MockCard::new(axes, Monotonic), stand)
 }
 

@@ -1,11 +1,24 @@
 //! Standard error, fit for the journal: one line per message, with systemd's level prefix where it listens, and never a
 //! flood. What standard error does not take at once is left out: the control loop never waits for a reader, and a full
 //! disk is no reason to die.
+//!
+//! Faults, changes of mode, models and part tables go to the journal with fields of their own (journald's native protocol, a
+//! datagram), where it is the journal that reads standard error; where it does not take them, to standard error.
+//!
+//! | field | what |
+//! |---|---|
+//! | `MESSAGE_ID` | one per kind: `journalctl MESSAGE_ID=…` |
+//! | `RTEC_EVENT` | `fault`, `mode`, `homed`, `model_loaded`, `model_unloaded`, `table_loaded`, `table_unloaded` |
+//! | `RTEC_AXIS` | the axis, where there is one |
+//! | `RTEC_REASON` | which fault, which mode |
+//! | `RTEC_MODEL_SHA256` | the model's file |
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::os::fd::AsFd;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Levels of syslog(3).
@@ -20,6 +33,19 @@ pub(crate) enum Level {
 /// Messages of one kind that are written in [`PERIOD`]; the others are counted.
 const BURST: u32 = 20;
 const PERIOD: Duration = Duration::from_secs(10);
+/// Where journald takes datagrams (`systemd.journal-fields(7)`, "Native Journal Protocol").
+const JOURNALD: &str = "/run/systemd/journal/socket";
+
+/// The message's kind, as 128 bits in hexadecimal.
+fn message_id(event: &str) -> &'static str {
+    match event {
+        "fault" => "0c5d8f32302246b59de9154b96e463f1",
+        "mode" => "7c49ee60f8204124bef7667a46dd3815",
+        "model_loaded" | "model_unloaded" => "86b5e69ddf9646ac87019beea6e4ca56",
+        "table_loaded" | "table_unloaded" => "f4b077e408d547388759fdd4152ac406",
+        _ => "80c81ea96aa34fee9418710cd047f7c4",
+    }
+}
 
 struct Window {
     begun: Instant,
@@ -29,16 +55,48 @@ struct Window {
 
 pub(crate) struct Log {
     journal: bool,
+    /// The journal's native socket, where it reads standard error too.
+    native: Option<(UnixDatagram, PathBuf)>,
     kinds: BTreeMap<String, Window>,
+    #[cfg(test)]
+    silent: bool,
 }
 
 impl Log {
+    /// Nobody reads it.
+    #[cfg(test)]
+    pub(crate) fn silent() -> Self {
+        Self { silent: true, ..Self::new() }
+    }
+
     pub(crate) fn new() -> Self {
         // systemd sets this where standard error is its journal (systemd.exec(5)).
-        Self { journal: std::env::var_os("JOURNAL_STREAM").is_some(), kinds: BTreeMap::new() }
+        let journal = std::env::var_os("JOURNAL_STREAM").is_some();
+        let native = journal.then(|| native(Path::new(JOURNALD))).flatten();
+        Self {
+            journal,
+            native,
+            kinds: BTreeMap::new(),
+            #[cfg(test)]
+            silent: false,
+        }
+    }
+
+    /// As [`Log::event`], with fields of the journal's own; `RTEC_EVENT` is `event`.
+    pub(crate) fn record(&mut self, level: Level, event: &str, text: &str, fields: &[(&str, &str)]) {
+        let message = datagram(level, event, text, fields);
+        let native = self.native.as_ref().is_some_and(|(socket, to)| socket.send_to(&message, to).is_ok());
+        if native {
+            return;
+        }
+        self.event(level, event, text);
     }
 
     pub(crate) fn say(&self, level: Level, text: &str) {
+        #[cfg(test)]
+        if self.silent {
+            return;
+        }
         let line = if self.journal {
             format!("<{}>{text}\n", level as u8)
         } else {
@@ -79,5 +137,67 @@ impl Log {
         if write {
             self.say(level, text);
         }
+    }
+}
+
+/// A socket that never waits, where there is somebody to send to.
+fn native(to: &Path) -> Option<(UnixDatagram, PathBuf)> {
+    let socket = UnixDatagram::unbound().ok().filter(|_| to.exists())?;
+    socket.set_nonblocking(true).ok()?;
+    Some((socket, to.to_owned()))
+}
+
+/// A message in the journal's native form: `KEY=value`, and with a length where the value has lines of its own.
+fn datagram(level: Level, event: &str, text: &str, fields: &[(&str, &str)]) -> Vec<u8> {
+    let priority = (level as u8).to_string();
+    let own = [
+        ("MESSAGE", text),
+        ("PRIORITY", &priority),
+        ("SYSLOG_IDENTIFIER", "rtecd"),
+        ("MESSAGE_ID", message_id(event)),
+        ("RTEC_EVENT", event),
+    ];
+    let mut bytes = Vec::new();
+    for (key, value) in own.iter().chain(fields) {
+        bytes.extend_from_slice(key.as_bytes());
+        if value.contains('\n') {
+            bytes.push(b'\n');
+            bytes.extend_from_slice(&(value.len() as u64).to_le_bytes());
+        } else {
+            bytes.push(b'=');
+        }
+        bytes.extend_from_slice(value.as_bytes());
+        bytes.push(b'\n');
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_is_one_datagram_with_its_fields() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = directory.path().join("journal");
+        let journald = UnixDatagram::bind(&at).unwrap();
+        journald.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        let mut log = Log { journal: true, native: native(&at), ..Log::new() };
+        log.record(
+            Level::Error,
+            "fault",
+            "axis x: poll_gap",
+            &[("RTEC_AXIS", "x"), ("RTEC_REASON", "poll_gap")],
+        );
+        let mut bytes = [0; 512];
+        let n = journald.recv(&mut bytes).unwrap();
+        let found = std::str::from_utf8(&bytes[..n]).unwrap();
+        let wanted = "MESSAGE=axis x: poll_gap\nPRIORITY=3\nSYSLOG_IDENTIFIER=rtecd\nMESSAGE_ID=\
+                      0c5d8f32302246b59de9154b96e463f1\nRTEC_EVENT=fault\nRTEC_AXIS=x\nRTEC_REASON=poll_gap\n";
+        assert_eq!(found, wanted);
+        // Lines in a value: with its length, so that no line of it passes for a field.
+        let two = datagram(Level::Notice, "mode", "a\nRTEC_AXIS=y", &[]);
+        assert!(two.starts_with(b"MESSAGE\n\x0d\0\0\0\0\0\0\0a\nRTEC_AXIS=y\nPRIORITY=5\n"));
+        assert!(native(&directory.path().join("nobody")).is_none());
     }
 }

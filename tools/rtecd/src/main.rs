@@ -4,22 +4,36 @@
 //! |---|---|
 //! | `cards` | the card that the configuration names |
 //! | `temperatures` | the sensors' threads, and their log |
+//! | `history` | every change of the axes' ledgers, and how often each fault was latched |
+//! | `start` | the engine as the last process left the machine |
 //! | `session` | requests of the protocol, carried out on the link |
-//! | `server` | the control socket and its clients |
+//! | `doors` | the listening sockets, one per role |
+//! | `client` | one connection |
+//! | `server` | whose request has its turn |
+//! | `loader` | files that requests name, read off the control thread |
+//! | `audit` | the record of commands, written off the control thread |
 //! | `manager` | the service manager: ready, watchdog, the store for file descriptors |
 //! | `log` | standard error, fit for the journal |
 //!
 //! What must not live here: the control law (`rtec-correct`), effects (`rtec-model`), the step between two edges (`rtec-rt`).
 
+mod audit;
 mod cards;
+mod client;
+mod doors;
+mod history;
+mod loader;
 mod log;
 mod manager;
 mod server;
 mod session;
+mod start;
 mod temperatures;
 
 use anyhow::Context;
+use audit::Audit;
 use clap::Parser;
+use doors::Doors;
 use log::{Level, Log};
 use manager::Manager;
 use nix::sys::signal::{SigSet, Signal};
@@ -29,20 +43,23 @@ use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
 use rtec_driver::card::Card;
 use rtec_files::InputError;
-use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{Fault, MAX_AXES};
-use rtec_rt::journal::{Journal, StateRecord, resume};
+use rtec_rt::journal::JournalError;
 use rtec_rt::setup::{Report, System, Wanted};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use session::Session;
-use std::os::unix::net::UnixListener;
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use temperatures::Temperatures;
 
 /// Path of an installed machine's configuration.
 const INSTALLED: &str = "/etc/rtec/rtec.toml";
+
+/// A card that is not there yet is tried again after this time.
+const CARD_AGAIN: Duration = Duration::from_millis(100);
+/// At its end the daemon waits so long for the disk that the record of commands is on.
+const LOG_PATIENCE: Duration = Duration::from_secs(1);
 
 /// Real-time error corrector: the daemon
 #[derive(Debug, Parser)]
@@ -54,6 +71,9 @@ struct Args {
     /// The control socket, instead of the configuration's
     #[arg(long, value_name = "PATH")]
     socket: Option<PathBuf>,
+    /// Wait so long, in s, for a card that is not there yet, before it is said to be out of reach
+    #[arg(long, value_name = "SECONDS", default_value_t = 0)]
+    wait_for_card: u64,
     /// With the mock card: a simulated turning centre on the axes z and x does what this file says, once; its cycle
     /// start is the release of feed hold
     #[arg(long, value_name = "FILE")]
@@ -63,7 +83,7 @@ struct Args {
 /// Why the daemon does not start.
 #[derive(Debug, thiserror::Error)]
 enum Failure {
-    /// Exit 1: somebody else is there already.
+    /// Exit 1: somebody else is there already, or what we need to keep cannot be kept.
     #[error("{0}")]
     Taken(String),
     /// Exit 3: the card cannot be reached.
@@ -83,12 +103,22 @@ impl From<LockError> for Failure {
     }
 }
 
+impl From<JournalError> for Failure {
+    fn from(error: JournalError) -> Self {
+        let text = format!("state file {error}");
+        match error {
+            JournalError::Io { .. } | JournalError::Taken { .. } => Self::Taken(text),
+            JournalError::Foreign { .. } | JournalError::Other { .. } => Self::Fault(text),
+        }
+    }
+}
+
 fn main() -> ExitCode {
     let mut log = Log::new();
     match run(&Args::parse(), &mut log) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            for line in format!("{error:#}").lines() {
+            for line in rtec_files::words::whole(error.as_ref()).lines() {
                 log.say(Level::Error, line);
             }
             ExitCode::from(exit_code(&error))
@@ -134,14 +164,15 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let signals =
         SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC).context("signalfd")?;
 
-    let (listener, _lock) = server::listen(&config.control)?;
-    let socket = config.control.socket.clone();
+    let doors = doors::listen(&config.control)?;
     let kept = manager.take_back("outputs-");
     for name in manager.left_over() {
         log.say(Level::Warning, &format!("stored descriptor {name}: nobody has a use for it; it stays open"));
     }
-    let outside = Outside { listener: &listener, signals: &signals, manager: &mut manager };
-    let done = match config.card.clone() {
+    let patience =
+        Patience { until: Instant::now() + Duration::from_secs(args.wait_for_card), signals: &signals };
+    let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager };
+    match config.card.clone() {
         CardConfig::Mock if args.lathe.is_some() => {
             let file = args.lathe.as_deref().unwrap_or(Path::new(""));
             let (card, cuts) = cards::lathe(&config, file)?;
@@ -158,7 +189,9 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             work(card, config, Kind::Harmless, outside, log)
         }
         CardConfig::Gpio(setup) => {
-            let card = card::gpio(&setup, kept)?;
+            let copies = || kept.iter().map(OwnedFd::try_clone).collect::<std::io::Result<Vec<_>>>();
+            let kept = || copies().unwrap_or_default();
+            let Some(card) = patience.open(log, || card::gpio(&setup, kept()))? else { return Ok(()) };
             // Before anything is inverted: from here on the lines outlive this process.
             for (name, fd) in card.kept() {
                 if !outside.manager.keep(&name, fd)? {
@@ -172,26 +205,65 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             work(card, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            work(card::parport(&file, &profile)?, config, Kind::Real, outside, log)
+            let Some(card) = patience.open(log, || card::parport(&file, &profile))? else { return Ok(()) };
+            work(card, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            work(card::ports(base, &profile)?, config, Kind::Real, outside, log)
+            let Some(card) = patience.open(log, || card::ports(base, &profile))? else { return Ok(()) };
+            work(card, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let base = card::io_bar(&id, bar, &profile)?;
-            work(card::ports(base, &profile)?, config, Kind::Real, outside, log)
+            let open = || card::io_bar(&id, bar, &profile).and_then(|base| card::ports(base, &profile));
+            let Some(card) = patience.open(log, open)? else { return Ok(()) };
+            work(card, config, Kind::Real, outside, log)
         }
         CardConfig::Mapped { place, profile } => {
-            let (file, map) = card::register_file(&place, &profile)?;
+            let mut found = (PathBuf::new(), 0);
+            // Opened once before it is locked: what is not there yet is waited for.
+            let open = || {
+                found = card::register_file(&place, &profile)?;
+                card::mapped(&found.0, found.1, &profile).map(drop)
+            };
+            let Some(()) = patience.open(log, open)? else { return Ok(()) };
+            let (file, map) = found;
             let _card_lock = lock::card(&file).map_err(Failure::from)?;
             let card = card::mapped(&file, map, &profile)?;
             let real = cards::drives_a_machine(&file)?;
             work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside, log)
         }
-    };
-    // The lock is still held: nobody else can have a socket of this name.
-    let _ = std::fs::remove_file(&socket);
-    done
+    }
+}
+
+/// How long a card that comes up late is waited for.
+struct Patience<'a> {
+    until: Instant,
+    signals: &'a SignalFd,
+}
+
+impl Patience<'_> {
+    /// Opens a card, again and again until it is there; none when a signal has ended the waiting.
+    fn open<T>(
+        &self,
+        log: &mut Log,
+        mut open: impl FnMut() -> Result<T, OpenError>,
+    ) -> anyhow::Result<Option<T>> {
+        let mut said = String::new();
+        loop {
+            let error = match open() {
+                Ok(card) => return Ok(Some(card)),
+                Err(error) if Instant::now() >= self.until => return Err(error.into()),
+                Err(error) => error.to_string(),
+            };
+            if error != said {
+                log.say(Level::Warning, &format!("waiting for the card: {error}"));
+                said = error;
+            }
+            if self.signals.read_signal().context("reading signals")?.is_some() {
+                return Ok(None);
+            }
+            std::thread::sleep(CARD_AGAIN);
+        }
+    }
 }
 
 /// What hangs on a card.
@@ -206,7 +278,7 @@ enum Kind {
 
 /// Whom the daemon listens to and reports to: clients, signals, the service manager.
 struct Outside<'a> {
-    listener: &'a UnixListener,
+    doors: &'a Doors,
     signals: &'a SignalFd,
     manager: &'a mut Manager,
 }
@@ -223,47 +295,7 @@ fn work<C: Card + Send + 'static>(
     let directory = config.control.state_path();
     let directory = directory.parent().unwrap_or(Path::new(""));
     let temperatures = Temperatures::start(&config.sensors, directory, config.model.log_s)?;
-    // The outputs of a mock card end with its process: there is nothing to be taken over.
-    let journal = match config.card {
-        CardConfig::Gpio(_) | CardConfig::Mapped { .. } | CardConfig::Port { .. } => {
-            let file = config.control.state_path();
-            let opened = Journal::open(&file).with_context(|| format!("state file {}", file.display()))?;
-            Some(opened)
-        }
-        CardConfig::Mock | CardConfig::Replay { .. } => None,
-    };
-    let found = journal.as_ref().map_or([[None; 2]; MAX_AXES], |(_, found)| *found);
-    let (completed, moved) = take_over(&mut card, &config, &found)?;
-    let machine = MachineConfig { lines: config.lines, may_arm: false };
-    let mut engine = match Engine::new(&mut card, &config.engine_axes(), machine, &completed) {
-        Ok(engine) => engine,
-        Err(StartError::HalfInverted(n)) => {
-            let why = format!(
-                "axis {}: its two inverters are not equal, and the state file knows of no insertion that was under way. \
-                 Nothing is written; switch the MTC off, set both inverters equal, start again and home",
-                config.axes[n].name
-            );
-            return Err(Failure::Fault(why).into());
-        }
-        Err(error) => return Err(Failure::Unreachable(error.to_string()).into()),
-    };
-    for (axis, _) in config.axes.iter().zip(&completed).filter(|(_, total)| *total % 2 != 0) {
-        log.say(
-            Level::Error,
-            &format!("axis {}: left in the middle of an insertion; it is finished now", axis.name),
-        );
-    }
-    for n in moved {
-        log.say(
-            Level::Error,
-            &format!("axis {}: the inverters are not where the state file left them", config.axes[n].name),
-        );
-        // What is latched now stands in the status from the first one on; there is no one yet to report it to.
-        engine.latch(Some(n as u8), Fault::InvertersMoved, &mut card, &mut |_| true)?;
-    }
-    if let Some((journal, _)) = journal {
-        engine.keep_journal(journal);
-    }
+    let engine = start::engine(&mut card, &config, log)?;
     // A mock needs no real time; with `cpu` it gets it, so that a set-up can be tried without a machine.
     let system = System::live();
     let wanted = (real || config.rt.cpu.is_some()).then(|| Wanted {
@@ -293,6 +325,9 @@ fn work<C: Card + Send + 'static>(
         missing: running.report.take(),
         timing: running.timing.clone(),
     };
+    let log_file = config.control.log_path();
+    let mut audit =
+        Audit::start(&log_file, outside.doors.seers).context("starting the record of commands")?;
     let mut session = Session::new(config, set_up, temperatures);
     session.take_up_model(log);
     if let Kind::Simulated(stand) = kind {
@@ -303,8 +338,13 @@ fn work<C: Card + Send + 'static>(
         running.control.beat();
         std::thread::sleep(Duration::from_millis(1));
     }
+    let started = format!("rtecd {} at {}", env!("CARGO_PKG_VERSION"), session.identity());
+    audit.note("start", started, session.totals(&mut running.control));
+    for happened in session.found_at_start(&running.control.status()) {
+        audit.happened(&happened, session.totals(&mut running.control));
+    }
     outside.manager.ready()?;
-    let served = server::serve(outside, &mut session, &mut running.control, log);
+    let served = server::serve(outside, &mut session, &mut running.control, log, &mut audit);
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);
     for (axis, status) in session.axes().iter().zip(ended.status.axes()) {
@@ -316,26 +356,6 @@ fn work<C: Card + Send + 'static>(
         );
         log.say(Level::Notice, &text);
     }
+    audit.end(LOG_PATIENCE);
     served
-}
-
-/// What each axis had completed before, from the state file and the inverters as they are; and the axes where the two
-/// disagree.
-fn take_over<C: Card>(
-    card: &mut C,
-    config: &Config,
-    found: &[[Option<StateRecord>; 2]; MAX_AXES],
-) -> anyhow::Result<(Vec<i64>, Vec<usize>)> {
-    let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
-    let (mut completed, mut moved) = (Vec::new(), Vec::new());
-    for (n, axis) in config.axes.iter().enumerate() {
-        let inverters = axis.engine.lines.inverters(outputs);
-        let before = resume(found[n], inverters);
-        let first_start = found[n] == [None, None] && inverters == 0;
-        if before.is_none() && !first_start {
-            moved.push(n);
-        }
-        completed.push(before.unwrap_or(0));
-    }
-    Ok((completed, moved))
 }

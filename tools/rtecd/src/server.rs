@@ -1,187 +1,70 @@
-//! The control socket: one thread, no client can hold up another or the heartbeat, everything is bounded.
+//! The control sockets' clients: one thread, no client can hold up another or the heartbeat, everything is bounded.
+//!
+//! | what | limit |
+//! |---|---|
+//! | connections | [`PLACES`], of one user [`PER_USER`] |
+//! | beyond them, for what is urgent only | [`RESERVED`], of one user [`RESERVED_PER_USER`]: a new one takes the place of that user's oldest |
+//! | order | `disable` and `hold`, then `status`, then the rest, the users in turn; a client's own requests in their order |
+//! | time | what is not urgent ends its turn after [`TURN`]: then the others are looked at again |
 
+use crate::Outside;
+use crate::audit::{Audit, Command, Totals};
+use crate::client::{Client, Stage, Urgency};
+use crate::doors::{Door, Doors};
+use crate::loader::Ticket;
 use crate::log::{Level, Log};
-use crate::session::Session;
-use crate::{Failure, Outside};
+use crate::manager::Manager;
+use crate::session::{Answer, Beside, Session};
 use anyhow::Context;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::sys::stat::{Mode, umask};
-use nix::unistd::{Group, chown};
-use rtec_control::config::ControlConfig;
-use rtec_control::lock;
-use rtec_control::protocol::{ClientRequest, MAX_LINE, Response};
+use nix::sys::signalfd::SignalFd;
+use nix::unistd::Uid;
+use rtec_control::protocol::{Caller, ClientRequest, Clients, Response};
+use rtec_control::role::Role;
 use rtec_rt::link::ControlEnd;
-use std::fs::{DirBuilder, Permissions};
-use std::io::{ErrorKind, Read, Write};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::os::fd::AsFd;
-use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
-use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Clients at one time.
-const MAX_CLIENTS: usize = 32;
-/// Lines of one client that are answered before the next client has its turn.
-const LINES_A_TURN: usize = 8;
-/// Unread answers that a client may leave lying, bytes. Beyond it nothing more is read from it, and a watcher is dropped.
-const MAX_UNREAD: usize = 256 * 1024;
-/// A client that says nothing whole for so long is dropped; watchers may be silent.
-const IDLE: Duration = Duration::from_secs(30);
+/// Connections at one time.
+const PLACES: usize = 64;
+/// Connections of one user.
+const PER_USER: usize = 32;
+/// Connections beyond those, for what is urgent.
+const RESERVED: usize = 32;
+/// Of one user.
+const RESERVED_PER_USER: usize = 4;
+/// Connections that are taken in one turn.
+const ACCEPTS: usize = 16;
+/// What is not urgent may take so long before everybody is looked at again.
+const TURN: Duration = Duration::from_millis(8);
+/// An insertion that is under way is waited for so long.
+const BUSY: Duration = Duration::from_millis(500);
+/// Until it is looked at again, ms.
+const BUSY_AGAIN: u8 = 2;
 
-/// The listening socket, for its group only, and the lock that makes it ours.
-pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<(UnixListener, lock::Held)> {
-    let socket = &control.socket;
-    let group = match &control.group {
-        None => None,
-        Some(name) => Some(
-            Group::from_name(name)
-                .with_context(|| format!("looking up group {name}"))?
-                .with_context(|| format!("there is no group {name} (found in [control] group)"))?
-                .gid,
-        ),
-    };
-    if let Some(directory) = socket.parent().filter(|d| !d.as_os_str().is_empty() && !d.exists()) {
-        DirBuilder::new()
-            .recursive(true)
-            .mode(0o750)
-            .create(directory)
-            .with_context(|| format!("creating {}", directory.display()))?;
-        chown(directory, None, group)
-            .with_context(|| format!("giving {} to its group", directory.display()))?;
-    }
-    let held = lock::socket(socket).map_err(Failure::from)?;
-    clear_stale(socket)?;
-    // Born without access for anybody else; the group gets its own before the first client can be served.
-    let before = umask(Mode::from_bits_truncate(0o177));
-    let listener = UnixListener::bind(socket);
-    umask(before);
-    let listener = listener.with_context(|| format!("binding {}", socket.display()))?;
-    if group.is_some() {
-        chown(socket, None, group).with_context(|| format!("giving {} to its group", socket.display()))?;
-        std::fs::set_permissions(socket, Permissions::from_mode(0o660))?;
-    }
-    listener.set_nonblocking(true)?;
-    Ok((listener, held))
+/// A load whose caller waits.
+struct Waiting {
+    client: u64,
+    caller: Caller,
+    request: Value,
+    before: Totals,
 }
 
-/// Removes a socket that nobody listens at.
-fn clear_stale(socket: &Path) -> anyhow::Result<()> {
-    let Ok(found) = std::fs::symlink_metadata(socket) else { return Ok(()) };
-    if !found.file_type().is_socket() {
-        let why = format!(
-            "{}: found something that is no socket, expected nothing or an old socket",
-            socket.display()
-        );
-        return Err(Failure::Taken(why).into());
-    }
-    match UnixStream::connect(socket) {
-        Err(error) if error.kind() == ErrorKind::ConnectionRefused => std::fs::remove_file(socket)
-            .with_context(|| format!("removing the old socket {}", socket.display())),
-        Ok(_) => {
-            let why = format!("socket {} is in use: another program listens at it", socket.display());
-            Err(Failure::Taken(why).into())
-        }
-        Err(error) => Err(error).with_context(|| format!("trying the socket {}", socket.display())),
-    }
-}
-
-struct Client {
-    stream: UnixStream,
-    inbox: Vec<u8>,
-    outbox: Vec<u8>,
-    watching: bool,
-    last_line: Instant,
-    /// Nothing more is read; it goes when the outbox is empty.
-    closing: bool,
-    gone: bool,
-}
-
-impl Client {
-    fn new(stream: UnixStream) -> Self {
-        Self {
-            stream,
-            inbox: Vec::new(),
-            outbox: Vec::new(),
-            watching: false,
-            last_line: Instant::now(),
-            closing: false,
-            gone: false,
-        }
-    }
-
-    fn reads(&self) -> bool {
-        !self.closing && self.outbox.len() < MAX_UNREAD
-    }
-
-    fn wants(&self) -> PollFlags {
-        let mut flags = PollFlags::empty();
-        if self.reads() {
-            flags |= PollFlags::POLLIN;
-        }
-        if !self.outbox.is_empty() {
-            flags |= PollFlags::POLLOUT;
-        }
-        flags
-    }
-
-    fn put(&mut self, response: &Response) {
-        // A response is numbers, strings and lists: it has a JSON form.
-        let Ok(line) = serde_json::to_string(response) else { return };
-        self.outbox.extend_from_slice(line.as_bytes());
-        self.outbox.push(b'\n');
-    }
-
-    fn bad(&mut self, text: impl Into<String>) {
-        self.put(&Response::Bad { text: text.into() });
-    }
-
-    fn read(&mut self) {
-        let mut buffer = [0; MAX_LINE];
-        match self.stream.read(&mut buffer) {
-            Ok(0) => self.closing = true,
-            Ok(n) => self.inbox.extend_from_slice(&buffer[..n]),
-            Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
-            Err(_) => self.gone = true,
-        }
-    }
-
-    /// The next whole line, without its end.
-    fn line(&mut self) -> Option<Vec<u8>> {
-        let Some(end) = self.inbox.iter().position(|&b| b == b'\n') else {
-            if self.inbox.len() >= MAX_LINE && !self.closing {
-                self.bad(format!("found a line of more than {MAX_LINE} bytes; expected one request a line"));
-                self.inbox.clear();
-                self.closing = true;
-            }
-            return None;
-        };
-        let mut line: Vec<u8> = self.inbox.drain(..=end).collect();
-        line.pop();
-        self.last_line = Instant::now();
-        Some(line)
-    }
-
-    fn write(&mut self) {
-        while !self.outbox.is_empty() {
-            match self.stream.write(&self.outbox) {
-                Ok(n) => {
-                    self.outbox.drain(..n);
-                }
-                Err(e) if e.kind() == ErrorKind::WouldBlock => return,
-                Err(e) if e.kind() == ErrorKind::Interrupted => {}
-                Err(_) => {
-                    self.gone = true;
-                    return;
-                }
-            }
-        }
-    }
-
-    fn over(&self) -> bool {
-        let dumb = !self.watching && self.last_line.elapsed() > IDLE;
-        let deaf = self.watching && self.outbox.len() > MAX_UNREAD;
-        self.gone || dumb || deaf || self.closing && self.outbox.is_empty() && !self.inbox.contains(&b'\n')
-    }
+/// What serving needs at hand.
+struct Desk<'a> {
+    session: &'a mut Session,
+    control: &'a mut ControlEnd,
+    log: &'a mut Log,
+    audit: &'a mut Audit,
+    waiting: BTreeMap<Ticket, Waiting>,
+    own_uid: u32,
+    /// Which group may use the socket of a role.
+    groups: BTreeMap<Role, String>,
+    /// Why the record of commands is not written, as it was last said.
+    record: Option<String>,
 }
 
 /// Serves until a signal comes.
@@ -190,64 +73,65 @@ pub(crate) fn serve(
     session: &mut Session,
     control: &mut ControlEnd,
     log: &mut Log,
+    audit: &mut Audit,
 ) -> anyhow::Result<()> {
-    let Outside { listener, signals, manager } = outside;
+    let Outside { doors, signals, manager } = outside;
     let mut clients: Vec<Client> = Vec::new();
     let every = session.beat_every();
     let timeout = PollTimeout::try_from(every).unwrap_or(PollTimeout::from(10_u8));
-    let mut end_reported = false;
+    let own_uid = Uid::effective().as_raw();
+    let groups = doors.all.iter().filter_map(|d| Some((d.role, d.group.clone()?))).collect();
+    let waiting = BTreeMap::new();
+    let mut desk = Desk { session, control, log, audit, waiting, own_uid, groups, record: None };
+    let (mut end_reported, mut next_id, mut turn, mut backlog) = (false, 1, 0, false);
     loop {
-        control.beat();
-        let status = control.status();
-        manager.turn(status.polls, || session.in_short(&status));
-        // Lines left over from the last turn must not wait for the next one to arrive.
-        let waiting = clients.iter().any(|c| c.reads() && c.inbox.contains(&b'\n'));
-        let ready = {
-            let mut fds = vec![
-                PollFd::new(signals.as_fd(), PollFlags::POLLIN),
-                PollFd::new(listener.as_fd(), PollFlags::POLLIN),
-            ];
-            fds.extend(clients.iter().map(|c| PollFd::new(c.stream.as_fd(), c.wants())));
-            match poll(&mut fds, if waiting { PollTimeout::ZERO } else { timeout }) {
-                Ok(_) | Err(nix::errno::Errno::EINTR) => {}
-                Err(error) => return Err(error).context("poll"),
-            }
-            fds.iter().map(|fd| fd.revents().unwrap_or(PollFlags::empty())).collect::<Vec<_>>()
+        desk.beat(manager);
+        // What waits behind others, or behind its client's last request, has come already.
+        let timeout = if backlog || clients.iter().any(Client::has_line) {
+            PollTimeout::ZERO
+        } else if clients.iter().any(|c| c.pending.is_some()) {
+            BUSY_AGAIN.into()
+        } else {
+            timeout
         };
-        if ready[0].contains(PollFlags::POLLIN)
-            && let Some(signal) = signals.read_signal().context("reading signals")?
-        {
+        let (signalled, ready) = wait(doors, signals, &clients, timeout)?;
+        if signalled && let Some(signal) = signals.read_signal().context("reading signals")? {
             manager.stopping();
-            log.say(Level::Notice, &format!("signal {}: parking", signal.ssi_signo));
+            let text = format!("signal {}: parking", signal.ssi_signo);
+            desk.log.say(Level::Notice, &text);
+            let totals = desk.session.totals(desk.control);
+            desk.audit.note("stop", text, totals);
             return Ok(());
         }
-        for (client, ready) in clients.iter_mut().zip(&ready[2..]) {
+        for (client, ready) in clients.iter_mut().zip(&ready[doors.all.len()..]) {
             if client.reads() && ready.intersects(PollFlags::POLLIN | PollFlags::POLLHUP) {
                 client.read();
-            } else if ready.contains(PollFlags::POLLERR) {
-                client.gone = true;
-            }
-            for _ in 0..LINES_A_TURN {
-                if client.outbox.len() >= MAX_UNREAD {
-                    break;
-                }
-                let Some(line) = client.line() else { break };
-                obey(client, &line, session, control, log);
+            } else if ready.contains(PollFlags::POLLERR) || client.waits && ready.contains(PollFlags::POLLHUP)
+            {
+                // Whoever has only said that nothing more comes still reads its answer.
+                client.enter(Stage::Gone);
             }
         }
-        if ready[1].contains(PollFlags::POLLIN) {
-            accept(listener, &mut clients, log);
+        for (door, ready) in doors.all.iter().zip(&ready) {
+            if ready.contains(PollFlags::POLLIN) {
+                accept(door, &mut clients, &mut next_id, desk.log);
+            }
         }
-        session.drain(control, log);
-        session.tick(control, log);
-        if control.ended() && !end_reported {
+        turn += 1;
+        backlog = desk.work(&mut clients, turn);
+        desk.finish_loads(&mut clients);
+        desk.session.drain(desk.control, desk.log);
+        desk.session.tick(desk.control, desk.log);
+        desk.audit.turn();
+        if desk.control.ended() && !end_reported {
             end_reported = true;
-            log.say(
-                Level::Error,
-                "the real-time thread has ended; corrections are frozen, status is still served",
-            );
+            let text = "the real-time thread has ended; corrections are frozen, status is still served";
+            desk.log.say(Level::Error, text);
         }
-        for happened in session.take_happened() {
+        desk.watch_record();
+        for happened in desk.session.take_happened() {
+            let totals = desk.session.totals(desk.control);
+            desk.audit.happened(&happened, totals);
             for client in clients.iter_mut().filter(|c| c.watching) {
                 client.put(&Response::Event(Box::new(happened.clone())));
             }
@@ -257,44 +141,293 @@ pub(crate) fn serve(
     }
 }
 
-fn obey(client: &mut Client, line: &[u8], session: &mut Session, control: &mut ControlEnd, log: &mut Log) {
-    let line = match std::str::from_utf8(line) {
-        Ok(line) => line.trim(),
-        Err(_) => return client.bad("found bytes that are no UTF-8; expected one JSON object a line"),
-    };
-    match ClientRequest::parse(line) {
-        Err(text) => client.bad(text),
-        Ok(request) => {
-            client.watching |= request == ClientRequest::Watch {};
-            let response = session.answer(&request, control, log);
+/// Waits until somebody wants something; what is ready: doors first, then clients.
+fn wait(
+    doors: &Doors,
+    signals: &SignalFd,
+    clients: &[Client],
+    timeout: PollTimeout,
+) -> anyhow::Result<(bool, Vec<PollFlags>)> {
+    let mut fds = vec![PollFd::new(signals.as_fd(), PollFlags::POLLIN)];
+    fds.extend(doors.all.iter().map(|d| PollFd::new(d.listener.as_fd(), PollFlags::POLLIN)));
+    fds.extend(clients.iter().map(|c| {
+        let mut flags = PollFlags::empty();
+        flags.set(PollFlags::POLLIN, c.reads());
+        flags.set(PollFlags::POLLOUT, c.unsent());
+        PollFd::new(c.stream.as_fd(), flags)
+    }));
+    match poll(&mut fds, timeout) {
+        Ok(_) | Err(nix::errno::Errno::EINTR) => {}
+        Err(error) => return Err(error).context("poll"),
+    }
+    let flags = |fd: &PollFd<'_>| fd.revents().unwrap_or(PollFlags::empty());
+    Ok((flags(&fds[0]).contains(PollFlags::POLLIN), fds[1..].iter().map(flags).collect()))
+}
+
+impl Desk<'_> {
+    fn beat(&mut self, manager: &mut Manager) {
+        self.control.beat();
+        let status = self.control.status();
+        manager.turn(status.polls, || self.session.in_short(&status));
+    }
+
+    /// Answers at most one request of each client, the urgent ones first; says whether some had to be left.
+    fn work(&mut self, clients: &mut [Client], turn: usize) -> bool {
+        clients.iter_mut().for_each(Client::take_up);
+        let count = clients.len().max(1);
+        // Users in turn: a client waits behind as many of its own user's as there are before it, of others' behind one each.
+        let mut of_user: BTreeMap<u32, usize> = BTreeMap::new();
+        let mut order = Vec::new();
+        for k in 0..clients.len() {
+            let n = (k + turn) % count;
+            let Some(pending) = &clients[n].pending else { continue };
+            let rank = of_user.entry(clients[n].caller.uid).or_default();
+            order.push((pending.urgency(), *rank, n));
+            *rank += 1;
+        }
+        order.sort_by_key(|(urgency, rank, _)| (*urgency, *rank));
+        let begun = Instant::now();
+        for (urgency, _, n) in order {
+            if urgency == Urgency::Turn && begun.elapsed() > TURN {
+                return true;
+            }
+            self.obey(clients, n);
+        }
+        false
+    }
+
+    fn obey(&mut self, clients: &mut [Client], n: usize) {
+        let Some(pending) = clients[n].pending.take() else { return };
+        let (since, urgency) = (pending.since, pending.urgency());
+        let request = match pending.request {
+            Ok(request) => request,
+            Err(text) => return clients[n].put(&Response::Bad { text }),
+        };
+        let client = &mut clients[n];
+        let loads = matches!(request, ClientRequest::ModelLoad { .. } | ClientRequest::TableLoad(_));
+        let files = if loads { client.take_files() } else { Vec::new() };
+        if let Some(refusal) = not_here(client, &request, urgency, &self.groups) {
+            let (before, after) = (Totals::new(), Totals::new());
+            self.record(&client.caller, json(&request), &refusal, None, before, after);
+            if client.reserved {
+                client.enter(Stage::Closing);
+            }
+            return client.put(&refusal);
+        }
+        let recorded = request.needs() > Role::View;
+        let before = if recorded { self.session.totals(self.control) } else { Totals::new() };
+        let trusted = client.caller.uid == 0 || client.caller.uid == self.own_uid;
+        let beside = Beside { files, trusted };
+        let latched = self.session.latched(&self.control.status());
+        let response = match &request {
+            ClientRequest::Whoami {} => {
+                let may = client.role.may().into_iter().map(str::to_owned).collect();
+                Response::Whoami(Box::new(Caller { may, ..client.caller.clone() }))
+            }
+            ClientRequest::Observe { events_after } => {
+                let connected = connected(clients);
+                self.session.observed(*events_after, self.audit.state(), connected, self.control)
+            }
+            request => match self.session.answer(request, beside, self.control, self.log) {
+                Answer::Again(_) if since.elapsed() < BUSY => {
+                    client.pending = Some(crate::client::Pending { request: Ok(request.clone()), since });
+                    return;
+                }
+                Answer::Now(response) | Answer::Again(response) => response,
+                Answer::Later(ticket) => {
+                    client.waits = true;
+                    let (caller, request) = (client.caller.clone(), json(request));
+                    let waiting = Waiting { client: client.id, caller, request, before };
+                    self.waiting.insert(ticket, waiting);
+                    return;
+                }
+            },
+        };
+        let client = &mut clients[n];
+        client.watching |= request == ClientRequest::Watch {};
+        let response = match response {
+            Response::Status(mut status) => {
+                status.record_trouble.clone_from(&self.record);
+                Response::Status(status)
+            }
+            other => other,
+        };
+        if recorded {
+            let after = self.session.totals(self.control);
+            let released = matches!(request, ClientRequest::Clear {}).then(|| released(&latched));
+            self.record(&client.caller, json(&request), &response, released.as_deref(), before, after);
+        }
+        client.put(&response);
+    }
+
+    /// Says when the record of commands is not written any more, and when it is again.
+    fn watch_record(&mut self) {
+        let state = self.audit.state();
+        if state.trouble.is_some() != self.record.is_some() {
+            let text = match &state.trouble {
+                Some(why) => {
+                    format!("the record of commands {} is not written: {why}; corrections go on", state.file)
+                }
+                None => format!("the record of commands {} is written again", state.file),
+            };
+            self.log.event(Level::Warning, "record", &text);
+        }
+        self.record = state.in_words();
+    }
+
+    /// Answers those whose files have been read.
+    fn finish_loads(&mut self, clients: &mut [Client]) {
+        let waiting = &self.waiting;
+        let waits = |ticket: Ticket| {
+            waiting.get(&ticket).is_some_and(|w| clients.iter().any(|c| c.id == w.client && !c.gone()))
+        };
+        let done = self.session.loaded(waits, self.control, self.log);
+        let Some((ticket, response, words)) = done else {
+            if !self.session.loads() {
+                // Of somebody who has gone.
+                self.waiting.clear();
+            }
+            return;
+        };
+        let Some(Waiting { client, caller, request, before }) = self.waiting.remove(&ticket) else { return };
+        let after = self.session.totals(self.control);
+        self.record(&caller, request, &response, words.as_deref(), before, after);
+        if let Some(client) = clients.iter_mut().find(|c| c.id == client) {
+            client.waits = false;
             client.put(&response);
+        }
+    }
+
+    /// Records a command and its answer, where `words` are given in those.
+    fn record(
+        &mut self,
+        by: &Caller,
+        request: Value,
+        response: &Response,
+        words: Option<&str>,
+        before: Totals,
+        after: Totals,
+    ) {
+        let (result, text) = match response {
+            Response::Refused { text, .. } => ("refused", text.as_str()),
+            Response::Fault { text } => ("fault", text.as_str()),
+            Response::Bad { text } => ("bad", text.as_str()),
+            _ => ("done", ""),
+        };
+        let text = words.unwrap_or(text).to_owned();
+        let model = self.session.model_hash();
+        self.audit.command(Command { by: by.clone(), request, result, text, before, after, model });
+    }
+}
+
+/// What `clear` was about, for the record.
+fn released(latched: &[(Option<String>, String)]) -> String {
+    let of = |(axis, fault): &(Option<String>, String)| match axis {
+        Some(axis) => format!("axis {axis}: {fault}"),
+        None => fault.clone(),
+    };
+    match latched {
+        [] => "nothing was latched".to_owned(),
+        all => format!("latched before: {}", all.iter().map(of).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+fn json(request: &ClientRequest) -> Value {
+    serde_json::to_value(request).unwrap_or_default()
+}
+
+fn connected(clients: &[Client]) -> Vec<Clients> {
+    let of = |role: Role| clients.iter().filter(move |c| c.role == role);
+    Role::ALL
+        .map(|role| Clients {
+            role,
+            connected: of(role).count(),
+            watching: of(role).filter(|c| c.watching).count(),
+        })
+        .to_vec()
+}
+
+/// Why a request is not carried out for this client, whatever it is.
+fn not_here(
+    client: &Client,
+    request: &ClientRequest,
+    urgency: Urgency,
+    groups: &BTreeMap<Role, String>,
+) -> Option<Response> {
+    let refused =
+        |why: &str, text: String| Response::Refused { why: why.to_owned(), text, jumps: Vec::new() };
+    let needed = request.needs();
+    if needed > client.role {
+        let (is, user) = (client.role, &client.caller.user);
+        let who = match groups.get(&needed) {
+            Some(group) => format!("the users of group {group} may: user {user} is to be put into it"),
+            None => "no group may ([control] of the configuration), only the daemon's own user".to_owned(),
+        };
+        let text =
+            format!("this connection may \"{is}\", and this takes \"{needed}\": {who} (`rtecctl whoami`)");
+        return Some(refused("role", text));
+    }
+    if client.reserved && urgency == Urgency::Turn {
+        let text = format!(
+            "{PER_USER} clients of one user, or {PLACES} in all, are connected already: disable, hold, status and whoami \
+             are served, everything else when one of them has gone"
+        );
+        return Some(refused("too_many_clients", text));
+    }
+    None
+}
+
+fn accept(door: &Door, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut Log) {
+    for _ in 0..ACCEPTS {
+        let stream = match door.listener.accept() {
+            Ok((stream, _)) => stream,
+            Err(e) if matches!(e.kind(), ErrorKind::Interrupted | ErrorKind::ConnectionAborted) => continue,
+            Err(e) if e.kind() == ErrorKind::WouldBlock => return,
+            Err(error) => {
+                // Out of descriptors: the socket stays ready, so give the others time instead of spinning.
+                log.event(Level::Warning, "accept", &format!("a client was not served: {error}"));
+                std::thread::sleep(Duration::from_millis(5));
+                return;
+            }
+        };
+        let client = stream
+            .set_nonblocking(true)
+            .map_err(anyhow::Error::from)
+            .and_then(|()| Ok(Client::new(*next_id, stream, door.role, &door.path)?));
+        match client {
+            Ok(client) => {
+                *next_id += 1;
+                seat(client, clients);
+            }
+            Err(error) => log.event(Level::Warning, "accept", &format!("a client was not served: {error}")),
         }
     }
 }
 
-fn accept(listener: &UnixListener, clients: &mut Vec<Client>, log: &mut Log) {
-    match listener.accept() {
-        Ok((stream, _)) => {
-            if let Err(error) = stream.set_nonblocking(true) {
-                return log.event(Level::Warning, "accept", &format!("a client was not served: {error}"));
-            }
-            let mut client = Client::new(stream);
-            if clients.len() < MAX_CLIENTS {
-                clients.push(client);
-            } else {
-                client.bad(format!("{MAX_CLIENTS} clients are connected already; try again later"));
-                client.write();
-            }
-        }
-        Err(e)
-            if matches!(
-                e.kind(),
-                ErrorKind::WouldBlock | ErrorKind::Interrupted | ErrorKind::ConnectionAborted
-            ) => {}
-        Err(error) => {
-            // Out of descriptors: the socket stays ready, so give the others time instead of spinning.
-            log.event(Level::Warning, "accept", &format!("a client was not served: {error}"));
-            std::thread::sleep(Duration::from_millis(5));
+/// Gives a new client its place.
+fn seat(mut client: Client, clients: &mut Vec<Client>) {
+    let uid = client.caller.uid;
+    let ordinary = clients.iter().filter(|c| !c.reserved).count();
+    let own = clients.iter().filter(|c| !c.reserved && c.caller.uid == uid).count();
+    client.reserved = ordinary >= PLACES || own >= PER_USER;
+    if client.reserved {
+        let of_user = |uid: u32| clients.iter().filter(move |c| c.reserved && c.caller.uid == uid).count();
+        let all = clients.iter().filter(|c| c.reserved).count();
+        let crowd = if of_user(uid) >= RESERVED_PER_USER {
+            Some(uid)
+        } else if all >= RESERVED {
+            clients.iter().filter(|c| c.reserved).map(|c| c.caller.uid).max_by_key(|uid| of_user(*uid))
+        } else {
+            None
+        };
+        let oldest = clients
+            .iter()
+            .enumerate()
+            .filter(|(_, c)| c.reserved && Some(c.caller.uid) == crowd)
+            .min_by_key(|(_, c)| c.silent_since());
+        if let Some((n, _)) = oldest {
+            clients.remove(n);
         }
     }
+    clients.push(client);
 }

@@ -9,7 +9,8 @@ use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
-use rtec_part::errors::PointError;
+use rtec_part::cor::FeatureErrors;
+use rtec_part::cor::PointError;
 use rtec_rt::event::{Request, Status};
 
 /// How often new totals are computed, ns (NISTIR 4832, Alternate Configurations: every 10 to 20 ms).
@@ -69,7 +70,7 @@ impl Control {
     /// # Errors
     /// What was found and what was expected.
     pub(crate) fn load_table(&mut self, table: PartTable, errors: Vec<PointError>) -> Result<(), String> {
-        self.law.load_table(table, errors)
+        self.law.load_table(table, FeatureErrors::Arc(errors))
     }
 
     /// One evaluation: what to request of the engine now.

@@ -100,8 +100,8 @@ fn control(
         let shown = PartTable {
             errors: String::new(),
             axes: ["z", "x"].map(str::to_owned),
-            centre_mm: [cut.centre.z, cut.centre.x],
-            radius_mm: cut.radius_mm,
+            centre_mm: Some([cut.centre.z, cut.centre.x]),
+            radius_mm: Some(cut.radius_mm),
             nose_mm: cut.nose_mm,
             origin_mm: [cut.origin.z, cut.origin.x],
             lead_ms: lead_s * 1e3,

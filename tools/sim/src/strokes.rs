@@ -90,7 +90,12 @@ pub struct Operator {
 impl Operator {
     /// Sets the axes going.
     pub fn cycle_start(&self) {
-        self.go.store(true, Ordering::Relaxed);
+        self.feed(true);
+    }
+
+    /// Lets the axes go on with their cycle, or has them stop at its end.
+    pub fn feed(&self, on: bool) {
+        self.go.store(on, Ordering::Relaxed);
     }
 }
 

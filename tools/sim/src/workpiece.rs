@@ -2,7 +2,7 @@
 
 use rtec_files::InputError;
 use rtec_files::Sheet;
-use rtec_part::errors::PointError;
+use rtec_part::cor::PointError;
 use rtec_part::fit::Zx;
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;

@@ -62,6 +62,21 @@ fn fifteen_corrections_over_a_quarter_of_the_travel() {
     assert!(steps.windows(2).all(|w| (w[1] - w[0] - 16.667).abs() < 1.2), "{steps:?}");
 }
 
+/// What is corrected while an axis moves is off when it stands: it turns no axis round, and the reversal is corrected, not doubled.
+#[test]
+fn a_following_error_does_not_double_the_reversal_at_rest() {
+    let reversal = effect("reversal.x", "um = 10.2");
+    for ms in [-0.964, 0.964] {
+        let truth = model(&(reversal.clone() + &effect("following_error.x", &format!("ms = {ms}"))));
+        let findings = run("linear-displacement", &truth, &truth, 3);
+        let before = worst(record(&findings, "linear-displacement-x"));
+        let after = worst(record(&findings, "linear-displacement-x-compensated"));
+        assert!((5.0..5.6).contains(&before), "{before}");
+        // One insertion of two counts of 1 µm, and the laser's noise.
+        assert!(after <= 2.4, "{ms} ms: {before} µm without, {after} µm with");
+    }
+}
+
 /// NISTIR 4832, The "Original RTEC": corrections that a rapid leaves undone are caught up before the tool enters the part.
 #[test]
 fn a_rapid_is_caught_up_before_the_part() {

@@ -68,7 +68,7 @@ fn the_loop_neither_allocates_nor_releases() {
     let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
     let mut engine = Engine::new(&mut card, &configs, machine, &[]).unwrap();
     let file = tempfile::NamedTempFile::new().unwrap();
-    engine.keep_journal(Journal::open(file.path()).unwrap().0);
+    engine.keep_journal(Journal::open(file.path(), "a machine").unwrap().0);
     engine.start_homed(&mut card, &mut |_| true).unwrap();
     operator.cycle_start();
     let (mut control, mut rt) = link(engine.status());

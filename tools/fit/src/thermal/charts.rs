@@ -1,7 +1,7 @@
 //! A fit drawn: the sensors' merit, prediction against measurement, what is left.
 
 use super::report::Report;
-use super::rows::mean;
+use crate::statistics::mean;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::record::{Column, Record, Role};
 

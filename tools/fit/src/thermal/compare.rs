@@ -2,8 +2,9 @@
 
 use super::problem::Problem;
 use super::report::{DryWet, Rms};
-use super::rows::{Rows, mean, rms, wet};
+use super::rows::{Rows, wet};
 use super::term::Term;
+use crate::statistics::{mean, rms};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};

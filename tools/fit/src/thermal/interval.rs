@@ -1,9 +1,9 @@
 //! The 95 % prediction interval: what the fit cannot know at a row, and what blocks that it has not seen say of the rest.
 
 use super::problem::Problem;
-use super::report::mean_square;
-use super::rows::{Rows, rms};
+use super::rows::Rows;
 use super::term::{Pair, Term, unlagged};
+use crate::statistics::{mean_square, quantile, rms};
 use rtec_files::InputError;
 use rtec_model::effect::Difference;
 use rtec_model::machine::{Validity, unknown_um};
@@ -193,11 +193,4 @@ fn blocks(
     let all: usize = left.iter().map(Vec::len).sum();
     let coverage = left.iter().enumerate().map(inside).sum::<usize>() as f64 / all as f64;
     Ok(Some(Nested { folds, half_width_um: width_without(None), coverage }))
-}
-
-/// The value below which this share of the values lies (nearest rank, rounded up).
-pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let rank = (share * values.len() as f64).ceil() as usize;
-    values[rank.clamp(1, values.len()) - 1]
 }

@@ -1,8 +1,11 @@
-//! 95 % intervals of the parameters, from what they are with each block left out.
+//! 95 % intervals of the parameters, from what they are with each block left out. A lag's is not narrower than what the sum
+//! of squares says around it: blocks in which nothing warms say nothing of a lag, and leaving one of them out nothing either.
 
+use super::judge::independent;
 use super::problem::Problem;
-use super::rows::{Rows, lags_of, mean};
+use super::rows::{Rows, lags_of};
 use super::term::{Term, relagged, squared};
+use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_model::record::{Record, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -15,9 +18,14 @@ pub(crate) type Intervals = BTreeMap<String, Vec<[f64; 2]>>;
 pub(crate) fn jackknife_interval(value: f64, parts: &[f64]) -> [f64; 2] {
     let m = mean(parts);
     let n = parts.len() as f64;
-    let t = StudentsT::new(0.0, 1.0, (n - 1.0).max(1.0)).map_or(2.26, |d| d.inverse_cdf(0.975));
+    let t = student((n - 1.0).max(1.0));
     let se = ((n - 1.0) / n * parts.iter().map(|p| (p - m).powi(2)).sum::<f64>()).sqrt();
     [value - t * se, value + t * se]
+}
+
+/// Student's factor of a two-sided 95 % interval.
+fn student(degrees_of_freedom: f64) -> f64 {
+    StudentsT::new(0.0, 1.0, degrees_of_freedom).map_or(1.96, |d| d.inverse_cdf(0.975))
 }
 
 /// 95 % intervals by leaving out each block: of every coefficient, and of each lag by its term's place.
@@ -64,8 +72,7 @@ fn best_lags(
     // With more than one, each beside the others, twice round.
     for _ in 0..lagged.len().min(2) {
         for &k in &lagged {
-            let shared: Vec<usize> =
-                (0..terms.len()).filter(|j| *j == k || squared(terms[k]) == Some(terms[*j])).collect();
+            let shared = shared(terms, k);
             let left = |ln: f64| {
                 let mut tried = lags_s.clone();
                 for j in &shared {
@@ -83,6 +90,49 @@ fn best_lags(
         }
     }
     Ok(lags_s)
+}
+
+/// How far a lag is looked at on either side for the curvature of the sum of squares, in the logarithm.
+const BESIDE: f64 = 0.05;
+
+/// Half the 95 % interval of a lag's logarithm by the curvature of the sum of squares that is left when all else is fitted
+/// anew, with as many values as are independent. None where it does not curve upwards.
+fn lag_half_width(
+    problem: &Problem,
+    terms: &[Term],
+    lags_s: &[f64],
+    k: usize,
+    train: &[&Record],
+    response: &Role,
+) -> Result<Option<f64>, InputError> {
+    let left = |by: f64| {
+        let mut tried = lags_s.to_vec();
+        for j in shared(terms, k) {
+            tried[j] *= by.exp();
+        }
+        let rows = Rows::with_lags(problem, terms, &tried, train, response)?;
+        let n = rows.y.len();
+        let of = |c: Vec<f64>| (0..n).map(|i| rows.residual(&c, i)).collect::<Vec<f64>>();
+        Ok::<_, InputError>(rows.solve(&|_| true).map(of))
+    };
+    let (Some(below), Some(here), Some(above)) = (left(-BESIDE)?, left(0.0)?, left(BESIDE)?) else {
+        return Ok(None);
+    };
+    let sum = |r: &[f64]| r.iter().map(|v| v * v).sum::<f64>();
+    let curvature = (sum(&below) + sum(&above) - 2.0 * sum(&here)) / (BESIDE * BESIDE);
+    let worth = independent(here.iter().copied());
+    // Of the independent values every coefficient, the constant and the lag itself take one.
+    let free = worth - terms.len() as f64 - 2.0;
+    if curvature <= 0.0 || free < 1.0 {
+        return Ok(None);
+    }
+    let variance = sum(&here) / free * 2.0 / curvature;
+    Ok(Some(student(free) * variance.sqrt()))
+}
+
+/// The terms that have the k-th one's lag: itself and the square of its difference.
+fn shared(terms: &[Term], k: usize) -> Vec<usize> {
+    (0..terms.len()).filter(|j| *j == k || squared(terms[k]) == Some(terms[*j])).collect()
 }
 
 /// Where a function of one minimum is smallest (golden section).
@@ -130,62 +180,76 @@ pub(super) fn jackknife(
     let mut tau_s = BTreeMap::new();
     for (k, term) in terms.iter().enumerate() {
         let Term::Thermal { lag: 1.., square: false, .. } = *term else { continue };
-        let [lo, hi] =
-            jackknife_interval(start_s[k].ln(), &lags.iter().map(|l| l[k].ln()).collect::<Vec<f64>>());
+        let middle = start_s[k].ln();
+        let [mut lo, mut hi] =
+            jackknife_interval(middle, &lags.iter().map(|l| l[k].ln()).collect::<Vec<f64>>());
+        if let Some(half) = lag_half_width(problem, terms, &start_s, k, train, response)? {
+            (lo, hi) = (lo.min(middle - half), hi.max(middle + half));
+        }
         tau_s.insert(k, [lo.exp(), hi.exp()]);
     }
     let coefficients = (0..full.len()).map(of).collect();
     Ok(Jackknife { coefficients, squares: BTreeMap::new(), tau_s })
 }
 
-/// A square is certain beyond this gain, as twice the logarithm of the likelihood: three standard errors.
-const CERTAIN: f64 = 9.0;
-
 impl Jackknife {
-    /// Whether a growth is bent is itself a choice that the data made: where it is not certain, the intervals of growth,
-    /// lag and square hold what they are with the square and what they are without.
+    /// A square that may as well be none, by its place among the terms: its own interval holds zero, or blocks that it has
+    /// not seen are not certainly better off with it than with the lag that fits best without.
+    pub(super) fn idle_square(
+        &self,
+        problem: &mut Problem,
+        terms: &[Term],
+        train: &[&Record],
+        response: &Role,
+        folds: &[usize],
+    ) -> Result<Option<usize>, InputError> {
+        for (k, term) in terms.iter().enumerate() {
+            let Term::Thermal { square: true, .. } = term else { continue };
+            let [lo, hi] = self.coefficients[k + 1];
+            let mut rest = terms.to_vec();
+            rest.remove(k);
+            let rest = tuned(problem, rest, train, response)?;
+            let certain = match (problem.judge(terms, folds), problem.judge(&rest, folds)) {
+                (Some(bent), Some(plain)) => bent.is_certainly_bent(&plain),
+                _ => true,
+            };
+            if (lo <= 0.0 && hi >= 0.0) || !certain {
+                return Ok(Some(k));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Whether a growth is bent is itself a choice that the data made: where the square was left out, the intervals of
+    /// growth, lag and square hold what they are with the square and what they are without.
     pub(super) fn allow_for_squares(
         &mut self,
         problem: &mut Problem,
         terms: &[Term],
         train: &[&Record],
         response: &Role,
-        folds: &[usize],
     ) -> Result<(), InputError> {
         if !problem.square {
             return Ok(());
         }
         for (k, term) in terms.iter().enumerate() {
             let Some(square) = squared(*term) else { continue };
-            let place = terms.iter().position(|t| *t == square);
-            let other: Vec<Term> = match place {
-                Some(_) => terms.iter().filter(|t| **t != square).copied().collect(),
-                None => terms.iter().copied().chain([square]).collect(),
-            };
-            let other = tuned(problem, other, train, response)?;
-            let (Some(now), Some(then)) = (problem.judge(terms, folds), problem.judge(&other, folds)) else {
-                continue;
-            };
-            if place.is_some() && now.gain_over(&then) > CERTAIN {
+            if terms.contains(&square) {
                 continue;
             }
+            let other: Vec<Term> = terms.iter().copied().chain([square]).collect();
+            let other = tuned(problem, other, train, response)?;
             let rows = Rows::new(problem, &other, train, response)?;
             let Some(c) = rows.solve(&|_| true) else { continue };
             let alternative = jackknife(problem, &other, train, response, &c)?;
-            // Terms before the square keep their places, those after it move up.
-            let at = k - usize::from(place.is_some_and(|p| p < k));
             let hull = |a: &mut [f64; 2], b: [f64; 2]| *a = [a[0].min(b[0]), a[1].max(b[1])];
-            hull(&mut self.coefficients[k + 1], alternative.coefficients[at + 1]);
-            if let (Some(a), Some(b)) = (self.tau_s.get_mut(&k), alternative.tau_s.get(&at)) {
+            hull(&mut self.coefficients[k + 1], alternative.coefficients[k + 1]);
+            if let (Some(a), Some(b)) = (self.tau_s.get_mut(&k), alternative.tau_s.get(&k)) {
                 hull(a, *b);
             }
-            if let Some(p) = place {
-                hull(&mut self.coefficients[p + 1], [0.0; 2]);
-            } else {
-                let mut own = alternative.coefficients[other.len()];
-                hull(&mut own, [0.0; 2]);
-                self.squares.insert(k, own);
-            }
+            let mut own = alternative.coefficients[other.len()];
+            hull(&mut own, [0.0; 2]);
+            self.squares.insert(k, own);
         }
         Ok(())
     }

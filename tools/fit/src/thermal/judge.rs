@@ -23,8 +23,11 @@ pub(super) struct Judged {
 /// What a chance improvement reaches once in some thousand times, as twice the logarithm of the likelihood.
 const CHANCE: f64 = 9.0;
 
-/// The same for one column that needs no choice: once in twenty times.
+/// The same for one column that needs no choice, while a structure is looked for: once in twenty times.
 const BENT: f64 = 4.0;
+
+/// A square stands in the model beyond this: three standard errors.
+const CERTAIN: f64 = 9.0;
 
 impl Judged {
     /// Root of the mean over the folds.
@@ -58,6 +61,11 @@ impl Judged {
         self.gain_over(simpler) > BENT && self.rms() < simpler.rms()
     }
 
+    /// The same, certain enough to stand in the model.
+    pub(super) fn is_certainly_bent(&self, simpler: &Self) -> bool {
+        self.is_bent(simpler) && self.gain_over(simpler) > CERTAIN
+    }
+
     /// The same, where unseen blocks need only be better off on the whole: beside the mean, which a machine that stood most
     /// of the time leaves little in most blocks.
     pub(super) fn beyond_chance(&self, simpler: &Self, choices: usize) -> bool {
@@ -66,7 +74,7 @@ impl Judged {
 }
 
 /// How many independent values a series is worth for a slow cause: by its correlation from one to the next.
-fn independent(series: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn independent(series: impl Iterator<Item = f64>) -> f64 {
     let (mut n, mut own, mut next, mut last) = (0.0, 1e-300, 0.0, None);
     for v in series {
         n += 1.0;

@@ -20,6 +20,7 @@
 //! |---|---|
 //! | `problem`, `term` | what there is to choose from: differences, lags, the rows binned for the search |
 //! | `judge` | a structure judged by blocked cross-validation |
+//! | `choice` | the sensors alone, for whoever has a choice of an own |
 //! | `select` | CASC, the refit, and the exchange of terms |
 //! | `rows` | least squares over every row |
 //! | `interval`, `jackknife` | 95 % intervals of the prediction, and of the parameters |
@@ -28,6 +29,7 @@
 //! | `report`, `charts` | what was found, as figures and drawn |
 
 mod charts;
+mod choice;
 mod compare;
 mod effects;
 mod interval;
@@ -40,23 +42,25 @@ mod select;
 mod term;
 
 pub use charts::{prediction_chart, residual_chart};
-pub(crate) use interval::quantile;
+pub use choice::chosen;
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};
 
+use crate::statistics::mean;
 use compare::{baselines, dry_wet, judge_holdouts};
 use effects::effects;
 use interval::{Watched, mean_only, nested};
 use jackknife::{jackknife, tuned};
 use judge::Judged;
 use problem::Problem;
-use rows::{Rows, mean};
+use rows::Rows;
 use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
 use rtec_model::machine::{FitNote, Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};
+use std::collections::BTreeMap;
 use term::unlagged;
 
 /// What to fit and how.
@@ -182,15 +186,23 @@ fn fit_response(
         terms.clear();
         blocks = mean_only(&problem, train, response)?;
     }
-    let terms = tuned(&mut problem, terms, train, response)?;
-    let rows = Rows::new(&problem, &terms, train, response)?;
-    let coefficients = rows.solve(&|_| true).ok_or_else(nothing)?;
-    let mut intervals = jackknife(&problem, &terms, train, response, &coefficients)?;
-    intervals.allow_for_squares(&mut problem, &terms, train, response, &all)?;
+    let (terms, rows, coefficients, mut intervals) = loop {
+        terms = tuned(&mut problem, terms, train, response)?;
+        let rows = Rows::new(&problem, &terms, train, response)?;
+        let coefficients = rows.solve(&|_| true).ok_or_else(nothing)?;
+        let intervals = jackknife(&problem, &terms, train, response, &coefficients)?;
+        match intervals.idle_square(&mut problem, &terms, train, response, &all)? {
+            Some(k) => drop(terms.remove(k)),
+            None => break (terms, rows, coefficients, intervals),
+        }
+    };
+    intervals.allow_for_squares(&mut problem, &terms, train, response)?;
     let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
     let guards = rows.guards(&problem, &terms, &plain, &|_| true);
     let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
         .map_err(|e| whole(&e.to_string(), "parameters within the law's bounds"))?;
+    // What other times leave may be less than the allowance for them; then the rows' own scatter is what is left.
+    let half_width_um = blocks.half_width_um.max(rows.scatter_um(&coefficients));
     let mut own = Machine::ideal("fit");
     let fitted = enter(effects, train, options, &mut own, machine)
         .map_err(|e| whole(&e.to_string(), "each effect once"))?;
@@ -199,16 +211,17 @@ fn fit_response(
         date: date::format(options.date),
         valid_until: date::format(options.date + options.valid_days),
         rms_um: mean(&blocks.folds),
-        half_width_um: blocks.half_width_um.max(1e-9),
+        half_width_um: half_width_um.max(1e-9),
         valid: Watched::new(&problem, train, response)?.ranges(&problem, &|_| true),
         at_mm: None,
+        by_kind_um: by_kind(train, half_width_um.max(1e-9)),
         from: train.iter().map(|r| Source::of(r)).collect(),
     };
     own.note_fit(note.clone());
     // Of the whole model: what the base does not know beside what the fit does not.
     let mut note = FitNote { at_mm: Some(FitNote::places(train)), ..note };
     if let Some(earlier) = machine.fits().iter().find(|f| f.response == note.response) {
-        note.on(earlier);
+        note.on(earlier, rows.noise_um(&coefficients));
     }
     machine.note_fit(note);
     let later = judge_holdouts(&own, holdout, response)?;
@@ -217,9 +230,11 @@ fn fit_response(
         let silent = train.iter().filter(|r| r.column(&Role::Coolant).is_none());
         warnings.extend(silent.map(|r| format!("{}: no coolant logged, taken as dry", r.path.display())));
     }
+    warnings.extend(long_lags(&fitted, train));
     let ranked = |j: &Judged| problem.ranked(j, &all);
     let kept: Vec<Ranked> = chosen.kept.iter().map(ranked).collect();
     warnings.extend(chosen.rivals(&problem).filter(|_| !terms.is_empty()));
+    warnings.extend(chosen.by_all_rows(&problem).filter(|_| !terms.is_empty()));
     Ok(Report {
         response: response.to_string(),
         environment_by: problem.environment_by(options),
@@ -238,7 +253,7 @@ fn fit_response(
         },
         baselines,
         interval95: Interval {
-            half_width_um: blocks.half_width_um,
+            half_width_um,
             coverage_folds: blocks.coverage,
             coverage_holdout: later.coverage,
             mean_half_width_holdout_um: later.width_um,
@@ -246,6 +261,30 @@ fn fit_response(
         dry_wet: dry_wet(&problem, &terms, train, &rows),
         warnings,
     })
+}
+
+/// Of the longest record, a lag that is longer than this share of it is hardly seen to end.
+const LONG: f64 = 0.25;
+
+/// Says of lags that the records are hardly long enough for.
+fn long_lags(fitted: &[Fitted], train: &[&Record]) -> Vec<String> {
+    let span = |r: &&Record| r.time_s().last().zip(r.time_s().first()).map_or(0.0, |(b, a)| b - a);
+    let longest_s = train.iter().map(span).fold(0.0, f64::max);
+    let of = |e: &Fitted| {
+        let tau = e.parameters.get("tau_s").filter(|tau| tau.value > LONG * longest_s)?;
+        let name = e.sensor.iter().chain(&e.minus).map(String::as_str).collect::<Vec<_>>().join("-");
+        Some(format!(
+            "the lag of {name}, {:.0} s, is as long as records of {longest_s:.0} s can show: what lags more looks like it, and may belong to another \
+             difference; a record of more than four times the lag would tell",
+            tau.value
+        ))
+    };
+    fitted.iter().filter_map(of).collect()
+}
+
+/// One half width for the kinds of these records.
+fn by_kind(records: &[&Record], half_width_um: f64) -> BTreeMap<String, f64> {
+    records.iter().filter_map(|r| FitNote::kind_of(r)).map(|kind| (kind, half_width_um)).collect()
 }
 
 /// Adds the fitted effects to the fit's own machine and to the one that is asked for.

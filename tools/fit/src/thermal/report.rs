@@ -1,6 +1,7 @@
 //! What a fit found, as it is printed and written.
 
 use super::jackknife::Intervals;
+use crate::statistics::mean_square;
 use rtec_model::effect::{Against, Effect};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -117,11 +118,6 @@ impl Rms {
     pub(super) fn mean_square(&self) -> f64 {
         mean_square(&self.folds)
     }
-}
-
-/// Mean of the squares.
-pub(super) fn mean_square(rms: &[f64]) -> f64 {
-    rms.iter().map(|v| v * v).sum::<f64>() / rms.len().max(1) as f64
 }
 
 /// The 95 % prediction interval.

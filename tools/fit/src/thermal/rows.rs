@@ -2,6 +2,7 @@
 
 use super::problem::{Problem, lagged};
 use super::term::Term;
+use crate::statistics::quantile;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_model::effect::STANDARD_DEGC;
@@ -75,6 +76,18 @@ impl Rows {
         self.y[i] - model
     }
 
+    /// Standard deviation of what differs from row to row in what is left: the gauge's own noise, µm.
+    pub(super) fn noise_um(&self, c: &[f64]) -> f64 {
+        let left: Vec<f64> = (0..self.y.len()).map(|i| self.residual(c, i)).collect();
+        let steps: f64 = left.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+        (steps / (2 * left.len().saturating_sub(1).max(1)) as f64).sqrt()
+    }
+
+    /// What 95 % of the rows stay within after the fit, µm.
+    pub(super) fn scatter_um(&self, c: &[f64]) -> f64 {
+        quantile((0..self.y.len()).map(|i| self.residual(c, i).abs()).collect(), 0.95)
+    }
+
     pub(super) fn rms(&self, c: &[f64], take: &dyn Fn(usize) -> bool) -> f64 {
         let rows: Vec<f64> =
             (0..self.y.len()).filter(|i| take(*i)).map(|i| self.residual(c, i).powi(2)).collect();
@@ -133,13 +146,4 @@ fn full_columns(
 pub(super) fn wet(record: &Record) -> Vec<f64> {
     let logged = record.data(&Role::Coolant).map(|c| c.iter().map(|v| f64::from(*v > 0.5)).collect());
     logged.unwrap_or_else(|| vec![0.0; record.rows()])
-}
-
-pub(super) fn rms(values: impl Iterator<Item = f64> + Clone) -> f64 {
-    let n = values.clone().count().max(1) as f64;
-    (values.map(|v| v * v).sum::<f64>() / n).sqrt()
-}
-
-pub(super) fn mean(v: &[f64]) -> f64 {
-    v.iter().sum::<f64>() / v.len().max(1) as f64
 }

@@ -36,6 +36,8 @@ pub(super) struct Selection {
     /// Sensor, α, and the kept one (by number) it is redundant with.
     pub(super) dropped: Vec<(Judged, f64, usize)>,
     pub(super) tied: Vec<Judged>,
+    /// A structure that leaves less of all rows and was not chosen.
+    pub(super) passed_over: Option<Judged>,
 }
 
 impl Selection {
@@ -59,7 +61,10 @@ impl Selection {
     pub(super) fn history(&self, problem: &Problem) -> Vec<Round> {
         let of = |j: &Judged, added: String| Round { added, r: j.r, cv_rms_um: j.rms() };
         let newest = |j: &Judged| problem.name(j.terms[j.terms.len() - 1]);
-        let rounds = self.rounds.iter().map(|j| of(j, newest(j)));
+        // The first may be a difference with its square.
+        let begun = |j: &Judged| j.terms.iter().map(|t| problem.name(*t)).collect::<Vec<_>>().join(" and ");
+        let name = |(k, j): (usize, &Judged)| of(j, if k == 0 { begun(j) } else { newest(j) });
+        let rounds = self.rounds.iter().enumerate().map(name);
         let swaps =
             self.swaps.iter().map(|(j, out)| of(j, format!("{} for {}", newest(j), problem.name(*out))));
         rounds.chain(swaps).collect()
@@ -75,6 +80,19 @@ impl Selection {
                 "the data cannot tell {names} from {chosen}; the one that leads the growth most was taken"
             )
         })
+    }
+}
+
+impl Selection {
+    /// Says where all rows together speak for another choice than blocks of time that were left out.
+    pub(super) fn by_all_rows(&self, problem: &Problem) -> Option<String> {
+        let other = self.passed_over.as_ref()?;
+        let names: Vec<String> = other.terms.iter().map(|t| problem.name(*t)).collect();
+        Some(format!(
+            "{} leaves less of all rows and predicts stretches of time that were left out no better: reconcile, which asks \
+             all rows, may name it",
+            names.join(" and ")
+        ))
     }
 }
 
@@ -107,12 +125,17 @@ impl Problem {
         let pair = self.best_pair(&candidates, folds).filter(|_| !self.explicit);
         let by_pair = pair.filter(|p| p.beyond_chance(&mean, LAG_CHOICES * candidates.len())).map(begun);
         let differences = |j: &Judged| j.terms.iter().filter(|t| squared(**t).is_some()).count();
+        let mut both = None;
         let chosen = match (by_environment, by_pair) {
             (Some(own), Some(other)) => {
                 let (a, b) = (&own.1, &other.1);
                 let simpler = differences(b) < differences(a) && !a.beats(b);
                 let better = differences(b) <= differences(a) && b.beats(a);
-                Some(if simpler || better { other } else { own })
+                // With more in it, it must be better than the best of so many would be by chance.
+                let earned = b.earns(a, LAG_CHOICES * candidates.len());
+                let (taken, left) = if simpler || better || earned { (other, own) } else { (own, other) };
+                both = Some(left.1);
+                Some(taken)
             }
             (own, other) => own.or(other),
         };
@@ -126,9 +149,12 @@ impl Problem {
                 kept,
                 dropped,
                 tied: none(),
+                passed_over: None,
             });
         };
-        Some(Selection { structure, rounds, swaps, kept, dropped, tied })
+        let passed_over =
+            both.filter(|o| differences(o) <= differences(&structure) && o.gain_over(&structure) > 0.0);
+        Some(Selection { structure, rounds, swaps, kept, dropped, tied, passed_over })
     }
 
     /// The rounds, with terms exchanged and those taken out that the later ones made idle.
@@ -270,7 +296,10 @@ impl Problem {
                 }
                 let mut rest = now.terms.clone();
                 rest.remove(k);
-                let screened = self.screen(&rest, candidates, folds);
+                // Twice the same difference only makes up for a lag that was not exact.
+                let new = |p: &Pair| rest.iter().all(|t| pair_of(*t) != Some(*p));
+                let offered: Vec<Pair> = candidates.iter().copied().filter(new).collect();
+                let screened = self.screen(&rest, &offered, folds);
                 let fits = screened.iter().filter_map(|(s, m)| self.best_lag(&rest, *s, *m, folds));
                 let few = fits.filter(|j| Self::sensor_count(&j.terms) <= SENSORS);
                 let best = few.min_by(|a, b| a.rms().total_cmp(&b.rms()));

@@ -1,8 +1,10 @@
 //! What makes a circle's deviations: the model's own effects fitted to the radial errors of one plane.
 //!
 //! Linear effects first; then spikes and cyclic errors over a grid of lengths and periods; then all of it together by
-//! Gauss and Newton, with noise of the autocorrelation that is left. Intervals hold 95 %.
+//! Gauss and Newton, with noise of the autocorrelation that is left. What none of them explains is fitted beside them and
+//! widens the intervals (`structure`). Intervals hold 95 %.
 
+use super::structure::{Structure, Told};
 use super::{ByAxis, Trace, law};
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
@@ -66,41 +68,53 @@ pub struct Diagnosis {
     pub contributions: Vec<Contribution>,
     /// RMS of what is left, µm.
     pub rms: f64,
+    /// RMS of what is the same both ways round (maps, bends: the third harmonic and above) and none of the causes explains, µm; `None` where
+    /// it does not show beyond the noise. The intervals are widened by it.
+    pub unexplained_um: Option<f64>,
 }
 
-/// A spike is taken into the fit from so many squared standard deviations on, so that it does not bend what stands beside
-/// it, and told from more on: one in a thousand circles of noise over all lengths.
-const SPIKE_FITTED: f64 = 6.0;
-const SPIKE_TOLD: f64 = 18.0;
-/// A cyclic error by chance: one in a thousand circles over all periods.
-const CYCLIC_RISK: f64 = 1e-3;
-/// Screw pitches and pitch circles, mm.
-const PERIODS_MM: [f64; 2] = [0.5, 60.0];
+/// Where structure shows, laws were chosen among it as well: their variance is so many times larger.
+const CHOSEN_AMONG: f64 = 1.5;
+/// Structure that shows: its RMS over that of the noise that is left.
+const SHOWS: f64 = 0.5;
 /// Columns that leave less than this of themselves beside the others cannot be told from them.
 const DISTINCT: f64 = 1e-4;
+/// An axis may have turned right before a record begins: of its spike then the law knows nothing. So much of the radius the axis
+/// moves until that has died out.
+const DIED_OUT: f64 = 0.25;
+/// What a single sense of turning at a single feed shows of squareness and servo mismatch: their sum.
+const TOGETHER: &str = "squareness and servo mismatch";
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
 
 /// A term of the fit: effects with the weights of their sum, and which of the first one's values are free.
-struct Term {
-    name: String,
-    parts: Vec<(Effect, f64)>,
-    free: Vec<usize>,
+pub(super) struct Term {
+    pub(super) name: String,
+    pub(super) parts: Vec<(Effect, f64)>,
+    pub(super) free: Vec<usize>,
     /// Only in this record: its centre and radius.
-    only: Option<usize>,
+    pub(super) only: Option<usize>,
 }
 
-struct Fit<'t> {
-    traces: &'t [Trace],
+/// The fit of one plane.
+pub(super) struct Fit<'t> {
+    pub(super) traces: &'t [Trace],
     /// First stacked row of each trace.
-    start: Vec<usize>,
-    n: usize,
-    y: DVector<f64>,
-    terms: Vec<Term>,
+    pub(super) start: Vec<usize>,
+    pub(super) n: usize,
+    pub(super) y: DVector<f64>,
+    pub(super) terms: Vec<Term>,
     /// Rows that follow the one before them in the same contour.
-    follows: Vec<bool>,
+    pub(super) follows: Vec<bool>,
+    /// Rows that count.
+    pub(super) counts: Vec<bool>,
     /// Noise's coefficient from row to row.
-    phi: f64,
+    pub(super) phi: f64,
+    /// What there are no laws for.
+    pub(super) structure: Structure,
+    /// Columns that stand beside the terms, and an orthonormal basis of them as `white` sees them.
+    pub(super) beside: DMatrix<f64>,
+    pub(super) beside_white: DMatrix<f64>,
 }
 
 /// Fits one plane.
@@ -114,52 +128,33 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
         );
         return Ok(plain(&traces[0]));
     };
-    let [a, b] = &circle.plane;
-    let mut fit = Fit::new(traces);
-    let d = Dictionary::default();
-    let one = |name: &str, axis: &Axis| Some((law(&d, name, &[axis])?, 1.0));
-    let mismatch = |name: &str| Some(vec![(one(name, a)?.0, 0.5), (one(name, b)?.0, -0.5)]);
-    let timed = traces.iter().all(|t| t.record.column(&Role::Time).is_some());
-    fit.push("scale_mismatch_ppm", mismatch(laws::scale::NAME));
-    for axis in [a, b] {
-        fit.push(&format!("reversal.{axis}"), one(laws::reversal::NAME, axis).map(|e| vec![e]));
+    let planned = [circle.plane[0].clone(), circle.plane[1].clone()];
+    let axes = [&planned[0], &planned[1]];
+    let mut told = Vec::new();
+    let mut fit = Fit::of_laws(traces, axes, warnings)?;
+    fit.search(axes, &mut told);
+    // One way round, what depends on the place looks much as reversals and squareness do: it is taken to be there.
+    if !fit.structure.both_ways || fit.harmonics_show() {
+        // What the laws took for theirs may be the structure's.
+        told.clear();
+        fit = Fit::of_laws(traces, axes, &mut Vec::new())?;
+        fit.take_beside(&fit.structure.columns.clone());
+        fit.search(axes, &mut told);
     }
-    fit.push("squareness_urad", law(&d, laws::squareness::NAME, &[a, b]).map(|e| vec![(e, 1.0)]));
-    if timed {
-        fit.push("servo_mismatch_ms", mismatch(laws::following_error::NAME));
-    } else {
-        warnings.push("no time: no feed, and so no servo mismatch".to_owned());
-    }
-    if fit.n < 4 * (fit.terms.len() + 6) {
-        return Err(lacks(&traces[0].record, &format!("{} rows", fit.n), "a circle of more rows than that"));
-    }
-    if !fit.drop_alike("servo_mismatch_ms", timed) {
-        // Without the other sense an ellipse at 45° may be either.
-        fit.terms.retain(|t| t.name != "squareness_urad" && t.name != "servo_mismatch_ms");
+    if !fit.structure.both_ways {
         warnings.push(
-            "one sense of turning at one feed: squareness and servo mismatch look alike; measure both ways"
+            "one sense of turning: reversals and spikes look as maps and bends do, and are not given; squareness and scale have wider \
+             intervals for it; measure both ways"
                 .to_owned(),
         );
     }
-    fit.memory();
-    let mut told: Vec<String> = Vec::new();
-    for axis in [a, b] {
-        if let Some((effect, gain)) = fit.best_spike(&d, axis).filter(|(_, gain)| *gain > SPIKE_FITTED) {
-            let name = format!("spike.{axis}");
-            fit.push(&name, Some(vec![(effect, 1.0)]));
-            told.extend((gain > SPIKE_TOLD).then_some(name));
-        }
+    let found = fit.answer(axes, &told);
+    if let Some(um) = found.unexplained_um {
+        warnings.push(format!(
+            "not explained by these causes: {um:.2} µm RMS that is the same both ways round (a map, a bend); the intervals are widened by it"
+        ));
     }
-    for axis in [a, b] {
-        if let Some(effect) = fit.best_wave(&d, axis) {
-            let name = format!("cyclic.{axis}");
-            fit.push(&name, Some(vec![(effect, 1.0)]));
-            told.push(name);
-        }
-    }
-    fit.memory();
-    fit.free_all();
-    Ok(fit.answer([a, b], &told))
+    Ok(found)
 }
 
 /// Where neither radius nor plane are known.
@@ -175,18 +170,83 @@ fn plain(trace: &Trace) -> Diagnosis {
 }
 
 impl<'t> Fit<'t> {
+    /// With the laws that are linear.
+    fn of_laws(
+        traces: &'t [Trace],
+        [a, b]: [&Axis; 2],
+        warnings: &mut Vec<String>,
+    ) -> Result<Self, InputError> {
+        let mut fit = Self::new(traces);
+        let d = Dictionary::default();
+        let one = |name: &str, axis: &Axis| Some((law(&d, name, &[axis])?, 1.0));
+        let mismatch = |name: &str| Some(vec![(one(name, a)?.0, 0.5), (one(name, b)?.0, -0.5)]);
+        let timed = traces.iter().all(|t| t.record.column(&Role::Time).is_some());
+        fit.push("scale_mismatch_ppm", mismatch(laws::scale::NAME));
+        for axis in [a, b] {
+            fit.push(&format!("reversal.{axis}"), one(laws::reversal::NAME, axis).map(|e| vec![e]));
+        }
+        fit.push("squareness_urad", law(&d, laws::squareness::NAME, &[a, b]).map(|e| vec![(e, 1.0)]));
+        if timed {
+            fit.push("servo_mismatch_ms", mismatch(laws::following_error::NAME));
+        } else {
+            warnings.push("no time: no feed, and so no servo mismatch".to_owned());
+        }
+        if fit.n < 4 * (fit.terms.len() + 6) {
+            return Err(lacks(
+                &traces[0].record,
+                &format!("{} rows", fit.n),
+                "a circle of more rows than that",
+            ));
+        }
+        if !fit.drop_alike("servo_mismatch_ms", timed) {
+            // Without the other sense an ellipse at 45° may be either; it is there all the same.
+            fit.terms.retain(|t| t.name != "servo_mismatch_ms");
+            for t in fit.terms.iter_mut().filter(|t| t.name == "squareness_urad") {
+                TOGETHER.clone_into(&mut t.name);
+            }
+            warnings.push(
+                "one sense of turning at one feed: squareness and servo mismatch look alike; measure both ways"
+                    .to_owned(),
+            );
+        }
+        Ok(fit)
+    }
+
+    /// Takes columns into the fit, beside the terms.
+    pub(super) fn take_beside(&mut self, more: &DMatrix<f64>) {
+        let all: Vec<DVector<f64>> =
+            self.beside.column_iter().chain(more.column_iter()).map(nalgebra::Matrix::into_owned).collect();
+        self.beside = if all.is_empty() { DMatrix::zeros(self.n, 0) } else { DMatrix::from_columns(&all) };
+        self.prepare_beside();
+    }
+
     fn new(traces: &'t [Trace]) -> Self {
         let mut start = Vec::new();
-        let (mut n, mut y, mut follows) = (0, Vec::new(), Vec::new());
+        let (mut n, mut y, mut follows, mut counts) = (0, Vec::new(), Vec::new(), Vec::new());
         for t in traces {
             start.push(n);
             n += t.radial.len();
             y.extend_from_slice(&t.radial);
-            let inside = |i: usize| t.contours.iter().any(|(rows, _)| rows.contains(&i) && i > rows.start);
+            let first = begun(t);
+            let inside = |i: usize| {
+                i > first && t.contours.iter().any(|(rows, _)| rows.contains(&i) && i > rows.start)
+            };
             follows.extend((0..t.radial.len()).map(inside));
+            counts.extend((0..t.radial.len()).map(|i| i >= first));
         }
-        let mut fit =
-            Self { traces, start, n, y: DVector::from_vec(y), terms: Vec::new(), follows, phi: 0.0 };
+        let mut fit = Self {
+            traces,
+            start,
+            n,
+            y: DVector::from_vec(y),
+            terms: Vec::new(),
+            follows,
+            counts,
+            phi: 0.0,
+            structure: Structure::of(traces, n),
+            beside: DMatrix::zeros(n, 0),
+            beside_white: DMatrix::zeros(n, 0),
+        };
         let d = Dictionary::default();
         for (record, t) in traces.iter().enumerate() {
             let Some(circle) = t.record.circle() else { continue };
@@ -203,14 +263,14 @@ impl<'t> Fit<'t> {
         fit
     }
 
-    fn push(&mut self, name: &str, parts: Option<Vec<(Effect, f64)>>) {
+    pub(super) fn push(&mut self, name: &str, parts: Option<Vec<(Effect, f64)>>) {
         let Some(parts) = parts else { return };
         let free = vec![0; usize::from(!parts.is_empty())];
         self.terms.push(Term { name: name.to_owned(), parts, free, only: None });
     }
 
     /// Stacks what `fill` says of each record, `width` columns.
-    fn stack(
+    pub(super) fn stack(
         &self,
         effect: &Effect,
         only: Option<usize>,
@@ -232,7 +292,7 @@ impl<'t> Fit<'t> {
         out
     }
 
-    fn basis(&self, effect: &Effect, only: Option<usize>) -> Vec<DVector<f64>> {
+    pub(super) fn basis(&self, effect: &Effect, only: Option<usize>) -> Vec<DVector<f64>> {
         self.stack(effect, only, effect.coefficient_count(), |b, c, out| b.basis(effect, c, out))
     }
 
@@ -263,15 +323,62 @@ impl<'t> Fit<'t> {
         out
     }
 
-    /// The noise taken white: each row less what the one before foretells.
-    fn white(&self, column: &DVector<f64>) -> DVector<f64> {
+    /// The noise taken white: each row less what the one before foretells; and what stands beside the terms taken out.
+    pub(super) fn white(&self, column: &DVector<f64>) -> DVector<f64> {
+        let own = self.whitened(column);
+        let beside = &self.beside_white * self.beside_white.tr_mul(&own);
+        own - beside
+    }
+
+    pub(super) fn whitened(&self, column: &DVector<f64>) -> DVector<f64> {
         let share = (1.0 - self.phi * self.phi).sqrt();
-        DVector::from_fn(self.n, |i, _| {
-            if self.follows[i] { column[i] - self.phi * column[i - 1] } else { share * column[i] }
+        DVector::from_fn(self.n, |i, _| match (self.counts[i], self.follows[i]) {
+            (false, _) => 0.0,
+            (true, true) => column[i] - self.phi * column[i - 1],
+            (true, false) => share * column[i],
         })
     }
 
-    fn jacobian(&self) -> DMatrix<f64> {
+    fn all_whitened(&self, columns: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut all = columns.clone();
+        for (i, c) in columns.column_iter().enumerate() {
+            all.set_column(i, &self.whitened(&c.into_owned()));
+        }
+        all
+    }
+
+    /// After the columns beside or the noise's memory have changed.
+    fn prepare_beside(&mut self) {
+        let all = self.all_whitened(&self.beside);
+        self.beside_white = if all.ncols() == 0 { all } else { all.qr().q() };
+    }
+
+    /// What neither the terms nor the columns beside them take.
+    fn noise(&self) -> DVector<f64> {
+        let left = self.left();
+        if self.beside.ncols() == 0 {
+            return left;
+        }
+        let amplitudes = solve(&self.all_whitened(&self.beside), &self.whitened(&left));
+        left - &self.beside * amplitudes
+    }
+
+    pub(super) fn freedom(&self, terms: usize) -> f64 {
+        self.rows().saturating_sub(terms + self.beside.ncols()).max(1) as f64
+    }
+
+    /// How many rows count.
+    fn rows(&self) -> usize {
+        self.counts.iter().filter(|c| **c).count()
+    }
+
+    /// RMS over the rows that count.
+    fn rms(&self, v: &DVector<f64>) -> f64 {
+        let own = v.iter().zip(&self.counts).filter(|(_, c)| **c).map(|(v, _)| v * v);
+        (own.sum::<f64>() / self.rows().max(1) as f64).sqrt()
+    }
+
+    pub(super) fn jacobian(&self) -> DMatrix<f64> {
         let columns: Vec<DVector<f64>> =
             self.terms.iter().flat_map(|t| self.slopes(t)).map(|c| self.white(&c)).collect();
         DMatrix::from_columns(&columns)
@@ -292,7 +399,7 @@ impl<'t> Fit<'t> {
     }
 
     /// What is left of the measured errors beside all terms.
-    fn left(&self) -> DVector<f64> {
+    pub(super) fn left(&self) -> DVector<f64> {
         let mut left = self.y.clone();
         for t in &self.terms {
             left -= self.value(t);
@@ -301,22 +408,28 @@ impl<'t> Fit<'t> {
     }
 
     /// Linear values by least squares, then the noise's coefficient; twice, as each asks for the other.
-    fn memory(&mut self) {
+    pub(super) fn memory(&mut self) {
         for _ in 0..2 {
             self.step();
-            let left = self.left();
+            let left = self.noise();
             let (mut own, mut next) = (0.0, 0.0);
             for i in (1..self.n).filter(|i| self.follows[*i]) {
                 own += left[i - 1] * left[i - 1];
                 next += left[i] * left[i - 1];
             }
-            self.phi = if own > 0.0 { (next / own).clamp(0.0, MOST_MEMORY) } else { 0.0 };
+            let seen = if own > 0.0 { next / own } else { 0.0 };
+            self.phi = if self.beside.ncols() > 6 {
+                self.structure.memory(seen, self.n, MOST_MEMORY)
+            } else {
+                seen.clamp(0.0, MOST_MEMORY)
+            };
+            self.prepare_beside();
         }
         self.step();
     }
 
     /// One step of Gauss and Newton; the sum of squares after it.
-    fn step(&mut self) -> f64 {
+    pub(super) fn step(&mut self) -> f64 {
         let before = self.white(&self.left()).norm_squared();
         let j = self.jacobian();
         let by = solve(&j, &self.white(&self.left()));
@@ -350,124 +463,55 @@ impl<'t> Fit<'t> {
         inside
     }
 
-    /// Squared standard deviations that columns explain of what is left.
-    fn gain(
-        &self,
-        q: &DMatrix<f64>,
-        left: &DVector<f64>,
-        variance: f64,
-        columns: &[DVector<f64>],
-    ) -> (f64, DVector<f64>) {
-        let own: Vec<DVector<f64>> = columns
-            .iter()
-            .map(|c| {
-                let c = self.white(c);
-                &c - q * q.tr_mul(&c)
-            })
-            .collect();
-        let m = DMatrix::from_columns(&own);
-        let normal = m.tr_mul(&m);
-        let with = m.tr_mul(left);
-        let Some(beta) = normal.cholesky().map(|c| c.solve(&with)) else {
-            return (0.0, DVector::zeros(columns.len()));
-        };
-        (beta.dot(&with) / variance, beta)
-    }
-
-    fn prepared(&self) -> (DMatrix<f64>, DVector<f64>, f64) {
-        let j = self.jacobian();
-        let left = self.white(&self.left());
-        let variance = left.norm_squared() / (self.n - j.ncols()).max(1) as f64;
-        (j.qr().q(), left, variance.max(1e-18))
-    }
-
-    /// The spike that explains most of what is left, over lengths from a twentieth of a millimetre to a third of the radius.
-    fn best_spike(&self, d: &Dictionary, axis: &Axis) -> Option<(Effect, f64)> {
-        let radius_mm = self.traces[0].record.circle()?.radius_mm;
-        let spike = law(d, laws::reversal_spike::NAME, &[axis])?;
-        let (q, left, variance) = self.prepared();
-        let lengths = (0..).map(|k| 0.05 * 1.5_f64.powi(k)).take_while(|l| *l < radius_mm / 3.0);
-        let of = |length: f64| {
-            let effect = spike.with(&[(1, length)])?;
-            let (gain, beta) = self.gain(&q, &left, variance, &self.basis(&effect, None));
-            Some((effect.with(&[(0, beta[0])])?, gain))
-        };
-        lengths.filter_map(of).max_by(|a, b| a.1.total_cmp(&b.1))
-    }
-
-    /// The cyclic error that explains most of what is left, if more than chance does over all periods.
-    fn best_wave(&self, d: &Dictionary, axis: &Axis) -> Option<Effect> {
-        let wave = law(d, laws::screw_periodic::NAME, &[axis])?;
-        let places = self.traces.iter().filter_map(|t| t.record.data(&Role::Position(axis.clone())));
-        let mut steps: Vec<f64> =
-            places.clone().flat_map(|p| p.windows(2)).map(|w| (w[1] - w[0]).abs()).collect();
-        steps.sort_by(f64::total_cmp);
-        let all = || places.clone().flatten().copied();
-        let span = all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min);
-        let shortest = PERIODS_MM[0].max(2.5 * steps.get(steps.len() / 2)?);
-        let (from, to) = (1.0 / PERIODS_MM[1].min(span / 3.0), 1.0 / shortest);
-        if to <= from {
-            return None;
-        }
-        let (q, left, variance) = self.prepared();
-        let step = 0.3 / span;
-        let count = ((to - from) / step).ceil().max(2.0) as usize;
-        let of = |f: f64| {
-            let mut effect = wave.with(&[(0, 1.0 / f)])?;
-            let (gain, beta) = self.gain(&q, &left, variance, &self.basis(&effect, None));
-            effect.set_coefficients(beta.as_slice());
-            Some((effect, gain))
-        };
-        let (mut best, mut gain) =
-            (0..count).filter_map(|i| of(from + step * i as f64)).max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let mut h = step;
-        for _ in 0..12 {
-            h *= 0.5;
-            for g in [-h, h] {
-                if let Some(other) = of(1.0 / best.scalar(0) + g).filter(|o| o.1 > gain) {
-                    (best, gain) = other;
-                }
-            }
-        }
-        (gain > 2.0 * (count as f64 / CYCLIC_RISK).ln() && best.scalar(1) > 0.0).then_some(best)
-    }
-
-    /// Frees lengths, periods and phases too, and descends.
-    fn free_all(&mut self) {
-        for t in &mut self.terms {
-            if t.name.starts_with("spike.") {
-                t.free = vec![0, 1];
-            } else if t.name.starts_with("cyclic.") {
-                t.free = vec![0, 1, 2];
-            }
-        }
-        let mut before = f64::INFINITY;
-        for _ in 0..30 {
-            let now = self.step();
-            if before - now <= 1e-9 * now {
-                break;
-            }
-            before = now;
-        }
-    }
-
-    fn answer(&self, axes: [&Axis; 2], told: &[String]) -> Diagnosis {
+    /// Half the width of the 95 % interval of each free value, and what the harmonics say of what has no law.
+    fn half_widths(&self) -> (Vec<f64>, Option<Told>) {
         let j = self.jacobian();
         let left = self.left();
-        let freedom = (self.n - j.ncols()).max(1) as f64;
-        let variance = self.white(&left).norm_squared() / freedom;
+        let freedom = self.freedom(j.ncols());
+        let white = self.white(&left);
+        let variance = white.norm_squared() / freedom * Structure::hangs_together(&white);
+        let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
         let scaled: Vec<f64> = j.column_iter().map(|c| c.norm().max(1e-300)).collect();
         let unit = DMatrix::from_fn(j.nrows(), j.ncols(), |r, c| j[(r, c)] / scaled[c]);
         let inverse =
             unit.tr_mul(&unit).pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(j.ncols(), j.ncols()));
-        let quantile = StudentsT::new(0.0, 1.0, freedom).map_or(1.96, |t| t.inverse_cdf(0.975));
+        let told_beside = self.told(&left, variance);
+        // What a µm of each order that the laws take moves a value by.
+        let moves = told_beside.map(|_| {
+            let mut taken = self.structure.taken.clone();
+            for (i, c) in self.structure.taken.column_iter().enumerate() {
+                taken.set_column(i, &self.white(&c.into_owned()));
+            }
+            &inverse * unit.tr_mul(&taken)
+        });
+        let half = |at: usize| {
+            let noise = (variance * inverse[(at, at)]).max(0.0);
+            let (mut all, mut spread) = (noise, noise * noise / freedom);
+            if let (Some(told), Some(moves)) = (&told_beside, &moves) {
+                for k in 0..moves.ncols() {
+                    let own = told.variance[k] * moves[(at, k)].powi(2);
+                    all += own;
+                    spread += own * own / told.freedom[k];
+                }
+            }
+            // Welch and Satterthwaite: few values tell the structure's size.
+            let effective = if spread > 0.0 { (all * all / spread).max(1.0) } else { freedom };
+            let quantile = StudentsT::new(0.0, 1.0, effective).map_or(1.96, |t| t.inverse_cdf(0.975));
+            quantile * all.sqrt() / scaled[at]
+        };
+        ((0..j.ncols()).map(half).collect(), told_beside)
+    }
+
+    fn answer(&self, axes: [&Axis; 2], told: &[String]) -> Diagnosis {
+        let (halves, told_beside) = self.half_widths();
+        let left = self.left();
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
         let mut contributions = Vec::new();
         let mut at = 0;
         for t in &self.terms {
             let Some((effect, _)) = t.parts.first() else { continue };
             for i in &t.free {
-                let half = quantile * (variance * inverse[(at, at)]).max(0.0).sqrt() / scaled[at];
+                let half = halves[at];
                 let key = if t.free.len() > 1 {
                     format!("{}.{}", t.name, effect.description().parameters[*i].name)
                 } else {
@@ -476,7 +520,9 @@ impl<'t> Fit<'t> {
                 values.insert(key, (effect.values()[*i], half));
                 at += 1;
             }
-            let fitted_only = t.only.is_some() || (t.free.len() > 1 && !told.contains(&t.name));
+            let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
+            let fitted_only =
+                t.only.is_some() || (searched && !told.contains(&t.name)) || !self.separates(&t.name);
             if !fitted_only {
                 let shape = self.value(t);
                 contributions.push(Contribution { cause: cause(&t.name), um: shape.max() - shape.min() });
@@ -491,7 +537,8 @@ impl<'t> Fit<'t> {
                 .collect::<Vec<_>>()
         };
         let reversal =
-            axes.iter().filter_map(|a| Some((a.to_string(), get(&format!("reversal.{a}"))?))).collect();
+            axes.iter().map(|a| (a, format!("reversal.{a}"))).filter(|(_, name)| self.separates(name));
+        let reversal = reversal.filter_map(|(a, name)| Some((a.to_string(), get(&name)?))).collect();
         let spike = of_axes("spike").into_iter().filter_map(|a| {
             let at = |p: &str| get(&format!("spike.{a}.{p}"));
             Some((a.clone(), Spike { um: at("um")?, length_mm: at("length_mm")? }))
@@ -503,16 +550,17 @@ impl<'t> Fit<'t> {
         let centre = |n: usize| get(&format!("centre.{n}.0")).unwrap_or(0.0);
         let shown = |name: &str| {
             let hidden = |what: &str| {
-                name.starts_with(what) && !told.iter().any(|t| name.starts_with(&format!("{t}.")))
+                name.starts_with(what)
+                    && !told.iter().any(|t| name == t || name.starts_with(&format!("{t}.")))
             };
-            !(hidden("spike.") || hidden("cyclic.") || name.ends_with(".phase_rad"))
+            !(hidden("spike.") || hidden("cyclic.") || name.ends_with(".phase_rad") || !self.separates(name))
         };
         let rename = |name: &str| -> Option<String> {
             match name {
                 "radius.0" => Some("radius_um".to_owned()),
                 "centre.0.0" => Some(format!("centre_um.{}", axes[0])),
                 "centre.1.0" => Some(format!("centre_um.{}", axes[1])),
-                n if n.starts_with("radius.") || n.starts_with("centre.") => None,
+                n if n.starts_with("radius.") || n.starts_with("centre.") || n == TOGETHER => None,
                 n => Some(n.to_owned()),
             }
         };
@@ -532,9 +580,44 @@ impl<'t> Fit<'t> {
             cyclic: cyclic.collect(),
             interval_95,
             contributions,
-            rms: (left.norm_squared() / self.n as f64).sqrt(),
+            rms: self.rms(&left),
+            // One way round reversals are among it.
+            unexplained_um: told_beside
+                .filter(|_| self.structure.both_ways)
+                .map(|t| t.rms_um)
+                .filter(|um| *um > SHOWS * self.rms(&self.noise())),
         }
     }
+
+    /// Whether these runs tell this term from a map or a bend: one way round what turns with the sense does not show.
+    fn separates(&self, name: &str) -> bool {
+        self.structure.both_ways || !(name.starts_with("reversal.") || name.starts_with("spike."))
+    }
+
+    /// What the harmonics say of those orders that the terms take.
+    fn told(&self, left: &DVector<f64>, variance: f64) -> Option<Told> {
+        let harmonics = &self.structure.columns;
+        if harmonics.ncols() == 0 {
+            return None;
+        }
+        let all = self.all_whitened(harmonics);
+        let normal = all.tr_mul(&all).pseudo_inverse(1e-12).ok()?;
+        self.structure.told(&solve(&all, &self.whitened(left)), &(normal.diagonal() * variance))
+    }
+}
+
+/// The first row at which both axes have turned within the record, or moved on far enough from where it begins.
+fn begun(trace: &Trace) -> usize {
+    let by_axis = [f64::cos as fn(f64) -> f64, f64::sin].map(|share| {
+        let away: Vec<f64> = trace.angle.iter().map(|a| (share(*a) - share(trace.angle[0])).abs()).collect();
+        let mut farthest = 0.0_f64;
+        away.iter().position(|d| {
+            farthest = farthest.max(*d);
+            // Nearer again by more than an angle's resolution.
+            *d >= DIED_OUT || *d < farthest - 1e-3
+        })
+    });
+    by_axis.into_iter().flatten().max().unwrap_or(0)
 }
 
 /// A term as people call it.
@@ -547,7 +630,7 @@ fn cause(name: &str) -> String {
     if let Some((_, words)) = known.iter().find(|(n, _)| *n == name) {
         return (*words).to_owned();
     }
-    let (what, axis) = name.split_once('.').unwrap_or((name, ""));
+    let Some((what, axis)) = name.split_once('.') else { return name.to_owned() };
     let words = match what {
         "spike" => "reversal spike",
         "cyclic" => "cyclic error",

@@ -175,7 +175,10 @@ impl Own {
             position: (unit("position_unit", Some(1.0))?, decimals("position_decimals")?),
             values: (unit("value_unit", None)?, decimals("value_decimals")?),
             most: count,
-            first_index: root.get("first_index").map_or(Ok(0), |e| e.integer("a whole number"))?,
+            first_index: root
+                .get("first_index")
+                .map_or(Ok(0), |e| e.integer::<i32>("a whole number within ±2147483647"))?
+                .into(),
             zero_at_mm: zero.then_some(reference_mm),
             both: !mean,
             decimal_comma: flag("decimal_comma")?,
@@ -258,5 +261,25 @@ impl Format for Own {
 
     fn advice(&self, _: &Table) -> Vec<String> {
         Vec::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The number of the last point must be one, too.
+    #[test]
+    fn points_are_counted_from_a_number_that_has_others_behind_it() {
+        let form = |first: i64| {
+            format!(
+                "line = \"{{n}};{{position}};{{mean}}\"\nvalue = \"error\"\nvalue_unit = \"um\"\nposition_decimals = 3\n\
+                 value_decimals = 1\nmax_points = 128\nfirst_index = {first}\n"
+            )
+        };
+        let parse = |first| Own::parse(Path::new("f.toml"), &form(first), 0.0);
+        assert!(parse(1).is_ok() && parse(-5).is_ok());
+        let e = parse(i64::MAX).unwrap_err();
+        assert_eq!((e.line, e.found.as_str()), (7, "first_index = 9223372036854775807"));
     }
 }

@@ -47,6 +47,9 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
     let whole = |found: String, expected: &str| InputError::whole(from, found, expected);
     let mut rows: Vec<[f64; 4]> = Vec::new();
     let cycles = readings.keys().map(|k| k.0).max().unwrap_or(0);
+    if cycles > readings.len() {
+        return Err(whole(format!("cycle {cycles} of {} readings", readings.len()), "cycles counted from 1"));
+    }
     for cycle in 1..=cycles {
         for back in [false, true] {
             let mut order: Vec<(&usize, &f64)> = targets.iter().collect();

@@ -146,6 +146,10 @@ fn deviations(
     targets: usize,
     runs: usize,
 ) -> Result<Vec<Vec<Deviation>>, InputError> {
+    if runs > section.lines.len() {
+        let found = format!("Run-count {runs} and {} lines of deviations", section.lines.len());
+        return Err(InputError::whole(from, found, "a deviation for each target of each run"));
+    }
     let mut listed: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); runs];
     for (line, text) in &section.lines {
         if text.ends_with(':') {

@@ -48,7 +48,7 @@ fn offset(zone: &str) -> Option<i128> {
     let (sign, rest) = (if zone.starts_with('-') { -1 } else { 1 }, zone.get(1..)?);
     let (hours, minutes) = match rest.split_once(':') {
         Some((h, m)) => (digits(h, 2)?, digits(m, 2)?),
-        None if rest.len() == 4 => (digits(&rest[..2], 2)?, digits(&rest[2..], 2)?),
+        None if rest.len() == 4 => (digits(rest.get(..2)?, 2)?, digits(rest.get(2..)?, 2)?),
         None => (digits(rest, 2)?, 0),
     };
     (hours <= 18 && minutes < 60).then_some(sign * (60 * hours + minutes))
@@ -81,6 +81,7 @@ mod tests {
             ("2022-08-08T13:51:37.Z", None),
             ("2022-08-08T13:51:37.1234567890Z", None),
             ("2022-08-08T13:51:37+2", None),
+            ("2022-08-08T13:51:37+1é1", None),
             ("12.5", None),
             ("é2022-08-08T1", None),
         ] {

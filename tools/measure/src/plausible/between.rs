@@ -1,12 +1,28 @@
 //! Several records beside one another.
 
 use super::stats::{median, middle_range, range};
+use super::told::told;
 use super::{Suspicion, What};
 use crate::iso230::correlation;
-use nalgebra::{DMatrix, DVector};
 use rtec_model::record::{Column, Record, Role};
 
+/// Records that hold the very rows of an earlier one: the earlier one's number, and its own.
+#[must_use]
+pub fn repeated(records: &[&Record]) -> Vec<(usize, usize)> {
+    let same = |a: &Record, b: &Record| {
+        let twin =
+            |c: &Column| b.columns.iter().any(|o| o.name == c.name && o.role == c.role && o.data == c.data);
+        a.rows() == b.rows() && a.columns.len() == b.columns.len() && a.columns.iter().all(twin)
+    };
+    let first = |k: usize| (0..k).find(|i| same(records[*i], records[k]));
+    (0..records.len()).filter(|k| records[*k].rows() > 1).filter_map(|k| Some((first(k)?, k))).collect()
+}
+
 pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
+    let all: Vec<&Record> = records.iter().collect();
+    for (first, again) in repeated(&all) {
+        out.push(Suspicion::again(&records[first], &records[again]));
+    }
     let (mut opposite, mut crossed) = (Vec::new(), Vec::new());
     for (j, b) in records.iter().enumerate() {
         for (i, a) in records[..j].iter().enumerate() {
@@ -184,39 +200,4 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
         let found = fits && (0..2).all(|s| straight[s] > (4.0 * crossed[s]).max(1.5));
         found.then(|| vec![p.to_owned(), q.to_owned()])
     })
-}
-
-/// What sensors of a record say of another one, or of an error.
-struct Told {
-    constant: f64,
-    slopes: DVector<f64>,
-    left: f64,
-}
-
-impl Told {
-    fn says(&self, record: &Record, rest: &[&str]) -> Vec<f64> {
-        let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
-        let of = |i: usize| {
-            self.constant + columns.iter().zip(self.slopes.iter()).map(|(c, s)| s * c[i]).sum::<f64>()
-        };
-        (0..record.rows()).map(of).collect()
-    }
-}
-
-fn told(record: &Record, y: &[f64], rest: &[&str]) -> Option<Told> {
-    let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
-    let n = y.len() as f64;
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
-    let means: Vec<f64> = columns.iter().map(|c| mean(c)).collect();
-    let a = DMatrix::from_fn(y.len(), columns.len(), |i, j| columns[j][i] - means[j]);
-    let my = mean(y);
-    let b = DVector::from_fn(y.len(), |i, _| y[i] - my);
-    // A touch of ridge: sensors that warm together share their part rather than fight over it.
-    let mut g = a.tr_mul(&a);
-    let ridge = 1e-4 * g.trace() / columns.len().max(1) as f64 + 1e-9;
-    (0..columns.len()).for_each(|k| g[(k, k)] += ridge);
-    let slopes = g.cholesky()?.solve(&a.tr_mul(&b));
-    let left = ((&b - &a * &slopes).norm_squared() / n).sqrt();
-    let constant = my - slopes.iter().zip(&means).map(|(s, m)| s * m).sum::<f64>();
-    Some(Told { constant, slopes, left })
 }

@@ -10,19 +10,37 @@
 //! | `sensors` | one temperature or channel beside the others: unplugged, range, unit, stuck, jump, wild values, a copy |
 //! | `motion` | positions, directions, speeds, times and errors of a run beside one another |
 //! | `rows` | rows that stand twice, wild responses |
-//! | `between` | several records beside one another: a sign, a unit, two sensors exchanged |
+//! | `stuck` | a sensor that stands still, beside itself at other times and beside the others |
+//! | `repeats` | single approaches far off the others to the same target |
+//! | `between` | several records beside one another: the same rows twice, a sign, a unit, two sensors exchanged |
+//! | `step` | an error that steps and stays: lost counts are the machine's own, so it is no suspicion |
+//! | `told` | what some sensors say of another one |
+//! | `turned` | a record beside itself: single runs of a wrong direction, a sign that turns, a clock put forward |
+//! | `units` | minutes, hours, inches |
 //! | `stats` | medians, robust deviations, straight lines |
 
 mod between;
 mod motion;
+mod repeats;
 mod rows;
 mod sensors;
 mod stats;
+mod step;
+mod stuck;
+mod told;
+mod turned;
+mod units;
+
+pub use between::repeated;
+pub use step::steps_of;
 
 use rtec_model::record::{Column, Record, Role};
 use serde::{Serialize, Serializer};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+
+/// Bad readings of a sensor in no more than this share of the rows cost those rows; more of them cost the sensor.
+const FEW: f64 = 0.1;
 
 /// What kind of mistake it looks like (formats.md, "Reconciliation": `what`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -96,14 +114,42 @@ pub struct Suspicion {
     pub what: What,
     /// One line: what was seen, and what it looks like.
     pub text: String,
+    /// The column is a temperature or a channel.
+    #[serde(skip)]
+    sensor: bool,
+    /// Rows of its record.
+    #[serde(skip)]
+    of: usize,
 }
 
 impl Suspicion {
     /// A suspicion against a column; no rows (from 0) stand for all.
     #[must_use]
     pub fn new(record: &Record, column: &str, what: What, rows: &[usize], text: String) -> Self {
-        let record = record.path.display().to_string();
-        Self { record, column: column.to_owned(), rows: rows_text(rows), what, text }
+        let sensor = record.columns.iter().any(|c| c.name == column && is_sensor(c));
+        let (of, path) = (record.rows(), record.path.display().to_string());
+        Self { record: path, column: column.to_owned(), rows: rows_text(rows), what, text, sensor, of }
+    }
+
+    /// A record that holds the rows of another one, whatever its name.
+    #[must_use]
+    pub fn again(first: &Record, record: &Record) -> Self {
+        let text = format!("holds the same rows as {}: it says nothing more", first.path.display());
+        Self::new(record, "", What::Doubled, &[], text)
+    }
+
+    /// It is about few of its record's rows: they can be spared, and the column is good without them.
+    #[must_use]
+    pub fn is_few(&self) -> bool {
+        !self.rows.is_empty()
+            && self.row_list().len() as f64 <= FEW * self.of as f64
+            && self.what != What::Jump
+    }
+
+    /// It is about a temperature or a channel.
+    #[must_use]
+    pub fn is_of_sensor(&self) -> bool {
+        self.sensor
     }
 
     /// Its rows, from 0; empty for all.
@@ -121,7 +167,7 @@ impl Suspicion {
 impl fmt::Display for Suspicion {
     /// One line, with few of the rows where there are many.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { record, column, rows, what, text } = self;
+        let Self { record, column, rows, what, text, .. } = self;
         write!(f, "{record}: {what}: ")?;
         if !column.is_empty() {
             write!(f, "{column}: ")?;
@@ -159,8 +205,18 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
         sensors::look(record, &mut found);
         motion::look(record, &mut found);
         rows::look(record, &mut found);
+        repeats::look(record, &mut found);
+        units::look(record, &mut found);
+        turned::look(record, &mut found);
     }
+    stuck::look(records, &mut found);
     between::look(records, &mut found);
+    // A sensor that jumps in one record after the other shows something that is switched.
+    let jumps = |s: &Suspicion, all: &[Suspicion]| {
+        all.iter().filter(|o| o.what == What::Jump && o.column == s.column && o.record != s.record).count()
+    };
+    let all = found.clone();
+    found.retain(|s| s.what != What::Jump || jumps(s, &all) == 0);
     found
 }
 
@@ -171,13 +227,13 @@ pub struct Unusable {
     rows: BTreeMap<String, BTreeSet<usize>>,
 }
 
-/// What a fit should leave out after these suspicions: sensors that are no predictors in any record, and rows. A unit, a
-/// sign or a direction is left as it stands: what is right there only who measured can say.
+/// What a fit should leave out after these suspicions: sensors that are no predictors in any record, and rows (those of a
+/// few bad readings among them). A unit, a sign or a direction is left as it stands: what is right there only who measured can say.
 #[must_use]
 pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
     let mut out = Unusable::default();
     for s in suspicions {
-        let sensor = matches!(
+        let off = matches!(
             s.what,
             What::Unplugged
                 | What::Range
@@ -188,15 +244,13 @@ pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
                 | What::Swapped
         );
         match s.what {
-            What::Doubled | What::Outliers if !s.rows.is_empty() => {
+            _ if s.sensor && (off || s.what == What::Doubled) && !s.is_few() => {
+                out.sensors.insert(s.column.clone());
+            }
+            What::Doubled | What::Outliers | What::Stuck | What::Unplugged | What::Range
+                if !s.rows.is_empty() =>
+            {
                 out.rows.entry(s.record.clone()).or_default().extend(s.row_list());
-            }
-            // A copy of another column: the other one stays.
-            What::Doubled => {
-                out.sensors.insert(s.column.clone());
-            }
-            _ if sensor => {
-                out.sensors.insert(s.column.clone());
             }
             _ => {}
         }

@@ -80,7 +80,7 @@ fn actual(record: &Record, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> 
 }
 
 /// Signs of the movement into each row; nothing for rows that stay where they were.
-fn moves(p: &[f64]) -> Vec<Option<f64>> {
+pub(super) fn moves(p: &[f64]) -> Vec<Option<f64>> {
     let sizes: Vec<f64> = steps(p).iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();
     let dead = 0.05 * median(sizes);
     let of = |i: usize| {

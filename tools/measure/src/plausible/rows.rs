@@ -5,6 +5,8 @@ use super::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
 use std::collections::HashMap;
 
+/// So many rows of one value are no chance.
+const FLAT: usize = 20;
 /// A block that stands twice is at least so long.
 const BLOCK: usize = 8;
 
@@ -51,8 +53,12 @@ fn pasted(
     same: &dyn Fn(&[&Column], usize, usize) -> bool,
 ) -> Vec<usize> {
     let n = record.rows();
-    // Only what is noisy cannot repeat by itself: rows are told apart by a response that does not run smoothly.
-    let noisy = record.responses().any(|c| rough(&c.data) && distinct(&c.data) * 4 > n);
+    // Only what is noisy cannot repeat by itself: rows are told apart by a response that does not run smoothly, in time or
+    // from place to place.
+    let noisy = record.responses().any(|c| {
+        let by_place: Vec<f64> = ways(record, c).concat().iter().map(|i| c.data[*i]).collect();
+        (rough(&c.data) || rough(&by_place)) && distinct(&c.data) * 4 > n
+    });
     if !noisy || n < 2 * BLOCK {
         return Vec::new();
     }
@@ -89,6 +95,11 @@ fn rough(v: &[f64]) -> bool {
 /// A response that stands still: a gauge that is not read.
 fn flat(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let n = c.data.len();
+    if n >= FLAT && distinct(&c.data) == 1 {
+        let text = format!("reads {} in every row, as no gauge that is read does", c.data[0]);
+        out.push(Suspicion::new(record, &c.name, What::Stuck, &[], text));
+        return;
+    }
     if n < 40 {
         return;
     }
@@ -127,17 +138,9 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let excused = excused(record);
     let in_time: Vec<usize> = (0..n).collect();
     let mut orders = vec![vec![in_time]];
-    if let Some(axis) = c.role.axis()
-        && let Some(p) = record.data(&Role::Position(axis.clone()))
-    {
-        let d = record.data(&Role::Direction(axis.clone()));
-        let ways = [-1.0, 0.0, 1.0].map(|way| {
-            let mut rows: Vec<usize> =
-                (0..n).filter(|i| (d.map_or(0.0, |d| d[*i]) - way).abs() < 0.5).collect();
-            rows.sort_by(|a, b| p[*a].total_cmp(&p[*b]).then(a.cmp(b)));
-            rows
-        });
-        orders.push(ways.into());
+    let by_place = ways(record, c);
+    if !by_place.is_empty() {
+        orders.push(by_place);
     }
     // By the order in which the response runs most smoothly; or by what the same place gave at other times.
     let mut lefts: Vec<(Vec<f64>, Vec<bool>)> = orders.iter().map(|o| beside(&c.data, o)).collect();
@@ -153,12 +156,14 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     if scale <= 0.0 {
         return;
     }
-    // A place that is always like this is the machine's.
+    // A place that is always like this, or as far off at other times, is the machine's.
     let mut usual_there = vec![false; n];
+    let at_places = mates.as_ref().map_or(0.0, |m| width(&of_place(&c.data, m).0));
     for place in mates.iter().flatten().filter(|p| p.len() >= 2) {
         for i in place {
             let others = median(place.iter().filter(|j| *j != i).map(|j| c.data[*j]).collect());
-            usual_there[*i] = (c.data[*i] - others).abs() < 0.5 * left[*i].abs();
+            let off = (c.data[*i] - others).abs();
+            usual_there[*i] = off < 0.5 * left[*i].abs() || place.len() >= 3 && off < 4.0 * at_places;
         }
     }
     let far = |i: usize| left[i].abs() / scale;
@@ -172,7 +177,7 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     if n < 30 || rows.len() >= 4 && 2 * close > rows.len() {
         return;
     }
-    let enough = rows.len() >= 2 && worst > 11.0 || worst > 20.0;
+    let enough = rows.len() >= 2 && worst > 15.0 || worst > 20.0;
     if enough && rows.len() * 100 <= 12 * n && 2 * bulk <= rows.len() {
         let text = format!(
             "{} of {n} rows are far off those beside them, as {:.2} (the others spread by {scale:.2})",
@@ -181,6 +186,20 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
         );
         out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
     }
+}
+
+/// The rows of each direction in the order of the response's own positions; none where these were not logged.
+fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
+    let Some(axis) = c.role.axis() else { return Vec::new() };
+    let Some(p) = record.data(&Role::Position(axis.clone())) else { return Vec::new() };
+    let d = record.data(&Role::Direction(axis.clone()));
+    let of = |way: f64| {
+        let own = |i: &usize| (d.map_or(0.0, |d| d[*i]) - way).abs() < 0.5;
+        let mut rows: Vec<usize> = (0..p.len()).filter(own).collect();
+        rows.sort_by(|a, b| p[*a].total_cmp(&p[*b]).then(a.cmp(b)));
+        rows
+    };
+    [-1.0, 0.0, 1.0].map(of).into()
 }
 
 /// The spread of most values; by more of them where most are the same (a coarse reading).
@@ -247,7 +266,7 @@ fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
 
 /// Rows where something else may honestly make a short peak: next to a reversal, to a change of coolant, spindle speed,
 /// load or temperature, at the ends.
-fn excused(record: &Record) -> Vec<bool> {
+pub(super) fn excused(record: &Record) -> Vec<bool> {
     let n = record.rows();
     let mut out = vec![false; n];
     let mut around = |i: usize, by: usize| {

@@ -1,8 +1,7 @@
 //! One temperature or channel beside the others of its record.
 
-use super::stats::{distinct, line, median, quantum, range, span, spread, steps};
+use super::stats::{distinct, median, quantum, span, spread, steps};
 use super::{Suspicion, What, is_sensor};
-use crate::iso230::correlation;
 use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role};
 
@@ -25,7 +24,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     }
     for c in &good {
         let others: Vec<&Column> = good.iter().filter(|o| o.name != c.name).copied().collect();
-        if !stuck(record, c, &others, out) && !jump(record, c, &others, out) {
+        if !jump(record, c, &others, out) {
             wild(record, c, &others, out);
         }
     }
@@ -121,90 +120,6 @@ fn unit(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     }
 }
 
-/// Share of the steps at which a sensor changes.
-fn liveliness(v: &[f64]) -> f64 {
-    v.windows(2).filter(|w| w[0].to_bits() != w[1].to_bits()).count() as f64 / (v.len().max(2) - 1) as f64
-}
-
-/// Share of the steps at which a sensor turns back: changed by its noise, not by a trend.
-fn dither(v: &[f64]) -> f64 {
-    let changes: Vec<f64> = steps(v).into_iter().filter(|d| *d != 0.0).collect();
-    changes.windows(2).filter(|w| w[0] * w[1] < 0.0).count() as f64 / (v.len().max(2) - 1) as f64
-}
-
-/// The longest run of one value: first row, and one past the last.
-fn longest_run(v: &[f64]) -> (usize, usize) {
-    let (mut best, mut start) = ((0, 0), 0);
-    for i in 0..=v.len() {
-        if i == v.len() || v[i].to_bits() != v[start].to_bits() {
-            if i - start > best.1 - best.0 {
-                best = (start, i);
-            }
-            start = i;
-        }
-    }
-    best
-}
-
-fn stuck(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) -> bool {
-    let n = c.data.len();
-    if n < 20 {
-        return false;
-    }
-    let (start, end) = longest_run(&c.data);
-    if end - start == n {
-        // A sensor of its own coarse resolution may stand still in a calm room; one among lively ones does not.
-        let lively = others.iter().filter(|o| liveliness(&o.data) > 0.5).count();
-        let moving = others.iter().filter(|o| range(&o.data) > 1.0).count();
-        if others.len() >= 2 && lively == others.len() && moving > 0 && n >= 30
-            || others.len() == 1 && lively == 1 && moving == 1 && n >= 30 && fine(c.data[0])
-        {
-            let text = format!("reads {} degC in every row while the others move", c.data[0]);
-            out.push(Suspicion::new(record, &c.name, What::Stuck, &[], text));
-            return true;
-        }
-        return false;
-    }
-    let length = end - start;
-    if length < 12 {
-        return false;
-    }
-    let outside: Vec<usize> = (0..n).filter(|i| *i < start || *i >= end).collect();
-    let pick = |v: &[f64]| outside.iter().map(|i| v[*i]).collect::<Vec<f64>>();
-    let own = pick(&c.data);
-    // By its own changes: a value between two steps of a coarse sensor changes less than its average, hence the square.
-    let p = (1.5 * dither(&own)).min(0.95);
-    let chance = (length as f64) * (1.0 - 0.7 * p * p).ln() + (n as f64).ln();
-    let by_itself = p >= 0.5 && own.len() >= 10 && chance < (1e-6_f64).ln();
-    // By its neighbour: where the sensor that it goes with moved on, by many of its own steps.
-    let by_neighbour = || {
-        if own.len() < 20 || length < 15 {
-            return false;
-        }
-        let best = others
-            .iter()
-            .map(|o| (correlation(&pick(&o.data), &own).abs(), o))
-            .max_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((r, o)) = best.filter(|b| b.0 > 0.97) else { return false };
-        let Some((_, slope, left)) = line(&pick(&o.data), &own) else { return false };
-        let moved = slope.abs() * range(&o.data[start..end]);
-        r > 0.97 && moved > (8.0 * quantum(&own)).max(10.0 * left).max(1.0)
-    };
-    if by_itself || by_neighbour() {
-        let rows: Vec<usize> = (start..end).collect();
-        let text = format!("reads {} degC in {length} rows on end, as it does nowhere else", c.data[start]);
-        out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
-        return true;
-    }
-    false
-}
-
-/// A value of better resolution than a sixteenth of a kelvin.
-fn fine(v: f64) -> bool {
-    let whole = |v: f64| (v - v.round()).abs() < 1e-6;
-    !(whole(16.0 * v) || whole(10.0 * v))
-}
-
 /// A step that stays, which neither this sensor's other rows nor any other sensor shows.
 fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) -> bool {
     let n = c.data.len();
@@ -226,6 +141,10 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     {
         return false;
     }
+    // Heat that one body shows at once others show late: they begin to move then.
+    if others.iter().any(|o| begins_to_move(&o.data, at, FOLLOWS * size)) {
+        return false;
+    }
     let level = |r: std::ops::Range<usize>| median(c.data[r].to_vec());
     let stays = level(at + 1..(at + 6).min(n)) - level(at.saturating_sub(4)..at + 1);
     if (stays / own[at]) < 0.7 || at < 2 || at + 3 > n {
@@ -237,6 +156,39 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     true
 }
 
+/// Rows on either side of a moment from which a sensor's slope is taken.
+const SIDE: usize = 8;
+/// Another sensor that moves on by this share of a jump within so many rows, otherwise than before, follows it.
+const FOLLOWS: f64 = 0.05;
+/// So many standard errors of a slope are no chance; so many times the bend that was there before is a new one.
+const CERTAIN: f64 = 6.0;
+const NEW_BEND: f64 = 2.0;
+
+/// Whether a sensor's slope changes behind row `at`, by no less than `least` kelvin within the rows on one side of it, and not
+/// as it did before.
+fn begins_to_move(v: &[f64], at: usize, least: f64) -> bool {
+    let slope = |rows: std::ops::Range<usize>| -> Option<f64> {
+        let rows = v.get(rows)?;
+        let middle = (SIDE - 1) as f64 / 2.0;
+        let with = |(i, x): (usize, &f64)| (i as f64 - middle) * x;
+        let square: f64 = (0..SIDE).map(|i| (i as f64 - middle).powi(2)).sum();
+        Some(rows.iter().enumerate().map(with).sum::<f64>() / square)
+    };
+    // The first row behind the moment is where the jump is seen.
+    let bend = |at: usize| Some(slope(at + 1..at + 1 + SIDE)? - slope((at + 1).checked_sub(SIDE)?..at + 1)?);
+    let Some(here) = bend(at) else { return false };
+    let before = at.checked_sub(SIDE).and_then(bend).unwrap_or(0.0);
+    let mut second: Vec<f64> = v.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+    second.sort_by(f64::total_cmp);
+    // Median of a normal distribution's sizes; a difference of second order has six times the variance. No reading is better
+    // than its resolution.
+    let noise = second.get(second.len() / 2).copied().unwrap_or(0.0) / 0.6745 / 6_f64.sqrt();
+    let noise = noise.max(quantum(v) / 12_f64.sqrt());
+    let cube = (SIDE * SIDE * SIDE - SIDE) as f64;
+    let error = noise * (2.0 * 12.0 / cube).sqrt();
+    here.abs() > CERTAIN * error && here.abs() * SIDE as f64 > least && here.abs() > NEW_BEND * before.abs()
+}
+
 /// Single values far from those before and after.
 fn wild(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     let n = c.data.len();
@@ -245,7 +197,10 @@ fn wild(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     }
     let left: Vec<f64> =
         (0..n).map(|i| c.data[i] - median(c.data[i.saturating_sub(2)..(i + 3).min(n)].to_vec())).collect();
-    let limit = (15.0 * spread(&left)).max(3.0);
+    // A body that is switched moves fast from row to row, and turns: that is no reading gone wrong.
+    let mut moves: Vec<f64> = steps(&c.data).iter().map(|d| d.abs()).collect();
+    moves.sort_by(f64::total_cmp);
+    let limit = (15.0 * spread(&left)).max(3.0).max(3.0 * moves[moves.len() * 9 / 10]);
     // A warm moment of the machine is seen by another sensor too.
     let peak = |v: &[f64], i: usize| v[i] - f64::midpoint(v[i - 1], v[i + 1]);
     let alone = |i: usize| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * left[i].abs());
@@ -271,6 +226,26 @@ fn copies(record: &Record, out: &mut Vec<Suspicion>) {
         if let Some(first) = columns[..k].iter().find(|f| f.data == c.data) {
             let text = format!("the same in every row as {}", first.name);
             out.push(Suspicion::new(record, &c.name, What::Doubled, &[], text));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A body that a load warms at once: what it warms begins to move then. A reading that jumps by itself moves nothing, nor
+    /// does it where others are on their way already.
+    #[test]
+    fn what_others_follow_is_no_jump() {
+        let body = |from: usize, tau: f64| -> Vec<f64> {
+            let late = |i: usize| if i < from { 0.0 } else { 1.0 - (-((i - from) as f64) / tau).exp() };
+            (0..120).map(|i| 21.0 + 5.0 * late(i) + 0.02 * ((i * 7 % 11) as f64 / 5.0 - 1.0)).collect()
+        };
+        for tau in [4.0, 15.0, 50.0] {
+            assert!(begins_to_move(&body(60, tau), 60, 0.05 * 5.0), "{tau}");
+            assert!(!begins_to_move(&body(0, tau), 60, 0.05 * 5.0), "{tau}: warm already");
+            assert!(!begins_to_move(&body(90, tau), 60, 0.05 * 5.0), "{tau}: later");
         }
     }
 }

@@ -129,7 +129,7 @@ impl Polar {
         if let Some(radius_mm) = self.radius_mm {
             // Deviations against the circle itself, which the base circle stands for.
             let times = px_per_um * 1000.0 * radius_mm / BASE_PX;
-            line(out, None, &format!("radius {radius_mm} mm,"));
+            line(out, None, &format!("radius {} mm,", crate::report::short(radius_mm)));
             line(out, None, &format!("deviations {times:.0} times enlarged"));
         }
     }

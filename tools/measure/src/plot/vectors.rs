@@ -29,16 +29,18 @@ impl Vectors {
         };
         let (x, y) = (bounds(0), bounds(1));
         let span = (x[1] - x[0]).max(y[1] - y[0]).max(1e-6);
-        let margin = 0.1 * span;
+        // As much as the longest arrow.
+        let margin = 0.13 * span;
         let per_mm = PLOT_PX / (span + 2.0 * margin);
         let middle = [f64::midpoint(x[0], x[1]), f64::midpoint(y[0], y[1])];
         let place = |p: [f64; 2]| {
             let half = PLOT_PX / 2.0;
             (LEFT_PX + half + (p[0] - middle[0]) * per_mm, TOP_PX + half - (p[1] - middle[1]) * per_mm)
         };
-        // The longest takes a tenth of the plot.
+        // The longest takes a tenth of the plot at most; a round figure, so that the drawing can be measured.
         let longest = self.at.iter().map(|(_, e)| e[0].hypot(e[1])).fold(0.0, f64::max).max(1e-6);
-        let px_per_um = 0.1 * PLOT_PX / longest;
+        let times = round_up(0.1 * PLOT_PX / longest * 1000.0 / per_mm / 2.5);
+        let px_per_um = times * per_mm / 1000.0;
         let (w, h) = (800, 590);
         let mut out = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" height=\"{h}\" \
@@ -71,12 +73,11 @@ impl Vectors {
             "<circle cx=\"{x0}\" cy=\"80\" r=\"2.2\" fill=\"{}\"/><text x=\"{}\" y=\"84\">hole</text>\
              <path d=\"M{x0} 108h{length:.2}\" stroke=\"{}\" stroke-width=\"1.5\" marker-end=\"url(#tip)\"/>\
              <text x=\"{x0}\" y=\"130\">this arrow is {unit_um} µm</text>\
-             <text x=\"{x0}\" y=\"150\">arrows {:.0} times enlarged</text>\
+             <text x=\"{x0}\" y=\"150\">arrows {times:.0} times enlarged</text>\
              <text x=\"{x0}\" y=\"170\">longest: {longest:.1} µm</text></svg>",
             Colour::Grey.hex(0),
             x0 + 10.0,
-            Colour::Down.hex(0),
-            px_per_um * 1000.0 / per_mm
+            Colour::Down.hex(0)
         );
         out
     }
@@ -139,7 +140,7 @@ mod tests {
         for word in ["Plate", "x (mm)", "y (mm)", "this arrow is 5 µm", "longest: 10.0 µm"] {
             assert!(svg.contains(word), "{word}: {svg}");
         }
-        // Both axes to one scale: 460 px for 120 mm; 46 px for 10 µm are 1200 times as much.
-        assert!(svg.contains("1200 times"), "{svg}");
+        // Both axes to one scale, 460 px for 126 mm: 36.51 px for 10 µm are 1000 times as much.
+        assert!(svg.contains("1000 times") && svg.contains("l36.51 -0.00"), "{svg}");
     }
 }

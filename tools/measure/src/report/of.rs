@@ -25,6 +25,11 @@ fn fixed(v: f64, decimals: usize) -> String {
     }
 }
 
+/// A length in mm to 0.1 µm, without zeros at its end.
+pub(crate) fn short(v: f64) -> String {
+    fixed(v, 4).trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
 fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
     of.map_or_else(
         || "–".to_owned(),
@@ -60,7 +65,13 @@ pub fn positioning(
     conditions: &Conditions,
 ) -> Result<Report, PlotError> {
     let axes: Vec<&str> = all.iter().map(|p| p.axis.as_str()).collect();
-    let title = format!("Positioning of {} (ISO 230-2)", axes.join(", "));
+    let tilts = all.iter().filter(|p| p.unit == "urad").count();
+    let what = match tilts {
+        0 => "Positioning of",
+        n if n == all.len() => "Tilts while moving",
+        _ => "Positioning and tilts of",
+    };
+    let title = format!("{what} {} ({}ISO 230-2)", axes.join(", "), if tilts > 0 { "as " } else { "" });
     let mut report = Report::new(&title, records, conditions);
     for p in all {
         report.warnings.extend(p.warnings.iter().map(|w| format!("{}: {w}", p.response)));
@@ -83,9 +94,11 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     let mut table = Table::new(&title, &head);
     for (symbol, v) in p.figures() {
         let (short, words) = meaning(symbol);
-        let mut row = vec![short.to_owned(), words.to_owned(), um(v)];
+        // Of a tilt it is the same figure, but not of a position.
+        let words = if p.unit == "urad" { words.replace(" of positioning", "") } else { words.to_owned() };
+        let mut row = vec![short.to_owned(), words, um(v)];
         if let Some(u) = &p.uncertainty {
-            row.push(um(u.of(symbol).filter(|_| v.is_some())));
+            row.push(um(u.of(symbol).filter(|u| v.is_some() && *u > 0.0)));
         }
         if let Some(arcsec) = &p.arcsec {
             row.push(um(arcsec.get(symbol).copied().flatten()));
@@ -105,7 +118,10 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     }
     report.table(table);
     if let Some(u) = &p.uncertainty {
-        let title = format!("Uncertainty over {:.0} mm (ISO/TR 230-9)", u.length_mm);
+        let title = format!(
+            "Uncertainty over {:.0} mm (GUM; contributors as in ISO/TR 230-9, whose text was not at hand)",
+            u.length_mm
+        );
         let mut table = Table::new(&title, &["contributor", "#U, k = 2 (µm)"]);
         for c in &u.contributors {
             table.row([c.name.clone(), um(c.u_um)]);
@@ -125,7 +141,7 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
     let mut report = Report::new(&title, records, conditions);
     for b in planes {
         report.warnings.extend(b.warnings.iter().map(|w| format!("{}: {w}", b.plane)));
-        let radius = b.radius_mm.map(|r| format!(", radius {r} mm")).unwrap_or_default();
+        let radius = b.radius_mm.map(|r| format!(", radius {} mm", short(r))).unwrap_or_default();
         let mut table =
             Table::new(&format!("Plane {}{radius}", b.plane), &["symbol", "figure", "#value (µm)"]);
         for (symbol, words, v) in [
@@ -190,6 +206,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         add(&format!("centre {c}"), &format!("centre_um.{c}"), Some(d.centre_um[1]), "µm", 2);
     }
     add("mean radius", "radius_um", Some(d.radius_um), "µm", 2);
+    add("not explained, the same both ways (RMS)", "", d.unexplained_um, "µm", 2);
     add("left over (RMS)", "", Some(d.rms).filter(|_| !d.interval_95.is_empty()), "µm", 2);
     report.table(table);
 }
@@ -220,6 +237,12 @@ fn circles(b: &Ballbar) -> Vec<Polar> {
         }
     };
     feeds.into_values().map(of).collect()
+}
+
+/// T2 before T10: the name without the number at its end, and that.
+fn natural(name: &str) -> (String, u64) {
+    let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    (stem.to_owned(), name[stem.len()..].parse().unwrap_or(0))
 }
 
 /// Thermal drift: the whole test, then phase by phase, each sensor.
@@ -258,7 +281,9 @@ pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<
             vec!["sensor".to_owned(), "#range (K)".to_owned(), "#end (K)".to_owned(), "#K/h".to_owned()];
         names.extend(all.iter().map(|d| format!("#γ {}", d.response)));
         let mut table = Table { title, head: names, rows: Vec::new() };
-        for (sensor, s) in &p.figures.temperatures {
+        let mut sensors: Vec<_> = p.figures.temperatures.iter().collect();
+        sensors.sort_by_key(|(name, _)| natural(name));
+        for (sensor, s) in sensors {
             let own =
                 [format!("{:.2}", s.range_k), format!("{:+.2}", s.end_k), format!("{:+.2}", s.rate_k_per_h)];
             let gammas = all.iter().map(|d| {
@@ -324,20 +349,40 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
     report.warnings.push(p.remark.clone());
     let mut table =
         Table::new(&format!("{} holes, measured against nominal", p.holes), &["figure", "#value", "unit"]);
-    for (name, value, unit) in [
-        ("offset x", format!("{:.4}", p.offset_mm[0]), "mm"),
-        ("offset y", format!("{:.4}", p.offset_mm[1]), "mm"),
-        ("scale", format!("{:+.1}", p.scale_ppm), "ppm"),
-        ("scale as a temperature of aluminium", format!("{:+.2}", p.scale_as_aluminium_k), "K"),
-        ("rotation, counter-clockwise", format!("{:+.1}", p.rotation_urad), "µrad"),
-        ("rotation, counter-clockwise", format!("{:+.4}", p.rotation_deg), "°"),
+    let j = &p.joint;
+    let mut add = |rows: &[(&str, String, &str)]| {
+        for (name, value, unit) in rows {
+            table.row([(*name).to_owned(), value.clone(), (*unit).to_owned()]);
+        }
+    };
+    add(&[
+        ("offset x", fixed(p.offset_mm[0], 4), "mm"),
+        ("offset y", fixed(p.offset_mm[1], 4), "mm"),
+        ("scale x", fixed(j.scale_x_ppm, 1), "ppm"),
+        ("scale y", fixed(j.scale_y_ppm, 1), "ppm"),
+        ("mean scale as a temperature of aluminium", fixed(p.scale_as_aluminium_k, 2), "K"),
+        ("squareness", fixed(j.squareness_urad, 1), "µrad"),
+        ("rotation, counter-clockwise", fixed(j.rotation_urad, 1), "µrad"),
+        ("quadrupole: longer along its angle, shorter across", fixed(j.quadrupole_ppm, 1), "ppm"),
+        ("angle of the quadrupole from x", fixed(j.quadrupole_deg, 1), "°"),
+        ("left over after these (RMS length)", um(j.rms_um), "µm"),
+    ]);
+    report.table(table);
+    let title = "One after another, as owners of drilled plates publish it: one scale and rotation, then a radial quadrupole";
+    let mut table = Table::new(title, &["figure", "#value", "unit"]);
+    let mut add = |rows: &[(&str, String, &str)]| {
+        for (name, value, unit) in rows {
+            table.row([(*name).to_owned(), value.clone(), (*unit).to_owned()]);
+        }
+    };
+    add(&[
+        ("scale", fixed(p.scale_ppm, 1), "ppm"),
+        ("rotation, counter-clockwise", fixed(p.rotation_urad, 1), "µrad"),
         ("left over after these (RMS length)", um(p.rms_um), "µm"),
-        ("quadrupole: longer along its angle, shorter across", format!("{:.1}", p.quadrupole_ppm), "ppm"),
-        ("angle of the quadrupole from x", format!("{:.1}", p.quadrupole_deg), "°"),
+        ("quadrupole r·m·cos 2(θ − φ) along the radius: m", fixed(p.quadrupole_ppm, 1), "ppm"),
+        ("its angle φ from x", fixed(p.quadrupole_deg, 1), "°"),
         ("left over after the quadrupole too", um(p.rms_quadrupole_um), "µm"),
-    ] {
-        table.row([name.to_owned(), value, unit.to_owned()]);
-    }
+    ]);
     for (diameter, v) in &p.rms_um_by_diameter {
         table.row([format!("left over, holes of {diameter} mm"), um(*v), "µm".to_owned()]);
     }

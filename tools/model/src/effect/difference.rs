@@ -1,5 +1,7 @@
 //! What a thermal effect reads: a temperature difference.
 
+use rtec_files::InputError;
+use rtec_files::toml::{Entry, Table};
 use std::fmt;
 
 /// What a temperature is compared with.
@@ -47,6 +49,15 @@ impl Difference {
         matches!(self.against, Against::Sensor(_))
     }
 
+    /// What is taken from what, the standard temperature too: `T3-20` where the name alone is `T3`.
+    #[must_use]
+    pub fn in_full(&self) -> String {
+        match self.against {
+            Against::Standard => format!("{}-{STANDARD_DEGC}", self.sensor),
+            _ => self.to_string(),
+        }
+    }
+
     /// Sensor minus the standard 20 °C.
     #[must_use]
     pub fn single(sensor: &str) -> Self {
@@ -58,8 +69,37 @@ impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.against {
             Against::Sensor(minus) => write!(f, "{}-{minus}", self.sensor),
-            Against::Reference(degc) => write!(f, "{}-{degc}", self.sensor),
+            Against::Reference(degc) => {
+                // A tenth of a millikelvin: a fitted reference has more digits than anybody reads.
+                let text = format!("{degc:.4}");
+                write!(f, "{}-{}", self.sensor, text.trim_end_matches('0').trim_end_matches('.'))
+            }
             Against::Standard => f.write_str(&self.sensor),
         }
     }
+}
+
+/// A reference temperature: of a place where machines stand.
+fn reference_degc(entry: Entry<'_>) -> Result<f64, InputError> {
+    entry.within([-40.0, 150.0], "a reference temperature in degC")
+}
+
+/// `sensor` with `minus`, with `reference_degC`, or alone.
+pub(crate) fn read_difference(table: Table<'_>) -> Result<Difference, InputError> {
+    let sensor = table.required("sensor", "the sensor's name, as sensor = \"T8\"")?;
+    let against = match (table.get("minus"), table.get("reference_degC")) {
+        (Some(_), Some(r)) => {
+            return Err(r.key_error("`minus` and `reference_degC` both", "one of the two, or neither"));
+        }
+        (Some(m), None) => {
+            let minus = m.str("a sensor's name")?;
+            if minus == sensor.str("a sensor's name")? {
+                return Err(m.error(format!("`{minus}` minus itself"), "another sensor: this is always 0 K"));
+            }
+            Against::Sensor(minus.to_owned())
+        }
+        (None, Some(r)) => Against::Reference(reference_degc(r)?),
+        (None, None) => Against::Standard,
+    };
+    Ok(Difference { sensor: sensor.str("a sensor's name")?.to_owned(), against })
 }

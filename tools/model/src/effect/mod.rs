@@ -34,6 +34,7 @@ mod linear;
 mod own;
 mod wave;
 
+pub use crate::role::sign;
 use bound::RADIAL;
 pub use bound::{Bound, Missing};
 pub use description::{
@@ -41,6 +42,7 @@ pub use description::{
     Quantity, Refine, Search, Searched, Wave,
 };
 pub use dictionary::Dictionary;
+pub(crate) use difference::read_difference;
 pub use difference::{Against, Difference, STANDARD_DEGC};
 pub use grid::{Extent, Point};
 pub use lag::Lag;
@@ -90,18 +92,6 @@ pub struct State {
 
 /// Where basis values or slopes go: `out[k]` for coefficient or parameter k.
 pub type Out<'a> = &'a mut [f64];
-
-/// Sign with sign(0) = 0.
-#[must_use]
-pub fn sign(v: f64) -> f64 {
-    if v > 0.0 {
-        1.0
-    } else if v < 0.0 {
-        -1.0
-    } else {
-        0.0
-    }
-}
 
 /// A kind of effect.
 pub trait Law: fmt::Debug + Send + Sync {

@@ -41,8 +41,15 @@ drawing.saveas(folder / "nose.dxf")
 server = subprocess.Popen(
     [rtecctl, "part", "points", folder / "nose.dxf", "--feature", "F1:20", "--tip-mm", "2.5", "--web",
      "--out", folder / "out"], stderr=subprocess.PIPE, text=True)
-url = re.search(r"http://127\.0\.0\.1:\d+/", server.stderr.readline()).group()
+url = re.search(r"http://127\.0\.0\.1:\d+/[0-9a-f]{32}/", server.stderr.readline()).group()
 
+bare = re.match(r"http://[^/]+/", url).group()
+for secretless in [bare, bare + "plan", bare + "0" * 32 + "/plan"]:
+    try:
+        urllib.request.urlopen(secretless)
+        check(f"{secretless} is refused", False)
+    except urllib.error.HTTPError as refused:
+        check("an address without the secret is refused", refused.code == 403)
 for header in [{"Host": "elsewhere.example"}, {"Origin": "http://elsewhere.example"}]:
     try:
         urllib.request.urlopen(urllib.request.Request(url + "plan", headers=header))

@@ -5,11 +5,13 @@
 //! |---|---|
 //! | `sets` | sets of explanations and their fits |
 //! | `cross` | what further columns add to a set |
+//! | `bank` | the same for every grid point |
 //! | `offers` | which explanation could join a set |
-//! | `periods`, `periodogram` | the period of a wave |
+//! | `periods`, `periodogram`, `tones`, `targets` | the period of a wave; its tones worked out once; the same where targets are few |
 //! | `refine` | non-linear parameters between grid points |
 //! | `beam` | the order in which sets are tried |
 
+mod bank;
 mod beam;
 mod cross;
 mod offers;
@@ -17,7 +19,10 @@ mod periodogram;
 mod periods;
 mod refine;
 mod sets;
+mod targets;
+mod tones;
 
+pub(crate) use bank::Share;
 pub(crate) use beam::Found;
 pub(crate) use sets::{AtPhi, Member, Set};
 
@@ -25,12 +30,14 @@ use crate::gram::{Products, Vector};
 use crate::hypotheses::{Hypotheses, reference_column};
 use crate::problem::{Known, Stack};
 use crate::waves::Wave;
+use bank::{Left, Lie};
 use offers::Ranked;
 use periodogram::{OnPlaces, Transform};
 use rtec_model::effect::Effect;
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
+use tones::{ROOM, Seen};
 
 /// Noise coefficients that every fit is tried at: tanh of an even grid, up to 0.7. From row to row up to that is noise;
 /// what is slower is structure.
@@ -78,19 +85,11 @@ pub(crate) struct Search<'p, 'r> {
     room: Cell<usize>,
     /// Rankings that were asked for, by what the set's vectors and hypotheses are.
     rankings: RefCell<HashMap<Vec<usize>, Rc<[Ranked]>>>,
+    /// How each atom's columns lie in the bank.
+    lie: Vec<Lie>,
+    /// What sets left of the bank's columns.
+    left: RefCell<Vec<Rc<Left>>>,
 }
-
-/// A wave of one frequency.
-struct Seen {
-    /// Where there is room for them.
-    columns: Option<Vec<Vec<f64>>>,
-    own: Vec<Products>,
-    /// Products with vectors, those that were asked for.
-    with: Vec<Option<[Products; 2]>>,
-}
-
-/// Values that the waves that were looked at may keep: 64 MB.
-const ROOM: usize = 8_000_000;
 
 impl<'p, 'r> Search<'p, 'r> {
     /// [`Search::begin`] gives it what is to be explained.
@@ -110,13 +109,15 @@ impl<'p, 'r> Search<'p, 'r> {
             places: HashMap::new(),
             nu: 0.0,
             phis,
-            transform: RefCell::new(Transform::new()),
+            transform: RefCell::default(),
             places_seen: waves.iter().map(|_| OnceCell::new()).collect(),
             peaks: RefCell::new(Vec::new()),
             looked_at: RefCell::new(Vec::new()),
             seen: RefCell::new(HashMap::new()),
             room: Cell::new(ROOM),
             rankings: RefCell::default(),
+            lie: all.atoms.iter().map(Lie::of).collect(),
+            left: RefCell::default(),
         }
     }
 
@@ -131,6 +132,8 @@ impl<'p, 'r> Search<'p, 'r> {
         *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
         *self.looked_at.borrow_mut() = vec![None; self.waves.len()];
         self.rankings.borrow_mut().clear();
+        self.left.borrow_mut().clear();
+        self.seen.get_mut().values_mut().for_each(Seen::forget_sets);
     }
 
     /// A set as it is when noise may wander slowly too, or no longer may.

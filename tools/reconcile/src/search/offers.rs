@@ -1,7 +1,6 @@
 //! Explanations that could join a set: scanned over all grids, by name, best first.
 
 use super::Search;
-use super::cross::Scratch;
 use super::sets::{Member, Set};
 use crate::cause::Cause;
 use crate::hypotheses::{Atom, Hypothesis};
@@ -47,16 +46,17 @@ pub(crate) struct Ranked {
 impl Search<'_, '_> {
     /// The best grid point of one hypothesis as an addition to a set.
     pub(crate) fn offer_of(&self, set: &Set, hypothesis: usize) -> Option<Offer> {
-        let mut scratch = Scratch::default();
-        let mut scored = |i: usize| {
+        self.meet_bank(set.ids.iter().copied().chain([self.y]));
+        let mut best: Option<(usize, f64)> = None;
+        let own = |i: usize| self.all.atoms[i].hypothesis == hypothesis;
+        self.with_atoms(set, own, |i, loglik| {
             let atom = &self.all.atoms[i];
-            self.with_atom(set, i, &mut scratch) - self.price(set, atom.cost, atom.columns.len())
-        };
-        (0..self.all.atoms.len())
-            .filter(|i| self.all.atoms[*i].hypothesis == hypothesis)
-            .map(|i| (i, scored(i)))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .map(|(i, score)| self.bank_offer(i, score, score))
+            let score = loglik - self.price(set, atom.cost, atom.columns.len());
+            if best.is_none_or(|b| score >= b.1) {
+                best = Some((i, score));
+            }
+        });
+        best.map(|(i, score)| self.bank_offer(i, score, score))
     }
 
     pub(super) fn bank_offer(&self, i: usize, score: f64, evidence: f64) -> Offer {
@@ -75,16 +75,20 @@ impl Search<'_, '_> {
     pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
         self.meet_bank(set.ids.iter().copied().chain([self.y]));
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
-        let mut scratch = Scratch::default();
-        for (i, atom) in self.all.atoms.iter().enumerate() {
-            let score = self.with_atom(set, i, &mut scratch) - self.price(set, atom.cost, atom.columns.len());
-            let place = &mut best[atom.hypothesis];
-            *place = Some(match *place {
-                None => (score, i, score),
-                Some((s, at, all)) if s >= score => (s, at, log_sum(all, score)),
-                Some((_, _, all)) => (score, i, log_sum(all, score)),
-            });
-        }
+        self.with_atoms(
+            set,
+            |_| true,
+            |i, loglik| {
+                let atom = &self.all.atoms[i];
+                let score = loglik - self.price(set, atom.cost, atom.columns.len());
+                let place = &mut best[atom.hypothesis];
+                *place = Some(match *place {
+                    None => (score, i, score),
+                    Some((s, at, all)) if s >= score => (s, at, log_sum(all, score)),
+                    Some((_, _, all)) => (score, i, log_sum(all, score)),
+                });
+            },
+        );
         let mut offers: Vec<Offer> = best
             .into_iter()
             .flatten()

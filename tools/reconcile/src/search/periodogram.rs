@@ -3,6 +3,7 @@
 use crate::gram;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
+use std::cell::RefCell;
 
 /// The three highest peaks of a periodogram, added to a list of frequencies.
 pub(super) fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>) {
@@ -22,18 +23,19 @@ pub(super) fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>
     }
 }
 
+thread_local! {
+    /// Planned once for each size: the factors of a large transform take as long as the transform.
+    static PLANNER: RefCell<FftPlanner<f32>> = RefCell::new(FftPlanner::new());
+}
+
 /// What a Fourier transform needs, kept from one to the next.
+#[derive(Default)]
 pub(super) struct Transform {
-    planner: FftPlanner<f32>,
     grid: Vec<Complex32>,
     scratch: Vec<Complex32>,
 }
 
 impl Transform {
-    pub(super) fn new() -> Self {
-        Self { planner: FftPlanner::new(), grid: Vec::new(), scratch: Vec::new() }
-    }
-
     /// Σ uᵢ·exp(2πj·f·xᵢ) at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
     /// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
     pub(super) fn sums(
@@ -47,7 +49,7 @@ impl Transform {
         let size = room(count + count / 2);
         // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
         let middle = from + step * (count / 2) as f64;
-        let Self { planner, grid, scratch } = self;
+        let Self { grid, scratch } = self;
         grid.clear();
         grid.resize(size, Complex32::new(0.0, 0.0));
         for (x, u) in x.iter().zip(u) {
@@ -67,7 +69,7 @@ impl Transform {
                 grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
             }
         }
-        let fft = planner.plan_fft_inverse(size);
+        let fft = PLANNER.with_borrow_mut(|planner| planner.plan_fft_inverse(size));
         scratch.resize(fft.get_inplace_scratch_len().max(scratch.len()), Complex32::new(0.0, 0.0));
         fft.process_with_scratch(grid, scratch);
         // The lower half of the band stands at the grid's end.

@@ -1,13 +1,12 @@
 //! The period of a wave: peaks of the periodogram of what a set leaves, each refined exactly.
 
-use super::cross::Cross;
+use super::Search;
 use super::offers::{Offer, Source};
 use super::periodogram::peaks;
-use super::sets::{Set, sharpened};
-use super::{Search, Seen};
+use super::sets::{Member, Set, sharpened};
 use crate::cause::{Cause, Shape};
 use crate::extent::{GRID_SHARE, aliases, likeliest, pitch};
-use crate::gram::{self, Products, dot, products};
+use crate::gram::{self, dot};
 use crate::waves::Wave;
 
 /// Frequencies that are looked at twice, and closely; those beyond once.
@@ -19,11 +18,14 @@ const FREQUENCY_STEP: f64 = 0.3;
 /// The same beyond the first [`MOST_FREQUENCIES`]: four fifths of a wave's power are seen between two of them.
 const FAST_STEP: f64 = 0.5;
 
-/// A wave is given up where tuning cannot make it the best, nor a rival: it gains at most so many times more by it, and
-/// so much beyond that.
+/// A wave is given up where tuning cannot make it the best, nor a rival: it explains at most so many times more by it, and
+/// gains so much beyond that.
 const NEARBY: f64 = 1.15;
 
 const SLACK: f64 = 3.0;
+
+/// No wave explains more than so much of what is left.
+const ALL: f64 = 0.999_999;
 
 /// Below the set's own score by so much an offer plays no part.
 const HOPELESS: f64 = 12.0;
@@ -37,6 +39,9 @@ const SLOWEST_TURNS: f64 = 1.5;
 const VISIBLE_MEMORY: f64 = 0.3;
 /// What a wave without a name costs beyond one with a name, nats.
 const UNNAMED: f64 = 3.0;
+
+/// Peaks that are so near the best are no worse, nats.
+const NO_WORSE: f64 = 3.0;
 
 /// Rows of which so much of the mean square changed have the same peaks.
 const SAME: f64 = 1e-3;
@@ -53,6 +58,34 @@ struct Tone {
     score: f64,
     f: f64,
     cost: f64,
+}
+
+/// The longest periods are no likelier than so, nats.
+const MOST_LIKELY: f64 = 3.0;
+
+/// So many of the longest periods that look the same as a peak at nearly even places are looked at, and so many are listed.
+const LOWEST: usize = 3;
+const LISTED: usize = 8;
+/// Distances of nearly even places differ by no more than this share.
+const UNEVEN: f64 = 0.1;
+/// Turns over the whole extent by which two periods differ.
+const RESOLVED: f64 = 1.0;
+
+/// The distance of places that are nearly even; none where they are not.
+fn even(places: &[f64]) -> Option<f64> {
+    let gaps: Vec<f64> = places.windows(2).map(|w| w[1] - w[0]).collect();
+    let mean = places.last()? - places.first()?;
+    let mean = mean / gaps.len().max(1) as f64;
+    (gaps.len() > 2 && gaps.iter().all(|g| (g / mean - 1.0).abs() < UNEVEN)).then_some(mean)
+}
+
+/// How near a usual period a found one is the same.
+const USUAL: f64 = 0.005;
+
+/// By how much a frequency is cheaper than the most of them, nats: periods are as likely in each octave, and long ones are few.
+fn rarer(wave: &Wave, f: f64) -> f64 {
+    let octaves = (wave.to / wave.from).ln().max(1.0);
+    (f * octaves / (wave.to - wave.from)).max(1e-6).ln().clamp(-MOST_LIKELY, 0.0)
 }
 
 /// What a wave of one frequency stands for.
@@ -93,6 +126,7 @@ impl Search<'_, '_> {
         let x: Vec<f64> = wave.along.iter().map(|x| x - wave.places[0]).collect();
         let band = Band { from, step, count: wanted.min(MOST_FREQUENCIES) as usize };
         let list = &mut self.peaks.borrow_mut()[at];
+        self.peaks_of_targets(set, wave, &residual, [from, step], list);
         for p in [0.0, phi] {
             if p == 0.0 || p.abs() >= VISIBLE_MEMORY {
                 let u = sharpened(&residual, p, &self.stack.ranges);
@@ -164,12 +198,10 @@ impl Search<'_, '_> {
             self.likeliest_alias(set, wave, &mut best, independent, usual_mm);
         }
         let Tone { score, f, cost } = best;
-        let columns = self.wave_columns(wave, f);
-        if let Some(most) = facts.and_then(|w| w.most_periods)
-            && self.amplitude(set, [&columns[0], &columns[1]]) > most / (f * wave.unit)
-        {
+        if !self.bearable(set, wave, f) {
             return None;
         }
+        let columns = self.wave_columns(wave, f);
         let cause = cause_of(wave, f)?;
         let (hypothesis, columns) = (wave.hypothesis, Source::Made(columns));
         Some(Offer { cause, hypothesis, cost, score, evidence: score, columns })
@@ -181,36 +213,40 @@ impl Search<'_, '_> {
         self.all.family_cost + wave.independent().ln() + extra
     }
 
-    fn wave_score(&self, set: &Set, wave: &Wave, f: f64, cost: f64) -> f64 {
-        self.extended(set, &self.wave_cross(set, wave, f)) - self.price(set, cost, 2)
+    /// The best frequency near the peaks that a wave's law allows.
+    fn best_peak(&self, set: &Set, wave: &Wave, peaks: &[f64], cost: f64) -> Option<Tone> {
+        let mut tops = self.tops(set, wave, peaks, cost);
+        tops.retain(|t| t.0 > f64::NEG_INFINITY);
+        // What looks the same as a wave that no scale has may be one that it has; what only explains less is not.
+        let least = tops.first()?.0 - NO_WORSE;
+        let best = tops.iter().position(|t| t.0 > least && self.bearable(set, wave, t.1))?;
+        let (score, f) = self.usual(set, wave, &tops[best..]);
+        Some(Tone { score, f, cost: cost + rarer(wave, f) })
     }
 
-    /// The best frequency near the peaks.
-    fn best_peak(&self, set: &Set, wave: &Wave, peaks: &[f64], cost: f64) -> Option<Tone> {
+    /// Every peak refined, and what looks the same as it at nearly even places; the best first, with their scores.
+    fn tops(&self, set: &Set, wave: &Wave, peaks: &[f64], cost: f64) -> Vec<(f64, f64)> {
         let span = wave.span();
         // What a wave that explains nothing scores.
         let nothing = set.loglik - self.price(set, cost, 2);
-        let mut best: Option<(f64, f64)> = None;
-        for f0 in peaks {
-            let bound = best.map_or(f64::NEG_INFINITY, |b| b.0).max(set.score - HOPELESS);
+        let mut best = f64::NEG_INFINITY;
+        let mut tops: Vec<(f64, f64)> = Vec::new();
+        let mut refined = |f0: &f64, tops: &mut Vec<(f64, f64)>| {
+            let bound = best.max(set.score - HOPELESS);
             let grid = wave.effect.as_ref().and_then(|_| pitch(&wave.places, GRID_SHARE / f0));
-            let mut eval = |f: f64| {
+            let eval = |f: f64| {
                 // On a grid whose pitch is a whole number of periods a wave is a constant or a slow bow, and no wave.
                 if grid.is_some_and(|pitch| ((f * pitch).round() / pitch - f).abs() * span < SLOWEST_TURNS) {
                     return f64::NEG_INFINITY;
                 }
-                let score = self.wave_score(set, wave, f, cost);
-                if best.as_ref().is_none_or(|b| score > b.0) {
-                    best = Some((score, f));
-                }
-                score
+                self.wave_score(set, wave, f, cost + rarer(wave, f))
             };
             let mut centre = (eval(*f0), *f0);
             let mut h = FREQUENCY_STEP / span;
             // Between two frequencies of the grid a wave shows at least 0.93 of its power; the nearer, the more.
             let mut nearby = NEARBY - 1.0;
             for _ in 0..8 {
-                if (centre.0 - nothing) * (1.0 + nearby) + nothing + SLACK < bound {
+                if self.most_gained(centre.0 - nothing, nearby) + nothing + SLACK < bound {
                     break;
                 }
                 nearby *= 0.25;
@@ -224,8 +260,83 @@ impl Search<'_, '_> {
                     }
                 }
             }
+            best = best.max(centre.0);
+            tops.push(centre);
+        };
+        for f0 in peaks {
+            refined(f0, &mut tops);
         }
-        best.map(|(score, f)| Tone { score, f, cost })
+        if let Some(pitch) = even(&wave.places) {
+            for (_, f) in tops.clone() {
+                for f0 in aliases(f, pitch, [wave.from.max(0.5 / span), wave.to], LOWEST) {
+                    if !tops.iter().any(|t| (f0 - t.1).abs() * span < FREQUENCY_STEP) {
+                        refined(&f0, &mut tops);
+                    }
+                }
+            }
+        }
+        tops.sort_by(|a, b| b.0.total_cmp(&a.0));
+        tops
+    }
+
+    /// The most that a wave gains by tuning that shows it by so much more of its power: as what is left shrinks, a little more
+    /// explained gains much.
+    fn most_gained(&self, gain: f64, more: f64) -> f64 {
+        let explained = 1.0 - (-2.0 * gain.max(0.0) / self.nu).exp();
+        -0.5 * self.nu * (1.0 - (explained * (1.0 + more)).min(ALL)).ln()
+    }
+
+    /// Whether a wave of this frequency that explains what a set leaves keeps its law's largest amplitude.
+    fn bearable(&self, set: &Set, wave: &Wave, f: f64) -> bool {
+        let facts = wave.effect.as_ref().and_then(|e| e.description().searched.wave);
+        let Some(most) = facts.and_then(|w| w.most_periods) else { return true };
+        let columns = self.wave_columns(wave, f);
+        self.amplitude(set, [&columns[0], &columns[1]]) <= most / (f * wave.unit)
+    }
+
+    /// Of peaks that are no worse than the first the one with a period that machines are made with.
+    fn usual(&self, set: &Set, wave: &Wave, tops: &[(f64, f64)]) -> (f64, f64) {
+        let best = tops[0];
+        let Some(facts) = wave.effect.as_ref().and_then(|e| e.description().searched.wave) else {
+            return best;
+        };
+        let near = tops.iter().filter(|t| t.0 > best.0 - NO_WORSE);
+        let made = |t: &&(f64, f64)| {
+            facts.usual_mm.iter().any(|l| (1.0 / t.1 / l - 1.0).abs() < USUAL)
+                && self.bearable(set, wave, t.1)
+        };
+        let mut made = near.filter(made);
+        made.next().map_or(best, |t| *t)
+    }
+
+    /// Other periods that explain a wave of a set as well at these places, in the law's own unit, with the log odds by
+    /// which they are worse. `rest`: the set without it.
+    pub(crate) fn other_periods(&self, rest: &Set, member: &Member) -> Vec<(f64, f64)> {
+        let Some((i, wave)) = self.waves.iter().enumerate().find(|(_, w)| w.hypothesis == member.hypothesis)
+        else {
+            return Vec::new();
+        };
+        let Some(own) = wave.frequency(&member.cause) else { return Vec::new() };
+        let cost = self.wave_cost(wave);
+        let score = |f: f64| self.wave_score(rest, wave, f, cost);
+        let mine = score(own);
+        let peaks = self.peaks.borrow()[i].clone();
+        let mut all: Vec<f64> = self.tops(rest, wave, &peaks, cost).iter().map(|t| t.1).collect();
+        if let Some(pitch) = pitch(&wave.places, GRID_SHARE / own) {
+            all.extend(aliases(own, pitch, [wave.from.max(0.5 / wave.span()), wave.to], LISTED));
+        }
+        all.sort_by(f64::total_cmp);
+        let mut out: Vec<(f64, f64)> = Vec::new();
+        let mut last = own;
+        for f in all {
+            let apart = |g: f64| (f - g).abs() * wave.span() > RESOLVED;
+            let margin = mine - score(f);
+            if apart(own) && apart(last) && margin < NO_WORSE && self.bearable(rest, wave, f) {
+                out.push((1.0 / (f * wave.unit), margin.max(0.0)));
+                last = f;
+            }
+        }
+        out
     }
 
     /// On a grid there are no more frequencies than places: fewer are paid for. Which of the aliases it is the data cannot
@@ -233,7 +344,9 @@ impl Search<'_, '_> {
     fn likeliest_alias(&self, set: &Set, wave: &Wave, best: &mut Tone, independent: f64, usual_mm: &[f64]) {
         let span = wave.span();
         let Some(pitch) = pitch(&wave.places, GRID_SHARE / best.f) else { return };
-        let cost = best.cost;
+        let cost = self.wave_cost(wave);
+        best.score += best.cost - cost;
+        best.cost = cost;
         let saved = independent.ln() - independent.min((span / pitch).max(2.0)).ln();
         best.cost -= saved;
         best.score += saved;
@@ -246,6 +359,10 @@ impl Search<'_, '_> {
         if let Some(i) = likeliest(&periods, usual_mm) {
             (best.score, best.f) = near[i];
         }
+        // It is one of so many that look the same: a law of longer periods needs no such chance.
+        let alike = (2.0 * best.f * pitch).max(1.0).ln();
+        best.cost += alike;
+        best.score -= alike;
     }
 
     /// The least amplitude of a wave of two columns that explains as much of what a set leaves as they do.
@@ -270,45 +387,16 @@ impl Search<'_, '_> {
             }
             wave.shared(&mut sines[wave.rows.clone()]);
             wave.shared(&mut cosines[wave.rows.clone()]);
+            for (rows, along, share) in &wave.also {
+                for ((row, x), share) in rows.clone().zip(along).zip(share) {
+                    let (sine, cosine) = gram::wave(x * f);
+                    (sines[row], cosines[row]) = (share * sine, share * cosine);
+                }
+            }
         }
         for column in &mut out {
             self.stack.weigh(column);
         }
         out
-    }
-
-    /// The columns of a wave against a set; what was worked out once is kept.
-    pub(super) fn wave_cross(&self, set: &Set, wave: &Wave, f: f64) -> Cross {
-        let ranges = &self.stack.ranges;
-        let mut all = self.seen.borrow_mut();
-        let seen = all.entry((wave.hypothesis, f.to_bits())).or_insert_with(|| {
-            let c = self.wave_columns(wave, f);
-            let own =
-                [(0, 0), (1, 0), (1, 1)].iter().map(|(i, j)| products(&c[*i], &c[*j], ranges)).collect();
-            let kept = self.room.get().checked_sub(2 * self.stack.n);
-            if let Some(left) = kept {
-                self.room.set(left);
-            }
-            Seen { columns: kept.map(|_| c), own, with: Vec::new() }
-        });
-        seen.with.resize(self.vectors.len(), None);
-        let mut made = None;
-        let mut with = |id: usize| -> [Products; 2] {
-            *seen.with[id].get_or_insert_with(|| {
-                let c = seen
-                    .columns
-                    .as_ref()
-                    .unwrap_or_else(|| made.get_or_insert_with(|| self.wave_columns(wave, f)));
-                let v = &self.vectors[id];
-                [v.products(&c[0], ranges), v.products(&c[1], ranges)]
-            })
-        };
-        let y = with(self.y);
-        let each: Vec<[Products; 2]> = set.ids.iter().map(|i| with(*i)).collect();
-        Cross {
-            with_set: (0..2).map(|k| each.iter().map(|p| p[k]).collect()).collect(),
-            with_y: y.to_vec(),
-            own: seen.own.clone(),
-        }
     }
 }

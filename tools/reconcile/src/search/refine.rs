@@ -94,15 +94,19 @@ impl Search<'_, '_> {
             };
             if refined.score > set.score + 1e-3 {
                 let next = self.take(&rest, &refined);
-                // Its place stays the same.
-                let mut members = next.members;
-                if let Some(last) = members.pop() {
-                    members.insert(i, last);
-                }
-                set = self.set(members);
+                set = self.in_place_of(next, i);
             }
         }
         set
+    }
+
+    /// The set with its last member moved to a place.
+    pub(crate) fn in_place_of(&self, set: Set, place: usize) -> Set {
+        let mut members = set.members;
+        if let Some(last) = members.pop() {
+            members.insert(place, last);
+        }
+        self.set(members)
     }
 }
 

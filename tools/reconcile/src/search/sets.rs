@@ -5,12 +5,15 @@ use super::{NOISE_GRID, NOISE_STEP, Search};
 use crate::cause::Cause;
 use crate::gram::{Cholesky, Products, dot};
 use crate::hypotheses::Atom;
-use crate::problem::rms;
+use crate::problem::{Segment, rms};
 use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
 use std::ops::Range;
 
 /// Autocorrelation from row to row beyond which rows say the same thing over and over.
 const CLOSE: f64 = 0.8;
+
+/// Coefficients beside the rows: no fit of more says anything.
+const MOST_CROWDED: f64 = 0.95;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -121,6 +124,13 @@ impl Search<'_, '_> {
         0.5 * k * (1.0 + self.stack.n as f64 / k.max(1.0)).ln()
     }
 
+    /// What so many coefficients of all explanations together cost beyond that: where they are not few beside the rows,
+    /// columns of noise shrink what is left by more than half a nat each.
+    pub(crate) fn crowding_cost(&self, columns: usize) -> f64 {
+        let share = (columns as f64 / self.nu.max(1.0)).min(MOST_CROWDED);
+        -0.5 * self.nu * ((1.0 - share).ln() + share)
+    }
+
     pub(super) fn set(&self, members: Vec<Member>) -> Set {
         let mut ids = self.slopes.clone();
         ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
@@ -128,7 +138,9 @@ impl Search<'_, '_> {
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
         let (loglik, _) = self.best_phi(&values, 0);
         let top = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
-        let price: f64 = members.iter().map(|m| m.cost + self.dimension_cost(m.vectors.len())).sum();
+        let all: usize = members.iter().map(Member::columns).sum();
+        let each = members.iter().map(|m| m.cost + self.dimension_cost(m.columns()));
+        let price = each.sum::<f64>() + self.crowding_cost(all);
         Set { members, score: loglik - price, loglik, fits, ids, top }
     }
 
@@ -166,6 +178,12 @@ impl Search<'_, '_> {
         by_score.min(own(to) - own(from))
     }
 
+    /// By how much a score is larger than in the responses' own units, for what they are weighed by.
+    pub(crate) fn weight(&self) -> f64 {
+        let of = |s: &Segment| s.rows.len() as f64 * self.stack.sigma[s.response].max(f64::MIN_POSITIVE).ln();
+        self.stack.segments.iter().map(of).sum::<f64>() * self.nu / self.stack.n.max(1) as f64
+    }
+
     /// What the set leaves unexplained, weighed.
     pub(crate) fn residual(&self, set: &Set) -> (Vec<f64>, f64) {
         let top = (0..set.fits.len())
@@ -188,14 +206,20 @@ impl Search<'_, '_> {
 
     /// Root mean square of what one member of a set does to the rows that it acts on, weighed.
     pub(crate) fn share(&self, set: &Set, member: usize) -> f64 {
+        let mut does = self.does(set, member);
+        does.retain(|d| *d != 0.0);
+        rms(&does)
+    }
+
+    /// What one member of a set does, weighed.
+    pub(crate) fn does(&self, set: &Set, member: usize) -> Vec<f64> {
         let beta = self.coefficients(set);
         let before: usize = set.members[..member].iter().map(Member::columns).sum();
         let mut does = vec![0.0; self.stack.n];
         for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
             does.iter_mut().zip(&self.vectors[*i].data).for_each(|(d, x)| *d += b * x);
         }
-        does.retain(|d| *d != 0.0);
-        rms(&does)
+        does
     }
 
     /// Coefficients of the set at its best noise coefficient: known parameters' changes, then members' in order.

@@ -1,9 +1,10 @@
 //! `rtecctl clear`: release latched faults.
 
-use crate::daemon::Daemon;
-use rtec_control::protocol::ClientRequest;
+use crate::daemon::{Daemon, NO_EVENTS, check, observe, unreachable};
+use rtec_control::protocol::{ClientRequest, DaemonStatus, word};
+use std::fmt::Write as _;
 
-/// Release latched faults, once their cause is mended
+/// Release latched faults, once their cause is mended; says which they were and what must be homed again
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -11,6 +12,68 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let done = "faults released; axes whose count was in doubt must be homed again (rtecctl status)";
-    args.daemon.order(&ClientRequest::Clear {}, done)
+    if args.daemon.json {
+        return args.daemon.order(&ClientRequest::Clear {}, "");
+    }
+    let mut client = args.daemon.connect()?;
+    let before = observe(&mut client, NO_EVENTS)?.status;
+    check(client.ask(&ClientRequest::Clear {}).map_err(unreachable)?)?;
+    let after = observe(&mut client, NO_EVENTS)?.status;
+    print!("{}", released(&before, &after));
+    Ok(())
+}
+
+fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
+    let latched = |s: &DaemonStatus| {
+        let machine = s.faults.iter().map(word);
+        let axes =
+            s.axes.iter().flat_map(|a| a.faults.iter().map(|f| format!("axis {}: {}", a.name, word(f))));
+        machine.chain(axes).collect::<Vec<_>>()
+    };
+    let (was, still) = (latched(before), latched(after));
+    let gone: Vec<_> = was.iter().filter(|f| !still.contains(f)).map(String::as_str).collect();
+    let mut text = if gone.is_empty() {
+        "nothing was latched\n".to_owned()
+    } else {
+        format!("released: {}\n", gone.join(", "))
+    };
+    for fault in &still {
+        // Writing to a String does not fail.
+        let _ = writeln!(text, "latched again: {fault}");
+    }
+    let home: Vec<_> = after.axes.iter().filter(|a| !a.homed).map(|a| a.name.as_str()).collect();
+    if !home.is_empty() {
+        let _ = writeln!(text, "to be homed again: {} (`rtecctl home`)", home.join(", "));
+    }
+    if after.mode == "disabled" {
+        text += "corrections are off: `rtecctl enable`\n";
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_rt::event::Fault;
+
+    #[test]
+    fn what_was_released_and_what_is_to_be_done() {
+        let after: DaemonStatus =
+            serde_json::from_str(include_str!("../../tests/golden/status.json")).unwrap();
+        let mut before = after.clone();
+        assert_eq!(released(&before, &after), "nothing was latched\n");
+        before.axes[0].faults = vec![Fault::PollGap];
+        before.faults = vec![Fault::Card];
+        let mut after = after;
+        after.mode = "disabled".into();
+        after.axes[0].homed = false;
+        let name = &after.axes[0].name;
+        let wanted = format!(
+            "released: card, axis {name}: poll_gap\nto be homed again: {name} (`rtecctl home`)\ncorrections are off: \
+             `rtecctl enable`\n"
+        );
+        assert_eq!(released(&before, &after), wanted);
+        after.faults = vec![Fault::Card];
+        assert!(released(&before, &after).contains("latched again: card\n"));
+    }
 }

@@ -1,6 +1,5 @@
 //! `rtecctl completions SHELL`: shell completions on standard output.
 
-use clap::CommandFactory;
 use clap_complete::Shell;
 
 /// Print a completion script for your shell
@@ -12,7 +11,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut crate::Cli::command(), "rtecctl", &mut script);
+    clap_complete::generate(args.shell, &mut crate::help::command(), "rtecctl", &mut script);
     crate::say(&String::from_utf8_lossy(&script));
     Ok(())
 }

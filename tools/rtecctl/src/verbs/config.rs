@@ -1,5 +1,6 @@
 //! `rtecctl config`: is a configuration right, and if not, where.
 
+use crate::terminal::{self, Tone, toned};
 use clap::Subcommand;
 use rtec_control::config::{Config, ConfigFindings, EMBEDDED};
 use serde_json::json;
@@ -18,6 +19,12 @@ enum What {
     Check {
         /// The configuration
         file: PathBuf,
+        /// It is for another computer: groups, devices and the model that it names are not looked for here
+        #[arg(long)]
+        elsewhere: bool,
+        /// Say nothing where it is right
+        #[arg(long, short, conflicts_with = "json")]
+        quiet: bool,
         /// Print one JSON document
         #[arg(long)]
         json: bool,
@@ -29,14 +36,14 @@ enum What {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::Default => print!("{EMBEDDED}"),
-        What::Check { file, json } => {
-            let config = Config::load(file);
+        What::Check { file, elsewhere, quiet, json } => {
+            let config = if *elsewhere { Config::load(file) } else { Config::check_here(file) };
             if *json {
                 println!("{}", document(file, &config));
             }
             let config = config?;
-            if !json {
-                println!("{}: no findings", file.display());
+            if !json && !quiet {
+                println!("{}: {}", file.display(), toned("no findings", Tone::Good, terminal::colour()));
                 print(&config);
             }
         }
@@ -61,7 +68,7 @@ fn print(config: &Config) {
     println!("machine \"{}\", card {}", config.machine, config.card.backend());
     println!(
         "{:<8} {:>10} {:>10} {:>9} {:>8} {:>8} {:>10} {:>9} {:>14}",
-        "axis", "count/µm", "travel/mm", "design", "max", "window", "sep/ns", "need/ns", "fastest/Hz"
+        "axis", "µm/count", "travel/mm", "design", "max", "window", "sep/ns", "need/ns", "fastest/Hz"
     );
     for axis in &config.axes {
         let e = &axis.engine;
@@ -80,6 +87,6 @@ fn print(config: &Config) {
         );
     }
     for note in &config.notes {
-        println!("note: {note}");
+        println!("{} {note}", toned("note:", Tone::Doubtful, terminal::colour()));
     }
 }

@@ -15,7 +15,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let response = args.daemon.ask(&ClientRequest::Enable { accept_jump: args.accept_jump })?;
-    if let Response::Done { jumps } = response
+    if let Response::Done { jumps, .. } = response
         && !args.daemon.json
     {
         println!("corrections on{}", if jumps.is_empty() { ", nothing moves" } else { "; what moves:" });

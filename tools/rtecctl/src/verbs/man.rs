@@ -1,7 +1,6 @@
 //! `rtecctl man DIR`: one manual page per verb.
 
 use anyhow::Context;
-use clap::CommandFactory;
 use std::path::PathBuf;
 
 /// Write the manual pages, one per verb, into a directory
@@ -13,6 +12,6 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.dir).with_context(|| format!("creating {}", args.dir.display()))?;
-    clap_mangen::generate_to(crate::Cli::command(), &args.dir)
+    clap_mangen::generate_to(crate::help::command(), &args.dir)
         .with_context(|| format!("writing manual pages into {}", args.dir.display()))
 }

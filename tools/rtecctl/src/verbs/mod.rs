@@ -1,5 +1,6 @@
 //! One file per verb: its options and one function; `suspicions` is what several of them say of records.
 
+pub(crate) mod bugreport;
 pub(crate) mod card;
 pub(crate) mod characterise;
 pub(crate) mod clear;
@@ -12,9 +13,13 @@ pub(crate) mod designs;
 pub(crate) mod disable;
 pub(crate) mod enable;
 pub(crate) mod explain;
+pub(crate) mod get;
 pub(crate) mod hold;
 pub(crate) mod home;
+pub(crate) mod ledger;
+pub(crate) mod log;
 pub(crate) mod man;
+pub(crate) mod metrics;
 pub(crate) mod model;
 pub(crate) mod papers;
 pub(crate) mod park;
@@ -28,4 +33,6 @@ pub(crate) mod shadow;
 pub(crate) mod simulate;
 pub(crate) mod status;
 pub(crate) mod suspicions;
+pub(crate) mod top;
 pub(crate) mod trace;
+pub(crate) mod whoami;

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// What this kernel and machine can do for the real-time thread, and what to change
 ///
-/// Every setting is tried on a thread of this command's own, read back from the kernel, and gone when it ends.
+/// Exit 1 where a real card would not be armed. Every setting is tried on a thread of this command's own, read back from the kernel, and gone when it ends.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The CPU for the real-time thread [default: the configuration's, else the first isolated one, else the last one online]
@@ -69,6 +69,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     } else {
         print!("{}", text(&report));
+    }
+    if !report.can_arm() {
+        let stops: Vec<&str> = report.missing().map(|f| f.name).collect();
+        return Err(Outcome::No(format!("a real card would not be armed: {}", stops.join(", "))).into());
     }
     Ok(())
 }

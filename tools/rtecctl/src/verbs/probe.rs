@@ -43,6 +43,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     watch.be_patient()?;
     check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: true }).map_err(unreachable)?)?;
     let mut captured = Vec::new();
+    match args.captures {
+        None => eprintln!("probing; Ctrl-C ends this list, probing stays on until `rtecctl probe off`"),
+        Some(n) => eprintln!("probing; it ends after {n} captures; after Ctrl-C with `rtecctl probe off`"),
+    }
     if !args.daemon.json {
         println!(
             "{:>16} {:<8} {:>14} {:>14} {:>10} {:>14}",

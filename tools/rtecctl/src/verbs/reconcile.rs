@@ -1,6 +1,7 @@
 //! `rtecctl reconcile`: where simulation and measurement disagree, which effect is missing, a better model.
 
 use super::characterise::record::{Recorder, record};
+use crate::figures::with_half;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
@@ -104,7 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut files = Vec::new();
     if let (true, Some(dir)) = (args.stage >= Stage::Add, &args.out) {
         files.extend(answer.curve.as_ref().map(|(_, laws)| (LAWS_FILE, laws.clone())));
-        files.push(("model.toml", answer.model.text_at(&dir.join("model.toml"))));
+        files.push(("model.toml", answer.model.readable_text_at(&dir.join("model.toml"))?));
     }
     if figures {
         files.push(("report.html", html(&answer, machine.name())));
@@ -187,7 +188,7 @@ fn summary(r: &Reconciliation) -> String {
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
         let _ = writeln!(s, "  {}{sensor}, p {}", f.effect.name(), chance(f.p_value));
         for (i, p) in f.effect.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
-            let _ = writeln!(s, "    {} = {:.5} ± {:.2} {}", p.name, f.effect.scalar(i), half[i], p.unit);
+            let _ = writeln!(s, "    {} = {} {}", p.name, with_half(f.effect.scalar(i), half[i]), p.unit);
         }
         for v in &f.rivals {
             let sensor = v.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
@@ -214,6 +215,9 @@ fn summary(r: &Reconciliation) -> String {
         let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} %", 100.0 * c));
         let _ =
             writeln!(s, "Gap: {before:.4} -> {after:.4} {}, floor {:.4}, closed {closed}", g.unit, g.floor);
+    }
+    for line in &r.left_out {
+        let _ = writeln!(s, "Left out: {line}");
     }
     if !r.advice.is_empty() {
         let _ = writeln!(s, "Next: {}", r.advice);

@@ -2,6 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
+use crate::terminal::{self, Tone, toned};
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow};
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
@@ -10,22 +11,27 @@ use std::time::Duration;
 /// Show what the corrector is doing; exit 4 while a fault is latched
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Show it again and again, every half second, until interrupted
-    #[arg(long, conflicts_with = "json")]
+    /// Show it again and again, every half second, until interrupted; with --json one document a line
+    #[arg(long)]
     watch: bool,
+    /// With --watch: another time between two looks, as 1s
+    #[arg(long, value_name = "TIME", requires = "watch")]
+    every: Option<humantime::Duration>,
     #[command(flatten)]
     daemon: Daemon,
 }
 
 const EVERY: Duration = Duration::from_millis(500);
+/// No faster than this: the daemon has other work.
+const FASTEST: Duration = Duration::from_millis(20);
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.watch {
-        return watch(&args.daemon);
+        return watch(&args.daemon, args.every.map_or(EVERY, Into::into).max(FASTEST));
     }
     let Response::Status(status) = args.daemon.ask(&ClientRequest::Status {})? else { return Ok(()) };
     if !args.daemon.json {
-        print!("{}", table(&status));
+        print!("{}", table(&status, Screen::here()));
     }
     if status.mode == "fault" {
         return Err(Outcome::Fault("a fault is latched".to_owned()).into());
@@ -33,8 +39,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn watch(daemon: &Daemon) -> anyhow::Result<()> {
-    let mut client = daemon.connect()?;
+fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
+    let mut client = daemon.view()?;
     let mut out = std::io::stdout();
     let terminal = out.is_terminal();
     loop {
@@ -42,13 +48,18 @@ fn watch(daemon: &Daemon) -> anyhow::Result<()> {
         if let Response::Status(status) = response {
             // Home, then clear to the end: no flicker, and nothing of a longer view is left.
             let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
-            let written = write!(out, "{clear}{}", table(&status)).and_then(|()| out.flush());
+            let text = if daemon.json {
+                serde_json::to_string(&status)? + "\n"
+            } else {
+                format!("{clear}{}", table(&status, Screen::here()))
+            };
+            let written = write!(out, "{text}").and_then(|()| out.flush());
             match written {
                 Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
                 other => other?,
             }
         }
-        std::thread::sleep(EVERY);
+        std::thread::sleep(every);
     }
 }
 
@@ -56,52 +67,67 @@ fn yes(is: bool) -> &'static str {
     if is { "yes" } else { "no" }
 }
 
-fn table(s: &DaemonStatus) -> String {
-    let mut text = String::new();
-    let ledger = if s.balanced { "balances" } else { "DOES NOT BALANCE" };
-    // Writing to a String does not fail.
-    let _ = writeln!(
-        text,
-        "machine \"{}\"   mode {}   homed {}   up {:.1} s   ledger {ledger}",
+/// What the status is shown on.
+#[derive(Debug, Clone, Copy)]
+struct Screen {
+    colour: bool,
+    /// Columns; none where it is no terminal, and lines are as long as they are.
+    width: Option<u16>,
+}
+
+/// Columns of the whole table.
+const WHOLE: u16 = 118;
+
+impl Screen {
+    fn here() -> Self {
+        Self { colour: terminal::colour(), width: terminal::width() }
+    }
+
+    /// The table of the axes has its less wanted columns left out.
+    fn narrow(self) -> bool {
+        self.width.is_some_and(|width| width < WHOLE)
+    }
+
+    fn fit(self, text: String) -> String {
+        match self.width {
+            Some(width) => terminal::wrapped(&text, usize::from(width)),
+            None => text,
+        }
+    }
+}
+
+fn table(s: &DaemonStatus, screen: Screen) -> String {
+    screen.fit(head(s, screen)) + &axes(s, screen) + &screen.fit(below(s, screen))
+}
+
+/// The machine as a whole.
+fn head(s: &DaemonStatus, screen: Screen) -> String {
+    let tone = |text: &str, tone| toned(text, tone, screen.colour);
+    let ledger =
+        if s.balanced { tone("balances", Tone::Good) } else { tone("DOES NOT BALANCE", Tone::Wrong) };
+    let mode = match s.mode.as_str() {
+        "run" => Tone::Good,
+        "fault" => Tone::Wrong,
+        _ => Tone::Doubtful,
+    };
+    format!(
+        "machine \"{}\"   mode {}   homed {}   up {:.1} s   ledger {ledger}\n",
         s.machine,
-        s.mode.to_uppercase(),
+        tone(&s.mode.to_uppercase(), mode),
         yes(s.homed),
         s.uptime_s
-    );
-    let _ = writeln!(
-        text,
-        "{:<8} {:>13} {:>12} {:>10} {:>10} {:>10} {:>9} {:>9} {:>17} {:>11}",
-        "axis",
-        "position/mm",
-        "counts",
-        "requested",
-        "completed",
-        "in effect",
-        "inverted",
-        "edges/s",
-        "gate",
-        "insertions"
-    );
-    for a in &s.axes {
-        let _ = writeln!(
-            text,
-            "{:<8} {:>13.4} {:>12} {:>10} {:>10} {:>10} {:>9} {:>9.0} {:>17} {:>11}",
-            a.name,
-            a.position_mm,
-            a.position_counts,
-            a.requested,
-            a.completed,
-            a.in_effect,
-            yes(a.inverted),
-            a.edge_rate_hz,
-            a.gate.replace('_', " "),
-            a.insertions
-        );
-    }
+    )
+}
+
+/// What stands below the axes.
+fn below(s: &DaemonStatus, screen: Screen) -> String {
+    let mut text = String::new();
+    let tone = |text: &str, tone| toned(text, tone, screen.colour);
     let thread = match (s.rt.cpu, s.rt.priority) {
         (Some(cpu), Some(priority)) => format!("CPU {cpu}, SCHED_FIFO {priority}"),
         _ => "ordinary thread".to_owned(),
     };
+    // Writing to a String does not fail.
     let _ = writeln!(
         text,
         "card {}, {thread}; poll gap {}; edge to done {}; {} events lost",
@@ -111,7 +137,7 @@ fn table(s: &DaemonStatus) -> String {
         s.rt.events_lost
     );
     for missing in &s.rt.missing {
-        let _ = writeln!(text, "missing: {missing}");
+        let _ = writeln!(text, "{} {missing}", tone("missing:", Tone::Doubtful));
     }
     if let Some(m) = &s.model {
         let _ = writeln!(text, "model \"{}\", {}", m.name, m.file);
@@ -129,15 +155,61 @@ fn table(s: &DaemonStatus) -> String {
             let value = r.degc.map_or("never read".to_owned(), |v| format!("last good value {v:.2} °C"));
             let age = r.age_s.map_or(String::new(), |a| format!(" of {a:.0} s ago"));
             let fault = r.fault.as_ref().map_or(String::new(), |f| format!(": {f}"));
-            let _ = writeln!(text, "  {} {}{fault}; {value}{age}", r.sensor, r.state);
+            let state = tone(&r.state, Tone::Doubtful);
+            let _ = writeln!(text, "  {} {state}{fault}; {value}{age}", r.sensor);
         }
     }
+    if let Some(why) = &s.record_trouble {
+        let _ = writeln!(text, "{} {why}", tone("record of commands not written:", Tone::Wrong));
+    }
     for why in &s.why_not {
-        let _ = writeln!(text, "not correcting: {why}");
+        let tone_of = if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful };
+        let _ = writeln!(text, "{} {why}", tone("not correcting:", tone_of));
     }
     // One axis may hold while another corrects.
     if s.mode == "run" {
         let _ = writeln!(text, "{}", correcting(s));
+    }
+    text
+}
+
+/// The axes, in lines of 80 columns where there are not enough for all.
+fn axes(s: &DaemonStatus, screen: Screen) -> String {
+    let head = [
+        "position/mm",
+        "counts",
+        "requested",
+        "completed",
+        "in effect",
+        "inverted",
+        "edges/s",
+        "gate",
+        "insertions",
+    ];
+    let widths = [13, 12, 10, 10, 10, 9, 9, 17, 11];
+    let kept = |n: usize| !screen.narrow() || ![1, 5, 6, 8].contains(&n);
+    let row = |name: &str, cells: [String; 9]| {
+        let cells = cells.iter().zip(widths).enumerate().filter(|(n, _)| kept(*n));
+        cells.fold(format!("{name:<8}"), |row, (_, (cell, width))| format!("{row} {cell:>width$}"))
+    };
+    let mut text = row("axis", head.map(str::to_owned)) + "\n";
+    for a in &s.axes {
+        let row = row(
+            &a.name,
+            [
+                format!("{:.4}", a.position_mm),
+                a.position_counts.to_string(),
+                a.requested.to_string(),
+                a.completed.to_string(),
+                a.in_effect.to_string(),
+                yes(a.inverted).to_owned(),
+                format!("{:.0}", a.edge_rate_hz),
+                a.gate.replace('_', " "),
+                a.insertions.to_string(),
+            ],
+        );
+        let row = if a.faults.is_empty() { row } else { toned(&row, Tone::Wrong, screen.colour) };
+        text = text + &row + "\n";
     }
     text
 }
@@ -165,15 +237,16 @@ fn correcting(s: &DaemonStatus) -> String {
 }
 
 fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
-    let PartTable { errors, axes: [along, across], centre_mm: [z, x], radius_mm, lead_ms, .. } = part;
+    let PartTable { errors, axes: [along, across], centre_mm, radius_mm, lead_ms, .. } = part;
     let mut text = format!("part table {errors}");
     if let Some(now) = now {
         let _ = write!(text, ", {} points", now.points);
     }
-    let _ = writeln!(
-        text,
-        "; radius {radius_mm} mm about {z}, {x} mm; axes {along}, {across}; {lead_ms} ms ahead"
-    );
+    if let (Some([z, x]), Some(radius_mm)) = (centre_mm, radius_mm) {
+        let _ = write!(text, "; radius {radius_mm} mm about {z}, {x} mm");
+    }
+    let _ = writeln!(text, "; axes {along}, {across}; {lead_ms} ms ahead");
+    let feature = if radius_mm.is_some() { "arc" } else { "feature" };
     let Some(TableNow { state, off_mm, acts_within_mm, um: [um_z, um_x], why, .. }) = now else {
         return text;
     };
@@ -181,7 +254,7 @@ fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
         (Some(why), _) => writeln!(text, "  not in force: {why}"),
         (None, "ready") => writeln!(
             text,
-            "  ready: the tool is {off_mm:.1} mm off the arc, in force within {acts_within_mm} mm of it"
+            "  ready: the tool is {off_mm:.1} mm off the {feature}, in force within {acts_within_mm} mm of it"
         ),
         (None, _) => {
             writeln!(text, "  in force: takes out {um_z:+.2} µm in {along}, {um_x:+.2} µm in {across}")
@@ -200,8 +273,11 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{AxisReport, Reading, Rt, RunningModel};
+    use rtec_control::protocol::{AxisReport, PROTOCOL, Reading, Rt, RunningModel};
     use rtec_rt::event::Fault;
+    use std::collections::BTreeMap;
+
+    const PLAIN: Screen = Screen { colour: false, width: None };
 
     fn axis(name: &str, position_counts: i64, requested: i64, in_effect: i64, gate: &str) -> AxisReport {
         AxisReport {
@@ -224,6 +300,7 @@ mod tests {
             overlaps: 0,
             late: 0,
             illegal: 0,
+            beyond_limits: 0,
         }
     }
 
@@ -242,6 +319,10 @@ mod tests {
     fn corrects() -> DaemonStatus {
         let times = Distribution { min: 20, p50: 26, p99: 37, p9999: 145, max: 2107, samples: 9 };
         DaemonStatus {
+            version: "0.1.0".into(),
+            protocol: PROTOCOL,
+            latched: BTreeMap::new(),
+            record_trouble: None,
             machine: "lathe 7".into(),
             mode: "run".into(),
             homed: true,
@@ -269,6 +350,8 @@ mod tests {
                 sha256: "12ab".into(),
                 fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
                 expired: Vec::new(),
+                age_days: Some(30),
+                days_left: Some(335),
                 notes: vec![
                     "thermal_growth.z (T8-T18) is 2.0 K outside the range it was fitted on: 40 % of it is left".into(),
                 ],
@@ -286,7 +369,7 @@ mod tests {
 
     #[test]
     fn a_machine_that_corrects_says_what_with_its_model_and_sensors() {
-        crate::golden("status_corrects.txt", &table(&corrects()));
+        crate::golden("status_corrects.txt", &table(&corrects(), PLAIN));
     }
 
     #[test]
@@ -304,7 +387,25 @@ mod tests {
             "when mended: `rtecctl clear`".into(),
             "axis z: thermal corrections hold: sensor T18: silent; its last good value is 42 s old".into(),
         ];
-        crate::golden("status_fault.txt", &table(&status));
+        crate::golden("status_fault.txt", &table(&status, PLAIN));
+    }
+
+    /// Colours say nothing that the words do not, and nothing is wider than 80 columns.
+    #[test]
+    fn on_a_terminal_it_has_colours_and_keeps_to_its_width() {
+        let mut status = corrects();
+        status.mode = "fault".into();
+        status.axes[1].faults = vec![Fault::PollGap];
+        status.why_not = vec!["when mended: `rtecctl clear`".into()];
+        status.record_trouble = Some("/var/log/rtec/audit.log: No space left on device".into());
+        let coloured = table(&status, Screen { colour: true, width: Some(80) });
+        crate::golden("status_terminal.txt", &coloured.replace('\x1b', "␛"));
+        let mut bare = coloured;
+        for code in ["32", "33", "1;31", "0"] {
+            bare = bare.replace(&format!("\x1b[{code}m"), "");
+        }
+        assert_eq!(bare, table(&status, Screen { colour: false, width: Some(80) }));
+        assert!(bare.lines().all(|row| row.chars().count() <= 80), "{bare}");
     }
 
     #[test]
@@ -320,7 +421,7 @@ mod tests {
     fn everything_that_is_known_and_what_the_part_table_does() {
         let mut status: DaemonStatus =
             serde_json::from_str(include_str!("../../tests/golden/status.json")).unwrap();
-        let mut text = table(&status);
+        let mut text = table(&status, PLAIN);
         let now = status.table_now.take().unwrap();
         let mut also = |now: Option<TableNow>| {
             text.push_str("---\n");
@@ -332,6 +433,6 @@ mod tests {
         also(None);
         crate::golden("status.txt", &text);
         status.table = None;
-        assert!(!table(&status).contains("part table"));
+        assert!(!table(&status, PLAIN).contains("part table"));
     }
 }

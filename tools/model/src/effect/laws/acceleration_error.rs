@@ -1,10 +1,13 @@
 //! `acceleration_error.A`: bending under the machine's own inertia.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter};
+use crate::effect::{Description, Law, Linear, Need, Parameter, Searched};
 use std::sync::Arc;
 
 /// First part of the effect's name.
 pub const NAME: &str = "acceleration_error";
+
+/// So much less likely than an effect of the place, nats.
+const RARER: f64 = 1.0;
 
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
@@ -17,6 +20,8 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-10_000.0, 10_000.0], "10 µm per mm/s²: a drive train that soft rings at 1.6 Hz"),
         ],
         needs: vec![Need::Acceleration],
+        // Around a circle at one speed the acceleration is the position: then it is a scale.
+        searched: Searched { price: RARER, ..Searched::default() },
         ..Description::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })

@@ -10,13 +10,16 @@ pub const NAME: &str = "subdivision";
 /// Unit of the period, mm.
 const UNIT_MM: f64 = 1e-3;
 
+/// Signal periods that scales are made with, mm: gratings of 2 to 100 µm, inductive ones of 200 µm.
+const SIGNALS_MM: [f64; 9] = [0.2, 0.128, 0.1, 0.04, 0.02, 0.01, 0.008, 0.004, 0.002];
+
 /// Largest amplitude in periods: sine and cosine that leave the count a quarter of a period off lose counts instead.
 const MOST_PERIODS: f64 = 0.25;
 
 pub(super) fn law() -> Arc<dyn Law> {
     let bounds = "signal periods of linear scales, from interferential (1 µm) to inductive ones (200 µm)";
     // What is finer than the positions are read cannot be told from something coarser: two steps to a period.
-    let wave = Wave { unit_mm: UNIT_MM, usual_mm: &[], steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
+    let wave = Wave { unit_mm: UNIT_MM, usual_mm: &SIGNALS_MM, steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
     let description = Description {
         name: NAME.into(),
         law: "e = um·sin(2πp/period_um + phase)".into(),

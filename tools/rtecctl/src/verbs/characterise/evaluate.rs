@@ -4,6 +4,7 @@ use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::iso230::{self, Conditions, Options};
+use rtec_measure::plausible::What;
 use rtec_measure::report::{self, Report};
 use rtec_measure::{ballbar, plate};
 use rtec_model::record::{Kind, Record};
@@ -69,9 +70,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Some(s) => s,
         None => by_kind(&records[0])?,
     };
-    let (mut found, report) = evaluate(args, &records, standard, conditions)?;
-    for warning in report.warnings() {
+    let (mut found, mut report) = evaluate(args, &records, standard, conditions)?;
+    for doubt in &doubts {
+        report.doubt(&doubt.to_string(), matches!(doubt.what, What::Outliers | What::Doubled));
+    }
+    for warning in report.warnings().iter().skip(doubts.len()) {
         eprintln!("warning: {}: {warning}", args.records[0].display());
+    }
+    if doubts.iter().any(|d| matches!(d.what, What::Outliers | What::Doubled)) {
+        eprintln!("warning: {}", report::KEPT);
     }
     if let Some(path) = &args.plot {
         for (i, svg) in report.plots().enumerate() {

@@ -148,6 +148,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         Format::Shdr => import::shdr(file, &text, &columns()?, kind()?, args.log, out)?,
     };
+    if matches!(args.format, Format::LinuxcncComp0 | Format::LinuxcncComp1) {
+        let unit = if unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
+        eprintln!("positions and corrections were read in {unit}: --unit states another");
+    }
     record = args.circle.apply(record)?;
     if args.derive {
         for note in derive(&mut record) {

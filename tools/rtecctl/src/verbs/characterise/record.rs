@@ -138,11 +138,13 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let part = out.with_extension("csv.part");
     let mut file = std::fs::File::create(&part).with_context(|| format!("creating {}", part.display()))?;
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
-    writeln!(file, "{}", names.join(","))?;
+    writeln!(file, "{}", rtec_files::csv::header_line(names.iter().copied()))?;
     let start = Instant::now();
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
-    let (mut taken, mut left_out, mut shown_s) = (0_u64, 0_u64, 0.0);
+    let mut came_s = vec![0.0; columns.len()];
+    let (mut taken, mut left_out, mut incomplete, mut shown_s) = (0_u64, 0_u64, 0_u64, 0.0);
+    let mut said = String::new();
     for row in 0..rows {
         let due = row as f64 * period;
         wait_until(start, due);
@@ -155,10 +157,8 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             }
         }
         if let Some(feed) = &mut feed {
-            feed.poll(now);
-            for (value, c) in last[gauges..].iter_mut().zip(&columns[gauges..]) {
-                *value = feed.value(&c.name).ok().or(*value);
-            }
+            take(feed, now, &columns[gauges..], &mut last[gauges..], &mut came_s[gauges..]);
+            say_odd_line(feed, now, &mut said);
         }
         last[0] = Some(now);
         for (value, w) in last[1..own].iter_mut().zip(bank.sensors()) {
@@ -184,6 +184,11 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
                 c.data.push(v);
             }
             taken += 1;
+            // A reading makes one row: a gauge that says nothing more has none.
+            let read = last.iter_mut().zip(&columns).skip(gauges);
+            read.filter(|(_, c)| !stays(&c.role)).for_each(|(value, _)| *value = None);
+        } else if faulty.is_none() {
+            incomplete += 1;
         }
         if now - shown_s >= 2.0 || row + 1 == rows {
             shown_s = now;
@@ -193,25 +198,28 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     }
     if taken == 0 {
         std::fs::remove_file(&part).ok();
-        let what = feed.map_or("no sensor and no feed".to_owned(), |f| {
-            columns[gauges..]
-                .iter()
-                .find_map(|c| f.value(&c.name).err().map(str::to_owned))
-                .unwrap_or_default()
-        });
-        let faulty =
-            if left_out > 0 { format!(", {left_out} with a reading that is none") } else { String::new() };
-        let found = format!("no complete row in {duration:.0} s ({what}{faulty})");
+        let found = nothing(feed.as_ref(), &columns[gauges..], duration, left_out);
         return Err(crate::Outcome::Unreachable(found).into());
     }
     if left_out > 0 {
         eprintln!("warning: {left_out} of {rows} rows left out");
+    }
+    if incomplete > 0 {
+        eprintln!("warning: {incomplete} of {rows} rows are missing: not everything had a new reading");
     }
     // Every value was checked as it came.
     let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+/// A line of the feed that cannot be read; the same again and again is said once.
+fn say_odd_line(feed: &mut Feed, now_s: f64, said: &mut String) {
+    if let Some(odd) = feed.odd_line().filter(|odd| odd != said) {
+        eprintln!("warning: at {now_s:.3} s: {odd}");
+        *said = odd;
+    }
 }
 
 /// What has nothing to say now, and why.
@@ -221,7 +229,38 @@ fn silent(bank: &Bank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> 
         format!("{} {why}", w.config().name)
     });
     let missing = last.iter().zip(columns).filter(|(value, _)| value.is_none());
-    faults.chain(missing.map(|(_, c)| format!("{} no reading yet", c.name))).collect()
+    let since = |c: &Column| if c.data.is_empty() { "no reading yet" } else { "no new reading" };
+    faults.chain(missing.map(|(_, c)| format!("{} {}", c.name, since(c)))).collect()
+}
+
+/// What changes slowly and is often sent seldom stands until its next reading, for so long, s; everything else is read anew for every
+/// row.
+const HELD_S: f64 = 180.0;
+
+/// Takes what the feed has said since the last poll: values of its columns, and when they came, s.
+fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>], came_s: &mut [f64]) {
+    feed.poll(now_s);
+    for ((value, came), c) in last.iter_mut().zip(came_s).zip(columns) {
+        if let Ok(new) = feed.value(&c.name) {
+            (*value, *came) = (Some(new), now_s);
+        } else if now_s - *came > HELD_S {
+            *value = None;
+        }
+    }
+}
+
+/// Why not a single row was recorded.
+fn nothing(feed: Option<&Feed>, gauges: &[Column], duration_s: f64, left_out: u64) -> String {
+    let trouble =
+        |f: &Feed| gauges.iter().find_map(|c| f.value(&c.name).err().map(str::to_owned)).unwrap_or_default();
+    let what = feed.map_or("no sensor and no feed".to_owned(), trouble);
+    let faulty =
+        if left_out > 0 { format!(", {left_out} with a reading that is none") } else { String::new() };
+    format!("no complete row in {duration_s:.0} s ({what}{faulty})")
+}
+
+fn stays(role: &Role) -> bool {
+    matches!(role, Role::Temperature | Role::Channel | Role::Coolant | Role::SpindleSpeed)
 }
 
 /// The first value of a row that its column cannot hold: its place, and what is wrong with it.

@@ -1,6 +1,7 @@
 //! `rtecctl model fit-chain`: a chain's polynomials from records, component by component.
 
 use super::fit::draw;
+use crate::figures::with_bounds;
 use rtec_files::InputError;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_fit::thermal::residual_chart;
@@ -57,7 +58,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for t in &report.terms {
         let name = format!("{}.{}", t.joint, t.component);
         let [low, high] = t.interval;
-        println!("{name:24} p^{} dT^{} {:12.4}  [{low:.4}, {high:.4}]", t.p, t.dt, t.value);
+        println!("{name:24} p^{} dT^{} {}", t.p, t.dt, with_bounds(t.value, low, high));
     }
     for (path, response, [before, after]) in &report.rms_um {
         println!("{} {response}: {before:.3} -> {after:.3} µm RMS", path.display());

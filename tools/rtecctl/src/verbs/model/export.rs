@@ -173,6 +173,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             }
         ));
     }
+    if table.end_mm() > args.to + 1e-9 {
+        warnings.push(format!(
+            "its last position, {} mm, is past --to {} mm: equal steps of {:.4} mm do not end there",
+            table.end_mm(),
+            args.to,
+            table.step_mm
+        ));
+    }
     if left.max_um() > table.between_um + args.limit_um {
         warnings.push(format!(
             "one value serves both directions: what they differ by stays, up to {:.2} um in each",
@@ -196,6 +204,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS",
         left.max_up_um, left.max_down_um, left.rms_um
     );
+    let held = errors.temperatures_degc()?;
+    if !held.is_empty() {
+        let of = |(name, degc): &(&str, f64)| format!("{name} {degc}");
+        let all = held.iter().map(of).collect::<Vec<_>>().join(", ");
+        eprintln!("it holds at these temperatures: {all} degC; --temperatures states others");
+    }
     if table.constant_um != 0.0 {
         eprintln!("{:+.2} um were taken out to make it zero at the reference point", table.constant_um);
     }
@@ -208,6 +222,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
             "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
             "between_um": table.between_um, "constant_um": table.constant_um, "warnings": warnings,
+            "temperatures_degC": held.iter().copied().collect::<std::collections::BTreeMap<&str, f64>>(),
         });
         println!("{document:#}");
     }

@@ -1,11 +1,12 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
 
+use crate::figures::with_bounds;
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_fit::least;
 use rtec_fit::thermal::{self, Fitted, Options, Report};
-use rtec_measure::plausible::Suspicion;
+use rtec_measure::plausible::{self, Suspicion};
 use rtec_measure::plot::Chart;
 use rtec_model::date;
 use rtec_model::effect::Difference;
@@ -74,6 +75,9 @@ pub(crate) struct FitArgs {
     /// Days the model may be used for without being looked at again
     #[arg(long, default_value_t = 365)]
     valid_days: u16,
+    /// Fit and write although a record looks as if a unit, a sign, a direction or a column were wrong
+    #[arg(long)]
+    despite_suspicions: bool,
 }
 
 pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
@@ -105,7 +109,8 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
     }
     let Done { machine, reports, doubts } =
         run_fit(&args.common, &args.holdout, day, i64::from(args.valid_days))?;
-    machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
+    suspicions::refuse(&doubts, &args.common.records, args.despite_suspicions)?;
+    machine.write(&args.out)?;
     if args.common.json {
         return print_json(&reports, &doubts, |r| serde_json::to_value(r).unwrap_or_default());
     }
@@ -153,7 +158,9 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     let records = read(&args.common.records)?;
     let doubts = suspicions::warn(&records);
+    let (records, _) = suspicions::once(records, Vec::new());
     let (records, _) = suspicions::usable(&records, &doubts);
+    suspicions::refuse(&doubts, &args.common.records, args.despite_suspicions)?;
     let base = if let Some(path) = &args.common.base {
         Machine::read(path)?
     } else {
@@ -163,6 +170,9 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     let records: Vec<&Record> = records.iter().collect();
     let (machine, report) =
         least::fit_named(&base, &args.effects, &records, &date, i64::from(args.valid_days))?;
+    for w in &report.warnings {
+        eprintln!("warning: {w}");
+    }
     if let Some(path) = &args.common.plot {
         let mut charts = Vec::new();
         for record in &records {
@@ -172,7 +182,7 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
         }
         draw(path, &charts)?;
     }
-    machine.write(&args.out).with_context(|| format!("writing {}", args.out.display()))?;
+    machine.write(&args.out)?;
     if args.common.json {
         let mut document = serde_json::to_value(&report)?;
         suspicions::enter(&mut document, &doubts);
@@ -191,7 +201,7 @@ fn print_effects(effects: &[Fitted]) {
         let of =
             [e.sensor.as_deref(), e.minus.as_deref()].into_iter().flatten().collect::<Vec<_>>().join("-");
         for (name, p) in &e.parameters {
-            println!("  {:20} {of:10} {name:12} {:12.4}  [{:.4}, {:.4}]", e.name, p.value, p.low, p.high);
+            println!("  {:20} {of:10} {name:12} {}", e.name, with_bounds(p.value, p.low, p.high));
         }
     }
 }
@@ -216,7 +226,9 @@ struct Done {
 fn run_fit(common: &Common, holdout: &[PathBuf], date: Option<i64>, valid_days: i64) -> anyhow::Result<Done> {
     let (train, holdout) = (read(&common.records)?, read(holdout)?);
     let doubts = suspicions::warn(&[train.as_slice(), &holdout].concat());
-    let (train, _) = suspicions::usable(&train, &doubts);
+    let (train, holdout) = suspicions::once(train, holdout);
+    // What a hold-out shows takes nothing from the training.
+    let (train, _) = suspicions::usable(&train, &plausible::suspicions(&train));
     for record in train.iter().chain(&holdout).filter(|r| r.column(&Role::Time).is_none()) {
         let file = record.path.display();
         eprintln!(
@@ -224,6 +236,11 @@ fn run_fit(common: &Common, holdout: &[PathBuf], date: Option<i64>, valid_days: 
         );
     }
     let sensors = common.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
+    for d in closed(&sensors) {
+        eprintln!(
+            "warning: --sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
+        );
+    }
     let options = Options {
         sensors,
         environment: common.environment.clone(),
@@ -276,6 +293,28 @@ fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
     })
 }
 
+/// Differences that those before them make up: T1-T0 beside T1-T2 and T2-T0.
+fn closed(differences: &[Difference]) -> Vec<String> {
+    // Sensors that differences connect are one group; a difference within a group says nothing new.
+    let mut group: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
+    let mut out = Vec::new();
+    for (k, d) in differences.iter().enumerate() {
+        let ends = if d.is_pair() {
+            d.sensors().map(str::to_owned).collect::<Vec<_>>()
+        } else {
+            // The environment, whichever it is.
+            vec![d.to_string(), String::new()]
+        };
+        let own: Vec<usize> =
+            ends.iter().enumerate().map(|(i, e)| *group.entry(e.clone()).or_insert(2 * k + i)).collect();
+        if own[0] == own[1] {
+            out.push(d.to_string());
+        }
+        group.values_mut().filter(|g| **g == own[1]).for_each(|g| *g = own[0]);
+    }
+    out
+}
+
 fn print_json(
     reports: &[Report],
     doubts: &[Suspicion],
@@ -307,5 +346,25 @@ fn print_selection(r: &Report) {
     }
     for (i, round) in r.rounds.iter().enumerate() {
         println!("round {}: {:40} R {:.5}  CV {:.3} µm", i + 1, round.added, round.r, round.cv_rms_um);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_that_others_make_up_is_found() {
+        let of = |all: &[(&str, &str)]| {
+            let each = |(a, b): &(&str, &str)| match *b {
+                "" => Difference::single(a),
+                minus => Difference::pair(a, minus),
+            };
+            closed(&all.iter().map(each).collect::<Vec<_>>())
+        };
+        assert_eq!(of(&[("T1", "T2"), ("T2", "T0"), ("T1", "T0")]), ["T1-T0"]);
+        assert_eq!(of(&[("T1", ""), ("T2", ""), ("T2", "T1")]), ["T2-T1"]);
+        assert_eq!(of(&[("T1", "T0"), ("T2", "T0"), ("T3", "T4")]), [""; 0]);
+        assert_eq!(of(&[("T1", ""), ("T2", "")]), [""; 0]);
     }
 }

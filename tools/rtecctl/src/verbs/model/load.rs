@@ -1,11 +1,16 @@
 //! `rtecctl model load` and `unload`: which machine model the daemon runs.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, absolute, check, unreachable};
+use crate::daemon::{Daemon, absolute, check, open, unreachable};
 use rtec_control::protocol::{Change, ClientRequest, ModelPreview, Response};
+use rtec_files::InputError;
+use rtec_model::effect::Dictionary;
+use rtec_model::machine::Machine;
+use std::cell::RefCell;
 use std::fmt::Write as _;
+use std::fs::File;
 use std::io::{IsTerminal, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Show what a model changes right now, and have the daemon take it
 ///
@@ -27,14 +32,19 @@ pub(crate) struct LoadArgs {
 
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let file = args.file.as_deref().map(absolute);
+    let own = args.file.as_deref().map(of_model).transpose()?.unwrap_or_default();
     let mut client = args.daemon.connect()?;
-    let shown = client
-        .ask(&ClientRequest::ModelLoad { file: file.clone(), take: None, expired: false })
-        .map_err(unreachable)?;
-    let Response::ModelPreview(preview) = check(shown)? else {
+    let names: Vec<String> = own.files.iter().map(|f| f.display().to_string()).collect();
+    let open = || own.files.iter().map(|f| open(f)).collect::<Result<Vec<File>, _>>();
+    let (take, files) = (None, names.clone());
+    let shown = ClientRequest::ModelLoad { file: file.clone(), take, expired: false, files };
+    let shown = client.ask_with(&shown, &open()?).map_err(unreachable)?;
+    let Response::ModelPreview(mut preview) = check(shown)? else {
         return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
     };
-    let take = ClientRequest::ModelLoad { file, take: Some(preview.sha256.clone()), expired: args.expired };
+    preview.warnings.splice(0..0, own.warnings.clone());
+    let (take, expired) = (Some(preview.sha256.clone()), args.expired);
+    let take = ClientRequest::ModelLoad { file, take, expired, files: names };
     if args.daemon.json {
         println!("{}", serde_json::to_string(&*preview)?);
     } else {
@@ -44,11 +54,31 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     if !refused && !args.yes && !agreed()? {
         return Err(Outcome::No("not taken; the daemon goes on as before".to_owned()).into());
     }
-    check(client.ask(&take).map_err(unreachable)?)?;
+    check(client.ask_with(&take, &open()?).map_err(unreachable)?)?;
     if !args.daemon.json {
         println!("taken");
     }
     Ok(())
+}
+
+/// A model of this user's: its files, the model first, and what is to be said of it here.
+#[derive(Debug, Default)]
+struct Own {
+    files: Vec<PathBuf>,
+    warnings: Vec<String>,
+}
+
+/// The files of a model that this user names; the daemon is given them open. One that is not there, or has a mistake, is said
+/// here.
+fn of_model(file: &Path) -> Result<Own, InputError> {
+    let path = PathBuf::from(absolute(file));
+    let text = rtec_files::text::read(&path)?;
+    let files = RefCell::new(vec![path.clone()]);
+    let machine = Machine::parse_from(&path, &text, Dictionary::default(), &|beside| {
+        files.borrow_mut().push(beside.to_owned());
+        rtec_files::text::read(beside)
+    })?;
+    Ok(Own { warnings: machine.changed_sources(), files: files.into_inner() })
 }
 
 pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {

@@ -36,7 +36,21 @@ pub(crate) struct CompareArgs {
 }
 
 pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
-    let machine = Machine::read(&args.machine)?;
+    let machine = match Machine::read(&args.machine) {
+        Ok(machine) => machine,
+        // A chain by itself: what a model names as its `chain`.
+        Err(error) => match Chain::read(&args.machine) {
+            Ok(chain) => {
+                if args.json {
+                    println!("{}", serde_json::to_string_pretty(&json!({"chain": chain_json(&chain)}))?);
+                } else {
+                    print!("{}", chain_text(&chain));
+                }
+                return Ok(());
+            }
+            Err(_) => return Err(error.into()),
+        },
+    };
     for warning in machine.doubts(date::today()) {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
@@ -47,7 +61,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             .iter()
             .map(|f| {
                 json!({"response": f.response, "date": f.date, "valid_until": f.valid_until, "rms_um": f.rms_um,
-                       "half_width_um": f.half_width_um})
+                       "half_width_um": f.half_width_um, "by_kind_um": f.by_kind_um})
             })
             .collect();
         let document = json!({"name": machine.name(), "effects": effects, "fits": fits,
@@ -63,7 +77,9 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             let values = l.effect.get(i);
             let interval = l.provenance.interval.get(&p.name);
             for (k, v) in values.iter().enumerate() {
-                let within = interval.map_or(String::new(), |i| format!("  [{}, {}]", i[k][0], i[k][1]));
+                let within =
+                    interval.map_or(String::new(), |i| format!("  [{}, {}]", short(i[k][0]), short(i[k][1])));
+                let v = short(*v);
                 println!("    {:14} {v} {}{within}", if k == 0 { p.name.as_str() } else { "" }, p.unit);
             }
         }
@@ -83,6 +99,10 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             "{}: fitted {}, good until {}; {:.3} µm RMS on unseen blocks, 95 % within ±{:.3} µm",
             f.response, f.date, f.valid_until, f.rms_um, f.half_width_um
         );
+        if f.by_kind_um.len() > 1 {
+            let of = |(kind, um): (&String, &f64)| format!("{kind} ±{um:.3} µm");
+            println!("    by kind of run: {}", f.by_kind_um.iter().map(of).collect::<Vec<_>>().join(", "));
+        }
     }
     Ok(())
 }
@@ -100,7 +120,7 @@ fn chain_text(chain: &Chain) -> String {
         text.push('\n');
         for c in &joint.components {
             let terms: Vec<String> = c.terms.iter().map(term).collect();
-            let delta = c.delta.as_ref().map_or(String::new(), |d| format!("   ΔT = {d}"));
+            let delta = c.delta.as_ref().map_or(String::new(), |d| format!("   ΔT = {}", d.in_full()));
             let _ =
                 writeln!(text, "    {} = {} {}{delta}", COMPONENTS[c.kind], terms.join(" "), unit(c.kind));
         }
@@ -149,7 +169,7 @@ fn chain_json(chain: &Chain) -> Value {
 
 /// A name with its sensor.
 fn heading(effect: &Effect) -> String {
-    let delta = effect.delta.as_ref().map_or(String::new(), |d| format!(" ({d})"));
+    let delta = effect.delta.as_ref().map_or(String::new(), |d| format!(" ({})", d.in_full()));
     format!("{}{delta}", effect.name())
 }
 

@@ -25,7 +25,7 @@ pub(crate) struct Args {
     /// What was probed [default: recognised from the points]
     #[arg(long, value_enum)]
     feature: Option<Feature>,
-    /// Nominal inclination of a taper to the part's axis, in degrees
+    /// Nominal inclination of a taper to the part's axis, in degrees: the difference is shown, error.cor does not take it out
     #[arg(long, allow_negative_numbers = true)]
     taper_deg: Option<f64>,
     /// Take out what this machine's model predicts at each point; the temperatures are the record's columns T0, T1, …
@@ -66,7 +66,7 @@ enum Feature {
 fn nominal(args: &Args, probed: &Probed) -> anyhow::Result<Nominal> {
     let straight = match args.feature {
         Some(feature) => feature == Feature::Line,
-        None => probed.is_straight()?,
+        None => probed.is_straight(args.radius_mm.is_some())?,
     };
     match (straight, args.radius_mm) {
         (true, Some(radius_mm)) if args.feature.is_none() => {
@@ -85,7 +85,11 @@ fn nominal(args: &Args, probed: &Probed) -> anyhow::Result<Nominal> {
         (false, Some(radius_mm)) if radius_mm.is_finite() && radius_mm > 0.0 => {
             Ok(Nominal::Circle { radius_mm })
         }
-        (false, _) => Err(usage("--radius-mm", "no positive radius", "the arc's nominal radius in mm")),
+        (false, _) => Err(usage(
+            "--radius-mm",
+            "no positive radius",
+            "the arc's nominal radius in mm; or --feature line",
+        )),
     }
 }
 
@@ -171,7 +175,10 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         let _ = writeln!(t, "inclination     {deg:.5}°");
     }
     if let Some(deg) = r.inclination_error_deg {
-        let _ = writeln!(t, "from nominal    {deg:+.5}°");
+        let _ = writeln!(
+            t,
+            "from nominal    {deg:+.5}° left by error.cor, which holds the form alone: turn the program's taper by it"
+        );
     }
     let _ = writeln!(
         t,

@@ -4,7 +4,7 @@ use super::bench::BenchArgs;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use rtec_model::machine::Machine;
-use rtec_part::errors::read_error_cor;
+use rtec_part::cor::read_arc;
 use rtec_part::fit::Zx;
 use rtec_part::table::FinishTable;
 use rtec_sim::lathe::{axes, design};
@@ -53,7 +53,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     setup.centre = part.centre;
     let table = match (&args.errors, design(&setup.design)) {
         (Some(file), Some(design)) => {
-            Some(FinishTable::new(setup.cut(radius_mm), axes(&setup.bench, design), read_error_cor(file)?))
+            Some(FinishTable::new(setup.cut(radius_mm), axes(&setup.bench, design), read_arc(file)?))
         }
         _ => None,
     };

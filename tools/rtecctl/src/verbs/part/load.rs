@@ -2,18 +2,18 @@
 
 use super::table::CutArgs;
 use super::usage;
-use crate::daemon::{Daemon, absolute};
+use crate::daemon::{Daemon, absolute, open};
 use rtec_control::protocol::{ClientRequest, PartTable};
-use rtec_part::errors::read_error_cor;
+use rtec_part::cor::FeatureErrors;
 use std::path::PathBuf;
 
 /// Have the daemon take out a part's errors in the finish cut
 ///
 /// The daemon evaluates the table from the machine's position, ahead of it, on top of the machine model and the
-/// operator's totals. It acts near the arc only. Corrections go to it in a ramp.
+/// operator's totals. It acts near the arc, or near the cylinder, face or taper, only. Corrections go to it in a ramp.
 #[derive(Debug, clap::Args)]
 pub(crate) struct LoadArgs {
-    /// Errors by angle, as `part errors` writes them
+    /// Errors as `part errors` writes them: by angle of an arc, by place of a straight feature
     #[arg(long, value_name = "ERROR.COR")]
     errors: PathBuf,
     #[command(flatten)]
@@ -32,22 +32,36 @@ pub(crate) struct LoadArgs {
 }
 
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
-    let cut = args.cut.cut()?;
     if !(0.0..=1000.0).contains(&args.lead_ms) {
         return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 to 1000"));
     }
     // Found here, with line and column, before the daemon is asked.
-    let points = read_error_cor(&args.errors)?.len();
+    let errors = FeatureErrors::read(&args.errors)?;
+    let points = errors.len();
+    let arc = match errors {
+        FeatureErrors::Arc(_) => Some(args.cut.cut()?),
+        FeatureErrors::Line(_) if args.cut.is_arc() => {
+            let expected = "neither: a straight feature's errors bring their places";
+            return Err(usage("--radius-mm, --centre-z-mm", "an arc's place", expected));
+        }
+        FeatureErrors::Line(_) => None,
+    };
+    let (nose_mm, origin) = args.cut.tool()?;
     let table = PartTable {
         errors: absolute(&args.errors),
         axes: [args.z_axis.clone(), args.x_axis.clone()],
-        centre_mm: [cut.centre.z, cut.centre.x],
-        radius_mm: cut.radius_mm,
-        nose_mm: cut.nose_mm,
-        origin_mm: [cut.origin.z, cut.origin.x],
+        centre_mm: arc.map(|cut| [cut.centre.z, cut.centre.x]),
+        radius_mm: arc.map(|cut| cut.radius_mm),
+        nose_mm,
+        origin_mm: [origin.z, origin.x],
         lead_ms: args.lead_ms,
     };
-    args.daemon.order(&ClientRequest::TableLoad(table), &format!("part table of {points} points loaded"))
+    let files = [open(&args.errors)?];
+    args.daemon.ask_with(&ClientRequest::TableLoad(table), &files)?;
+    if !args.daemon.json {
+        println!("part table of {points} points loaded");
+    }
+    Ok(())
 }
 
 pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {

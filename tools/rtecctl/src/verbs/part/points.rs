@@ -175,8 +175,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let page = Page::listen(args.port)?;
         eprintln!("open {} and say Done there when you are", page.url());
         let clear_mm = args.bypass.unwrap_or(2.0);
-        let mut session = PlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };
-        return Ok(page.serve(&mut session)?);
+        let session = PlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };
+        return Ok(page.serve(session)?);
     }
     if plan.points.is_empty() {
         return Err(usage("--feature", "no point", "--feature, --points or --web"));

@@ -2,7 +2,7 @@
 
 use super::{print, usage, write_all};
 use rtec_part::batch::{BatchFinding, Judgement, evaluate};
-use rtec_part::errors::{error_cor, read_error_cor};
+use rtec_part::cor::{error_cor, read_arc};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if !(args.least_um >= 0.0 && args.least_um.is_finite()) {
         return Err(usage("--least-um", args.least_um.to_string(), "0 or more, in µm"));
     }
-    let seen = args.inspected.as_deref().map(read_error_cor).transpose()?;
+    let seen = args.inspected.as_deref().map(read_arc).transpose()?;
     let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
     let batch = evaluate(&args.batch, seen.as_deref(), judgement)?;
     if let Some(folder) = &args.out {

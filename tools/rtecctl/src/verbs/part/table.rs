@@ -2,7 +2,7 @@
 
 use super::points::positive;
 use super::{print, usage, write_all};
-use rtec_part::errors::{read_error_cor, read_line_cor};
+use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
 use rtec_part::line_table::LineTable;
 use rtec_part::table::{AxisCounts, FinishCut, FinishTable, csv};
@@ -80,8 +80,13 @@ impl CutArgs {
         Ok(FinishCut { centre, radius_mm, nose_mm, origin })
     }
 
+    /// Whether an arc's place is given.
+    pub(crate) fn is_arc(&self) -> bool {
+        self.radius_mm.is_some() || self.centre_z_mm.is_some()
+    }
+
     /// Radius of the tool's nose, and the machine position at which its centre is at the part's origin.
-    fn tool(&self) -> anyhow::Result<(f64, Zx)> {
+    pub(crate) fn tool(&self) -> anyhow::Result<(f64, Zx)> {
         if !(self.nose_mm.is_finite() && self.nose_mm >= 0.0) {
             return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 or more"));
         }
@@ -130,17 +135,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let lead_mm = feed_mm_s * args.lead_ms * 1e-3;
     let off_mm = args.g01_um.map(|um| positive("--g01-um", um)).transpose()?.map(|um| um * 1e-3);
-    let (rows, text, moves) = if let Some(errors) = read_line_cor(&args.errors)? {
-        let (nose_mm, origin) = args.cut.tool()?;
-        let table = LineTable { errors, axes, nose_mm, origin };
-        let rows = table.rows(args.between);
-        let text = table.csv(&rows, lead_mm, args.backwards);
-        (rows, text, off_mm.map(|_| table.straight_moves()))
-    } else {
-        let table = FinishTable::new(args.cut.cut()?, axes, read_error_cor(&args.errors)?);
-        let rows = table.rows(args.between);
-        let text = csv(&table, &rows, lead_mm, args.backwards);
-        (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))
+    let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
+        FeatureErrors::Line(errors) => {
+            let (nose_mm, origin) = args.cut.tool()?;
+            let table = LineTable { errors, axes, nose_mm, origin };
+            let rows = table.rows(args.between);
+            let text = table.csv(&rows, lead_mm, args.backwards);
+            (rows, text, off_mm.map(|_| table.straight_moves()))
+        }
+        FeatureErrors::Arc(errors) => {
+            let table = FinishTable::new(args.cut.cut()?, axes, errors);
+            let rows = table.rows(args.between);
+            let text = csv(&table, &rows, lead_mm, args.backwards);
+            (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))
+        }
     };
     let moves = moves.unwrap_or_default();
     let mut made: Vec<(&str, &[u8])> = vec![("table.csv", text.as_bytes())];

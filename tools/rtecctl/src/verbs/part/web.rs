@@ -1,17 +1,24 @@
 //! A small page on this machine only: the drawing, click to add or remove points, the probe's path, save.
+//!
+//! Every user of this machine can reach the port. Its address has a secret in it, that only whoever started the page is told;
+//! a request without it is refused, unread. Each request has a thread: one that never ends holds up no other.
 
+use crate::http::{Answer, Handler, Request, Server};
+use rtec_model::record::hex;
 use rtec_part::contour::Contour;
 use rtec_part::fit::Zx;
 use rtec_part::path::Plan;
 use rtec_part::unit::Unit;
 use serde_json::{Value, json};
+use std::fs::File;
+use std::io::Read;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use tiny_http::{Header, Method, Request, Response, Server};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 const PAGE: &str = include_str!("page.html");
-/// A larger request is none of the page's.
-const MAX_BODY: usize = 4096;
 
 /// What the page edits.
 #[derive(Debug)]
@@ -32,6 +39,8 @@ pub(crate) struct PlanEditor {
 pub(crate) struct Page {
     server: Server,
     address: SocketAddr,
+    /// What every path begins with.
+    secret: String,
 }
 
 impl Page {
@@ -40,85 +49,101 @@ impl Page {
     /// # Errors
     /// As the system reports them: the port is taken, no loopback.
     pub(crate) fn listen(port: u16) -> std::io::Result<Self> {
-        let server = Server::http(SocketAddr::from(([127, 0, 0, 1], port))).map_err(std::io::Error::other)?;
-        let address = server.server_addr().to_ip().ok_or_else(|| std::io::Error::other("no IP address"))?;
-        Ok(Self { server, address })
+        let server = Server::tcp(SocketAddr::from(([127, 0, 0, 1], port)))?;
+        let address = server.address()?;
+        let mut bytes = [0; 16];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        Ok(Self { server, address, secret: format!("/{}", hex(&bytes)) })
     }
 
     /// Address of the page, for a browser on this computer.
     #[must_use]
     pub(crate) fn url(&self) -> String {
-        format!("http://{}/", self.address)
+        format!("http://{}{}/", self.address, self.secret)
     }
 
     /// Answer until the page says it is done.
     ///
     /// # Errors
     /// The listening socket failed.
-    pub(crate) fn serve(&self, session: &mut PlanEditor) -> std::io::Result<()> {
-        loop {
-            let mut request = self.server.recv()?;
-            let (status, kind, body) = if self.is_ours(&request) {
-                answer(session, &mut request)
-            } else {
-                (403, "text/plain", "only the page of this machine may ask".to_owned())
-            };
-            let done = status == 200 && request.url() == "/done";
-            let headers = [("Content-Type", kind), ("Cache-Control", "no-store")];
-            let response =
-                headers.iter().fold(Response::from_string(body).with_status_code(status), |r, (k, v)| {
-                    match Header::from_bytes(*k, *v) {
-                        Ok(header) => r.with_header(header),
-                        Err(()) => r,
-                    }
-                });
-            // The browser may be gone: its next request will show it.
-            let _ = request.respond(response);
-            if done {
-                return Ok(());
-            }
-        }
+    pub(crate) fn serve(&self, session: PlanEditor) -> std::io::Result<()> {
+        let done = Arc::<AtomicBool>::default();
+        let asked = Asked {
+            secret: self.secret.clone(),
+            address: self.address,
+            session: Mutex::new(session),
+            done: Arc::clone(&done),
+        };
+        self.server.serve(&Arc::new(asked), &done)?;
+        // The answer to the last request is on its way.
+        std::thread::sleep(LAST_ANSWER);
+        Ok(())
+    }
+}
+
+/// The last answer is given so long to be sent.
+const LAST_ANSWER: Duration = Duration::from_millis(100);
+
+/// What requests are answered from.
+struct Asked {
+    secret: String,
+    address: SocketAddr,
+    session: Mutex<PlanEditor>,
+    done: Arc<AtomicBool>,
+}
+
+impl Asked {
+    /// What a request is for.
+    fn what<'r>(&self, request: &'r Request) -> Option<&'r str> {
+        request.path.strip_prefix(&self.secret).filter(|what| what.starts_with('/'))
     }
 
     /// Another site in the same browser must not drive this page: its name and origin give it away.
     fn is_ours(&self, request: &Request) -> bool {
-        let header = |name: &str| {
-            request
-                .headers()
-                .iter()
-                .find(|h| h.field.as_str().as_str().eq_ignore_ascii_case(name))
-                .map(|h| h.value.as_str())
-        };
         let hosts = [self.address.to_string(), format!("localhost:{}", self.address.port())];
         let is_host = |h: &str| hosts.iter().any(|mine| mine == h);
-        header("Host").is_some_and(is_host)
-            && header("Origin").is_none_or(|o| o.strip_prefix("http://").is_some_and(is_host))
+        let origin = request.header("Origin");
+        request.header("Host").is_some_and(is_host)
+            && origin.is_none_or(|o| o.strip_prefix("http://").is_some_and(is_host))
     }
 }
 
-fn answer(session: &mut PlanEditor, request: &mut Request) -> (u16, &'static str, String) {
+impl Handler for Asked {
+    fn may(&self, head: &Request) -> Result<(), Answer> {
+        match self.what(head) {
+            Some(_) if self.is_ours(head) => Ok(()),
+            _ => Err(Answer::plain(403, "only the page of whoever started it may ask")),
+        }
+    }
+
+    fn answer(&self, request: &Request) -> Answer {
+        let what = self.what(request).unwrap_or_default();
+        let (status, kind, body) = answer(&self.session, what, request);
+        self.done.fetch_or(status == 200 && what == "/done", Ordering::AcqRel);
+        Answer { status, kind, body }
+    }
+}
+
+fn answer(session: &Mutex<PlanEditor>, what: &str, request: &Request) -> (u16, &'static str, String) {
     const JSON: &str = "application/json";
-    let get = *request.method() == Method::Get;
-    if get && request.url() == "/" {
+    // Nothing is half done where a thread panicked: each change is one call.
+    let editor = || session.lock().unwrap_or_else(PoisonError::into_inner);
+    let get = request.method == "GET";
+    if get && what == "/" {
         return (200, "text/html; charset=utf-8", PAGE.to_owned());
     }
-    if get && request.url() == "/plan" {
-        return (200, JSON, state(session).to_string());
+    if get && what == "/plan" {
+        return (200, JSON, state(&editor()).to_string());
     }
-    if *request.method() != Method::Post {
+    if request.method != "POST" {
         return (404, "text/plain", "no such page".to_owned());
     }
-    let mut body = String::new();
-    let read = std::io::Read::read_to_string(
-        &mut std::io::Read::take(request.as_reader(), MAX_BODY as u64),
-        &mut body,
-    );
-    let asked: Value = match read.ok().and_then(|_| serde_json::from_str(&body).ok()) {
-        Some(asked) => asked,
-        None => return (400, "text/plain", "a JSON object was expected".to_owned()),
+    let Ok(asked) = serde_json::from_slice::<Value>(&request.body) else {
+        return (400, "text/plain", "a JSON object was expected".to_owned());
     };
-    match change(session, request.url(), &asked) {
-        Ok(()) => (200, JSON, state(session).to_string()),
+    let mut editor = editor();
+    match change(&mut editor, what, &asked) {
+        Ok(()) => (200, JSON, state(&editor).to_string()),
         Err(why) => (400, "text/plain", why),
     }
 }

@@ -1,0 +1,128 @@
+//! What the real-time thread notices of those who read the daemon: its latencies quiet, and with clients and a scrape.
+//!
+//! `cargo bench -p rtec-tests --bench clients [-- SECONDS]`, ten seconds a column. Prints, asserts nothing. A daemon of its own
+//! for each column, on the embedded simulated axes, correcting; the record of commands is on, as always.
+
+use rtec_tests::daemon::{Daemon, program, until};
+use serde_json::Value;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+const CLIENTS: usize = 30;
+
+/// Who reads the daemon meanwhile.
+struct Load {
+    name: &'static str,
+    clients: usize,
+    scraped: bool,
+}
+
+const LOADS: [Load; 3] = [
+    Load { name: "quiet", clients: 0, scraped: false },
+    Load { name: "scraped", clients: 0, scraped: true },
+    Load { name: "30 clients, scraped", clients: CLIENTS, scraped: true },
+];
+
+fn main() -> anyhow::Result<()> {
+    let seconds = std::env::args().skip(1).find_map(|a| a.parse::<u64>().ok()).unwrap_or(10);
+    let found = LOADS.iter().map(|load| measured(load, Duration::from_secs(seconds)));
+    let found = found.collect::<anyhow::Result<Vec<_>>>()?;
+    let busy = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    println!(
+        "{seconds} s each, ns; card mock, ordinary thread; scraped every second, each client a status each 100 ms"
+    );
+    println!("load of this computer at the end: {}", busy.split(' ').next().unwrap_or("unknown"));
+    row("", LOADS.map(|load| load.name.to_owned()));
+    for (what, key) in [("poll gap", "poll_gap_ns"), ("edge to done", "edge_to_done_ns")] {
+        for (name, part) in
+            [("p50", "p50"), ("p99", "p99"), ("p99.99", "p9999"), ("max", "max"), ("samples", "samples")]
+        {
+            row(
+                &format!("{what}, {name}"),
+                found.iter().map(|(status, _)| status["rt"][key][part].to_string()),
+            );
+        }
+    }
+    row("answers to clients", found.iter().map(|(_, answers)| answers.to_string()));
+    Ok(())
+}
+
+fn row(name: &str, cells: impl IntoIterator<Item = String>) {
+    print!("{name:<22}");
+    for cell in cells {
+        print!("{cell:>22}");
+    }
+    println!();
+}
+
+/// The status at the end, and how many answers the clients had.
+fn measured(load: &Load, time: Duration) -> anyhow::Result<(Value, u64)> {
+    let directory = tempfile::tempdir()?;
+    let socket = directory.path().join("s");
+    let view = directory.path().join("s-view");
+    let daemon = Daemon::enabled(&socket);
+    let stop = Arc::new(AtomicBool::new(false));
+    let answers = Arc::new(AtomicU64::new(0));
+    let mut threads = Vec::new();
+    for _ in 0..load.clients {
+        let (stop, answers, view) = (Arc::clone(&stop), Arc::clone(&answers), view.clone());
+        threads.push(std::thread::spawn(move || ask(&view, &stop, &answers)));
+    }
+    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+    let mut server = None;
+    if load.scraped {
+        let mut command = Command::new(program("rtecctl"));
+        command.args(["metrics", "--listen", &format!("127.0.0.1:{port}"), "--socket"]).arg(&socket);
+        server = Some(command.stderr(Stdio::null()).spawn()?);
+        until("served", || scrape(port).is_ok());
+    }
+    let (begun, mut total) = (Instant::now(), 0);
+    while begun.elapsed() < time {
+        // Something to insert all the time.
+        total = if total == 0 { 40 } else { 0 };
+        daemon.expect(0, &["correct", "x", &total.to_string()]);
+        if load.scraped {
+            scrape(port)?;
+        }
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    let status = daemon.status();
+    stop.store(true, Ordering::Relaxed);
+    for thread in threads {
+        drop(thread.join());
+    }
+    if let Some(mut server) = server {
+        server.kill()?;
+        server.wait()?;
+    }
+    Ok((status, answers.load(Ordering::Relaxed)))
+}
+
+fn ask(socket: &Path, stop: &AtomicBool, answers: &AtomicU64) {
+    let Ok(stream) = UnixStream::connect(socket) else { return };
+    let mut stream = BufReader::new(stream);
+    let mut line = String::new();
+    while !stop.load(Ordering::Relaxed) {
+        line.clear();
+        let asked = stream.get_mut().write_all(b"{\"do\":\"status\"}\n");
+        if asked.is_err() || stream.read_line(&mut line).is_ok_and(|n| n == 0) {
+            return;
+        }
+        answers.fetch_add(1, Ordering::Relaxed);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+fn scrape(port: u16) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;
+    let mut text = String::new();
+    stream.read_to_string(&mut text)?;
+    Ok(text)
+}

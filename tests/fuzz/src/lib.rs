@@ -1,0 +1,80 @@
+//! What the fuzz targets share: what is expected of every reader, beyond that it does not panic.
+//!
+//! | expected | seen by |
+//! |---|---|
+//! | an error is one line that can be printed | [`checked`] |
+//! | what is written reads back as it was | the targets |
+//! | memory and time are bounded | libFuzzer's limits (`.ci/run`) |
+//!
+//! With `RTEC_FUZZ_PLANTED=panic|text|memory|time` there is a fault of that kind behind three letters: `.ci/run` shows
+//! that it is found.
+
+use std::fmt::Display;
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+/// A file's name for readers that are given text; nothing stands beside it.
+pub const NAME: &str = "/nonexistent/in";
+
+/// Faults on purpose.
+static PLANTED: LazyLock<Option<String>> = LazyLock::new(|| std::env::var("RTEC_FUZZ_PLANTED").ok());
+
+/// A reader's result; its error must be fit to be read by people, at a terminal.
+pub fn checked<T, E: Display>(result: Result<T, E>) -> Option<T> {
+    result.map_err(|e| fit(&e.to_string())).ok()
+}
+
+/// Whether a message can be shown as it is: something, on one line, with nothing that a terminal would act on.
+pub fn fit(message: &str) {
+    assert!(!message.trim().is_empty(), "an error without words");
+    assert!(!message.chars().any(char::is_control), "an error that does not print: {message:?}");
+}
+
+/// The input as a file of text is read.
+pub fn text(data: &[u8]) -> Option<String> {
+    if let Some(kind) = PLANTED.as_deref() {
+        plant(data, kind);
+        return None;
+    }
+    checked(rtec_files::text::decode(Path::new(NAME), data))
+}
+
+/// An input of several files, parted by lines of `%%`; what is not there is empty.
+pub fn parts<const N: usize>(text: &str) -> [&str; N] {
+    let mut rest = Some(text);
+    [(); N].map(|()| match rest.and_then(|r| r.split_once("\n%%\n")) {
+        Some((part, more)) => {
+            rest = Some(more);
+            part
+        }
+        None => rest.take().unwrap_or_default(),
+    })
+}
+
+/// Puts a file where readers find it that take no text.
+pub fn put(name: &str, bytes: &[u8]) -> PathBuf {
+    static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
+        let folder = std::env::temp_dir().join(format!("rtec-fuzz-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("the folder for temporary files can be written to");
+        folder
+    });
+    let path = FOLDER.join(name);
+    std::fs::write(&path, bytes).expect("the folder for temporary files can be written to");
+    path
+}
+
+fn plant(data: &[u8], kind: &str) {
+    // A byte at a time, each a branch of its own: whoever follows coverage gets there.
+    let is = |n: usize, byte: u8| black_box(data.get(n).copied()) == Some(byte);
+    if is(0, b'R') && is(1, b'T') && is(2, b'E') {
+        match kind {
+            "text" => fit("found \u{1b}[2J, expected nothing of the kind"),
+            "memory" => drop(black_box(vec![1_u8; 1 << 30])),
+            "time" => loop {
+                std::thread::yield_now();
+            },
+            _ => panic!("planted"),
+        }
+    }
+}

@@ -1,0 +1,20 @@
+//! Sensor lines, as they come over a wire.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use rtec_control::sources::Feed;
+
+fuzz_target!(|data: &[u8]| {
+    let path = rtec_fuzz::put("tty", data);
+    let from = path.to_str().expect("a path of letters");
+    let mut all = Feed::new(from);
+    let mut one = Feed::of(from, ["T1".to_owned()]);
+    for feed in [&mut all, &mut one] {
+        feed.poll(0.0);
+        match feed.value("T1") {
+            Ok(_) => {}
+            Err(trouble) => rtec_fuzz::fit(trouble),
+        }
+    }
+    assert_eq!(all.value("T1").is_ok(), one.value("T1").is_ok());
+});

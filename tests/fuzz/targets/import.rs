@@ -1,0 +1,49 @@
+//! Records of other programs: the first line says whose.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use rtec_measure::export::linuxcnc::Unit;
+use rtec_measure::import::{self, Form, ImportColumn, Own, Sampling};
+use rtec_measure::record;
+use rtec_model::record::{Axis, Kind};
+use std::path::Path;
+
+fuzz_target!(|data: &[u8]| {
+    let (file, to) = (Path::new(rtec_fuzz::NAME), Path::new("to.run.toml"));
+    let axis = Axis::new("x").expect("a letter is an axis");
+    let Some((which, data)) = data.iter().position(|b| *b == b'\n').map(|at| data.split_at(at + 1)) else {
+        return;
+    };
+    let Some(text) = rtec_fuzz::checked(import::any_text(file, data)) else { return };
+    let wanted = |named: &[&str]| {
+        let columns = named.iter().map(|c| ImportColumn::parse(c).expect("a column as it is written"));
+        columns.collect::<Vec<ImportColumn>>()
+    };
+    let read = match which {
+        b"rtl\n" => import::rtl(file, &text, &axis, to),
+        b"etalon\n" => import::etalon(file, &text, &axis, to),
+        b"ecmc\n" => import::ecmc_dat(file, &text, &axis, to),
+        b"cmm\n" => import::cmm_plate(file, &text, to),
+        b"linuxcnc\n" => import::linuxcnc_comp(file, &text, &axis, false, Unit::Mm, to),
+        b"halsampler\n" => {
+            let sampling = Sampling { period_s: 0.001, numbered: true };
+            let wanted = wanted(&["1=position.x", "2=error.x:mm"]);
+            import::halsampler(file, &text, &wanted, &sampling, &Form::default(), Kind::Dynamics, to)
+        }
+        b"shdr\n" => import::shdr(file, &text, &wanted(&["Xabs=position.x"]), Kind::Drift, true, to),
+        b"csv\n" => import::csv(file, &text, &wanted(&["t=time", "e=error.x:mm"]), Kind::Drift, to),
+        b"own\n" => {
+            let [form, table] = rtec_fuzz::parts(&text);
+            let Some(own) = rtec_fuzz::checked(Own::parse(file, form)) else { return };
+            own.read(file, table, to)
+        }
+        _ => return,
+    };
+    let Some(mut read) = rtec_fuzz::checked(read) else { return };
+    let path = rtec_fuzz::put("to.run.toml", b"");
+    (read.path, read.file) = (path, "to.csv".to_owned());
+    record::write(&mut read).expect("the folder can be written to");
+    let again = record::read_log(&read.path).expect("what is written is read");
+    assert_eq!(again.columns, read.columns);
+    assert_eq!((again.note, again.kind), (read.note, read.kind));
+});

@@ -1,0 +1,34 @@
+//! The daemon's state file.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use rtec_rt::event::{Faults, MAX_AXES};
+use rtec_rt::journal::{Journal, StateRecord};
+
+const OURS: &str = "machine \"fuzz\"";
+
+fuzz_target!(|data: &[u8]| {
+    // A file of the right size, as far as the input goes.
+    let mut bytes = data.to_vec();
+    if let Some((_, sized)) = data.split_first().filter(|(first, _)| **first == b'=') {
+        bytes = sized.to_vec();
+        bytes.resize(8192, 0);
+    }
+    let path = rtec_fuzz::put("state", &bytes);
+    let Some((mut journal, before)) = rtec_fuzz::checked(Journal::open(&path, OURS)) else {
+        assert_eq!(std::fs::read(&path).expect("it is there"), bytes, "refused and changed");
+        return;
+    };
+    assert!(before.records.iter().flatten().flatten().all(|r| r.inverters < 4));
+    // What is noted now is what is found next, whatever stood there.
+    let noted = [(1, 4), (3, 6)].map(|(inverters, completed)| StateRecord {
+        inverters,
+        completed,
+        faults: Faults::NONE,
+    });
+    noted.iter().for_each(|record| journal.record(2, *record));
+    drop(journal);
+    let (_, after) = Journal::open(&path, OURS).expect("it is ours now");
+    assert_eq!(after.records[2], [Some(noted[1]), Some(noted[0])]);
+    assert!((0..MAX_AXES).filter(|n| *n != 2).all(|n| after.records[n] == before.records[n]));
+});

@@ -1,0 +1,92 @@
+//! What a test needs that the project does not bring: other programs, measured data, root.
+//!
+//! Where it is missing the test says so and ends; the test harness hides what a passing test says, so it is noted, and the
+//! last test of `cargo test --workspace` names all that was not run. With `RTEC_REQUIRE=1`, as `.ci/run` sets it, nothing may be missing.
+//!
+//! And what tests of several crates are made of: numbers ([`dice`]), and an axis that moves ([`motion`]).
+
+pub mod dice;
+pub mod motion;
+
+use std::io::Write;
+use std::os::unix::process::parent_id;
+use std::path::{Path, PathBuf};
+
+/// Notes that a test could not run, and why. The test is to end after it.
+///
+/// # Panics
+/// With `RTEC_REQUIRE` set: then nothing may be left out.
+pub fn skipped(why: &str) {
+    assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
+    eprintln!("SKIPPED: {why}");
+    assert!(note(why).is_some(), "not noted: {why}");
+}
+
+/// The note alone; `None` where it could not be written.
+#[must_use]
+pub fn note(why: &str) -> Option<()> {
+    let test = std::thread::current().name().unwrap_or("main").to_owned();
+    let file = notes()?;
+    std::fs::create_dir_all(file.parent()?).ok()?;
+    let mut file = std::fs::File::options().create(true).append(true).open(file).ok()?;
+    // One write: tests run in parallel.
+    file.write_all(format!("{why}\t{test}\n").as_bytes()).ok()
+}
+
+/// A file of the measured data that is no part of the project, or `None`, noted, where it is not there.
+#[must_use]
+pub fn shared(file: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(file);
+    if path.exists() {
+        return Some(path);
+    }
+    skipped(&format!("../shared/{file} is not there"));
+    None
+}
+
+/// Whether a program of a Debian package is there; where it is not, that is noted.
+#[must_use]
+pub fn installed(program: &str, package: &str) -> bool {
+    let there = ["/usr/bin", "/usr/sbin"].iter().any(|folder| Path::new(folder).join(program).exists());
+    if !there {
+        skipped(&format!("no {program} (Debian: {package})"));
+    }
+    there
+}
+
+/// Whether Debian's own Python has a module; where it has not, that is noted.
+#[must_use]
+pub fn python(module: &str, package: &str) -> bool {
+    let found = std::process::Command::new(PYTHON).args(["-c", &format!("import {module}")]).output();
+    let there = found.is_ok_and(|out| out.status.success());
+    if !there {
+        skipped(&format!("{PYTHON} has no {module} (Debian: {package})"));
+    }
+    there
+}
+
+/// Debian's own interpreter, which its modules belong to.
+pub const PYTHON: &str = "/usr/bin/python3";
+
+/// The notes of this run: of all test programs that one cargo has started.
+fn notes() -> Option<PathBuf> {
+    let program = std::env::current_exe().ok()?;
+    // target/PROFILE/deps/PROGRAM
+    Some(program.parent()?.parent()?.join("not-run").join(parent_id().to_string()))
+}
+
+/// What was noted in this run, reason and test, sorted by reason; and forgets it, with what older runs have left.
+#[must_use]
+pub fn take_notes() -> Vec<(String, String)> {
+    let Some(file) = notes() else { return Vec::new() };
+    let text = std::fs::read_to_string(&file).unwrap_or_default();
+    if let Some(folder) = file.parent() {
+        // Nothing to forget, or in use by nobody: either way the run is over.
+        let _ = std::fs::remove_dir_all(folder);
+    }
+    let mut noted: Vec<_> =
+        text.lines().filter_map(|l| l.split_once('\t')).map(|(w, t)| (w.to_owned(), t.to_owned())).collect();
+    noted.sort();
+    noted.dedup();
+    noted
+}

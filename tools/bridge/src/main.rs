@@ -1,0 +1,251 @@
+//! `rtec-mqtt`: the corrector's state for a plant's MQTT broker. It reads the daemon's view socket and commands nothing; it
+//! subscribes to nothing either.
+//!
+//! | topic under `--topic` | payload | retained |
+//! |---|---|---|
+//! | `bridge` | `online`; `offline` is its last will | yes |
+//! | `daemon` | `online`, `offline` | yes |
+//! | `status` | the document of `rtecctl status --json` | yes |
+//! | `axes/NAME` | that axis of it | yes |
+//! | `faults` | what is latched: `[{"axis":"x","fault":"poll_gap"}]`, the machine's own with `null` | yes |
+//! | `event` | each event as it comes; `{"missed":N}` where some are lost | no |
+//!
+//! Why MQTT and not OPC UA: OPC UA's companion specifications have no object for a compensation or its ledger, so that a
+//! server would offer plain variables, at the price of certificates, an address space and a port that listens. Here nothing
+//! listens, and any plant's gateway takes JSON topics. TLS: a broker on this computer forwards over it (mosquitto: `connection`,
+//! `bridge_cafile`).
+//!
+//! What must not live here: anything that decides or commands; a second copy of the protocol (`rtec-control`).
+
+// Before the module, so that all of it prints this way: standard error that takes nothing is no reason to stop.
+macro_rules! eprintln {
+    ($($what:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), $($what)*);
+    }};
+}
+
+mod mqtt;
+
+use clap::Parser;
+use mqtt::{Connection, Login};
+use rtec_control::client::Client;
+use rtec_control::config::{Config, INSTALLED};
+use rtec_control::protocol::{ClientRequest, DaemonStatus, Observed, Response, word};
+use serde_json::{Value, json};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// The state of the real-time error corrector for an MQTT broker; nothing can be commanded through it
+#[derive(Debug, Parser)]
+#[command(
+    version,
+    after_help = "Example: rtec-mqtt --broker 127.0.0.1:1883 --topic plant/mill3\nExit codes: 2 bad usage; it runs until it is ended"
+)]
+struct Args {
+    /// The broker, as HOST:PORT; it is looked for again and again
+    #[arg(long, default_value = "127.0.0.1:1883", value_name = "HOST:PORT")]
+    broker: String,
+    /// What every topic begins with
+    #[arg(long, default_value = "rtec", value_name = "TOPIC")]
+    topic: String,
+    /// Time between two looks at the daemon
+    #[arg(long, default_value = "1s", value_name = "TIME")]
+    every: humantime::Duration,
+    /// The name to log in with
+    #[arg(long, value_name = "NAME", requires = "password_file")]
+    user: Option<String>,
+    /// The file that holds its password, in its first line
+    #[arg(long, value_name = "FILE", requires = "user")]
+    password_file: Option<PathBuf>,
+    /// The client id [default: rtec- and the process number]
+    #[arg(long, value_name = "ID")]
+    client_id: Option<String>,
+    /// The daemon's control socket, or its view socket [default: the configuration's]
+    #[arg(long, value_name = "PATH", conflicts_with = "config")]
+    socket: Option<PathBuf>,
+    /// The daemon's configuration [default: /etc/rtec/rtec.toml where it exists]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+const AGAIN: Duration = Duration::from_secs(1);
+const FASTEST: Duration = Duration::from_millis(50);
+const SLOWEST: Duration = Duration::from_secs(60);
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("rtec-mqtt: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let every = Duration::from(args.every);
+    anyhow::ensure!((FASTEST..=SLOWEST).contains(&every), "--every: found {every:?}, expected 50ms to 60s");
+    anyhow::ensure!(
+        !args.topic.is_empty() && !args.topic.contains(['+', '#', '\0']) && args.topic.len() < 1000,
+        "--topic: found {:?}, expected a topic without + and #",
+        args.topic
+    );
+    anyhow::ensure!(args.broker.contains(':'), "--broker: found {:?}, expected HOST:PORT", args.broker);
+    if let Some(file) = &args.config {
+        Config::load(file)?;
+    }
+    let password = match &args.password_file {
+        None => Vec::new(),
+        Some(file) => {
+            let text = rtec_files::text::read(file)?;
+            text.lines().next().unwrap_or_default().as_bytes().to_vec()
+        }
+    };
+    let client_id = args.client_id.clone().unwrap_or_else(|| format!("rtec-{}", std::process::id()));
+    let will = format!("{}/bridge", args.topic);
+    let login = Login {
+        client_id: &client_id,
+        user: args.user.as_deref().map(|name| (name, &password[..])),
+        keep_alive: SLOWEST * 2,
+        will: (&will, b"offline"),
+    };
+    let mut bridge = Bridge { args, client: None, known: None, uptime_s: 0.0 };
+    let mut said = String::new();
+    loop {
+        let opened = Connection::open(&args.broker, &login);
+        if opened.is_ok() {
+            said.clear();
+        }
+        if let Err(error) = opened.and_then(|mut broker| bridge.serve(&mut broker, every)) {
+            let why = error.to_string();
+            // A broker that stays away for days is no line a second.
+            if why != said {
+                eprintln!("rtec-mqtt: broker {}: {why}; again every {AGAIN:?}", args.broker);
+                said = why;
+            }
+        }
+        std::thread::sleep(AGAIN);
+    }
+}
+
+struct Bridge<'a> {
+    args: &'a Args,
+    client: Option<Client>,
+    /// Number of the last event that the broker has; before the first look none, and what was before is not told.
+    known: Option<u64>,
+    uptime_s: f64,
+}
+
+impl Bridge<'_> {
+    /// Publishes until the broker is gone.
+    fn serve(&mut self, broker: &mut Connection, every: Duration) -> io::Result<()> {
+        eprintln!("rtec-mqtt: at broker {}, topics {}/…", self.args.broker, self.args.topic);
+        self.put(broker, "bridge", b"online")?;
+        let (mut daemon, mut faults) = ("", Value::Null);
+        loop {
+            let now = match self.look() {
+                Ok(seen) => {
+                    let status = &seen.status;
+                    self.put(broker, "status", json!(status).to_string().as_bytes())?;
+                    for axis in &status.axes {
+                        let name = axis.name.replace(['/', '+', '#'], "_");
+                        self.put(broker, &format!("axes/{name}"), json!(axis).to_string().as_bytes())?;
+                    }
+                    let latched = latched(status);
+                    if latched != faults {
+                        self.put(broker, "faults", latched.to_string().as_bytes())?;
+                        faults = latched;
+                    }
+                    self.tell(broker, &seen)?;
+                    "online"
+                }
+                Err(error) => {
+                    if daemon != "offline" {
+                        // Its text has its cause already.
+                        eprintln!("rtec-mqtt: {error}");
+                    }
+                    self.client = None;
+                    "offline"
+                }
+            };
+            if now != daemon {
+                self.put(broker, "daemon", now.as_bytes())?;
+                daemon = now;
+            }
+            broker.ping()?;
+            std::thread::sleep(every);
+        }
+    }
+
+    fn put(&self, broker: &mut Connection, topic: &str, payload: &[u8]) -> io::Result<()> {
+        broker.publish(&format!("{}/{topic}", self.args.topic), payload, true)
+    }
+
+    /// New events, known once the broker has answered to a ping.
+    fn tell(&mut self, broker: &mut Connection, seen: &Observed) -> io::Result<()> {
+        let last = seen.events.last().map_or(self.known.unwrap_or(0), |e| e.n);
+        if self.known.is_some() {
+            let topic = format!("{}/event", self.args.topic);
+            if seen.events_missed > 0 {
+                broker.publish(
+                    &topic,
+                    json!({ "missed": seen.events_missed }).to_string().as_bytes(),
+                    false,
+                )?;
+            }
+            for event in &seen.events {
+                broker.publish(&topic, json!(event).to_string().as_bytes(), false)?;
+            }
+            broker.ping()?;
+        }
+        self.known = Some(last);
+        Ok(())
+    }
+
+    fn look(&mut self) -> anyhow::Result<Observed> {
+        let seen = self.observe()?;
+        // A daemon that has begun anew counts its events anew.
+        let anew = seen.status.uptime_s < self.uptime_s;
+        self.uptime_s = seen.status.uptime_s;
+        if anew && self.known.is_some() {
+            self.known = Some(0);
+            return self.observe();
+        }
+        Ok(seen)
+    }
+
+    fn observe(&mut self) -> anyhow::Result<Observed> {
+        let client = match &mut self.client {
+            Some(client) => client,
+            empty => empty.insert(connect(self.args)?),
+        };
+        match client.ask(&ClientRequest::Observe { events_after: Some(self.known.unwrap_or(0)) })? {
+            Response::Observed(seen) => Ok(*seen),
+            other => anyhow::bail!("rtecd answered {other:?}; are rtec-mqtt and rtecd of the same version?"),
+        }
+    }
+}
+
+/// By the socket that only shows; where this user may not use it, by another.
+fn connect(args: &Args) -> anyhow::Result<Client> {
+    let mut control = match &args.config {
+        Some(file) => Config::load(file)?.control,
+        None => Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded()).control,
+    };
+    if let Some(socket) = &args.socket {
+        control = Config::embedded().control;
+        socket.clone_into(&mut control.socket);
+    }
+    let sockets = control.sockets();
+    Ok(Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path])?)
+}
+
+fn latched(status: &DaemonStatus) -> Value {
+    let machine = status.faults.iter().map(|f| json!({ "axis": null, "fault": word(f) }));
+    let axes = status.axes.iter();
+    let axes = axes.flat_map(|a| a.faults.iter().map(|f| json!({ "axis": a.name, "fault": word(f) })));
+    machine.chain(axes).collect()
+}

@@ -1,0 +1,398 @@
+//! The record of every command: who asked for what, when, and what it did.
+//!
+//! One JSON object a line, each with its number and chained to the one before it:
+//!
+//! ```text
+//! {"n":7,"t":"2026-11-22T13:00:00.123Z","what":"command","by":{…},"request":{…},"result":"done",…,"prev":"…","hash":"…"}
+//! ```
+//!
+//! `hash` is the SHA-256 of the line before `,"hash":`, in which `prev` is the hash of the line before. A full file becomes
+//! `NAME.1`, that one `NAME.2` and so on; the chain goes on. `NAME.head` names the last line and the first that is kept, so
+//! that lines cut off at either end are missed; it is locked by whoever writes. Whoever can write all of these files can write another story: the chain
+//! shows what was done to the record by hand, not what was done with its tools and the daemon's own rights.
+
+use crate::protocol::Caller;
+use rtec_model::date;
+use rtec_model::record::hex;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+mod check;
+mod writer;
+
+pub use check::{Broken, Line, Verified, read, verify};
+pub use writer::Writer;
+
+/// A file of this size becomes the one before, bytes.
+pub const FULL: u64 = 8 << 20;
+/// Files that are kept, the current one included.
+pub const FILES: usize = 10;
+/// What comes before the first line.
+const NOTHING: &str = "0000000000000000000000000000000000000000000000000000000000000000";
+/// Nothing longer is a line of it, bytes.
+const LONGEST_LINE: u64 = 64 << 10;
+
+/// One line of the record, without its hash.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Its number, from 1.
+    #[serde(default)]
+    pub n: u64,
+    /// When, UTC (RFC 3339).
+    pub t: String,
+    /// `command`, `start`, `stop`; `mode`, `fault`, `homed`, `control_stale`, `stood_still` (what happened, when it was first
+    /// seen); `lost` (lines that could not be written) or `torn` (a line that a crash cut).
+    pub what: String,
+    /// The axis that it happened to; none for the machine as a whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis: Option<String>,
+    /// Who asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub by: Option<Caller>,
+    /// What was asked for, as the protocol has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request: Option<Value>,
+    /// `done`, `refused`, `fault` or `bad`.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub result: String,
+    /// Why not, or what else there is to say.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub text: String,
+    /// How often the same was refused to the same caller within a second, where that is more than once; or how many
+    /// lines, or bytes, `lost` and `torn` are about.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times: Option<u64>,
+    /// Totals before, by axis: requested and in effect, counts.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub before: BTreeMap<String, [i64; 2]>,
+    /// Totals after.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub after: BTreeMap<String, [i64; 2]>,
+    /// SHA-256 of the machine model that runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// Hash of the line before.
+    #[serde(default)]
+    pub prev: String,
+}
+
+impl Entry {
+    /// A line about something that happened now.
+    #[must_use]
+    pub fn now(what: &str) -> Self {
+        Self {
+            n: 0,
+            t: stamp(SystemTime::now()),
+            what: what.to_owned(),
+            axis: None,
+            by: None,
+            request: None,
+            result: String::new(),
+            text: String::new(),
+            times: None,
+            before: BTreeMap::new(),
+            after: BTreeMap::new(),
+            model: None,
+            prev: String::new(),
+        }
+    }
+
+    /// It is about this axis: asked for it or for all of them, happened to it or to the machine, or its totals changed.
+    #[must_use]
+    pub fn concerns(&self, axis: &str) -> bool {
+        let asked = self.request.as_ref().and_then(|r| r.get("axis")).and_then(Value::as_str);
+        let named = self.axis.as_deref().or(asked);
+        let changed = self.before.get(axis).is_some_and(|before| Some(before) != self.after.get(axis));
+        named.is_none_or(|name| name == axis) || changed
+    }
+
+    /// When, s since 1970; none where the text is no time.
+    #[must_use]
+    pub fn seconds(&self) -> Option<f64> {
+        seconds(&self.t)
+    }
+
+    /// The line, without its end, and its hash.
+    fn line(&self) -> io::Result<(String, String)> {
+        let mut line = serde_json::to_string(self).map_err(io::Error::other)?;
+        line.pop();
+        let hash = hex(&Sha256::digest(&line));
+        Ok((format!("{line},\"hash\":\"{hash}\"}}"), hash))
+    }
+}
+
+/// A moment as RFC 3339, to the millisecond, UTC.
+#[must_use]
+pub fn stamp(time: SystemTime) -> String {
+    let since = time.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
+    let (day, second) = (since.as_secs() / 86_400, since.as_secs() % 86_400);
+    let (hour, minute) = (second / 3600, second / 60 % 60);
+    let day = date::format(day as i64);
+    format!("{day}T{hour:02}:{minute:02}:{:02}.{:03}Z", second % 60, since.subsec_millis())
+}
+
+/// Seconds since 1970 of a day or a moment: `2026-11-22`, `2026-11-22T13:00`, `2026-11-22T13:00:00.123Z`.
+#[must_use]
+pub fn seconds(text: &str) -> Option<f64> {
+    let day = date::parse(text)?;
+    let rest = text.get(10..)?.trim_start_matches(['T', ' ']).trim_end_matches('Z');
+    let mut seconds = 0.0;
+    for (part, (worth, below)) in rest.split(':').zip([(3600.0, 24.0), (60.0, 60.0), (1.0, 61.0)]) {
+        if part.is_empty() {
+            continue;
+        }
+        seconds += part.parse::<f64>().ok().filter(|v| (0.0..below).contains(v))? * worth;
+    }
+    (rest.split(':').count() <= 3).then_some(day as f64 * 86_400.0 + seconds)
+}
+
+/// The end of the chain, beside the record.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct Head {
+    n: u64,
+    hash: String,
+    /// The first line that is kept.
+    first_n: u64,
+}
+
+fn read_head(file: &Path) -> Option<Head> {
+    std::fs::read(head_path(file)).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok())
+}
+
+fn head_path(file: &Path) -> PathBuf {
+    with_suffix(file, "head")
+}
+
+fn with_suffix(file: &Path, suffix: &str) -> PathBuf {
+    let mut name = file.as_os_str().to_owned();
+    name.push(format!(".{suffix}"));
+    PathBuf::from(name)
+}
+
+/// The files that are there, oldest first.
+fn files(file: &Path) -> Vec<PathBuf> {
+    let older = (1..FILES).rev().map(|n| with_suffix(file, &n.to_string()));
+    older.chain([file.to_owned()]).filter(|f| f.exists()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::OpenOptions;
+    use std::io::Write as _;
+
+    fn entry(axis: &str, total: i64) -> Entry {
+        let totals = |t| BTreeMap::from([(axis.to_owned(), [t, t])]);
+        Entry {
+            request: Some(serde_json::json!({"do": "correct", "axis": axis, "total_counts": total})),
+            result: "done".into(),
+            before: totals(0),
+            after: totals(total),
+            ..Entry::now("command")
+        }
+    }
+
+    fn written(lines: i64, full: u64) -> (tempfile::TempDir, PathBuf) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("audit.log");
+        let mut writer = Writer::new(&path).full_at(full);
+        for n in 0..lines {
+            writer.append(entry("x", n)).unwrap();
+        }
+        writer.sync().unwrap();
+        (directory, path)
+    }
+
+    fn says(path: &Path, wants: &str) {
+        let found = verify(path).unwrap();
+        assert!(found.broken.iter().any(|b| b.what.contains(wants)), "{wants}: {:?}", found.broken);
+    }
+
+    #[test]
+    fn a_whole_record_is_whole_and_goes_on_after_a_restart() {
+        let (_directory, path) = written(20, FULL);
+        let mut writer = Writer::new(&path);
+        writer.append(Entry::now("start")).unwrap();
+        assert_eq!(writer.last().0, 21);
+        let found = verify(&path).unwrap();
+        assert_eq!((found.lines, found.numbers, found.broken), (21, [1, 21], vec![]));
+        // sha256sum(1) says the same of a line, with cut and paste.
+        let text = std::fs::read_to_string(&path).unwrap();
+        let line = text.lines().nth(7).unwrap();
+        let (body, hash) = line.split_once(",\"hash\":\"").unwrap();
+        let file = path.with_file_name("body");
+        std::fs::write(&file, body).unwrap();
+        let sum = std::process::Command::new("sha256sum").arg(&file).output().unwrap();
+        assert!(String::from_utf8(sum.stdout).unwrap().starts_with(hash.trim_end_matches("\"}")));
+        assert!(
+            text.lines().nth(8).unwrap().contains(&format!("\"prev\":\"{}", hash.trim_end_matches("\"}")))
+        );
+    }
+
+    #[test]
+    fn whatever_is_done_to_a_line_is_found() {
+        let change = |what: &dyn Fn(&mut Vec<String>)| {
+            let (directory, path) = written(20, FULL);
+            let text = std::fs::read_to_string(&path).unwrap();
+            let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+            what(&mut lines);
+            std::fs::write(&path, lines.join("\n") + "\n").unwrap();
+            (directory, path)
+        };
+        says(&change(&|l| l[7] = l[7].replace("\"total_counts\":7", "\"total_counts\":8")).1, "was changed");
+        says(&change(&|l| drop(l.remove(7))).1, "lines are missing");
+        says(&change(&|l| l.swap(7, 8)).1, "in another place");
+        says(&change(&|l| drop(l.remove(0))).1, "begins with line number 2");
+        says(&change(&|l| l.truncate(15)).1, "ends with line number 15, and should with 20");
+        says(&change(&|l| l[7] = "nonsense".into()).1, "no hash");
+        says(&change(&|l| l.insert(7, l[6].clone())).1, "lines are missing, or in another place");
+        // Changed, and its own hash made good: the next line does not follow.
+        let forged = change(&|l| {
+            let body =
+                l[7].split_once(",\"hash\"").unwrap().0.replace("\"result\":\"done\"", "\"result\":\"bad\"");
+            l[7] = format!("{body},\"hash\":\"{}\"}}", hex(&Sha256::digest(&body)));
+        });
+        says(&forged.1, "does not follow");
+        // The last one forged in the same way.
+        let forged = change(&|l| {
+            let body =
+                l[19].split_once(",\"hash\"").unwrap().0.replace("\"result\":\"done\"", "\"result\":\"bad\"");
+            l[19] = format!("{body},\"hash\":\"{}\"}}", hex(&Sha256::digest(&body)));
+        });
+        says(&forged.1, "another one than was written last");
+    }
+
+    #[test]
+    fn the_chain_goes_through_all_files_and_the_oldest_go() {
+        let (_directory, path) = written(300, 4096);
+        let kept = files(&path);
+        assert_eq!(kept.len(), FILES);
+        let found = verify(&path).unwrap();
+        assert_eq!(found.broken, []);
+        assert!(found.numbers[0] > 1 && found.numbers[1] == 300, "{:?}", found.numbers);
+        std::fs::remove_file(&kept[4]).unwrap();
+        says(&path, "lines are missing");
+        std::fs::remove_file(&kept[0]).unwrap();
+        says(&path, "the record begins with");
+    }
+
+    #[test]
+    fn a_torn_line_is_cut_and_told_and_cut_lines_are_missed_after_a_restart_too() {
+        let (_directory, path) = written(5, FULL);
+        OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"n\":6,\"t\":\"20").unwrap();
+        says(&path, "no end");
+        let mut writer = Writer::new(&path);
+        writer.append(Entry::now("start")).unwrap();
+        let mut all = Vec::new();
+        read(&path, &mut |r| all.push(r.entry.unwrap())).unwrap();
+        assert_eq!((all[5].what.as_str(), all[5].times, all[6].what.as_str()), ("torn", Some(14), "start"));
+        assert_eq!(verify(&path).unwrap().broken, []);
+        drop(writer);
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.lines().take(4).collect::<Vec<_>>().join("\n") + "\n").unwrap();
+        Writer::new(&path).append(Entry::now("start")).unwrap();
+        says(&path, "line number 8 after 4");
+    }
+
+    #[test]
+    fn moments_and_axes() {
+        assert_eq!(stamp(UNIX_EPOCH + Duration::from_millis(1_764_032_405_678)), "2025-11-25T01:00:05.678Z");
+        assert_eq!(seconds("2025-11-25T01:00:05.678Z"), Some(1_764_032_405.678));
+        assert_eq!(seconds("2025-11-25T01:00"), Some(1_764_032_400.0));
+        assert_eq!(seconds("2025-11-25"), Some(1_764_028_800.0));
+        for bad in ["yesterday", "2025-11-25T25:00", "2025-11-25T1:2:3:4", "2025-13-01"] {
+            assert_eq!(seconds(bad), None, "{bad}");
+        }
+        assert!(entry("x", 3).concerns("x") && !entry("x", 3).concerns("y"));
+        // What is asked of all axes, or happens to the machine, concerns each.
+        let all =
+            Entry { request: Some(serde_json::json!({"do": "home", "axis": null})), ..Entry::now("command") };
+        assert!(all.concerns("x") && Entry::now("mode").concerns("y"));
+        let after = BTreeMap::from([("x".to_owned(), [2, 2]), ("y".to_owned(), [4, 4])]);
+        let fault = Entry { axis: Some("x".into()), after, ..Entry::now("fault") };
+        assert!(fault.concerns("x") && !fault.concerns("y"));
+    }
+
+    #[test]
+    fn a_crash_in_the_middle_of_a_rotation_looks_like_no_tampering() {
+        // As it would be after each of the renames but the last.
+        for renamed in 0..FILES - 1 {
+            let (_directory, path) = written(300, 4096);
+            let mut writer = Writer::new(&path).full_at(4096);
+            writer.append(Entry::now("start")).unwrap();
+            writer.begin_rotation().unwrap();
+            for n in (0..FILES - 1).rev().take(renamed) {
+                let name = |n: usize| if n == 0 { path.clone() } else { with_suffix(&path, &n.to_string()) };
+                std::fs::rename(name(n), name(n + 1)).unwrap();
+            }
+            drop(writer);
+            assert_eq!(verify(&path).unwrap().broken, [], "{renamed}");
+            let mut writer = Writer::new(&path).full_at(4096);
+            for n in 0..40 {
+                writer.append(entry("x", n)).unwrap();
+            }
+            let found = verify(&path).unwrap();
+            assert_eq!((found.broken, found.numbers[1]), (vec![], 341), "{renamed}");
+        }
+    }
+
+    #[test]
+    fn one_process_writes_it_at_a_time() {
+        let (_directory, path) = written(3, FULL);
+        let mut first = Writer::new(&path);
+        first.append(Entry::now("start")).unwrap();
+        let error = Writer::new(&path).append(Entry::now("start")).unwrap_err();
+        assert!(error.to_string().contains("another process writes it"), "{error}");
+        assert_eq!(verify(&path).unwrap().broken, []);
+        drop(first);
+        Writer::new(&path).append(Entry::now("start")).unwrap();
+        assert_eq!(verify(&path).unwrap().numbers, [1, 5]);
+    }
+
+    #[test]
+    fn a_record_that_is_written_to_meanwhile_is_no_broken_one() {
+        let (_directory, path) = written(3, 4096);
+        let going = std::sync::atomic::AtomicBool::new(true);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let mut writer = Writer::new(&path).full_at(64 << 10);
+                for n in 0.. {
+                    if !going.load(std::sync::atomic::Ordering::Relaxed) {
+                        break;
+                    }
+                    writer.append(entry("x", n)).unwrap();
+                    std::thread::sleep(Duration::from_micros(200));
+                }
+            });
+            let found: Vec<_> = (0..20).map(|_| verify(&path).unwrap().broken).collect();
+            going.store(false, std::sync::atomic::Ordering::Relaxed);
+            assert!(found.iter().all(Vec::is_empty), "{found:?}");
+        });
+    }
+
+    #[test]
+    fn what_could_not_be_recorded_is_counted() {
+        let (_directory, path) = written(2, FULL);
+        for times in [40, 2] {
+            Writer::new(&path).append(Entry { times: Some(times), ..Entry::now("lost") }).unwrap();
+        }
+        let found = verify(&path).unwrap();
+        assert_eq!((found.lost, found.broken), (42, vec![]));
+    }
+
+    #[test]
+    fn a_record_is_a_regular_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let pipe = directory.path().join("audit.log");
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        for file in [&pipe, Path::new("/dev/zero")] {
+            let error = read(file, &mut |_| panic!("a line")).unwrap_err();
+            assert_eq!(error.to_string(), "a pipe, socket or device");
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! The record's writer: one process at a time, off every thread that must not wait for a disk.
+
+use super::{Entry, FILES, FULL, Head, LONGEST_LINE, NOTHING, files, head_path, read_head, with_suffix};
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use serde::Deserialize;
+use std::fs::{File, OpenOptions, Permissions};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::{FileExt, OpenOptionsExt, PermissionsExt, fchown};
+use std::path::{Path, PathBuf};
+
+/// Writes the record. To be used by one process at a time, off every thread that must not wait for a disk.
+#[derive(Debug)]
+pub struct Writer {
+    path: PathBuf,
+    file: Option<File>,
+    bytes: u64,
+    full: u64,
+    group: Option<u32>,
+    head: Head,
+    /// The head's file, locked: nobody else writes this record.
+    held: Option<Flock<File>>,
+    /// The head's file is not as it should be.
+    head_behind: bool,
+}
+
+impl Writer {
+    /// A writer that goes on where the record ends; it opens the file at its first line.
+    #[must_use]
+    pub fn new(path: &Path) -> Self {
+        let head = Head { n: 0, hash: NOTHING.to_owned(), first_n: 1 };
+        Self {
+            path: path.to_owned(),
+            file: None,
+            bytes: 0,
+            full: FULL,
+            group: None,
+            head,
+            held: None,
+            head_behind: false,
+        }
+    }
+
+    /// With a group whose members may read the files.
+    #[must_use]
+    pub fn readable_by(self, group: Option<u32>) -> Self {
+        Self { group, ..self }
+    }
+
+    /// With another size at which a file is full, bytes.
+    #[must_use]
+    pub fn full_at(self, full: u64) -> Self {
+        Self { full, ..self }
+    }
+
+    /// Number and hash of the last line.
+    #[must_use]
+    pub fn last(&self) -> (u64, &str) {
+        (self.head.n, &self.head.hash)
+    }
+
+    /// Adds a line, whole or not at all.
+    ///
+    /// # Errors
+    /// What the file system reports; the chain goes on with the next line.
+    pub fn append(&mut self, mut entry: Entry) -> io::Result<()> {
+        if self.file.is_none() {
+            self.open()?;
+        }
+        if self.bytes >= self.full {
+            self.rotate()?;
+        }
+        (entry.n, entry.prev) = (self.head.n + 1, self.head.hash.clone());
+        let (mut line, hash) = entry.line()?;
+        line.push('\n');
+        let Some(file) = &mut self.file else { return Err(io::ErrorKind::NotFound.into()) };
+        if let Err(error) = file.write_all(line.as_bytes()) {
+            // Half a line is none; where even that cannot be mended the next start finds it torn.
+            let _ = file.set_len(self.bytes);
+            self.file = None;
+            return Err(error);
+        }
+        self.bytes += line.len() as u64;
+        (self.head.n, self.head.hash) = (entry.n, hash);
+        // The line stands, whatever becomes of its head: `sync` says so.
+        self.head_behind = self.write_head().is_err();
+        Ok(())
+    }
+
+    /// What was written is on the disk.
+    ///
+    /// # Errors
+    /// What the file system reports.
+    pub fn sync(&mut self) -> io::Result<()> {
+        if self.head_behind {
+            self.write_head()?;
+            self.head_behind = false;
+        }
+        self.file.as_ref().map_or(Ok(()), File::sync_data)
+    }
+
+    fn open(&mut self) -> io::Result<()> {
+        self.hold()?;
+        let mut file = own(OpenOptions::new().read(true).append(true).create(true)).open(&self.path)?;
+        if !file.metadata()?.is_file() {
+            return Err(io::Error::other("it is no regular file"));
+        }
+        self.give(&file);
+        let torn = whole_lines(&mut file)?;
+        let known = self.head.n > 0;
+        if !known {
+            let head = read_head(&self.path);
+            let last = files(&self.path).iter().rev().find_map(|f| last_line(f));
+            // The longer story counts: lines that were cut off must be missed.
+            if let Some(head) = head {
+                self.head = head;
+            }
+            if let Some((n, hash)) = last.filter(|(n, _)| *n > self.head.n) {
+                (self.head.n, self.head.hash) = (n, hash);
+            }
+        }
+        self.bytes = file.metadata()?.len();
+        self.file = Some(file);
+        if torn > 0 {
+            self.append(Entry { times: Some(torn), ..Entry::now("torn") })?;
+        }
+        Ok(())
+    }
+
+    /// Lets the group read a file, whatever the process's mask says; where it cannot be given away it stays ours alone.
+    fn give(&self, file: &File) {
+        if self.group.is_some() && fchown(file, None, self.group).is_ok() {
+            let _ = file.set_permissions(Permissions::from_mode(0o640));
+        }
+    }
+
+    /// Locks the head's file, once.
+    fn hold(&mut self) -> io::Result<()> {
+        if self.held.is_some() {
+            return Ok(());
+        }
+        let file = own(OpenOptions::new().read(true).write(true).create(true)).open(head_path(&self.path))?;
+        self.give(&file);
+        let held = Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, errno)| match errno {
+            Errno::EWOULDBLOCK => {
+                io::Error::other("another process writes it: each rtecd needs a record of its own")
+            }
+            errno => errno.into(),
+        })?;
+        self.held = Some(held);
+        Ok(())
+    }
+
+    fn name(&self, n: usize) -> PathBuf {
+        if n == 0 { self.path.clone() } else { with_suffix(&self.path, &n.to_string()) }
+    }
+
+    /// Notes which line will be the first, before the files that make it so get their new names: killed in between, the record
+    /// has more than it promises, and not less.
+    pub(super) fn begin_rotation(&mut self) -> io::Result<()> {
+        // The oldest is overwritten where there is one before it.
+        let goes = self.name(FILES - 1);
+        let kept = files(&self.path).into_iter().filter(|f| *f != goes || !self.name(FILES - 2).exists());
+        self.head.first_n = kept.into_iter().find_map(|f| first_line(&f)).unwrap_or(self.head.n + 1);
+        self.write_head()
+    }
+
+    fn rotate(&mut self) -> io::Result<()> {
+        self.begin_rotation()?;
+        for n in (0..FILES - 1).rev().filter(|n| self.name(*n).exists()) {
+            std::fs::rename(self.name(n), self.name(n + 1))?;
+        }
+        self.file = None;
+        self.open()
+    }
+
+    fn write_head(&self) -> io::Result<()> {
+        let Some(file) = &self.held else { return Err(io::ErrorKind::NotFound.into()) };
+        let text = serde_json::to_string(&self.head).map_err(io::Error::other)?;
+        // Of one length in all but its numbers: a blank makes good for a shorter one.
+        file.write_all_at(format!("{text:<160}\n").as_bytes(), 0)
+    }
+}
+
+/// Readable by the group, never followed through a link.
+fn own(options: &mut OpenOptions) -> &mut OpenOptions {
+    options.mode(0o640).custom_flags((nix::fcntl::OFlag::O_NOFOLLOW | nix::fcntl::OFlag::O_NONBLOCK).bits())
+}
+
+/// Cuts off what has no end; how many bytes that were.
+fn whole_lines(file: &mut File) -> io::Result<u64> {
+    let len = file.metadata()?.len();
+    let from = len.saturating_sub(LONGEST_LINE);
+    file.seek(SeekFrom::Start(from))?;
+    let mut tail = Vec::new();
+    file.take(LONGEST_LINE).read_to_end(&mut tail)?;
+    let end = tail.iter().rposition(|b| *b == b'\n').map_or(0, |n| n + 1);
+    let torn = (tail.len() - end) as u64;
+    if torn > 0 {
+        file.set_len(len - torn)?;
+    }
+    Ok(torn)
+}
+
+#[derive(Deserialize)]
+pub(super) struct Link {
+    pub n: u64,
+    pub hash: String,
+}
+
+fn last_line(file: &Path) -> Option<(u64, String)> {
+    let mut file = File::open(file).ok()?;
+    let from = file.metadata().ok()?.len().saturating_sub(LONGEST_LINE);
+    file.seek(SeekFrom::Start(from)).ok()?;
+    let mut tail = Vec::new();
+    file.take(LONGEST_LINE).read_to_end(&mut tail).ok()?;
+    let line = tail.split(|b| *b == b'\n').rfind(|l| !l.is_empty())?;
+    serde_json::from_slice(line).ok().map(|Link { n, hash }| (n, hash))
+}
+
+fn first_line(file: &Path) -> Option<u64> {
+    let mut line = Vec::new();
+    BufReader::new(File::open(file).ok()?.take(LONGEST_LINE)).read_until(b'\n', &mut line).ok()?;
+    serde_json::from_slice(&line).ok().map(|link: Link| link.n)
+}

@@ -1,0 +1,230 @@
+//! `[[axis]]`: one axis, its limits, and whether they leave it anything to do.
+
+use super::card::{Card, Kind, read_lines};
+use super::{ConfiguredAxis, Simulated, plain};
+use rtec_files::toml::{Section, SourceFile};
+use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use std::path::{Path, PathBuf};
+
+#[allow(clippy::too_many_lines)] // One key after the other.
+/// Reads one `[[axis]]`; none where something is wrong with it. With it the recording of a replay.
+pub(super) fn read(
+    source: &mut SourceFile<'_>,
+    mut s: Section<'_>,
+    n: u8,
+    card: &mut Card,
+    latency: &AxisConfig,
+    notes: &mut Vec<String>,
+) -> Option<(ConfiguredAxis, Option<PathBuf>)> {
+    let before = source.findings.len();
+    let meaning = "the axis's name, in quotes";
+    let name = s.string(source, "name", meaning);
+    let name = s.required(source, "name", meaning, name);
+    let name = plain::name(source, "name", name, true);
+    let owner = name.map_or_else(|| format!("axis {n}"), |name| format!("axis {}", name.value));
+    let count_um = plain::within(&mut s, source, "count_um", 1e-4, 1000.0);
+    let count_um = s.required(source, "count_um", "what one count is worth, µm", count_um);
+    let travel_mm = plain::within(&mut s, source, "travel_mm", 1e-3, 1e6);
+    let travel_mm = s.required(source, "travel_mm", "the length of its travel, mm", travel_mm);
+    let design = s.choice(
+        source,
+        "design",
+        3,
+        &[
+            ("c", Some(Design::C)),
+            ("original", Some(Design::Original)),
+            ("a", Some(Design::A)),
+            ("b", None),
+            ("ecc", None),
+        ],
+    );
+    if let Some(at) = design.filter(|d| d.value.is_none()) {
+        let expected = "\"c\", \"original\" or \"a\": b and ecc pass the signals through the computer, and exist \
+                        in simulation only (rtecctl designs)";
+        source.finding(at.offset, "a design that cannot drive XOR gates", expected);
+    }
+    let design = design.map_or(Some(Design::C), |d| d.value);
+    let max = s.integer(source, "max_correction_counts", 1..=1_000_000_000);
+    let max = s.required(source, "max_correction_counts", "the largest total correction, counts", max);
+    let window = s.integer(source, "window_counts", 1..=1_000_000_000);
+    let window = s.required(source, "window_counts", "the largest change believed at once, counts", window);
+    let separation = s.integer(source, "min_separation_ns", 1..=1_000_000_000);
+    let meaning = "what the MTC's decoder needs between two edges, ns";
+    let separation = s.required(source, "min_separation_ns", meaning, separation);
+    let accel_mm = plain::within(&mut s, source, "max_accel_mm_s2", 1e-3, 1e9);
+    let accel_counts = plain::within(&mut s, source, "max_accel_counts_s2", 1e-3, 1e15);
+    if let (Some(_), Some(at)) = (accel_mm, accel_counts) {
+        source.finding(at.offset, "max_accel_mm_s2 and max_accel_counts_s2", "one of the two");
+    }
+    if card.is_real() && !s.has("max_accel_mm_s2") && !s.has("max_accel_counts_s2") {
+        s.missing(
+            source,
+            "max_accel_mm_s2",
+            "the axis's acceleration limit, mm/s²: the speed gate stands on it",
+        );
+    }
+    let hysteresis = plain::within(&mut s, source, "hysteresis_counts", 1e-3, 1000.0);
+    let warn = s.integer(source, "warn_counts", 1..=1_000_000_000);
+    let error = s.integer(source, "error_counts", 1..=1_000_000_000);
+    if let (Some(warn), Some(error)) = (warn, error)
+        && warn.value > error.value
+    {
+        let found = format!("warn_counts = {} above error_counts = {}", warn.value, error.value);
+        source.finding(warn.offset, found, "the warning before the error");
+    }
+    if let (Some(error), Some(max)) = (error, max)
+        && error.value > max.value
+    {
+        let found = format!("error_counts = {} above max_correction_counts = {}", error.value, max.value);
+        source.finding(
+            error.offset,
+            found,
+            "a limit that a request can reach: beyond the maximum it is refused",
+        );
+    }
+    if let (Some(window), Some(max)) = (window, max)
+        && window.value > max.value
+    {
+        let found = format!("window_counts = {} above max_correction_counts = {}", window.value, max.value);
+        source.finding(
+            window.offset,
+            found,
+            "a belief window within the largest total: else everything is believed",
+        );
+    }
+    let rate = plain::within(&mut s, source, "max_rate_counts_s", 1e-3, 1e9);
+    let rest = s.choice(source, "rest_policy", 2, &[("wait", false), ("insert", true)]);
+    let quiet_ms = plain::within(&mut s, source, "rest_quiet_ms", 1e-3, 1e6);
+    let insert = rest.is_some_and(|r| r.value);
+    match (insert, quiet_ms, rest) {
+        (true, None, Some(at)) if !s.has("rest_quiet_ms") => {
+            source.finding(
+                at.offset,
+                "rest_policy = \"insert\" alone",
+                "rest_quiet_ms too: after how many ms",
+            );
+        }
+        (false, Some(at), _) => {
+            let expected = "rest_policy = \"insert\" beside it, or no rest_quiet_ms";
+            source.finding(at.offset, "rest_quiet_ms with rest_policy = \"wait\"", expected);
+        }
+        _ => {}
+    }
+    let simulated = read_simulated(source, &mut s, card.kind);
+    let budget = s.integer(source, "reference_budget_counts", 1..=1_000_000_000);
+    let increment = design.map_or(1, Design::increment_counts);
+    for (key, limit) in [("max_correction_counts", max), ("reference_budget_counts", budget)] {
+        if let Some(at) = limit.filter(|at| at.value < increment) {
+            let found = format!("{key} = {} with insertions of {increment} counts", at.value);
+            source.finding(
+                at.offset,
+                found,
+                "room for one insertion at least: nothing would ever be corrected",
+            );
+        }
+    }
+    let home_mm = s.signed(source, "home_mm", 1e6);
+    let lines = read_lines(source, &mut s, n, card, &owner);
+    let mut trace = None;
+    if card.kind == Some(Kind::Replay) {
+        let meaning = "the recorded trace of this axis, .csv or .vcd";
+        let path = s.string(source, "trace", meaning);
+        trace = s
+            .required(source, "trace", meaning, path)
+            .map(|p| source.file.parent().unwrap_or(Path::new("")).join(p.value));
+    }
+    if let (Some(max), Some(um), Some(mm)) = (max, count_um, travel_mm)
+        && max.value as f64 * um.value > mm.value * 1000.0
+    {
+        let found = format!("max_correction_counts = {} on a travel of {} mm", max.value, mm.value);
+        source.finding(max.offset, found, "a correction smaller than the travel");
+    }
+    let offset = s.offset;
+    if card.kind.is_none() {
+        // Without a card nobody knows whether these belong here.
+        let _ = (s.has("lines"), s.has("trace"));
+    }
+    s.finish(source);
+    if source.findings.len() > before {
+        return None;
+    }
+
+    let (count_um, max, name) = (count_um?.value, max?, name?.value);
+    if let Some(budget) = budget
+        && budget.value < max.value
+    {
+        notes.push(format!(
+            "{owner}: max_correction_counts = {} is capped at {}, the budget that the MTC leaves between reference \
+             marks or encoders",
+            max.value, budget.value
+        ));
+    }
+    let max_accel_counts_s2 = match (accel_mm, accel_counts) {
+        (Some(mm), _) => mm.value * 1000.0 / count_um,
+        (None, Some(counts)) => counts.value,
+        (None, None) => latency.max_accel_counts_s2,
+    };
+    let engine = AxisConfig {
+        lines: lines?,
+        design: design?,
+        max_correction_counts: budget.map_or(max.value, |b| b.value.min(max.value)),
+        window_counts: window?.value,
+        warn_counts: warn.map_or(i64::MAX, |w| w.value),
+        error_counts: error.map_or(i64::MAX, |e| e.value),
+        max_rate_counts_s: rate.map_or(f64::INFINITY, |r| r.value),
+        min_separation_ns: separation?.value as u64,
+        max_accel_counts_s2,
+        hysteresis_counts: hysteresis.map_or(latency.hysteresis_counts, |h| h.value),
+        rest: match quiet_ms {
+            Some(ms) if insert => RestPolicy::Insert { after_ns: (ms.value * 1e6) as u64 },
+            _ => RestPolicy::Wait,
+        },
+        ..*latency
+    };
+    if engine.gate().is_none() {
+        let found = format!("{owner}: no speed leaves time for an insertion");
+        let expected =
+            "a lower max_accel, detect_ns, write_ns, guard_ns or min_separation_ns, or more hysteresis";
+        source.finding(offset, found, expected);
+    }
+    let axis = ConfiguredAxis {
+        name: name.to_owned(),
+        count_um,
+        travel_mm: travel_mm?.value,
+        home_counts: (home_mm.map_or(0.0, |h| h.value) * 1000.0 / count_um).round() as i64,
+        reference_budget_counts: budget.map(|b| b.value),
+        engine,
+        simulated: Simulated { count_um: simulated.count_um.unwrap_or(count_um), ..simulated.rest },
+    };
+    Some((axis, trace))
+}
+
+/// What `simulated` says; as configured where it says nothing.
+struct ReadSimulated {
+    count_um: Option<f64>,
+    rest: Simulated,
+}
+
+fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option<Kind>) -> ReadSimulated {
+    let mut found = ReadSimulated {
+        count_um: None,
+        rest: Simulated { count_um: 1.0, compensates_ppm: 0.0, ignores: false },
+    };
+    if !s.has("simulated") {
+        return found;
+    }
+    let mut table = s.table(source, "simulated", "simulated");
+    if kind != Some(Kind::Mock) {
+        source.finding(
+            table.offset,
+            "simulated",
+            "backend = \"mock\": no other card has a simulated machine",
+        );
+    }
+    found.count_um = table.signed(source, "count_um", 1000.0).map(|c| c.value).filter(|c| *c != 0.0);
+    found.rest.compensates_ppm = table.signed(source, "compensates_ppm", 1e5).map_or(0.0, |p| p.value);
+    let ignores = table.choice(source, "feedback", 2, &[("used", false), ("ignored", true)]);
+    found.rest.ignores = ignores.is_some_and(|i| i.value);
+    table.finish(source);
+    found
+}

@@ -1,0 +1,365 @@
+//! `[card]` and the lines of the machine and its axes.
+
+use super::{MappedPlace, PortPlace};
+use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
+use crate::profile;
+use rtec_driver::card::{AxisLines, MachineLines};
+use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
+use rtec_driver::pci::PciId;
+use rtec_driver::profile::{Place, Profile, Space, Width};
+use rtec_files::nearest;
+use rtec_files::toml::{At, Section, SourceFile};
+use rtec_rt::event::MAX_AXES;
+use std::collections::BTreeMap;
+use std::os::unix::fs::FileTypeExt;
+use std::path::Path;
+
+impl Card {
+    /// Something outside this process hangs on the lines.
+    pub(super) fn is_real(&self) -> bool {
+        matches!(self.kind, Some(Kind::Gpio | Kind::Mapped | Kind::Port))
+    }
+}
+
+/// What `[card]` says; `None` fields were reported.
+pub(super) struct Card {
+    pub(super) kind: Option<Kind>,
+    pub(super) mapped: Option<MappedPlace>,
+    pub(super) port: Option<PortPlace>,
+    pub(super) profile: Option<Profile>,
+    pub(super) gpio: Gpio,
+    pub(super) lines: MachineLines,
+    /// Who has taken which line: direction, bit.
+    pub(super) taken: BTreeMap<(bool, u8), String>,
+}
+
+/// GPIO lines as they are read, and what holds for those that say no more.
+pub(super) struct Gpio {
+    pub(super) setup: GpioSetup,
+    pub(super) default: GpioLine,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Mock,
+    Gpio,
+    Mapped,
+    Port,
+    Replay,
+}
+
+/// Reads `[card]`. `here`: this computer is the one it is meant for.
+pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> Card {
+    let mut section = root.table(source, "card", "[card]");
+    let meaning = "\"mock\" or \"gpio\" or \"mapped\" or \"port\" or \"replay\"";
+    let kind = section.choice(
+        source,
+        "backend",
+        5,
+        &[
+            ("mock", Kind::Mock),
+            ("gpio", Kind::Gpio),
+            ("mapped", Kind::Mapped),
+            ("port", Kind::Port),
+            ("replay", Kind::Replay),
+        ],
+    );
+    let kind = section.required(source, "backend", meaning, kind);
+    let mut card = Card {
+        kind: kind.map(|k| k.value),
+        mapped: None,
+        port: None,
+        profile: None,
+        gpio: Gpio {
+            setup: GpioSetup { inputs: Vec::new(), outputs: Vec::new(), events: true },
+            default: GpioLine {
+                chip: None,
+                line: LineId::Offset(0),
+                active_low: false,
+                bias: None,
+                drive: None,
+            },
+        },
+        lines: MachineLines::standard(),
+        taken: BTreeMap::new(),
+    };
+    match kind.map(|k| k.value) {
+        Some(kind @ (Kind::Mapped | Kind::Port)) => {
+            read_registers(source, &mut section, &mut card, (kind == Kind::Port, here));
+            card.lines = machine_lines(source, &mut section, &mut card);
+            section.finish(source);
+        }
+        Some(Kind::Gpio) => {
+            let mode = section.choice(source, "mode", 2, &[("edges", true), ("levels", false)]);
+            card.gpio.setup.events = mode.is_none_or(|m| m.value);
+            let chip = section.string(source, "chip", "a chip's name, path or label, as \"gpiochip0\"");
+            card.gpio.default.chip = chip.map(|c| c.value.to_owned());
+            card.gpio.default.bias = section.choice(source, "bias", 3, &BIASES).map(|b| b.value);
+            card.gpio.default.drive = section.choice(source, "drive", 3, &DRIVES).map(|d| d.value);
+            card.lines = machine_lines(source, &mut section, &mut card);
+            section.finish(source);
+        }
+        // Without a backend nobody knows which keys belong to it.
+        None => {}
+        Some(Kind::Mock | Kind::Replay) => section.finish(source),
+    }
+    card
+}
+
+/// Where the registers are, and what they mean.
+fn read_registers(
+    source: &mut SourceFile<'_>,
+    section: &mut Section<'_>,
+    card: &mut Card,
+    (port, here): (bool, bool),
+) {
+    let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
+    let named = section.string(source, "profile", "a profile's name or path");
+    let default = if port { "parallel-port" } else { "shared-memory" };
+    card.profile = match named {
+        None => profile::shipped(default),
+        Some(at) => profile::shipped(at.value)
+            .or_else(|| load_profile(source, &directory.join(at.value), at.value, at.offset)),
+    };
+    let pci_at = section.string(source, "pci", "a card as \"1af4:1110\", or its address \"0000:00:04.0\"");
+    let pci = pci_at.and_then(|at| {
+        let id = PciId::parse(at.value);
+        if id.is_none() {
+            let expected =
+                "vendor:device as \"1af4:1110\", or an address as \"0000:00:04.0\": lspci -nD shows both";
+            source.finding(at.offset, format!("pci = \"{}\"", at.value), expected);
+        }
+        id
+    });
+    let bar = section.integer(source, "bar", 0..=5);
+    // A card is looked for on the bus only when somebody has named it, or its profile.
+    let place = card.profile.as_ref().filter(|_| named.is_some()).and_then(|p| p.pci);
+    let bar_of = bar.map(|b| b.value as u8).or(place.map(|p| p.bar));
+    let mut places = usize::from(pci_at.is_some());
+    let path = |at: At<&str>| directory.join(at.value);
+    if port {
+        let parport = section.string(source, "parport", "a parallel port, as \"/dev/parport0\"");
+        let io = section.integer(source, "io", 0..=0xffff);
+        places += usize::from(parport.is_some()) + usize::from(io.is_some());
+        card.port = parport.map(|at| PortPlace::Parport(path(at)));
+        card.port = card.port.take().or(io.map(|io| PortPlace::Io(io.value as u16)));
+        if let (Some(at), Some(profile)) = (parport, &card.profile)
+            && profile.registers().any(|r| r.offset > 2 || r.width != Width::Bits8)
+        {
+            let found = format!("profile \"{}\" at {}", profile.name, at.value);
+            let expected =
+                "the registers of a parallel port (data, status, control); io or pci for other cards";
+            source.finding(at.offset, found, expected);
+        }
+    } else {
+        let file = section.string(source, "file", "the path of the file of registers");
+        let uio = section.string(source, "uio", "a UIO device, as \"/dev/uio0\"");
+        if let Some(at) = uio {
+            is_uio(source, at, &path(at), here);
+        }
+        let map = section.integer(source, "map", 0..=4);
+        places += usize::from(file.is_some()) + usize::from(uio.is_some());
+        card.mapped = file.map(|at| MappedPlace::File(path(at)));
+        let uio_map = map.map_or(0, |m| m.value as u8);
+        card.mapped = card.mapped.take().or(uio.map(|at| MappedPlace::Uio(path(at), uio_map)));
+        if let (Some(at), None) = (map, uio) {
+            source.finding(at.offset, "map without uio", "uio = \"/dev/uio0\" beside it");
+        }
+    }
+    let space = if port { Space::Io } else { Space::Memory };
+    if let Some(place) = place.filter(|p| p.space != space) {
+        let name = card.profile.as_ref().map_or("", |p| &p.name);
+        let (found, backend) = match place.space {
+            Space::Io => ("I/O ports", "port"),
+            Space::Memory => ("mapped registers", "mapped"),
+        };
+        let found = format!("profile \"{name}\" of {found}");
+        source.finding(named.map_or(section.offset, |p| p.offset), found, format!("backend = \"{backend}\""));
+    }
+    let of_profile = place.map(|p| PciId::Card(p.id.0, p.id.1)).filter(|_| places == 0);
+    if let Some(id) = pci.or(of_profile) {
+        match bar_of {
+            Some(bar) if port => card.port = Some(PortPlace::Pci(id, bar)),
+            Some(bar) => card.mapped = Some(MappedPlace::Pci(id, bar)),
+            None => section.missing(source, "bar", "which base address register, 0 to 5"),
+        }
+    } else if places == 0 && card.profile.is_some() {
+        let (key, meaning) = if port {
+            (
+                "parport, io or pci",
+                "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"",
+            )
+        } else {
+            (
+                "file, uio or pci",
+                "where the registers are: a path, \"/dev/uio0\", or a card's \"vendor:device\"",
+            )
+        };
+        section.missing(source, key, meaning);
+    }
+    if places > 1 {
+        let found =
+            if port { "more than one of parport, io and pci" } else { "more than one of file, uio and pci" };
+        source.finding(section.offset, found, "one place where the registers are");
+    }
+    let no_pci = pci_at.is_none() && (places > 0 || place.is_none());
+    if let Some(at) = bar.filter(|_| no_pci) {
+        source.finding(at.offset, "bar without pci", "pci = \"vendor:device\" beside it");
+    }
+}
+
+fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
+    let text = match rtec_files::text::read(path) {
+        Ok(text) => text,
+        Err(error) => {
+            let found = format!("profile {}: {}", path.display(), error.found);
+            source.finding(offset, found, profile::names_for(named));
+            return None;
+        }
+    };
+    source.keep(profile::parse(path, &text))
+}
+
+/// The lines that belong to no axis.
+fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
+    let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
+    MachineLines { probe: wire("probe", false), disable: wire("disable", false), hold: wire("hold", true) }
+}
+
+/// The bit of a GPIO line: the next that is free.
+fn wire_gpio(
+    source: &mut SourceFile<'_>,
+    section: &mut Section<'_>,
+    gpio: &mut Gpio,
+    key: &'static str,
+    output: bool,
+    (group, owner): (u8, &str),
+) -> Option<u8> {
+    let At { value: line, offset } = gpio_line(section, source, key, &gpio.default)?;
+    if line.chip.is_none() && matches!(line.line, LineId::Offset(_)) {
+        let expected = "a name, or a chip too: chip = \"gpiochip0\" in [card], or in the line's own table";
+        source.finding(offset, format!("{key} = {} on no chip", line.line), expected);
+        return None;
+    }
+    let setup = &mut gpio.setup;
+    let known = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
+    if known.into_iter().any(|l| l.line == line.line && l.chip == line.chip) {
+        let found = format!("{key} of {owner} on line {}, which is wired already", line.line);
+        source.finding(offset, found, "a line of its own");
+        return None;
+    }
+    // A' and B' are looked at when an inversion is in effect; their edges are of no use.
+    let edges = !key.starts_with("read_back");
+    let bit = if output { setup.outputs.len() } else { setup.inputs.len() } as u8;
+    if output {
+        setup.outputs.push(GpioOutput { line, bit });
+    } else {
+        setup.inputs.push(GpioInput { line, bit, group, edges });
+    }
+    Some(bit)
+}
+
+/// The bit of one line, checked against the profile and against who has it already.
+fn wire(
+    source: &mut SourceFile<'_>,
+    section: &mut Section<'_>,
+    card: &mut Card,
+    key: &'static str,
+    output: bool,
+    (group, owner): (u8, &str),
+) -> Option<u8> {
+    if card.kind == Some(Kind::Gpio) {
+        return wire_gpio(source, section, &mut card.gpio, key, output, (group, owner));
+    }
+    let at = line(section, source, key)?;
+    let profile = card.profile.as_ref()?;
+    let direction = if output { "an output" } else { "an input" };
+    let bit = match at.value {
+        LineName::Name(name) => match (profile.lines.get(name), output) {
+            (Some(Place::Input(bit)), false) | (Some(Place::Output(bit)), true) => *bit,
+            (found, _) => {
+                let what = if found.is_some() { ", which goes the other way" } else { "" };
+                let names: Vec<&str> = profile.lines.keys().map(String::as_str).collect();
+                let hint = match nearest(name, &names) {
+                    Some(near) if near != name => format!("; did you mean \"{near}\"?"),
+                    _ => String::new(),
+                };
+                let expected = format!("{direction} line of profile \"{}\"{hint}", profile.name);
+                source.finding(at.offset, format!("{key} = \"{name}\"{what}"), expected);
+                return None;
+            }
+        },
+        LineName::Bit(bit) => {
+            let registers = if output { &profile.outputs } else { &profile.inputs };
+            let bits: u32 = registers.iter().map(|r| r.width.bits()).sum();
+            if u32::from(bit) >= bits {
+                let expected = format!("{direction} bit of profile \"{}\", 0 to {}", profile.name, bits - 1);
+                source.finding(at.offset, format!("{key} = {bit}"), expected);
+                return None;
+            }
+            bit
+        }
+    };
+    let owner = format!("{key} of {owner}");
+    if let Some(first) = card.taken.get(&(output, bit)) {
+        source.finding(at.offset, format!("{owner} on bit {bit}, which is {first}"), "a line of its own");
+        return None;
+    }
+    card.taken.insert((output, bit), owner);
+    Some(bit)
+}
+
+/// The lines of an axis: where `lines` says, or those of the standard layout.
+pub(super) fn read_lines(
+    source: &mut SourceFile<'_>,
+    section: &mut Section<'_>,
+    n: u8,
+    card: &mut Card,
+    owner: &str,
+) -> Option<AxisLines> {
+    if !card.is_real() {
+        if card.kind.is_some() && section.has("lines") {
+            let expected = "no lines: the mock and the replay have theirs in fixed places";
+            source.finding(section.offset, format!("lines of {owner}"), expected);
+        }
+        return Some(AxisLines::standard(n, card.kind == Some(Kind::Mock)));
+    }
+    let meaning = "{ a = \"in0\", b = \"in1\", invert_a = \"out0\", invert_b = \"out1\" }";
+    if !section.has("lines") {
+        section.missing(source, "lines", meaning);
+        return None;
+    }
+    let mut lines = section.table(source, "lines", "lines");
+    let mut place = |source: &mut SourceFile<'_>, key, output, needed| {
+        let bit = wire(source, &mut lines, card, key, output, (n, owner));
+        if needed { lines.required(source, key, "the line it is wired to", bit) } else { bit }
+    };
+    let a = place(source, "a", false, true);
+    let b = place(source, "b", false, true);
+    let invert_a = place(source, "invert_a", true, true);
+    let invert_b = place(source, "invert_b", true, true);
+    let back = (place(source, "read_back_a", false, false), place(source, "read_back_b", false, false));
+    let read_back = match back {
+        (Some(a), Some(b)) => Some((a, b)),
+        (None, None) => None,
+        _ => {
+            source.finding(lines.offset, "one of read_back_a and read_back_b", "both, or neither");
+            None
+        }
+    };
+    lines.finish(source);
+    Some(AxisLines { a: a?, b: b?, invert_a: invert_a?, invert_b: invert_b?, read_back })
+}
+
+/// A UIO device is a character device below `/dev`.
+fn is_uio(source: &mut SourceFile<'_>, at: At<&str>, path: &Path, here: bool) {
+    let is_device = || std::fs::metadata(path).map(|m| m.file_type().is_char_device());
+    let why = match is_device() {
+        _ if !path.starts_with("/dev") => "which is not below /dev".to_owned(),
+        Ok(true) | Err(_) if !here => return,
+        Ok(true) => return,
+        Ok(false) => "which is no character device".to_owned(),
+        Err(error) => format!("which cannot be looked at: {error}"),
+    };
+    source.finding(at.offset, format!("uio = \"{}\", {why}", at.value), "a UIO device, as \"/dev/uio0\"");
+}

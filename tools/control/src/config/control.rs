@@ -1,0 +1,298 @@
+//! `[control]`: the sockets and who may use them, the files that outlive the process.
+
+use super::plain;
+use crate::closed::closed_directory;
+use crate::role::Role;
+use nix::unistd::{Group, Uid};
+use rtec_files::toml::{At, Section, SourceFile};
+use std::path::{Path, PathBuf};
+
+/// Longest path of a Unix socket, bytes (unix(7): 108 with the zero at its end).
+pub const LONGEST_SOCKET: usize = 107;
+
+/// The control sockets and what belongs to them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ControlConfig {
+    /// Path of the Unix socket by which everything may be asked for.
+    pub socket: PathBuf,
+    /// The group that may use it.
+    pub group: Option<String>,
+    /// Its mode, where that is not the usual one.
+    pub mode: Option<u32>,
+    /// The socket of the role `operate`.
+    pub operate: Door,
+    /// The socket of the role `view`.
+    pub view: Door,
+    /// What a restart takes over; `None` is beside the socket.
+    pub state_file: Option<PathBuf>,
+    /// The record of every command; `None` is as [`ControlConfig::log_path`] says.
+    pub log_file: Option<PathBuf>,
+    /// Silence of the control side after which no insertion begins, ms.
+    pub stale_ms: u64,
+}
+
+/// A socket of a lesser role, as configured.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Door {
+    /// Its path; `None` is derived from `[control] socket`.
+    pub socket: Option<PathBuf>,
+    /// The group that may use it; without one only the daemon's own user.
+    pub group: Option<String>,
+    /// Its mode, where that is not the usual one.
+    pub mode: Option<u32>,
+}
+
+/// A socket to be made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SocketAt {
+    /// What may be asked for there.
+    pub role: Role,
+    /// Where.
+    pub path: PathBuf,
+    /// The group that may use it.
+    pub group: Option<String>,
+    /// Its mode: 0660 with a group, 0600 without, unless configured.
+    pub mode: u32,
+}
+
+/// Directory of the records of an installed daemon, made by its service.
+const INSTALLED_LOGS: &str = "/var/log/rtec";
+/// Directory of an installed daemon's socket and state, made by its service.
+const INSTALLED_RUN: &str = "/run/rtec";
+
+impl ControlConfig {
+    /// Path of the state file: as configured, else beside the socket.
+    #[must_use]
+    pub fn state_path(&self) -> PathBuf {
+        self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))
+    }
+
+    /// Path of the record of every command: as configured; else of an installed daemon in `/var/log/rtec`; else beside
+    /// the state file.
+    #[must_use]
+    pub fn log_path(&self) -> PathBuf {
+        let state = self.state_path();
+        let installed =
+            state.parent() == Some(Path::new(INSTALLED_RUN)) && Path::new(INSTALLED_LOGS).is_dir();
+        let beside = || state.with_file_name("audit.log");
+        let usual = || if installed { Path::new(INSTALLED_LOGS).join("audit.log") } else { beside() };
+        self.log_file.clone().unwrap_or_else(usual)
+    }
+
+    /// The sockets, one for each role, the most powerful first.
+    #[must_use]
+    pub fn sockets(&self) -> [SocketAt; 3] {
+        let at = |role, path: PathBuf, group: &Option<String>, mode: Option<u32>| SocketAt {
+            role,
+            path,
+            mode: mode.unwrap_or(if group.is_some() { 0o660 } else { 0o600 }),
+            group: group.clone(),
+        };
+        let door = |role, door: &Door| {
+            let path = door.socket.clone().unwrap_or_else(|| derived(&self.socket, role));
+            at(role, path, &door.group, door.mode)
+        };
+        [
+            at(Role::SetUp, self.socket.clone(), &self.group, self.mode),
+            door(Role::Operate, &self.operate),
+            door(Role::View, &self.view),
+        ]
+    }
+}
+
+/// The socket of a role, from the path of the one for everything: `control.sock`, `control-view.sock`.
+#[must_use]
+pub fn derived(socket: &Path, role: Role) -> PathBuf {
+    if role == Role::SetUp {
+        return socket.to_owned();
+    }
+    let mut name = socket.file_stem().unwrap_or_default().to_owned();
+    name.push(format!("-{}", role.word()));
+    if let Some(extension) = socket.extension() {
+        name.push(".");
+        name.push(extension);
+    }
+    socket.with_file_name(name)
+}
+
+/// Directory of sockets and state file unless the configuration names others: `/run/rtec` where it exists (an installed
+/// daemon's) and for root; else the user's run-time directory, else the user's state directory. Never one that others
+/// can write to.
+#[must_use]
+pub fn default_directory() -> PathBuf {
+    let installed = Path::new(INSTALLED_RUN);
+    if installed.is_dir() || Uid::effective().is_root() {
+        return installed.to_owned();
+    }
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    if let Some(directory) = absolute("XDG_RUNTIME_DIR") {
+        return directory.join("rtec");
+    }
+    let home = || absolute("HOME").map(|home| home.join(".local/state"));
+    // A user without a home has no place of its own: the one that a session would have had is named, and missing.
+    let none = || PathBuf::from(format!("/run/user/{}", Uid::effective()));
+    absolute("XDG_STATE_HOME").or_else(home).unwrap_or_else(none).join("rtec")
+}
+
+/// Reads `[control]`. `here`: this computer is the one it is meant for.
+pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> ControlConfig {
+    let mut table = root.table(source, "control", "[control]");
+    let own = read_door(source, &mut table, here);
+    let mut door = |source: &mut SourceFile<'_>, key, title| {
+        if !table.has(key) {
+            return Door::default();
+        }
+        let mut inner = table.table(source, key, title);
+        let door = read_door(source, &mut inner, here);
+        inner.finish(source);
+        door
+    };
+    let operate = door(source, "operate", "operate");
+    let view = door(source, "view", "view");
+    let state_file = table.string(source, "state_file", "the path of the state file");
+    let log_file = table.string(source, "log_file", "the path of the record of every command");
+    let stale_ms = table.integer(source, "stale_ms", 10..=60_000);
+    let offset = table.offset;
+    table.finish(source);
+    let relative = |path: At<&str>| source.file.parent().unwrap_or(Path::new("")).join(path.value);
+    let config = ControlConfig {
+        socket: own.socket.unwrap_or_else(|| default_directory().join("control.sock")),
+        group: own.group,
+        mode: own.mode,
+        operate,
+        view,
+        state_file: state_file.map(relative),
+        log_file: log_file.map(relative),
+        stale_ms: stale_ms.map_or(500, |s| s.value as u64),
+    };
+    if let Some(at) = log_file.filter(|_| config.log_path() == config.state_path()) {
+        let found = format!("log_file = \"{}\", which is the state file", at.value);
+        source.finding(at.offset, found, "a file of its own for each");
+    }
+    if let Some(at) = log_file.filter(|_| here)
+        && let Some(folder) = config.log_path().parent().filter(|d| !d.as_os_str().is_empty() && !d.is_dir())
+    {
+        let found = format!("log_file = \"{}\" in {}, which is no folder here", at.value, folder.display());
+        source.finding(at.offset, found, "a folder that is there and that the daemon may write to");
+    }
+    let sockets = config.sockets();
+    if let Some(long) = sockets.iter().find(|s| s.path.as_os_str().len() > LONGEST_SOCKET) {
+        let found = format!(
+            "the socket of role \"{}\" with a path of {} bytes",
+            long.role,
+            long.path.as_os_str().len()
+        );
+        source.finding(
+            offset,
+            found,
+            format!("at most {LONGEST_SOCKET} bytes (unix(7)): a shorter directory"),
+        );
+    }
+    for (n, socket) in sockets.iter().enumerate() {
+        if sockets[..n].iter().any(|s| s.path == socket.path) {
+            let found = format!("the socket of role \"{}\" at the path of another role", socket.role);
+            source.finding(offset, found, "a path of its own for each role");
+        }
+    }
+    config
+}
+
+/// What is allowed, and may be more than was meant.
+pub(super) fn notes(control: &ControlConfig) -> Vec<String> {
+    let mut notes = Vec::new();
+    let sockets = control.sockets();
+    for s in &sockets {
+        if s.role > Role::View && s.mode & 0o006 != 0 {
+            notes.push(format!(
+                "[control]: every user of this computer may use the socket of role \"{}\" (mode 0{:o})",
+                s.role, s.mode
+            ));
+        }
+    }
+    for (n, s) in sockets.iter().enumerate() {
+        if let Some(more) = sockets[..n].iter().find(|m| s.group.is_some() && m.group == s.group) {
+            let group = s.group.as_deref().unwrap_or_default();
+            notes.push(format!(
+                "[control]: group {group} may \"{}\", so that its socket of role \"{}\" takes nothing away",
+                more.role, s.role
+            ));
+        }
+    }
+    let others = sockets.iter().any(|s| s.group.is_some() || s.mode & 0o066 != 0);
+    if others && control.view.group.is_none() && sockets[2].mode & 0o066 == 0 {
+        notes.push(
+            "[control] view has no group: nobody but the daemon's user may see without being able to do more"
+                .to_owned(),
+        );
+    }
+    if others && let Err(Some(open)) = closed_directory(&control.socket) {
+        notes.push(format!(
+            "[control] socket: everybody can write to {}: another user's `rtecctl` will not trust a daemon there that is not \
+             root's",
+            open.display()
+        ));
+    }
+    notes
+}
+
+fn read_door(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -> Door {
+    let socket = table.string(source, "socket", "the path of the control socket");
+    let group = table.string(source, "group", "the group that may use the socket");
+    let group = plain::name(source, "group", group, true);
+    if let Some(at) = group
+        && here
+        && matches!(Group::from_name(at.value), Ok(None))
+    {
+        let found = format!("group = \"{}\", which does not exist on this computer", at.value);
+        source.finding(at.offset, found, "a group that exists: `groupadd --system NAME`, or another name");
+    }
+    let meaning = "the socket's mode, as \"0660\"";
+    let mode = table.value(source, "mode", meaning, |v| {
+        let digits = v.as_str().and_then(|s| u32::from_str_radix(s.trim_start_matches("0o"), 8).ok());
+        digits.or_else(|| u32::try_from(v.as_integer()?).ok()).filter(|m| *m <= 0o777)
+    });
+    if let Some(at) = mode.filter(|at| at.value & 0o111 != 0 || at.value & 0o600 != 0o600) {
+        let found = format!("mode = 0{:o}", at.value);
+        source.finding(at.offset, found, "read and write for its owner and no execution: 0600, 0660, 0666");
+    }
+    Door {
+        socket: socket.map(|s| source.file.parent().unwrap_or(Path::new("")).join(s.value)),
+        group: group.map(|g| g.value.to_owned()),
+        mode: mode.map(|m| m.value),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_role_has_a_path_of_its_own() {
+        let at = |p: &str, role| derived(Path::new(p), role).display().to_string();
+        assert_eq!(at("/run/rtec/control.sock", Role::View), "/run/rtec/control-view.sock");
+        assert_eq!(at("s", Role::Operate), "s-operate");
+        assert_eq!(at("s", Role::SetUp), "s");
+    }
+
+    #[test]
+    fn what_opens_more_than_was_meant_is_noted() {
+        let with = |control: &str| {
+            let text = format!("{}\n[control]\n{control}\n", crate::config::EMBEDDED);
+            crate::config::Config::parse(Path::new("/etc/rtec/rtec.toml"), &text).unwrap().notes.join("; ")
+        };
+        let three = "group = 'a'\noperate = { group = 'b' }\nview = { group = 'c' }";
+        assert_eq!(with("stale_ms = 400"), "");
+        assert_eq!(with(three), "");
+        for (control, wanted) in [
+            (
+                "mode = '0666'\nview = { mode = '0666' }",
+                "every user of this computer may use the socket of role \"set up\"",
+            ),
+            (&three.replace("'b'", "'a'"), "group a may \"set up\", so that its socket of role \"operate\""),
+            ("operate = { group = 'b' }", "view has no group"),
+            (&format!("socket = '/tmp/s'\n{three}"), "everybody can write to /tmp"),
+        ] {
+            assert!(with(control).contains(wanted), "{control}: {}", with(control));
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! The status: `rtecctl status --json` prints it as it is.
+
+use super::{PartTable, Reading, RunningModel, TableNow};
+use rtec_rt::event::Fault;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The state of the corrector.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DaemonStatus {
+    /// The daemon's version.
+    #[serde(default)]
+    pub version: String,
+    /// The protocol that it speaks: [`super::PROTOCOL`].
+    #[serde(default)]
+    pub protocol: u32,
+    /// The machine's name, as `[machine] name` has it.
+    pub machine: String,
+    /// `run`, `shadow`, `probe`, `hold`, `fault` or `disabled`.
+    pub mode: String,
+    /// Every axis is homed.
+    pub homed: bool,
+    /// Since the daemon's start, s.
+    pub uptime_s: f64,
+    /// The ledger of every axis balances.
+    pub balanced: bool,
+    /// Latched faults of the machine as a whole.
+    pub faults: Vec<Fault>,
+    /// How often each fault was latched since the daemon's start, by its word.
+    #[serde(default)]
+    pub latched: BTreeMap<String, u64>,
+    /// Why the record of commands is not written now, and how much it cost.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub record_trouble: Option<String>,
+    /// Why nothing is corrected now, and what to do about it; empty while correcting.
+    pub why_not: Vec<String>,
+    /// The real-time thread: set-up, losses and latencies.
+    pub rt: Rt,
+    /// The model that runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<RunningModel>,
+    /// The part table that is loaded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table: Option<PartTable>,
+    /// What the part table takes out at this moment, where it is in force.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table_now: Option<TableNow>,
+    /// The temperature sensors, in the configuration's order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Reading>,
+    /// The axes, in the configuration's order.
+    pub axes: Vec<AxisReport>,
+}
+
+/// The real-time thread: how it was set up, what it lost, how quick it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+// Four lamps, each with or without any other: no enum would say it better.
+#[allow(clippy::struct_excessive_bools)]
+pub struct Rt {
+    /// The thread runs.
+    pub alive: bool,
+    /// The card's backend: `mock`, `gpio`, `mapped`, `port` or `replay`.
+    pub card: String,
+    /// Corrections may be enabled on this card with this set-up.
+    pub may_arm: bool,
+    /// The CPU it is pinned to; none for an ordinary thread.
+    pub cpu: Option<usize>,
+    /// Its `SCHED_FIFO` priority; none for an ordinary thread.
+    pub priority: Option<u8>,
+    /// Real-time settings that are not as they should be: name, what was found, what to do.
+    pub missing: Vec<String>,
+    /// Looks at the card so far.
+    pub polls: u64,
+    /// Events that found the ring full.
+    pub events_lost: u64,
+    /// The control side is silent.
+    pub control_stale: bool,
+    /// The disable switch is on.
+    pub disable_switch: bool,
+    /// Time between two looks, ns.
+    pub poll_gap_ns: Distribution,
+    /// Time from an edge to the end of the insertion it opened, ns.
+    pub edge_to_done_ns: Distribution,
+}
+
+/// A distribution of times, ns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Distribution {
+    /// Smallest value, ns.
+    pub min: u64,
+    /// Median, ns.
+    pub p50: u64,
+    /// 99th percentile, ns.
+    pub p99: u64,
+    /// 99.99th percentile, ns.
+    pub p9999: u64,
+    /// Largest value, ns.
+    pub max: u64,
+    /// Number of values.
+    pub samples: u64,
+}
+
+/// One axis: its position, its correction and its ledger.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AxisReport {
+    /// The axis's name, as `[[axis]] name` has it.
+    pub name: String,
+    /// Position by the scale since homing, counts.
+    pub position_counts: i64,
+    /// The same position, mm.
+    pub position_mm: f64,
+    /// Total correction that the engine has accepted, counts since homing.
+    pub requested: i64,
+    /// Inserted, counts; in shadow mode what would have been.
+    pub completed: i64,
+    /// What is really in the MTC's count, counts.
+    pub in_effect: i64,
+    /// The MTC's count minus the scale's, counts: the other side of the ledger.
+    pub mtc_minus_scale: i64,
+    /// Both inverters are on.
+    pub inverted: bool,
+    /// The axis is homed: its position and its totals mean something.
+    pub homed: bool,
+    /// Why it is or is not correcting: `done`, `inserting`, `waiting_for_edge`, `too_fast`, …
+    pub gate: String,
+    /// Scale edges per second.
+    pub edge_rate_hz: f64,
+    /// Latched faults of this axis.
+    pub faults: Vec<Fault>,
+    /// Largest total that is accepted, counts.
+    pub max_correction_counts: i64,
+    /// Belief window: the largest change of the total that is believed at once, counts.
+    pub window_counts: i64,
+    /// Insertions made since the daemon's start.
+    pub insertions: u64,
+    /// Edges at which the gate was shut.
+    pub waited_for_gate: u64,
+    /// Edges inside an insertion, with a certain outcome.
+    pub overlaps: u64,
+    /// Insertions given up because the process looked too late.
+    pub late: u64,
+    /// Illegal transitions of the scale.
+    pub illegal: u64,
+    /// Edges that came sooner than the axis's limits allow, on a polled card.
+    #[serde(default)]
+    pub beyond_limits: u64,
+}

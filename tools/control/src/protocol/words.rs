@@ -1,0 +1,160 @@
+//! What the protocol's words mean to people: refusals, faults, events.
+
+use super::{Happened, TripReport};
+use rtec_rt::event::{Event, EventKind, Fault, Refusal};
+use serde::Serialize;
+
+/// A name as the protocol writes it.
+#[must_use]
+pub fn word(name: impl Serialize) -> String {
+    match serde_json::to_value(name) {
+        Ok(serde_json::Value::String(word)) => word,
+        _ => String::new(),
+    }
+}
+
+/// What a refusal means, and what to do.
+#[must_use]
+pub const fn explain_refusal(why: Refusal) -> &'static str {
+    match why {
+        Refusal::NoSuchAxis => "there is no such axis",
+        Refusal::FaultLatched => {
+            "a fault is latched: see `rtecctl status`, mend its cause, then `rtecctl clear`"
+        }
+        Refusal::NotHomed => "not homed: move to the home position, then `rtecctl home`",
+        Refusal::Disabled => {
+            "corrections are disabled: `rtecctl enable` first; only a total of 0 is taken now"
+        }
+        Refusal::DisableSwitch => "the hardware disable switch is on",
+        Refusal::Probing => "probing mode is on: `rtecctl probe off` first",
+        Refusal::AboveMaximum => "beyond max_correction_counts of this axis; nothing is changed",
+        Refusal::NotBelieved => {
+            "I don't believe you: the change is larger than window_counts of this axis. Nothing is changed; --large if it \
+             is meant"
+        }
+        Refusal::NotArmable => {
+            "the real-time set-up or the measured latency is missing and the card drives a real machine: see \
+             `rtecctl status` and `rtecctl platform`"
+        }
+        Refusal::Busy => "an insertion is under way: ask again",
+    }
+}
+
+/// What a fault means, and what to do.
+#[must_use]
+pub const fn explain_fault(fault: Fault) -> &'static str {
+    match fault {
+        Fault::IllegalTransition => {
+            "A and B of the scale changed at once, or an edge was missed: check the scale and its cable, clear, home again"
+        }
+        Fault::LedgerImbalance => {
+            "counts to the MTC minus counts of the scale is not what was completed: clear, home again"
+        }
+        Fault::OrderUnknown => {
+            "a real edge and an inversion fell together: the MTC's count is uncertain by a cycle; wire the read-back or \
+             raise guard_ns, clear, home again"
+        }
+        Fault::PollGap => {
+            "the lines were not looked at for too long: see `rtecctl platform`, clear, home again"
+        }
+        Fault::BeyondLimits => {
+            "an edge came sooner than max_accel and the scale's hysteresis allow, so the speed gate promised too much and \
+             the MTC's count may be uncertain by a cycle: look for vibration, set max_accel_mm_s2 and hysteresis_counts \
+             to what the axis does, clear, home again"
+        }
+        Fault::StillNotBelieved => {
+            "I still don't believe you: three requests in a row outside the belief window; clear"
+        }
+        Fault::ErrorLimit => "a request reached error_counts of this axis; clear",
+        Fault::ReadBackMismatch => {
+            "A' and B' are not what the inverters should make of A and B: check the gates, home again"
+        }
+        Fault::Card => "the card could not be read or written: see the log, then restart the daemon",
+        Fault::Interrupted => {
+            "the daemon before this one ended in the middle of an insertion; it has been finished, but the MTC counted \
+             mirrored meanwhile: clear, home again"
+        }
+        Fault::InvertersMoved => {
+            "the inverters are not where the state file left them: the MTC's count is uncertain; clear, home again"
+        }
+        Fault::RecordLost => {
+            "the state file has lost what this axis had in effect: the MTC's count is uncertain; clear, home again"
+        }
+        Fault::SequenceGap => {
+            "the kernel merged two edges into one (its sequence numbers jump): the axis is too fast for these GPIO lines, \
+             or their interrupt thread is kept waiting (`rtecctl platform`); clear, home again"
+        }
+        Fault::QueueOverflow => {
+            "edges came faster than they were taken from the kernel's queue, which dropped the oldest: see \
+             `rtecctl platform`, clear, home again"
+        }
+        Fault::EdgeMissed => {
+            "a line is not where its edges have led: an edge was never reported, or with the wrong polarity; check the \
+             signal and the axis's speed, clear, home again"
+        }
+        Fault::CounterOverflow => "the card's own counter overflowed: clear, home again",
+        Fault::CounterError => {
+            "the card's own decoder saw an illegal transition, or disagrees with its lines: check the scale and its \
+             cable, clear, home again"
+        }
+    }
+}
+
+impl Happened {
+    /// An event in words. `axis` gives the name and µm per count of an axis.
+    #[must_use]
+    pub fn of(event: &Event, axis: Option<(&str, f64)>) -> Self {
+        let mut trip = None;
+        let (kind, text) = match event.kind {
+            EventKind::Refused { total_counts: 0, why } => {
+                ("refused", format!("refused: {}", explain_refusal(why)))
+            }
+            EventKind::Refused { total_counts, why } => {
+                ("refused", format!("{total_counts:+} counts refused: {}", explain_refusal(why)))
+            }
+            EventKind::Fault(fault) => ("fault", format!("{}: {}", word(fault), explain_fault(fault))),
+            EventKind::Warning { total_counts } => {
+                ("warning", format!("a request of {total_counts:+} counts passed the warning limit"))
+            }
+            EventKind::HomeSet { position_counts } => {
+                ("home_set", format!("counter set to {position_counts}"))
+            }
+            EventKind::Homed => ("homed", "homed".to_owned()),
+            EventKind::Overlap => {
+                ("overlap", "an edge fell into an insertion and is in the ledger".to_owned())
+            }
+            EventKind::Late => ("late", "an insertion was given up: looked too late".to_owned()),
+            EventKind::Mode(mode) => ("mode", format!("mode {}", word(mode))),
+            EventKind::ControlStale(true) => {
+                ("control_stale", "the control side is silent: corrections freeze".to_owned())
+            }
+            EventKind::ControlStale(false) => ("control_stale", "the control side is heard again".to_owned()),
+            EventKind::Trip(capture) => {
+                let (position_counts, uncertainty_counts) = capture.position_counts();
+                let count_um = axis.map_or(0.0, |(_, um)| um);
+                let position_mm = position_counts * count_um / 1000.0;
+                trip = Some(TripReport {
+                    position_counts,
+                    position_mm,
+                    uncertainty_counts,
+                    uncertainty_um: uncertainty_counts * count_um,
+                    at_ns: [capture.trip_ns.0, capture.trip_ns.1],
+                    error_um: None,
+                    corrected_mm: None,
+                    degc: Vec::new(),
+                });
+                ("trip", format!("probe tripped at {position_counts:.3} ± {uncertainty_counts:.3} counts"))
+            }
+            EventKind::Bounce => {
+                ("bounce", "the probe tripped again before the capture was complete".to_owned())
+            }
+        };
+        Self {
+            t_ns: event.t_ns,
+            axis: axis.map(|(name, _)| name.to_owned()),
+            kind: kind.to_owned(),
+            text,
+            trip,
+        }
+    }
+}

@@ -1,0 +1,29 @@
+//! The choice of sensors alone, for whoever compares an own choice with this one.
+
+use super::Options;
+use super::problem::Problem;
+use super::term::pair_of;
+use rtec_files::InputError;
+use rtec_model::effect::Difference;
+use rtec_model::record::{Record, Role};
+
+/// The temperature differences that [`super::fit`] chooses for a response before it asks blocks of time that it has not
+/// seen; empty where the temperatures explain no more than chance.
+///
+/// # Errors
+/// As [`super::fit`].
+pub fn chosen(train: &[&Record], response: &Role, options: &Options) -> Result<Vec<Difference>, InputError> {
+    let problem = Problem::new(train, response, options)?;
+    let all: Vec<usize> = (0..problem.folds).collect();
+    let terms = problem.select(&all).map_or_else(Vec::new, |s| s.structure.terms);
+    let mut out: Vec<Difference> = Vec::new();
+    for (sensor, minus) in terms.iter().filter_map(|t| pair_of(*t)) {
+        let name = &problem.sensors[sensor];
+        let difference =
+            minus.map_or_else(|| Difference::single(name), |m| Difference::pair(name, &problem.sensors[m]));
+        if !out.contains(&difference) {
+            out.push(difference);
+        }
+    }
+    Ok(out)
+}

@@ -1,0 +1,194 @@
+//! Which causes show: drift, spikes over a grid of lengths, cyclic errors over a grid of periods; and whether anything is left
+//! that none of them explains.
+
+use super::diagnosis::Fit;
+use super::{law, structure};
+use nalgebra::{DMatrix, DVector};
+use rtec_model::effect::{Dictionary, Effect, laws};
+use rtec_model::record::{Axis, Role};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+/// A spike is taken into the fit from so many squared standard deviations on, so that it does not bend what stands beside
+/// it, and told from more on: one in a thousand circles of noise over all lengths.
+const SPIKE_FITTED: f64 = 6.0;
+const SPIKE_TOLD: f64 = 18.0;
+/// A cyclic error by chance: one in a thousand circles over all periods.
+const CYCLIC_RISK: f64 = 1e-3;
+/// Screw pitches and pitch circles, mm.
+const PERIODS_MM: [f64; 2] = [0.5, 60.0];
+/// Drift within a record is taken into the fit from so many squared standard deviations on: one in twenty circles of noise, over
+/// its three columns.
+const DRIFT_FITTED: f64 = 7.8;
+
+impl Fit<'_> {
+    /// Drift, spikes and cyclic errors, those that show; then all of it together.
+    pub(super) fn search(&mut self, axes: [&Axis; 2], told: &mut Vec<String>) {
+        let d = Dictionary::default();
+        self.memory();
+        self.add_drift();
+        self.memory();
+        // One way round a spike hides in the reversal and what stands beside it: it is taken to be there.
+        let fitted = if self.structure.both_ways { SPIKE_FITTED } else { 0.0 };
+        for axis in axes {
+            if let Some((effect, gain)) = self.best_spike(&d, axis).filter(|(_, gain)| *gain > fitted) {
+                let name = format!("spike.{axis}");
+                self.push(&name, Some(vec![(effect, 1.0)]));
+                told.extend((gain > SPIKE_TOLD && self.structure.both_ways).then_some(name));
+            }
+        }
+        for axis in axes {
+            if let Some(effect) = self.best_wave(&d, axis) {
+                let name = format!("cyclic.{axis}");
+                self.push(&name, Some(vec![(effect, 1.0)]));
+                told.push(name);
+            }
+        }
+        self.memory();
+        self.free_all(told);
+        self.drop_endless(told);
+    }
+
+    /// Takes out spikes whose length has run off, where no spike was looked for: what they followed is none.
+    fn drop_endless(&mut self, told: &mut Vec<String>) {
+        let longest_mm = self.traces[0].record.circle().map_or(f64::INFINITY, |c| c.radius_mm) / 2.0;
+        let before = self.terms.len();
+        self.terms.retain(|t| {
+            let length = t.parts.first().filter(|_| t.name.starts_with("spike.")).map(|(e, _)| e.scalar(1));
+            length.is_none_or(|mm| mm < longest_mm)
+        });
+        if self.terms.len() < before {
+            told.retain(|name| self.terms.iter().any(|t| t.name == *name));
+            self.free_all(told);
+        }
+    }
+
+    /// Whether harmonics explain more of what is left than noise lets them in one circle out of ten.
+    pub(super) fn harmonics_show(&self) -> bool {
+        let m = self.structure.columns.ncols();
+        if m == 0 {
+            return false;
+        }
+        let (q, left, variance) = self.prepared();
+        let columns: Vec<DVector<f64>> =
+            self.structure.columns.column_iter().map(nalgebra::Matrix::into_owned).collect();
+        let gain = self.gain(&q, &left, variance, &columns).0;
+        ChiSquared::new(m as f64).is_ok_and(|c| gain > c.inverse_cdf(0.9))
+    }
+
+    /// Takes drift into the columns beside, where it shows.
+    fn add_drift(&mut self) {
+        if !self.structure.both_ways {
+            return;
+        }
+        for (i, t) in self.traces.iter().enumerate() {
+            let columns = structure::drift(t, self.start[i], self.n);
+            let (q, left, variance) = self.prepared();
+            if !columns.is_empty() && self.gain(&q, &left, variance, &columns).0 > DRIFT_FITTED {
+                self.take_beside(&DMatrix::from_columns(&columns));
+            }
+        }
+    }
+
+    /// Squared standard deviations that columns explain of what is left.
+    fn gain(
+        &self,
+        q: &DMatrix<f64>,
+        left: &DVector<f64>,
+        variance: f64,
+        columns: &[DVector<f64>],
+    ) -> (f64, DVector<f64>) {
+        let own: Vec<DVector<f64>> = columns
+            .iter()
+            .map(|c| {
+                let c = self.white(c);
+                &c - q * q.tr_mul(&c)
+            })
+            .collect();
+        let m = DMatrix::from_columns(&own);
+        let normal = m.tr_mul(&m);
+        let with = m.tr_mul(left);
+        let Some(beta) = normal.cholesky().map(|c| c.solve(&with)) else {
+            return (0.0, DVector::zeros(columns.len()));
+        };
+        (beta.dot(&with) / variance, beta)
+    }
+
+    fn prepared(&self) -> (DMatrix<f64>, DVector<f64>, f64) {
+        let j = self.jacobian();
+        let left = self.white(&self.left());
+        let variance = left.norm_squared() / self.freedom(j.ncols());
+        (j.qr().q(), left, variance.max(1e-18))
+    }
+
+    /// The spike that explains most of what is left, over lengths from a twentieth of a millimetre to a third of the radius.
+    fn best_spike(&self, d: &Dictionary, axis: &Axis) -> Option<(Effect, f64)> {
+        let radius_mm = self.traces[0].record.circle()?.radius_mm;
+        let spike = law(d, laws::reversal_spike::NAME, &[axis])?;
+        let (q, left, variance) = self.prepared();
+        // One way round a long one is a map like any other.
+        let longest = radius_mm / if self.structure.both_ways { 3.0 } else { 30.0 };
+        let lengths = (0..).map(|k| 0.05 * 1.5_f64.powi(k)).take_while(|l| *l < longest);
+        let of = |length: f64| {
+            let effect = spike.with(&[(1, length)])?;
+            let (gain, beta) = self.gain(&q, &left, variance, &self.basis(&effect, None));
+            Some((effect.with(&[(0, beta[0])])?, gain))
+        };
+        lengths.filter_map(of).max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The cyclic error that explains most of what is left, if more than chance does over all periods.
+    fn best_wave(&self, d: &Dictionary, axis: &Axis) -> Option<Effect> {
+        let wave = law(d, laws::screw_periodic::NAME, &[axis])?;
+        let places = self.traces.iter().filter_map(|t| t.record.data(&Role::Position(axis.clone())));
+        let mut steps: Vec<f64> =
+            places.clone().flat_map(|p| p.windows(2)).map(|w| (w[1] - w[0]).abs()).collect();
+        steps.sort_by(f64::total_cmp);
+        let all = || places.clone().flatten().copied();
+        let span = all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min);
+        let shortest = PERIODS_MM[0].max(2.5 * steps.get(steps.len() / 2)?);
+        let (from, to) = (1.0 / PERIODS_MM[1].min(span / 3.0), 1.0 / shortest);
+        if to <= from {
+            return None;
+        }
+        let (q, left, variance) = self.prepared();
+        let step = 0.3 / span;
+        let count = ((to - from) / step).ceil().max(2.0) as usize;
+        let of = |f: f64| {
+            let mut effect = wave.with(&[(0, 1.0 / f)])?;
+            let (gain, beta) = self.gain(&q, &left, variance, &self.basis(&effect, None));
+            effect.set_coefficients(beta.as_slice());
+            Some((effect, gain))
+        };
+        let (mut best, mut gain) =
+            (0..count).filter_map(|i| of(from + step * i as f64)).max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let mut h = step;
+        for _ in 0..12 {
+            h *= 0.5;
+            for g in [-h, h] {
+                if let Some(other) = of(1.0 / best.scalar(0) + g).filter(|o| o.1 > gain) {
+                    (best, gain) = other;
+                }
+            }
+        }
+        (gain > 2.0 * (count as f64 / CYCLIC_RISK).ln() && best.scalar(1) > 0.0).then_some(best)
+    }
+
+    /// Frees lengths (of spikes that show), periods and phases too, and descends.
+    fn free_all(&mut self, told: &[String]) {
+        for t in &mut self.terms {
+            if t.name.starts_with("spike.") && told.contains(&t.name) {
+                t.free = vec![0, 1];
+            } else if t.name.starts_with("cyclic.") {
+                t.free = vec![0, 1, 2];
+            }
+        }
+        let mut before = f64::INFINITY;
+        for _ in 0..30 {
+            let now = self.step();
+            if before - now <= 1e-9 * now {
+                break;
+            }
+            before = now;
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! What the diagnosis has no law for: maps, bends and slow drift. It is fitted beside the laws, so that it does not pass for one
+//! of them, and widens the intervals of those that it could have moved.
+//!
+//! What depends on the place alone is the same both ways round: harmonics of the angle, common to both senses. Those of the
+//! third order and above are fitted; those below are centre, radius, scale and squareness themselves, and how much of them is
+//! not the law's own is told by the size of the orders just above.
+
+use super::Trace;
+use nalgebra::{DMatrix, DVector};
+use rtec_model::record::Role;
+
+/// Orders that the laws themselves take: radius (0), centre (1), scale and squareness (2).
+const TAKEN: usize = 2;
+/// Highest order that is fitted beside the laws.
+const HIGHEST: usize = 20;
+/// Orders just above those taken, from which the taken ones' share is told.
+const TELLING: [usize; 4] = [3, 4, 5, 6];
+
+/// Harmonics of the angle common to both ways, cosine and sine of each order. One way round nothing but their smoothness tells
+/// them from reversals.
+pub(super) struct Structure {
+    /// Whether both ways were run.
+    pub(super) both_ways: bool,
+    /// Columns over all rows.
+    pub(super) columns: DMatrix<f64>,
+    /// Highest order fitted; below 3: none.
+    highest: usize,
+    /// Rows of the shortest contour.
+    rows: usize,
+    /// Columns of the orders that the laws take: 1, cos, sin, cos 2, sin 2.
+    pub(super) taken: DMatrix<f64>,
+}
+
+/// How the orders that the laws take may be moved, µm², and how many values that was told from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Told {
+    /// Variance of the amplitude of an order that scale takes (cosines of even orders above).
+    pub(super) variance: [f64; 5],
+    /// Number of values behind each.
+    pub(super) freedom: [f64; 5],
+    /// RMS of all that was fitted, µm.
+    pub(super) rms_um: f64,
+}
+
+impl Structure {
+    /// For these records, of `n` rows altogether.
+    pub(super) fn of(traces: &[Trace], n: usize) -> Self {
+        let angles = || traces.iter().flat_map(|t| t.angle.iter().copied());
+        let senses = || traces.iter().flat_map(|t| &t.contours).map(|c| c.1);
+        let both = senses().any(|s| s > 0.0) && senses().any(|s| s < 0.0);
+        let rows = traces.iter().flat_map(|t| &t.contours).map(|c| c.0.len()).min().unwrap_or(0);
+        // A dozen rows to a wave of the highest order.
+        let highest = HIGHEST.min(rows / 12);
+        let orders = |from: usize, to: usize| -> Vec<DVector<f64>> {
+            let both = |k: usize| {
+                [f64::cos as fn(f64) -> f64, f64::sin]
+                    .map(|f| DVector::from_iterator(n, angles().map(|a| f(k as f64 * a))))
+            };
+            (from..=to).flat_map(both).collect()
+        };
+        let columns = columns_of(n, &orders(TAKEN + 1, highest));
+        let mut taken = vec![DVector::from_element(n, 1.0)];
+        taken.extend(orders(1, TAKEN));
+        Self { both_ways: both, columns, highest, rows, taken: columns_of(n, &taken) }
+    }
+
+    /// What is left, whitened, as a multiple of white noise's variance when it is summed over some rows on end: above one
+    /// where it hangs together in another way than the noise's memory has it.
+    pub(super) fn hangs_together(white: &DVector<f64>) -> f64 {
+        let n = white.len();
+        let own = white.norm_squared() / n.max(1) as f64;
+        let of = |rows: usize| {
+            let sums: Vec<f64> = white.as_slice().chunks_exact(rows).map(|c| c.iter().sum::<f64>()).collect();
+            let mean = sums.iter().map(|s| s * s).sum::<f64>() / sums.len().max(1) as f64;
+            mean / rows as f64 / own.max(1e-300)
+        };
+        [5, 10, 20].map(of).into_iter().fold(1.0, f64::max)
+    }
+
+    /// The noise's coefficient from row to row, where what is left shows `seen`: the harmonics have taken the slow part of it,
+    /// more of what remembers.
+    pub(super) fn memory(&self, seen: f64, n: usize, most: f64) -> f64 {
+        let expected = |phi: f64| {
+            let (mut own, mut next) = (1.0, phi);
+            for k in TAKEN + 1..=self.highest {
+                let c = (std::f64::consts::TAU * k as f64 / self.rows as f64).cos();
+                let taken = 2.0 / n as f64 * (1.0 - phi * phi) / (1.0 - 2.0 * phi * c + phi * phi);
+                own -= taken;
+                next -= taken * c;
+            }
+            next / own
+        };
+        (0..=100).map(|i| most * f64::from(i) / 100.0).find(|phi| expected(*phi) >= seen).unwrap_or(most)
+    }
+
+    /// What the fitted amplitudes, with their variances, say of those that could not be fitted.
+    pub(super) fn told(&self, amplitude: &DVector<f64>, variance: &DVector<f64>) -> Option<Told> {
+        if self.highest < TELLING[TELLING.len() - 1] {
+            return None;
+        }
+        let at = |k: usize, sine: usize| 2 * (k - TAKEN - 1) + sine;
+        let mean = |which: &[(usize, usize)]| {
+            // The power of a line with kinks falls with the square of the order.
+            let own = |(k, s): &(usize, usize)| {
+                (amplitude[at(*k, *s)].powi(2) - variance[at(*k, *s)]) * (*k as f64 / TAKEN as f64).powi(2)
+            };
+            ((which.iter().map(own).sum::<f64>() / which.len() as f64).max(0.0), which.len() as f64)
+        };
+        // An axis' map makes cosines of even orders, a bend of one axis along the other sines; both make odd ones.
+        let odd: Vec<_> = TELLING.iter().filter(|k| *k % 2 == 1).flat_map(|k| [(*k, 0), (*k, 1)]).collect();
+        let even = |s: usize| TELLING.iter().filter(|k| *k % 2 == 0).map(|k| (*k, s)).collect::<Vec<_>>();
+        let all = |s: usize| [even(s), odd.clone()].concat();
+        let each = [mean(&all(0)), mean(&odd), mean(&odd), mean(&all(0)), mean(&all(1))];
+        let fitted = 2 * (self.highest - TAKEN);
+        let power: f64 = (0..fitted).map(|i| (amplitude[i].powi(2) - variance[i]) / 2.0).sum();
+        Some(Told { variance: each.map(|e| e.0), freedom: each.map(|e| e.1), rms_um: power.max(0.0).sqrt() })
+    }
+}
+
+/// Drift of centre and radius over a record's time; nothing without time. Straight only: out and back on one path, a bent one is
+/// the same at a place both ways, and so among the harmonics.
+pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> {
+    let Some(t) = trace.record.data(&Role::Time) else { return Vec::new() };
+    let (from, to) = (t.first().copied().unwrap_or(0.0), t.last().copied().unwrap_or(0.0));
+    if to <= from {
+        return Vec::new();
+    }
+    let of = |shape: fn(f64) -> f64| {
+        let mut column = DVector::zeros(n);
+        for (i, (a, t)) in trace.angle.iter().zip(t).enumerate() {
+            column[start + i] = shape(*a) * (2.0 * (t - from) / (to - from) - 1.0);
+        }
+        column
+    };
+    vec![of(|_| 1.0), of(f64::cos), of(f64::sin)]
+}
+
+fn columns_of(n: usize, all: &[DVector<f64>]) -> DMatrix<f64> {
+    if all.is_empty() { DMatrix::zeros(n, 0) } else { DMatrix::from_columns(all) }
+}

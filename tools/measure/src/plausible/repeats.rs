@@ -1,0 +1,81 @@
+//! Single approaches to a target that are far from the others to the same target.
+
+use super::stats::{distinct, median};
+use super::{Suspicion, What};
+use rtec_model::record::{Kind, Record, Role};
+
+/// So many of the approaches' own spread away, an approach is wild; and the worst of them so many.
+const FAR: f64 = 10.0;
+const WORST: f64 = 14.0;
+
+/// Approaches of a positioning run that neither drift nor repeatability explains; nothing where they were found already.
+pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
+    let path = record.path.display().to_string();
+    for c in record.responses().filter(|_| record.kind == Kind::Positioning) {
+        let known = |s: &Suspicion| s.record == path && s.column == c.name && s.what == What::Outliers;
+        let moving = c.role.axis().filter(|a| record.column(&Role::Position((*a).clone())).is_some());
+        let Some(axis) = moving.filter(|_| !out.iter().any(known)) else { continue };
+        let (Some(p), Some(d)) =
+            (record.data(&Role::Position(axis.clone())), record.data(&Role::Direction(axis.clone())))
+        else {
+            continue;
+        };
+        let groups = groups(p, d);
+        if groups.iter().filter(|g| g.len() >= 3).count() * 2 < groups.len().max(8) {
+            continue;
+        }
+        let mut away = vec![0.0; record.rows()];
+        for g in groups.iter().filter(|g| g.len() >= 3) {
+            let middle = median(g.iter().map(|i| c.data[*i]).collect());
+            for i in g {
+                away[*i] = c.data[*i] - middle;
+            }
+        }
+        // The middle one of each group is its own median, and says nothing of the spread.
+        let others: Vec<f64> = away.iter().map(|v| v.abs()).filter(|v| *v > 0.0).collect();
+        let resolution = smallest_step(&c.data);
+        let spread = (1.4826 * median(others)).max(resolution);
+        let rows: Vec<usize> = (0..away.len()).filter(|i| away[*i].abs() > FAR * spread).collect();
+        let worst = rows.iter().map(|i| away[*i].abs()).fold(0.0, f64::max);
+        let tails = away.iter().filter(|v| v.abs() > 5.0 * spread).count() - rows.len();
+        if spread > 0.0 && worst > WORST * spread && rows.len() * 20 <= away.len() && 2 * tails <= rows.len()
+        {
+            let text = format!(
+                "{} of {} approaches are up to {worst:.1} off the others to the same target (the others spread by {spread:.2})",
+                rows.len(),
+                away.len()
+            );
+            out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+        }
+    }
+}
+
+/// Rows of one target and direction: positions that lie together.
+pub(super) fn groups(p: &[f64], d: &[f64]) -> Vec<Vec<usize>> {
+    let mut order: Vec<usize> = (0..p.len()).collect();
+    order.sort_by(|a, b| p[*a].total_cmp(&p[*b]));
+    let (lo, hi) = (order.first().map_or(0.0, |i| p[*i]), order.last().map_or(0.0, |i| p[*i]));
+    let apart = (hi - lo) / 200.0;
+    let mut targets: Vec<Vec<usize>> = Vec::new();
+    for i in order {
+        match targets.last_mut() {
+            Some(t) if p[i] - p[t[t.len() - 1]] <= apart => t.push(i),
+            _ => targets.push(vec![i]),
+        }
+    }
+    let ways = |t: Vec<usize>| {
+        let (up, down): (Vec<usize>, Vec<usize>) = t.into_iter().partition(|i| d[*i] > 0.0);
+        [up, down]
+    };
+    targets.into_iter().flat_map(ways).filter(|g| !g.is_empty()).collect()
+}
+
+/// What the values are read in, where they are few.
+fn smallest_step(values: &[f64]) -> f64 {
+    if distinct(values) * 2 > values.len() {
+        return 0.0;
+    }
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.windows(2).map(|w| w[1] - w[0]).filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min)
+}

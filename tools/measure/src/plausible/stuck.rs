@@ -1,0 +1,163 @@
+//! A sensor that stands still: beside its own noise and movement at other times, in other records, and beside the others.
+
+use super::stats::{quantum, range, steps};
+use super::told::told;
+use super::{Suspicion, What};
+use rtec_model::record::{Column, Record, Role};
+use statrs::distribution::{ContinuousCDF, Normal};
+
+/// A shorter run of one value may be chance.
+const SHORTEST: usize = 12;
+/// Rows from which a sensor's noise, or what the others say of it, can be learned.
+const ENOUGH: usize = 30;
+/// Chance that a good sensor stands still so long.
+const CHANCE: f64 = 1e-4;
+
+pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
+    for k in 0..records.len() {
+        let (record, before) = (&records[k], out.len());
+        let path = record.path.display().to_string();
+        for c in temperatures(record) {
+            let known = |s: &Suspicion| s.record == path && s.column == c.name;
+            if out[..before].iter().any(known) {
+                continue;
+            }
+            if let Some((start, end)) = stands_still(records, k, c) {
+                let all = end - start == c.data.len();
+                let rows: Vec<usize> = if all { Vec::new() } else { (start..end).collect() };
+                let text = format!(
+                    "reads {} degC in {}, as a sensor that is alive does not",
+                    c.data[start],
+                    if all { "every row".to_owned() } else { format!("{} rows on end", end - start) }
+                );
+                out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
+            }
+        }
+    }
+}
+
+fn temperatures(record: &Record) -> impl Iterator<Item = &Column> {
+    record.columns.iter().filter(|c| c.role == Role::Temperature)
+}
+
+/// The longest run of one value: first row, and one past the last.
+fn longest_run(v: &[f64]) -> (usize, usize) {
+    let (mut best, mut start) = ((0, 0), 0);
+    for i in 0..=v.len() {
+        if i == v.len() || v[i].to_bits() != v[start].to_bits() {
+            if i - start > best.1 - best.0 {
+                best = (start, i);
+            }
+            start = i;
+        }
+    }
+    best
+}
+
+/// Standard deviation of a reading's noise from row to row, and its resolution. From second differences, which a trend
+/// leaves alone, without their largest tenth: those are the machine's.
+fn noise(pieces: &[&[f64]]) -> (f64, f64) {
+    let mut squares: Vec<f64> =
+        pieces.iter().flat_map(|p| p.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).powi(2))).collect();
+    squares.sort_by(f64::total_cmp);
+    squares.truncate(squares.len() * 9 / 10);
+    // Of a normal distribution's squares the mean without the largest tenth is 0.623 of the variance.
+    let variance = squares.iter().sum::<f64>() / squares.len().max(1) as f64 / 0.623 / 6.0;
+    let step = quantum(&pieces.concat());
+    ((variance - step * step / 12.0).max(0.0).sqrt(), step)
+}
+
+/// The run of rows in which a sensor of the k-th record stands still though it should not.
+fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usize)> {
+    let (record, n) = (&records[k], c.data.len());
+    let (start, end) = longest_run(&c.data);
+    if end - start < SHORTEST || n < 20 {
+        return None;
+    }
+    let elsewhere = records.iter().enumerate().filter(|(i, _)| *i != k);
+    let elsewhere: Vec<&Record> = elsewhere
+        .map(|(_, r)| r)
+        .filter(|r| r.temperature(&c.name).is_some_and(|t| range(t) > 0.0))
+        .collect();
+    let found = by_noise(record, c, (start, end), &elsewhere)
+        || by_the_others(record, c, (start, end), &elsewhere)
+        || (end - start == n && elsewhere.is_empty() && among_lively_ones(record, c));
+    found.then_some((start, end))
+}
+
+/// By its own noise: at other times it changes from row to row so much that this run is no chance.
+fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere: &[&Record]) -> bool {
+    let mut pieces: Vec<&[f64]> = vec![&c.data[..start], &c.data[end..]];
+    pieces.extend(elsewhere.iter().filter_map(|r| r.temperature(&c.name)));
+    pieces.retain(|p| p.len() >= 3);
+    let rows: usize = pieces.iter().map(|p| p.len()).sum();
+    let length = end - start;
+    // A logger that reads slower than it writes repeats itself everywhere.
+    let usual = pieces.iter().map(|p| longest_run(p)).map(|(a, b)| b - a).max().unwrap_or(0);
+    if rows < ENOUGH.min(2 * length) || length < 3 * usual {
+        return false;
+    }
+    let (sigma, step) = noise(&pieces);
+    if sigma <= 0.1 * step || sigma <= 0.0 {
+        return false;
+    }
+    // The value most likely to stay: in the middle between two steps of the resolution.
+    let stays = Normal::standard().cdf(0.5 * step / sigma) * 2.0 - 1.0;
+    let chance = (length - 1) as f64 * stays.max(0.05).ln() + (record.rows() as f64).ln();
+    // Noise that comes with the spindle goes with it, from all sensors at once.
+    let outside = |o: &[f64]| [o[..start].to_vec(), o[end..].to_vec()].concat();
+    let noisy = temperatures(record).filter(|o| o.name != c.name).filter(|o| {
+        let rest = outside(&o.data);
+        let (s, q) = noise(&[&rest]);
+        rest.len() >= ENOUGH && s > 0.3 * q
+    });
+    let changes = |o: &Column| steps(&o.data[start..end]).iter().filter(|d| **d != 0.0).count() * 10 > length;
+    let noisy: Vec<&Column> = noisy.collect();
+    let awake = noisy.is_empty() || noisy.into_iter().any(changes);
+    chance < CHANCE.ln() && awake
+}
+
+/// By the others: what they say of it moves on, by much more than they were ever wrong.
+fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere: &[&Record]) -> bool {
+    let own: Vec<usize> = (0..record.rows()).filter(|i| *i < start || *i >= end).collect();
+    let own = (own.len() >= ENOUGH).then(|| record.select(&own));
+    if end - start < 15 {
+        return false;
+    }
+    let asked = record.select(&(start..end).collect::<Vec<_>>());
+    own.iter().chain(elsewhere.iter().copied().filter(|r| r.rows() >= ENOUGH)).any(|known| {
+        let common = |n: &&str| *n != c.name && known.temperature(n).is_some();
+        let rest: Vec<&str> = record.names(&Role::Temperature).filter(common).collect();
+        let Some(y) = known.temperature(&c.name).filter(|_| !rest.is_empty()) else { return false };
+        let Some(told) = told(known, y, &rest) else { return false };
+        // Asked of states that it has seen only.
+        let seen = |n: &&str| {
+            let (Some(a), Some(b)) = (known.temperature(n), asked.temperature(n)) else { return false };
+            let bounds = |v: &[f64]| v.iter().fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(*x), h.max(*x)));
+            let ((l, h), (from, to)) = (bounds(a), bounds(b));
+            from > l - 0.5 * (h - l) - 0.5 && to < h + 0.5 * (h - l) + 0.5
+        };
+        let says = told.says(&asked, &rest);
+        let moved = range(&says);
+        told.left < 0.1 * range(y)
+            && moved > (8.0 * quantum(y)).max(10.0 * told.left).max(1.0)
+            && rest.iter().all(seen)
+    })
+}
+
+/// All along, among others that change at most rows, one of which moves: a sensor of coarse resolution may stand still in a
+/// calm room, but not there.
+fn among_lively_ones(record: &Record, c: &Column) -> bool {
+    let others: Vec<&Column> = temperatures(record).filter(|o| o.name != c.name).collect();
+    let changes = |o: &Column| steps(&o.data).iter().filter(|d| **d != 0.0).count() as f64;
+    let lively = |o: &&&Column| changes(o) > 0.5 * (o.data.len() - 1) as f64;
+    let moving = others.iter().any(|o| range(&o.data) > 1.0);
+    let enough = others.len() >= 2 || others.len() == 1 && fine(c.data[0]);
+    enough && record.rows() >= ENOUGH && moving && others.iter().filter(lively).count() == others.len()
+}
+
+/// A value of better resolution than a sixteenth or a tenth of a kelvin.
+fn fine(v: f64) -> bool {
+    let whole = |v: f64| (v - v.round()).abs() < 1e-6;
+    !(whole(16.0 * v) || whole(10.0 * v))
+}

@@ -1,0 +1,153 @@
+//! A record beside itself: single runs whose direction is wrong, a sign that turns on the way, a clock that was put forward.
+
+use super::stats::{median, range, spread, steps};
+use super::told::told;
+use super::{Suspicion, What, motion, repeats};
+use crate::iso230::correlation;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+
+/// Fewer moves are no run.
+const RUN: usize = 5;
+/// The sign has turned where what is left of the error with the sign turned back is less than this share of what is left as it
+/// stands.
+const TURNED: f64 = 0.1;
+/// A clock's step is out of the ordinary from so many usual ones on.
+const PAUSE: f64 = 20.0;
+
+pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
+    let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
+    for axis in &axes {
+        runs(record, axis, out);
+    }
+    for c in record.responses().filter(|c| matches!(c.role, Role::Error(_))) {
+        let at = if record.kind == Kind::Drift { in_time(record, c) } else { by_place(record, c) };
+        if let Some(at) = at {
+            let rows: Vec<usize> = (at..c.data.len()).collect();
+            let text = "has the sign opposite to the rows before".to_owned();
+            out.push(Suspicion::new(record, &c.name, What::Sign, &rows, text));
+        }
+    }
+    clock(record, out);
+}
+
+/// Stretches of rows that move one way and say the other, beside others that say what they do.
+fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
+    let (Some(p), Some(d)) =
+        (record.data(&Role::Position(axis.clone())), record.column(&Role::Direction(axis.clone())))
+    else {
+        return;
+    };
+    let known = |s: &Suspicion| s.column == d.name && s.record == record.path.display().to_string();
+    if out.iter().any(known) {
+        return;
+    }
+    let mut stretches: Vec<(f64, Vec<usize>)> = Vec::new();
+    for (i, m) in motion::moves(p).into_iter().enumerate() {
+        let Some(way) = m else { continue };
+        match stretches.last_mut() {
+            Some((w, rows)) if (*w - way).abs() < 0.5 => rows.push(i),
+            _ => stretches.push((way, vec![i])),
+        }
+    }
+    stretches.retain(|(_, rows)| rows.len() >= RUN);
+    let against = |(way, rows): &&(f64, Vec<usize>)| {
+        rows.iter().filter(|i| d.data[**i] * way < 0.0).count() * 10 >= rows.len() * 9
+    };
+    let wrong: Vec<&(f64, Vec<usize>)> = stretches.iter().filter(against).collect();
+    if wrong.is_empty() || wrong.len() * 2 >= stretches.len() {
+        return;
+    }
+    let rows: Vec<usize> = wrong.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
+    let text = format!("is opposite to the movement in {} of {} runs", wrong.len(), stretches.len());
+    out.push(Suspicion::new(record, &d.name, What::Direction, &rows, text));
+}
+
+/// The row from which on an error has the other sign than at the same place and direction before.
+fn by_place(record: &Record, c: &Column) -> Option<usize> {
+    let axis = c.role.axis()?;
+    let p = record.data(&Role::Position(axis.clone()))?;
+    let none = vec![0.0; p.len()];
+    let d = record.data(&Role::Direction(axis.clone())).unwrap_or(&none);
+    let groups = repeats::groups(p, d);
+    let n = p.len();
+    if groups.iter().filter(|g| g.len() >= 3).count() < 8 || range(&c.data) <= 0.0 {
+        return None;
+    }
+    let left = |at: usize| -> f64 {
+        let of = |i: usize| if i < at { c.data[i] } else { -c.data[i] };
+        let own = |g: &Vec<usize>| {
+            let mean = g.iter().map(|i| of(*i)).sum::<f64>() / g.len() as f64;
+            g.iter().map(|i| (of(*i) - mean).powi(2)).sum::<f64>()
+        };
+        groups.iter().map(own).sum()
+    };
+    let as_it_is = left(n);
+    let (turned, at) = (n / 10..n - n / 10).map(|k| (left(k), k)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    if turned > TURNED * as_it_is {
+        return None;
+    }
+    // A step from below zero to above it does the same; but not with the sign of what depends on the place.
+    let mean = |g: &Vec<usize>, before: bool| {
+        let own: Vec<f64> = g.iter().filter(|i| (**i < at) == before).map(|i| c.data[*i]).collect();
+        (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64)
+    };
+    let (a, b): (Vec<f64>, Vec<f64>) =
+        groups.iter().filter_map(|g| Some((mean(g, true)?, mean(g, false)?))).unzip();
+    (a.len() >= 8 && correlation(&a, &b) < -0.85).then_some(at)
+}
+
+/// The row from which on the error of a drift test has the other sign than the temperatures gave it before.
+fn in_time(record: &Record, c: &Column) -> Option<usize> {
+    let n = c.data.len();
+    let names: Vec<&str> = record.names(&Role::Temperature).collect();
+    if n < 40 || names.is_empty() {
+        return None;
+    }
+    // Where it turns the error steps from a value to its opposite.
+    let own = steps(&c.data);
+    let usual = spread(&own);
+    let steps_over = |k: usize| {
+        let (before, after) = (median(c.data[k - 3..k].to_vec()), median(c.data[k..k + 3].to_vec()));
+        let step = (after - before).abs();
+        step > 8.0 * usual && (after + before).abs() < 0.2 * step
+    };
+    let candidates: Vec<usize> = (n / 20 + 3..n - n / 20 - 3).filter(|k| steps_over(*k)).collect();
+    let left = |at: usize| {
+        let data: Vec<f64> = c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { -v }).collect();
+        told(record, &data, &names).map(|t| t.left)
+    };
+    let as_it_is = left(n)?;
+    let (turned, at) =
+        candidates.into_iter().filter_map(|k| Some((left(k)?, k))).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (turned * turned < TURNED * as_it_is * as_it_is).then_some(at)
+}
+
+/// A pause in which nothing went on: heat moves on over a pause, a clock that was put forward moves alone.
+fn clock(record: &Record, out: &mut Vec<Suspicion>) {
+    let Some(t) = record.column(&Role::Time).filter(|t| record.kind == Kind::Drift && t.data.len() >= 40)
+    else {
+        return;
+    };
+    let own = steps(&t.data);
+    let usual = median(own.clone());
+    let pauses: Vec<usize> = (10..own.len().saturating_sub(10)).filter(|i| own[*i] > PAUSE * usual).collect();
+    let [at] = pauses[..] else { return };
+    // Of every temperature: how fast it went before and behind, and how far over the pause.
+    let went_on = |c: &Column| {
+        let rate = |from: usize| (c.data[from + 9] - c.data[from]) / (t.data[from + 9] - t.data[from]);
+        let (before, behind) = (rate(at - 9), rate(at + 1));
+        let due = f64::midpoint(before, behind) * own[at];
+        let alike = (before - behind).abs() < 0.3 * before.abs().max(behind.abs());
+        let moved = c.data[at + 1] - c.data[at];
+        (alike && due.abs() > 1.0).then(|| moved.abs() > 0.3 * due.abs())
+    };
+    let told: Vec<bool> =
+        record.columns.iter().filter(|c| c.role == Role::Temperature).filter_map(went_on).collect();
+    if told.len() >= 2 && told.iter().all(|on| !on) {
+        let text = format!(
+            "goes on by {:.0} s in one step, in which no temperature moves on: the clock looks put forward",
+            own[at]
+        );
+        out.push(Suspicion::new(record, &t.name, What::Jump, &[at + 1], text));
+    }
+}

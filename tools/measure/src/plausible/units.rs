@@ -1,0 +1,161 @@
+//! Minutes or hours called seconds, inches called millimetres: only where the record shows it by itself.
+
+use super::stats::{distinct, line, median, range};
+use super::{Suspicion, What};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+
+/// No part of a machine tool warms through half of what it warms at all in less, s.
+const HALF_WARM_S: f64 = 40.0;
+/// Temperatures that move by less say nothing of time, K.
+const MOVES_K: f64 = 2.0;
+const MM_PER_INCH: f64 = 25.4;
+
+pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
+    heat(record, out);
+    circle(record, out);
+    bar(record, out);
+    for axis in record.axes(Role::Position).cloned().collect::<Vec<_>>() {
+        inches(record, &axis, out);
+    }
+    exchanged(record, out);
+}
+
+/// No scale is longer or shorter than this over the whole of its travel, ppm.
+const STEEPEST_PPM: f64 = 500.0;
+/// No bar is shorter, mm.
+const SHORTEST_BAR_MM: f64 = 20.0;
+
+/// A bar's length in inches: far too short, and round in millimetres once it is converted.
+fn bar(record: &Record, out: &mut Vec<Suspicion>) {
+    let Some(circle) = record.circle() else { return };
+    let mm = circle.radius_mm * MM_PER_INCH;
+    if circle.radius_mm < SHORTEST_BAR_MM && (mm / 10.0 - (mm / 10.0).round()).abs() < 0.01 {
+        let name = record.column(&Role::Angle).map_or("", |c| c.name.as_str());
+        let text = format!(
+            "radius_mm = {} is shorter than any bar and looks like inches: {mm:.0} mm",
+            circle.radius_mm
+        );
+        out.push(Suspicion::new(record, name, What::Unit, &[], text));
+    }
+}
+
+/// Targets in inches: whole millimetres once they are converted, or an error that runs along them steeper than any scale's.
+fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
+    let Some(p) = record.column(&Role::Position(axis.clone())) else { return };
+    let known = |s: &Suspicion| s.column == p.name && s.record == record.path.display().to_string();
+    let travel = range(&p.data);
+    if record.kind != Kind::Positioning || travel < 5.0 || distinct(&p.data) < 5 || out.iter().any(known) {
+        return;
+    }
+    let whole = |per: f64| {
+        let off = |v: &f64| (v * per - (v * per).round()).abs();
+        p.data.iter().map(off).fold(0.0, f64::max)
+    };
+    let steep =
+        record.column(&Role::Error(axis.clone())).and_then(|e| line(&p.data, &e.data).map(|l| (e, l)));
+    let steep = steep
+        .filter(|(e, (_, slope, left))| slope.abs() * 1000.0 > STEEPEST_PPM && *left < 0.1 * range(&e.data));
+    let text = if whole(MM_PER_INCH) < 0.004 && whole(1.0) > 0.1 {
+        format!("{travel:.3} mm of travel, whole millimetres if it were inches")
+    } else if let Some((e, (_, slope, _))) = steep {
+        let ppm = slope * 1000.0;
+        format!("{} runs along it by {ppm:.0} ppm, more than any scale's: it looks like inches", e.name)
+    } else {
+        return;
+    };
+    out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
+}
+
+/// A temperature and the error in each other's place: the error begins where the hall is, the sensor at a gauge's zero.
+fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
+    if record.kind != Kind::Drift || record.rows() < 20 {
+        return;
+    }
+    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let cold: Vec<&&Column> = sensors.iter().filter(|c| c.data[0].abs() < 5.0).collect();
+    let [sensor] = cold[..] else { return };
+    let others: Vec<f64> = sensors.iter().filter(|c| c.name != sensor.name).map(|c| c.data[0]).collect();
+    let hall = if others.is_empty() { 21.0 } else { median(others) };
+    let warm = |e: &&Column| {
+        let lowest = e.data.iter().copied().fold(f64::INFINITY, f64::min);
+        (12.0..=35.0).contains(&hall) && (e.data[0] - hall).abs() < 6.0 && lowest > 5.0
+    };
+    let errors: Vec<&Column> = record.responses().filter(|c| matches!(c.role, Role::Error(_))).collect();
+    let taken: Vec<&&Column> = errors.iter().filter(|e| warm(e)).collect();
+    if let [error] = taken[..] {
+        let text = format!(
+            "begins at {:.2} where {} begins at {:.2}: the two look exchanged",
+            error.data[0], sensor.name, sensor.data[0]
+        );
+        out.push(Suspicion::new(record, &error.name, What::Swapped, &[], text));
+    }
+}
+
+/// Temperatures of a drift test that run far faster than heat does.
+fn heat(record: &Record, out: &mut Vec<Suspicion>) {
+    let Some(t) = record.column(&Role::Time).filter(|t| record.kind == Kind::Drift && t.data.len() >= 20)
+    else {
+        return;
+    };
+    let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
+    let halves: Vec<f64> = temperatures.filter_map(|c| half_warm(&t.data, c)).collect();
+    if halves.len() < 2 {
+        return;
+    }
+    let half = median(halves);
+    let named = |c: &Suspicion| c.column == t.name && c.record == record.path.display().to_string();
+    if half > 0.0 && half < HALF_WARM_S && !out.iter().any(named) {
+        let text = format!(
+            "temperatures go half their way in {half:.2} s, faster than a machine warms, which looks like {}",
+            if half < HALF_WARM_S / 60.0 { "hours" } else { "minutes" }
+        );
+        out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
+    }
+}
+
+/// Shortest time in which a sensor that runs smoothly goes through half its range; `None` where it does not move or
+/// jumps.
+fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
+    let size = range(&c.data);
+    if size < MOVES_K {
+        return None;
+    }
+    // From row to row it moves by little: no jump, no loose contact.
+    let steps: Vec<f64> = c.data.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+    if steps.iter().copied().fold(0.0, f64::max) > 0.2 * size {
+        return None;
+    }
+    let mut shortest = f64::INFINITY;
+    for i in 0..t.len() {
+        // The ends of a half of the range that begins here.
+        let far = c.data[i..].iter().position(|v| (v - c.data[i]).abs() >= size / 2.0);
+        if let Some(k) = far {
+            shortest = shortest.min(t[i + k] - t[i]);
+        }
+    }
+    shortest.is_finite().then_some(shortest)
+}
+
+/// Positions on a circle beside the radius that the sidecar states.
+fn circle(record: &Record, out: &mut Vec<Suspicion>) {
+    let Some(circle) = record.circle() else { return };
+    for axis in &circle.plane {
+        let Some(c) = record.column(&Role::Position(axis.clone())) else { continue };
+        let times = 2.0 * circle.radius_mm / range(&c.data).max(1e-12);
+        let looks = if (times / MM_PER_INCH - 1.0).abs() < 0.03 {
+            "looks like inches"
+        } else if (times * MM_PER_INCH - 1.0).abs() < 0.03 {
+            "looks like inches in radius_mm"
+        } else if times < 0.97 {
+            "is larger than radius_mm says"
+        } else {
+            continue;
+        };
+        let text = format!(
+            "covers {:.3} of a circle of {} mm radius, which {looks}",
+            range(&c.data),
+            circle.radius_mm
+        );
+        out.push(Suspicion::new(record, &c.name, What::Unit, &[], text));
+    }
+}

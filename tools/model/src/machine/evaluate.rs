@@ -1,0 +1,136 @@
+//! What a model says about a record, and within what it says so.
+
+use super::Machine;
+use super::note::unknown_um;
+use crate::effect::{Against, Effect, Heat};
+use crate::record::{Record, Role};
+use rtec_files::InputError;
+
+impl Machine {
+    /// The sum of the effects at every row of a record, for each response in the record's order; and what the record
+    /// does not log and was taken as zero (effect, role).
+    ///
+    /// # Errors
+    /// An effect reads a sensor or channel that the record does not have.
+    pub fn predict(&self, record: &Record) -> Result<Prediction, InputError> {
+        let mut columns: Vec<(String, Vec<f64>)> =
+            record.responses().map(|c| (c.name.clone(), vec![0.0; record.rows()])).collect();
+        let mut taken_as_zero = Vec::new();
+        for effect in self.effects() {
+            let acts = effect.acts_on(record);
+            if acts.is_empty() {
+                continue;
+            }
+            let bound = effect.bind(record).map_err(|m| {
+                let expected = format!("a column of role {}", m.what);
+                InputError::whole(&record.path, m.to_string(), expected)
+            })?;
+            for (role, component) in acts {
+                let place = record.responses().position(|c| c.role == role);
+                if let Some((_, out)) = place.and_then(|p| columns.get_mut(p)) {
+                    bound.add(effect, component, out);
+                }
+            }
+            taken_as_zero.extend(bound.taken_as_zero().iter().map(|r| (effect.name(), r.to_string())));
+        }
+        if let Some(chain) = &self.chain {
+            let acts = |r: &Role| matches!(r, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str()));
+            if record.responses().any(|c| acts(&c.role)) {
+                let zero = chain.taken_as_zero(record).into_iter();
+                taken_as_zero.extend(zero.map(|role| ("chain".to_owned(), role.to_string())));
+            }
+            for (column, (_, out)) in record.responses().zip(&mut columns) {
+                chain.add(record, &column.role, out).map_err(|m| {
+                    InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))
+                })?;
+            }
+        }
+        Ok(Prediction { columns, taken_as_zero })
+    }
+
+    /// The record with its errors less what this machine predicts of them.
+    ///
+    /// # Errors
+    /// As [`Machine::predict`].
+    pub fn beyond(&self, record: &Record) -> Result<Record, InputError> {
+        let mut left = record.clone();
+        let predicted = self.predict(record)?.columns;
+        let responses = left.columns.iter_mut().filter(|c| c.role.is_response());
+        for (column, (_, says)) in responses.zip(predicted) {
+            column.data.iter_mut().zip(says).for_each(|(e, p)| *e -= p);
+        }
+        Ok(left)
+    }
+
+    /// Half width of the 95 % prediction interval of a response, µm, where a fit has said it.
+    #[must_use]
+    pub fn half_width_um(&self, response: &str) -> Option<f64> {
+        self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
+    }
+
+    /// Half width of the 95 % prediction interval at every row of a record, µm, where a fit of the response has said
+    /// it and has seen the axes where they are in the record: as its kind of run has shown it; wider just after the record's start, by what is not known of the lags, and where a difference is held at
+    /// the bound of the range it was fitted on.
+    #[must_use]
+    pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
+        let note = self.fits.iter().find(|f| f.response == response.to_string())?;
+        if !note.covers(record) {
+            return None;
+        }
+        let h = note.half_width_for_um(record);
+        let mut squares = vec![h * h; record.rows()];
+        let t = record.time_s();
+        let valid = self.fits.iter().filter(|f| f.response == response.to_string()).flat_map(|f| &f.valid);
+        let mut outside = vec![0.0_f64; record.rows()];
+        for v in valid {
+            // A sensor that the model does not read may be missing here.
+            let Some(u) = record.temperature(&v.difference.sensor) else { continue };
+            let minus = |row: usize| match &v.difference.against {
+                Against::Sensor(m) => record.temperature(m).map(|m| m[row]),
+                Against::Reference(degc) => Some(*degc),
+                Against::Standard => Some(crate::effect::STANDARD_DEGC),
+            };
+            for (row, (o, u)) in outside.iter_mut().zip(u).enumerate() {
+                *o = minus(row).map_or(*o, |m| o.max(v.outside_um(u - m)));
+            }
+        }
+        squares.iter_mut().zip(&outside).for_each(|(s, o)| *s += o * o);
+        for effect in self.effects().filter(|e| e.axes().first() == response.axis()) {
+            let (Some(range), Some(asked)) = (effect.range_k, differences(effect, record)) else { continue };
+            let of = |name: &str| effect.value(name).map_or(0.0, |v| v[0]);
+            let (gain, bend, tau_s) = (of("um_per_K"), of("um_per_K2"), of("tau_s"));
+            for (row, (square, asked)) in squares.iter_mut().zip(&asked).enumerate() {
+                let held = asked.clamp(range[0], range[1]);
+                let (start_k, elapsed_s) = (effect.start_k.unwrap_or(0.0), t[row] - t[0]);
+                *square += unknown_um(gain, bend, *asked, held, start_k, tau_s, elapsed_s).powi(2);
+            }
+        }
+        Some(squares.into_iter().map(f64::sqrt).collect())
+    }
+}
+
+/// The (lagged) temperature difference that growth or lag asks for at every row, not held at any bound; `None` where the
+/// record lacks it, and for other laws.
+pub(super) fn differences(effect: &Effect, record: &Record) -> Option<Vec<f64>> {
+    if effect.delta.is_none() || effect.description().heat != Heat::Growth {
+        return None;
+    }
+    let n = effect.coefficient_count();
+    let bound = effect.bind(record).ok()?;
+    let mut free = effect.clone();
+    free.range_k = None;
+    let mut basis = vec![0.0; n * bound.rows()];
+    bound.basis(&free, 0, &mut basis);
+    // The first basis column of growth and lag is the (lagged) difference itself.
+    basis.truncate(bound.rows());
+    Some(basis)
+}
+
+/// What a model says about a record.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prediction {
+    /// Per response: its column's name and the sum of the effects at every row.
+    pub columns: Vec<(String, Vec<f64>)>,
+    /// Effects that read a quantity the record does not log: effect and role. It was taken as zero.
+    pub taken_as_zero: Vec<(String, String)>,
+}

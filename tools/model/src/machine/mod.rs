@@ -1,0 +1,122 @@
+//! `machine.toml`: a named list of effects.
+//!
+//! | module | what |
+//! |---|---|
+//! | `read` | read strictly, every finding with its line |
+//! | `write` | changed and written so that nothing the user wrote is lost |
+//! | `note` | what a fit says about itself: records, dates, intervals, ranges |
+//! | `evaluate` | what a model says about a record, and within what |
+//! | `check` | what to know before it is trusted |
+//! | `places` | how a file is named from another one's folder |
+
+mod check;
+mod evaluate;
+mod note;
+mod places;
+mod read;
+mod write;
+
+pub use evaluate::Prediction;
+pub use note::{FitNote, Listed, Provenance, Source, Validity, unknown_um};
+
+use crate::chain::Chain;
+use crate::effect::{Dictionary, Difference, Effect};
+use std::path::PathBuf;
+use toml_edit::{DocumentMut, value};
+
+/// A machine model: the content of one `machine.toml`.
+#[derive(Debug, Clone)]
+pub struct Machine {
+    /// The file, as the user named it.
+    pub path: PathBuf,
+    sha256: String,
+    name: String,
+    listed: Vec<Listed>,
+    fits: Vec<FitNote>,
+    chain: Option<Chain>,
+    /// The laws that a program gave it; its file's own come on top.
+    given: Dictionary,
+    dictionary: Dictionary,
+    /// The dictionary will stand beside the model wherever that is written.
+    adopted: bool,
+    doc: DocumentMut,
+}
+
+impl Machine {
+    /// An ideal machine: no effects.
+    #[must_use]
+    pub fn ideal(name: &str) -> Self {
+        let mut doc = DocumentMut::new();
+        doc["name"] = value(name);
+        Self {
+            path: PathBuf::from("machine.toml"),
+            sha256: String::new(),
+            name: name.to_owned(),
+            listed: Vec::new(),
+            fits: Vec::new(),
+            chain: None,
+            given: Dictionary::default(),
+            dictionary: Dictionary::default(),
+            adopted: false,
+            doc,
+        }
+    }
+
+    /// SHA-256 of the file as it was read, with the dictionary and the chain that it names behind it.
+    #[must_use]
+    pub fn sha256(&self) -> &str {
+        &self.sha256
+    }
+
+    /// The machine's name, as `name` has it.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The effects with where they come from, in the file's order.
+    #[must_use]
+    pub fn listed(&self) -> &[Listed] {
+        &self.listed
+    }
+
+    /// The effects, in the file's order.
+    pub fn effects(&self) -> impl Iterator<Item = &Effect> {
+        self.listed.iter().map(|l| &l.effect)
+    }
+
+    /// The kinematic chain whose errors add to the effects'.
+    #[must_use]
+    pub fn chain(&self) -> Option<&Chain> {
+        self.chain.as_ref()
+    }
+
+    /// The same machine with another chain, or none; what is written of it goes on naming the file that it was read from.
+    #[must_use]
+    pub fn with_chain(&self, chain: Option<Chain>) -> Self {
+        Self { chain, ..self.clone() }
+    }
+
+    /// What fits say about themselves.
+    #[must_use]
+    pub fn fits(&self) -> &[FitNote] {
+        &self.fits
+    }
+
+    /// The dictionary it was read with.
+    #[must_use]
+    pub fn dictionary(&self) -> &Dictionary {
+        &self.dictionary
+    }
+
+    /// The sensors that its effects and its chain read.
+    #[must_use]
+    pub fn sensors(&self) -> Vec<String> {
+        let chain = self.chain.iter().flat_map(Chain::deltas);
+        let deltas = self.effects().filter_map(|e| e.delta.as_ref()).chain(chain);
+        let mut names: Vec<String> = deltas.flat_map(Difference::sensors).map(str::to_owned).collect();
+        names.sort();
+        names.dedup();
+        names
+    }
+}

@@ -1,0 +1,201 @@
+//! What a fit says about itself and about its effects: records, dates, intervals, the range in which it is valid.
+
+use crate::effect::{Difference, Effect};
+use crate::record::{Kind, Record, Role};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::places::folder_of;
+
+/// Half width of a 95 % interval in standard deviations.
+const NORMAL_95: f64 = 1.96;
+
+/// What an effect of a temperature difference may be off by at a row, µm, beyond what the fit itself leaves: the slope at
+/// the bound times what was asked beyond it, and, `elapsed_s` after a start, its part of an unknown state of the lag.
+#[must_use]
+pub fn unknown_um(
+    gain: f64,
+    bend: f64,
+    asked_k: f64,
+    held_k: f64,
+    start_k: f64,
+    tau_s: f64,
+    elapsed_s: f64,
+) -> f64 {
+    let slope = gain.abs().max((gain + 2.0 * bend * held_k).abs());
+    let start = if tau_s > 0.0 { NORMAL_95 * start_k * (-elapsed_s / tau_s).exp() } else { 0.0 };
+    slope * (asked_k - held_k).hypot(start)
+}
+
+/// A record that something was fitted on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Source {
+    /// Name of the record's CSV.
+    pub file: String,
+    /// SHA-256 of it, in hexadecimal.
+    pub sha256: String,
+    /// Where it lies; none for beside the model.
+    pub folder: Option<PathBuf>,
+}
+
+impl Source {
+    /// The source that a record is.
+    #[must_use]
+    pub fn of(record: &Record) -> Self {
+        let folder = Some(folder_of(&record.path));
+        Self { file: record.file.clone(), sha256: record.sha256.clone(), folder }
+    }
+}
+
+/// Where an effect comes from. All of it may be absent, as in what a person writes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Provenance {
+    /// The program or person that added the effect.
+    pub added_by: Option<String>,
+    /// The date, as ISO 8601.
+    pub date: Option<String>,
+    /// The records it was fitted on.
+    pub from: Vec<Source>,
+    /// Interval of each parameter, one pair per value.
+    pub interval: BTreeMap<String, Vec<[f64; 2]>>,
+}
+
+/// An effect of a machine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Listed {
+    /// The effect with its parameters.
+    pub effect: Effect,
+    /// Records, dates and intervals that the effect comes with.
+    pub provenance: Provenance,
+}
+
+/// The range of a temperature difference in which a fit is valid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Validity {
+    /// The difference, one that the model reads or not.
+    pub difference: Difference,
+    /// From where to where it was seen, K.
+    pub range_k: [f64; 2],
+    /// How much the response moved with it, µm/K.
+    pub um_per_k: f64,
+}
+
+impl Validity {
+    /// What being so far outside may cost, µm.
+    #[must_use]
+    pub fn outside_um(&self, delta_k: f64) -> f64 {
+        self.um_per_k * (delta_k - self.range_k[1]).max(self.range_k[0] - delta_k).max(0.0)
+    }
+}
+
+/// What a fit says about itself: which response, when, on what, how good, how long it may be trusted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitNote {
+    /// The response that was fitted, as `error.z`.
+    pub response: String,
+    /// The date of the fit, as ISO 8601.
+    pub date: String,
+    /// The last day on which it may be used without being looked at again.
+    pub valid_until: String,
+    /// RMS on blocks of time that the fit had not seen, µm.
+    pub rms_um: f64,
+    /// Half width of the 95 % prediction interval, µm.
+    pub half_width_um: f64,
+    /// Where it is valid: outside of these, the interval is wider.
+    pub valid: Vec<Validity>,
+    /// Where each axis was while it was seen, mm; axes that are not named stood still. Elsewhere there is no interval: what
+    /// the machine does there no record has shown. None in a model that does not say.
+    pub at_mm: Option<BTreeMap<String, [f64; 2]>>,
+    /// The same by kind of run, as `positioning`; what no run has shown has the largest of all.
+    pub by_kind_um: BTreeMap<String, f64>,
+    /// The records that it was fitted on.
+    pub from: Vec<Source>,
+}
+
+/// An axis that moves by less stands still, mm.
+const STILL_MM: f64 = 1.0;
+
+impl FitNote {
+    /// Where the axes of records are: from where to where each moves, mm.
+    #[must_use]
+    pub fn places(records: &[&Record]) -> BTreeMap<String, [f64; 2]> {
+        let mut found: BTreeMap<String, [f64; 2]> = BTreeMap::new();
+        for record in records {
+            for axis in record.axes(Role::Position) {
+                let p = record.data(&Role::Position(axis.clone())).unwrap_or_default();
+                let own =
+                    p.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], p| [l.min(*p), h.max(*p)]);
+                let all = found.entry(axis.to_string()).or_insert(own);
+                *all = [all[0].min(own[0]), all[1].max(own[1])];
+            }
+        }
+        found.retain(|_, [l, h]| *h - *l > STILL_MM);
+        found
+    }
+
+    /// The interval was seen wherever this record's axes go: a tenth of its range beyond is as good.
+    #[must_use]
+    pub fn covers(&self, record: &Record) -> bool {
+        let Some(at) = &self.at_mm else { return true };
+        Self::places(&[record]).iter().all(|(axis, [l, h])| {
+            at.get(axis).is_some_and(|[from, to]| {
+                let margin = 0.1 * (to - from);
+                *l >= from - margin && *h <= to + margin
+            })
+        })
+    }
+
+    /// The kind of a record as an interval knows it: a drift in which an axis moves is like no other.
+    #[must_use]
+    pub fn kind_of(record: &Record) -> Option<String> {
+        let moves = record.kind == Kind::Drift && !Self::places(&[record]).is_empty();
+        (!moves).then(|| record.kind.name().to_owned())
+    }
+
+    /// Half width of the 95 % interval for this record, µm.
+    #[must_use]
+    pub fn half_width_for_um(&self, record: &Record) -> f64 {
+        let own = Self::kind_of(record).and_then(|kind| self.by_kind_um.get(&kind));
+        own.copied().unwrap_or(self.half_width_um)
+    }
+
+    /// This fit on top of an earlier one of the same response: what neither knows adds up, less the gauge's noise (one standard
+    /// deviation, µm), which is in both; both ranges were seen. A kind of run that only one of them has seen keeps what it says: a
+    /// drift at one place does not see what changes from place to place.
+    pub fn on(&mut self, earlier: &Self, noise_um: f64) {
+        let own_um = self.half_width_um;
+        let beyond_um = (own_um.powi(2) - (NORMAL_95 * noise_um).powi(2)).max(0.0).sqrt();
+        for (kind, um) in &earlier.by_kind_um {
+            self.by_kind_um
+                .entry(kind.clone())
+                .and_modify(|own| *own = own.max(*um))
+                .or_insert(um.hypot(beyond_um));
+        }
+        self.half_width_um = beyond_um.hypot(earlier.half_width_um).max(own_um);
+        self.rms_um = self.rms_um.hypot(earlier.rms_um);
+        let new = |v: &&Validity| self.valid.iter().all(|o| o.difference != v.difference);
+        let further: Vec<Validity> = earlier.valid.iter().filter(new).cloned().collect();
+        self.valid.extend(further);
+        if let (Some(own), Some(at)) = (&mut self.at_mm, &earlier.at_mm) {
+            for (axis, [l, h]) in at {
+                let all = own.entry(axis.clone()).or_insert([*l, *h]);
+                *all = [all[0].min(*l), all[1].max(*h)];
+            }
+        }
+        let known: Vec<String> = self.from.iter().map(|s| s.sha256.clone()).collect();
+        self.from.extend(earlier.from.iter().filter(|s| !known.contains(&s.sha256)).cloned());
+    }
+
+    /// Where it was seen, in words; empty where it does not say.
+    #[must_use]
+    pub fn place_text(&self) -> String {
+        match &self.at_mm {
+            None => String::new(),
+            Some(at) if at.is_empty() => " at the place of the fit".to_owned(),
+            Some(at) => {
+                let of = |(axis, [l, h]): (&String, &[f64; 2])| format!("{axis} {l:.0} to {h:.0} mm");
+                format!(" for {}", at.iter().map(of).collect::<Vec<_>>().join(", "))
+            }
+        }
+    }
+}

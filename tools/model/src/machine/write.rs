@@ -1,0 +1,485 @@
+//! `machine.toml` changed and written so that nothing the user wrote is lost.
+
+use super::Machine;
+use super::note::{FitNote, Listed, Provenance, Source, Validity};
+use super::places::{folder_of, named_from, whole};
+use crate::effect::{Against, Effect, ValueError};
+use rtec_files::InputError;
+use std::path::{Path, PathBuf};
+use toml_edit::{Array, InlineTable, Item, Value, value};
+
+impl Machine {
+    /// Adds what a fit says about itself; it stands for what an earlier fit of the same response said.
+    pub fn note_fit(&mut self, note: FitNote) {
+        let mut t = toml_edit::Table::new();
+        t["response"] = value(&note.response);
+        t["date"] = value(&note.date);
+        t["valid_until"] = value(&note.valid_until);
+        t["rms_um"] = value(note.rms_um);
+        t["half_width_um"] = value(note.half_width_um);
+        let valid = |v: &Validity| {
+            let mut t = InlineTable::new();
+            t.insert("sensor", v.difference.sensor.as_str().into());
+            match &v.difference.against {
+                Against::Sensor(m) => drop(t.insert("minus", m.as_str().into())),
+                Against::Reference(degc) => drop(t.insert("reference_degC", (*degc).into())),
+                Against::Standard => {}
+            }
+            t.insert("range_K", Value::from(v.range_k.into_iter().collect::<Array>()));
+            t.insert("um_per_K", v.um_per_k.into());
+            t
+        };
+        if !note.valid.is_empty() {
+            let mut valid: Array = note.valid.iter().map(valid).collect();
+            valid.iter_mut().for_each(|v| v.decor_mut().set_prefix("\n    "));
+            valid.set_trailing("\n");
+            valid.set_trailing_comma(true);
+            t["valid"] = value(valid);
+        }
+        if let Some(at) = &note.at_mm {
+            let mut places = InlineTable::new();
+            for (axis, range) in at {
+                places.insert(axis, Value::from(range.iter().copied().collect::<Array>()));
+            }
+            t["at_mm"] = value(places);
+        }
+        if !note.by_kind_um.is_empty() {
+            let mut kinds = InlineTable::new();
+            for (kind, um) in &note.by_kind_um {
+                kinds.insert(kind, (*um).into());
+            }
+            t["by_kind_um"] = value(kinds);
+        }
+        t["from"] = sources(&note.from);
+        let item =
+            self.doc.entry("fit").or_insert_with(|| Item::ArrayOfTables(toml_edit::ArrayOfTables::new()));
+        if let Some(list) = item.as_array_of_tables_mut() {
+            list.retain(|t| t.get("response").and_then(Item::as_str) != Some(&note.response));
+            list.push(t);
+        }
+        self.fits.retain(|f| f.response != note.response);
+        self.fits.push(note);
+    }
+
+    /// Adds laws to its dictionary. The text that comes back, with the laws it had of its own, belongs into `file`
+    /// beside the model: the model names it from now on.
+    ///
+    /// # Errors
+    /// The laws are refused, or its present dictionary cannot be read.
+    pub fn adopt(&mut self, file: &str, laws: &str) -> Result<String, InputError> {
+        let mut text = match self.doc.get("dictionary").and_then(Item::as_str) {
+            Some(own) => {
+                rtec_files::text::read(&self.path.parent().unwrap_or(Path::new("")).join(own))? + "\n"
+            }
+            None => String::new(),
+        };
+        text += laws;
+        let mut dictionary = self.given.clone();
+        dictionary.add_own(Path::new(file), &text)?;
+        self.dictionary = dictionary;
+        self.adopted = true;
+        self.doc["dictionary"] = value(file);
+        Ok(text)
+    }
+
+    /// Appends an effect.
+    ///
+    /// # Errors
+    /// It is there already.
+    pub fn push(&mut self, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
+        if self.listed.iter().any(|l| l.effect.identity() == effect.identity()) {
+            return Err(ValueError::new(
+                "name",
+                format!("`{}` a second time", effect.name()),
+                "one of a name",
+            ));
+        }
+        let table = effect_table(&effect, &provenance);
+        self.tables().push(table);
+        self.listed.push(Listed { effect, provenance });
+        Ok(())
+    }
+
+    /// Sets a parameter of the n-th effect, and its interval; comments and order of the file stay.
+    ///
+    /// # Errors
+    /// Unknown parameter, a value outside its bounds.
+    ///
+    /// # Panics
+    /// When there is no n-th effect.
+    pub fn set(
+        &mut self,
+        n: usize,
+        parameter: &str,
+        values: &[f64],
+        interval: Option<&[[f64; 2]]>,
+    ) -> Result<(), ValueError> {
+        let listed = &mut self.listed[n];
+        listed.effect.set(parameter, values)?;
+        let array = listed.effect.description().parameters.iter().any(|p| p.name == parameter && p.array);
+        if let Some(interval) = interval {
+            listed.provenance.interval.insert(parameter.to_owned(), interval.to_vec());
+        }
+        let Some(table) = self.tables().get_mut(n) else { return Ok(()) };
+        replace(table, parameter, numbers(values, array));
+        if let Some(interval) = interval {
+            if let Some(t) = table.get_mut("interval").and_then(Item::as_table_like_mut) {
+                t.insert(parameter, value(pairs(interval, array)));
+            } else {
+                let mut t = InlineTable::new();
+                t.insert(parameter, pairs(interval, array));
+                table.insert("interval", value(t));
+            }
+        }
+        Ok(())
+    }
+
+    /// The file's effects as tables; an empty or inline array becomes one of `[[effect]]`.
+    fn tables(&mut self) -> &mut toml_edit::ArrayOfTables {
+        let item = &mut self.doc["effect"];
+        if !item.is_array_of_tables() {
+            let inline = std::mem::take(item);
+            let mut tables = toml_edit::ArrayOfTables::new();
+            if let Ok(Value::Array(array)) = inline.into_value() {
+                for v in array {
+                    if let Value::InlineTable(t) = v {
+                        tables.push(t.into_table());
+                    }
+                }
+            }
+            *item = Item::ArrayOfTables(tables);
+        }
+        item.as_array_of_tables_mut().expect("an array of tables was put there just above")
+    }
+
+    /// The file's text, for the place that it was read from.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        self.doc.to_string()
+    }
+
+    /// The file's text for another place: the chain, the dictionary and the records that it names are named from there.
+    #[must_use]
+    pub fn text_at(&self, path: &Path) -> String {
+        let (from, to) = (folder_of(&self.path), folder_of(path));
+        let mut moved = self.clone();
+        for key in ["chain", "dictionary"] {
+            if key == "dictionary" && self.adopted {
+                continue;
+            }
+            let Some(file) = moved.doc.get(key).and_then(Item::as_str).map(PathBuf::from) else { continue };
+            if file.is_relative() && from != to {
+                let lies = from.join(&file);
+                let name = file.file_name().map_or_else(PathBuf::new, PathBuf::from);
+                let named = named_from(&to, &folder_of(&lies).join(name));
+                replace(moved.doc.as_table_mut(), key, named.display().to_string().into());
+            }
+        }
+        let place = |s: &Source| {
+            let lies = s.folder.as_ref().map_or_else(|| from.clone(), |f| whole(&from.join(f)));
+            let folder = named_from(&to, &lies);
+            (!folder.as_os_str().is_empty()).then_some(folder)
+        };
+        let rename = |table: &mut toml_edit::Table, old: &[Source]| {
+            let new: Vec<Source> = old.iter().map(|s| Source { folder: place(s), ..s.clone() }).collect();
+            if new != old {
+                table["from"] = sources(&new);
+            }
+        };
+        let effects = moved.listed.clone();
+        for (table, l) in moved.tables().iter_mut().zip(&effects) {
+            rename(table, &l.provenance.from);
+        }
+        let notes = moved.doc.get_mut("fit").and_then(Item::as_array_of_tables_mut);
+        for (table, fit) in notes.into_iter().flat_map(|t| t.iter_mut()).zip(&self.fits) {
+            rename(table, &fit.from);
+        }
+        moved.to_text()
+    }
+
+    /// The file's text for another place, read back: whatever is written can be loaded.
+    ///
+    /// # Errors
+    /// A value that no machine has, as a fit to a record in the wrong unit gives it.
+    pub fn readable_text_at(&self, path: &Path) -> Result<String, InputError> {
+        let text = self.text_at(path);
+        Self::parse(path, &text).map_err(|e| InputError {
+            found: format!("a model that could not be loaded, and is not written: {}", e.found),
+            expected: format!("{}; look at the records' units and columns", e.expected),
+            ..e
+        })?;
+        Ok(text)
+    }
+
+    /// Writes the model, whole or not at all; what it names stays what it was.
+    ///
+    /// # Errors
+    /// It could not be read back, or the directory cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), InputError> {
+        let text = self.readable_text_at(path)?;
+        rtec_files::write::whole(path, text.as_bytes())
+            .map_err(|e| InputError::whole(path, e.to_string(), "a file that can be written"))
+    }
+}
+
+/// Replaces a value and keeps the comment behind it.
+fn replace(table: &mut toml_edit::Table, key: &str, mut new: Value) {
+    match table.get_mut(key).and_then(Item::as_value_mut) {
+        Some(old) => {
+            *new.decor_mut() = old.decor().clone();
+            *old = new;
+        }
+        None => {
+            table.insert(key, value(new));
+        }
+    }
+}
+
+fn numbers(values: &[f64], array: bool) -> Value {
+    if array { values.iter().copied().collect::<Array>().into() } else { values[0].into() }
+}
+
+fn pairs(interval: &[[f64; 2]], array: bool) -> Value {
+    let pair = |p: &[f64; 2]| Value::from(p.iter().copied().collect::<Array>());
+    if array { interval.iter().map(pair).collect::<Array>().into() } else { pair(&interval[0]) }
+}
+
+/// One source as a table, several as an array of tables.
+fn sources(from: &[Source]) -> Item {
+    let source = |s: &Source| {
+        let mut t = InlineTable::new();
+        t.insert("file", s.file.as_str().into());
+        t.insert("sha256", s.sha256.as_str().into());
+        if let Some(folder) = &s.folder {
+            t.insert("folder", folder.display().to_string().into());
+        }
+        t
+    };
+    match from {
+        [one] => value(source(one)),
+        many => value(many.iter().map(source).collect::<Array>()),
+    }
+}
+
+fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
+    let mut t = toml_edit::Table::new();
+    t["name"] = value(effect.name());
+    if let Some(d) = &effect.delta {
+        t["sensor"] = value(&d.sensor);
+        match &d.against {
+            Against::Sensor(m) => t["minus"] = value(m),
+            Against::Reference(degc) => t["reference_degC"] = value(*degc),
+            Against::Standard => {}
+        }
+    }
+    for (i, p) in effect.description().parameters.iter().enumerate() {
+        t[&p.name] = value(numbers(effect.get(i), p.array));
+    }
+    if let Some([lo, hi]) = effect.range_k {
+        t["range_K"] = value([lo, hi].into_iter().collect::<Array>());
+    }
+    if let Some(k) = effect.start_k {
+        t["start_K"] = value(k);
+    }
+    if let Some(by) = &provenance.added_by {
+        t["added_by"] = value(by);
+    }
+    if let Some(date) = &provenance.date {
+        t["date"] = value(date);
+    }
+    if !provenance.from.is_empty() {
+        t["from"] = sources(&provenance.from);
+    }
+    if !provenance.interval.is_empty() {
+        let mut interval = InlineTable::new();
+        for (name, of) in &provenance.interval {
+            let array = effect.description().parameters.iter().any(|p| p.name == *name && p.array);
+            interval.insert(name, pairs(of, array));
+        }
+        t["interval"] = value(interval);
+    }
+    t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effect::Difference;
+    use crate::record::{Record, hex};
+    use sha2::{Digest, Sha256};
+    use std::collections::BTreeMap;
+
+    const LATHE: &str = "# my lathe\nname = \"demo lathe\"\n\n[[effect]]\nname = \"scale.x\"\nppm = 12.0 # measured in May\n\n\
+                         [[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 0.114\n\
+                         um_per_K2 = -0.0008\n";
+
+    fn parse(text: &str) -> Result<Machine, InputError> {
+        Machine::parse(Path::new("m.toml"), text)
+    }
+
+    #[test]
+    fn nothing_the_user_wrote_is_lost() {
+        let mut m = parse(LATHE).unwrap();
+        assert_eq!(m.to_text(), LATHE);
+        m.set(0, "ppm", &[12.9], Some(&[[12.5, 13.3]])).unwrap();
+        let mut added = m.dictionary().effect("reversal.y").unwrap();
+        added.set("um", &[6.1]).unwrap();
+        let provenance = Provenance {
+            added_by: Some("reconcile".into()),
+            date: Some("2026-05-01".into()),
+            from: vec![Source { file: "y.csv".into(), sha256: "ab".into(), folder: None }],
+            interval: [("um".to_owned(), vec![[5.8, 6.4]])].into(),
+        };
+        m.push(added, provenance.clone()).unwrap();
+        let text = m.to_text();
+        assert!(
+            text.starts_with("# my lathe\n") && text.contains("ppm = 12.9 # measured in May\n"),
+            "{text}"
+        );
+        assert!(text.contains("interval = { um = [5.8, 6.4] }"), "{text}");
+        let again = parse(&text).unwrap();
+        assert_eq!(again.listed(), m.listed());
+        assert_eq!(again.listed()[2].provenance, provenance);
+    }
+
+    #[test]
+    fn an_ideal_machine_may_be_written_in_every_way() {
+        for text in ["name = \"m\"\n", "name = \"m\"\neffect = []\n"] {
+            let mut m = parse(text).unwrap();
+            assert_eq!(m.listed().len(), 0);
+            let offset = m.dictionary().effect("offset.z").unwrap();
+            m.push(offset, Provenance::default()).unwrap();
+            assert_eq!(parse(&m.to_text()).unwrap().listed(), m.listed(), "{}", m.to_text());
+        }
+        let m = parse("name = \"m\"\neffect = [{ name = \"scale.x\", ppm = 1 }]\n").unwrap();
+        assert_eq!(m.effects().next().unwrap().values(), [1.0]);
+    }
+
+    #[test]
+    fn a_projects_own_effects_chain_and_fit_notes() {
+        let dir = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+        let law = "[[law]]\nname = \"quill_droop\"\nnaming = \"A.B\"\nlaw = \"e = um·(p_B/100)²\"\ncause = \"weight\"\n\
+                   experiment = \"straightedge\"\nparameters = [{ name = \"um\", unit = \"um\", plausible = 50.0, \
+                   terms = [{ factor = 1e-4, p_B = 2 }] }]\n";
+        write("own.toml", law);
+        write(
+            "chain.toml",
+            "[[joint]]\nname = \"z\"\nbranch = \"tool\"\naxis = \"z\"\ncomponent = [{ of = \"dx\", \
+                             terms = [{ p = 1, value = 2.0 }] }]\n",
+        );
+        let text = "name = \"m\"\ndictionary = \"own.toml\"\nchain = \"chain.toml\"\n[[effect]]\n\
+                    name = \"quill_droop.x.z\"\num = 3.0\n";
+        write("m.toml", text);
+        let mut m = Machine::read(&dir.path().join("m.toml")).unwrap();
+        let axis = |n: &str| crate::record::Axis::new(n).unwrap();
+        let column = |name: &str, role: crate::record::Role, data: &[f64]| {
+            let unit = role.unit().unwrap().to_owned();
+            crate::record::Column { name: name.into(), role, unit, data: data.to_vec() }
+        };
+        let record = Record::new(
+            Path::new("r.run.toml"),
+            crate::record::Kind::Positioning,
+            vec![
+                column("z", crate::record::Role::Position(axis("z")), &[0.0, 200.0]),
+                column("e", crate::record::Role::Error(axis("x")), &[0.0, 0.0]),
+            ],
+        )
+        .unwrap();
+        let p = m.predict(&record).unwrap();
+        // 3·(200/100)² from the own effect, 2·200/100 from the chain
+        assert!(
+            (p.columns[0].1[1] - 16.0).abs() < 1e-9 && p.columns[0].1[0].abs() < 1e-12,
+            "{:?}",
+            p.columns
+        );
+        m.note_fit(FitNote {
+            response: "error.x".into(),
+            date: "2026-05-01".into(),
+            valid_until: "2027-05-01".into(),
+            rms_um: 0.4,
+            half_width_um: 0.8,
+            valid: vec![
+                Validity { difference: Difference::pair("T8", "T18"), range_k: [0.5, 9.0], um_per_k: 3.0 },
+                Validity { difference: Difference::single("T9"), range_k: [-1.0, 2.0], um_per_k: 1.0 },
+            ],
+            at_mm: Some(BTreeMap::from([("x".to_owned(), [-10.0, 200.5])])),
+            by_kind_um: BTreeMap::from([("drift".to_owned(), 0.3)]),
+            from: vec![Source { file: "a.csv".into(), sha256: "00".into(), folder: None }],
+        });
+        let again = Machine::parse(&dir.path().join("m.toml"), &m.to_text()).unwrap();
+        assert_eq!(again.fits(), m.fits());
+        assert_eq!(again.half_width_um("error.x"), Some(0.8));
+        write("own.toml", &law.replace("quill_droop", "scale"));
+        let e = Machine::read(&dir.path().join("m.toml")).unwrap_err();
+        assert!(e.file.ends_with("own.toml") && e.line == 2, "{e}");
+        write("own.toml", &law.replace("p_B", "p_C"));
+        assert!(Machine::read(&dir.path().join("m.toml")).unwrap_err().found.contains("p_C"));
+    }
+
+    /// A model written into another folder goes on with the same chain, laws and records.
+    #[test]
+    fn a_model_that_moves_takes_what_it_names_along() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for folder in ["a/parts", "b"] {
+            std::fs::create_dir_all(at(folder)).unwrap();
+        }
+        std::fs::write(
+            at("a/parts/chain.toml"),
+            "[[joint]]\nname = \"z\"\nbranch = \"tool\"\naxis = \"z\"\ncomponent = [{ of = \"dx\", \
+             terms = [{ p = 1, value = 2.0 }] }]\n",
+        )
+        .unwrap();
+        std::fs::write(
+            at("a/own.toml"),
+            "[[law]]\nname = \"quill_droop\"\nnaming = \"A.B\"\nlaw = \"e = um·(p_B/100)²\"\ncause = \"weight\"\n\
+             experiment = \"straightedge\"\nparameters = [{ name = \"um\", unit = \"um\", plausible = 50.0, \
+             terms = [{ factor = 1e-4, p_B = 2 }] }]\n",
+        )
+        .unwrap();
+        std::fs::write(at("a/r.csv"), "z,e\n0,1\n").unwrap();
+        let hash = hex(&Sha256::digest("z,e\n0,1\n"));
+        let text = format!(
+            "name = \"m\"\ndictionary = \"own.toml\" # mine\nchain = \"parts/chain.toml\"\n[[effect]]\n\
+             name = \"quill_droop.x.z\"\num = 3.0\nfrom = {{ file = \"r.csv\", sha256 = \"{hash}\" }}\n"
+        );
+        std::fs::write(at("a/m.toml"), text).unwrap();
+        let mut m = Machine::read(&at("a/m.toml")).unwrap();
+        let record = |file: &str| Source { file: file.into(), sha256: hash.clone(), folder: Some(at("a")) };
+        let note = |from| FitNote {
+            response: "error.x".into(),
+            date: "2026-05-01".into(),
+            valid_until: "2027-05-01".into(),
+            rms_um: 0.4,
+            half_width_um: 0.8,
+            valid: Vec::new(),
+            at_mm: None,
+            by_kind_um: BTreeMap::new(),
+            from,
+        };
+        m.note_fit(note(vec![record("r.csv")]));
+        assert_eq!(
+            m.text_at(&at("a/m.toml")).matches("folder").count(),
+            0,
+            "beside it, nothing is to be said"
+        );
+        m.write(&at("b/m.toml")).unwrap();
+        let text = std::fs::read_to_string(at("b/m.toml")).unwrap();
+        assert!(
+            text.contains("dictionary = \"../a/own.toml\" # mine\nchain = \"../a/parts/chain.toml\"\n"),
+            "{text}"
+        );
+        let there = Machine::read(&at("b/m.toml")).unwrap();
+        assert!(there.chain().is_some() && there.dictionary().effect("quill_droop.x.z").is_ok());
+        assert_eq!(there.fits()[0].from[0].folder, Some("../a".into()));
+        assert!(there.changed_sources().is_empty());
+        std::fs::write(at("a/r.csv"), "z,e\n0,2\n").unwrap();
+        assert_eq!(there.changed_sources(), ["r.csv has changed since the model was fitted on it"]);
+        // And home again.
+        there.write(&at("a/again.toml")).unwrap();
+        let text = std::fs::read_to_string(at("a/again.toml")).unwrap();
+        assert!(text.contains("dictionary = \"own.toml\" # mine\nchain = \"parts/chain.toml\"\n"), "{text}");
+        assert_eq!(text.matches("folder").count(), 0, "{text}");
+    }
+}

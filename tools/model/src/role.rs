@@ -1,0 +1,262 @@
+//! What a column of a run is: its role, its axis, the kind of the run.
+
+use std::fmt;
+
+/// The name of an axis (`x`, `y`, `z`, `c`; `r` for the radial error of a probing run).
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Axis(String);
+
+impl Axis {
+    /// An axis name: a letter, then letters, digits or `_`.
+    #[must_use]
+    pub fn new(name: &str) -> Option<Self> {
+        let mut chars = name.chars();
+        let ok = chars.next().is_some_and(|c| c.is_ascii_alphabetic())
+            && chars.all(|c| c.is_ascii_alphanumeric() || c == '_');
+        ok.then(|| Self(name.to_owned()))
+    }
+
+    /// The name as written.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for Axis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// What a column is. Errors and forces are responses, everything else is what they may depend on.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Role {
+    /// Time, s; never decreasing.
+    Time,
+    /// Position of an axis, mm.
+    Position(Axis),
+    /// Direction of approach of an axis, −1, 0 or +1.
+    Direction(Axis),
+    /// Signed velocity of an axis, mm/s.
+    Velocity(Axis),
+    /// Acceleration of an axis, mm/s².
+    Acceleration(Axis),
+    /// Number of the repeat.
+    Cycle,
+    /// Temperature, °C; the column's own name is the sensor's name.
+    Temperature,
+    /// Spindle speed, rpm.
+    SpindleSpeed,
+    /// Coolant, on when above one half.
+    Coolant,
+    /// Load on an axis, N.
+    Load(Axis),
+    /// Angle on the part or of probing, rad.
+    Angle,
+    /// Any other logged quantity, in any unit.
+    Channel,
+    /// Response: measured minus nominal, µm.
+    Error(Axis),
+    /// Response of a dynamics run: force, N.
+    Force(Axis),
+    /// Tilt while the first axis moves, about the second (ISO 230-1: EBX for x, b), µrad or arcseconds. Measured, but no
+    /// response of a model: none has effects for it.
+    AngleError(Axis, Axis),
+}
+
+impl Role {
+    /// The role of this name (`time`, `position.y`, …).
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        if let Some(both) = text.strip_prefix("angle_error.") {
+            let (moving, about) = both.split_once('.')?;
+            return Some(Self::AngleError(Axis::new(moving)?, Axis::new(about)?));
+        }
+        let (head, axis) = match text.split_once('.') {
+            Some((head, axis)) => (head, Some(Axis::new(axis)?)),
+            None => (text, None),
+        };
+        Some(match (head, axis) {
+            ("time", None) => Self::Time,
+            ("cycle", None) => Self::Cycle,
+            ("temperature", None) => Self::Temperature,
+            ("spindle_speed", None) => Self::SpindleSpeed,
+            ("coolant", None) => Self::Coolant,
+            ("angle", None) => Self::Angle,
+            ("channel", None) => Self::Channel,
+            ("position", Some(a)) => Self::Position(a),
+            ("direction", Some(a)) => Self::Direction(a),
+            ("velocity", Some(a)) => Self::Velocity(a),
+            ("acceleration", Some(a)) => Self::Acceleration(a),
+            ("load", Some(a)) => Self::Load(a),
+            ("error", Some(a)) => Self::Error(a),
+            ("force", Some(a)) => Self::Force(a),
+            _ => return None,
+        })
+    }
+
+    /// The unit this role is given in; `None` where any will do (a channel).
+    #[must_use]
+    pub fn unit(&self) -> Option<&'static str> {
+        Some(match self {
+            Self::Time => "s",
+            Self::Position(_) => "mm",
+            Self::Direction(_) | Self::Cycle | Self::Coolant => "1",
+            Self::Velocity(_) => "mm/s",
+            Self::Acceleration(_) => "mm/s2",
+            Self::Temperature => "degC",
+            Self::SpindleSpeed => "rpm",
+            Self::Load(_) | Self::Force(_) => "N",
+            Self::Angle => "rad",
+            Self::Error(_) => "um",
+            Self::AngleError(..) => "urad",
+            Self::Channel => return None,
+        })
+    }
+
+    /// Whether a column of it may be in this unit: tilts are in µrad or arcseconds, all others in their own.
+    #[must_use]
+    pub fn takes(&self, unit: &str) -> bool {
+        self.unit().is_none_or(|own| own == unit)
+            || (matches!(self, Self::AngleError(..)) && unit == "arcsec")
+    }
+
+    /// An error or a force: what a model predicts.
+    #[must_use]
+    pub fn is_response(&self) -> bool {
+        matches!(self, Self::Error(_) | Self::Force(_))
+    }
+
+    /// A response, or a tilt: what a run measures.
+    #[must_use]
+    pub fn is_measured(&self) -> bool {
+        self.is_response() || matches!(self, Self::AngleError(..))
+    }
+
+    /// The axis it belongs to.
+    #[must_use]
+    pub fn axis(&self) -> Option<&Axis> {
+        match self {
+            Self::Position(a)
+            | Self::Direction(a)
+            | Self::Velocity(a)
+            | Self::Acceleration(a)
+            | Self::Load(a)
+            | Self::Error(a)
+            | Self::Force(a) => Some(a),
+            _ => None,
+        }
+    }
+
+    /// Only temperatures and channels may stand in several columns.
+    #[must_use]
+    pub fn may_repeat(&self) -> bool {
+        matches!(self, Self::Temperature | Self::Channel)
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let head = match self {
+            Self::Time => "time",
+            Self::Position(_) => "position",
+            Self::Direction(_) => "direction",
+            Self::Velocity(_) => "velocity",
+            Self::Acceleration(_) => "acceleration",
+            Self::Cycle => "cycle",
+            Self::Temperature => "temperature",
+            Self::SpindleSpeed => "spindle_speed",
+            Self::Coolant => "coolant",
+            Self::Load(_) => "load",
+            Self::Angle => "angle",
+            Self::Channel => "channel",
+            Self::Error(_) => "error",
+            Self::Force(_) => "force",
+            Self::AngleError(moving, about) => return write!(f, "angle_error.{moving}.{about}"),
+        };
+        match self.axis() {
+            Some(axis) => write!(f, "{head}.{axis}"),
+            None => f.write_str(head),
+        }
+    }
+}
+
+/// What kind of run a record is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs)]
+pub enum Kind {
+    Positioning,
+    Drift,
+    Ballbar,
+    Plate,
+    Dynamics,
+    Probing,
+    FeedSweep,
+    Part,
+}
+
+impl Kind {
+    /// All of them, by name.
+    pub const ALL: [(&'static str, Self); 8] = [
+        ("positioning", Self::Positioning),
+        ("drift", Self::Drift),
+        ("ballbar", Self::Ballbar),
+        ("plate", Self::Plate),
+        ("dynamics", Self::Dynamics),
+        ("probing", Self::Probing),
+        ("feed_sweep", Self::FeedSweep),
+        ("part", Self::Part),
+    ];
+
+    /// The kind of this name.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.iter().find(|(name, _)| *name == text).map(|&(_, kind)| kind)
+    }
+
+    /// The kind's name in a sidecar.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
+}
+
+/// One column that the sidecar lists.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Column {
+    /// Name in the CSV's header; a temperature's or channel's name.
+    pub name: String,
+    /// What the column holds.
+    pub role: Role,
+    /// The column's unit, as the sidecar writes it.
+    pub unit: String,
+    /// One value per row.
+    pub data: Vec<f64>,
+}
+
+impl Column {
+    /// Values in the role's own unit; a role that has none (a channel) leaves the unit empty.
+    #[must_use]
+    pub fn new(name: &str, role: Role, data: Vec<f64>) -> Self {
+        Self { name: name.to_owned(), unit: role.unit().unwrap_or_default().to_owned(), role, data }
+    }
+
+    /// How a verdict names it: its role, or `temperature.T3`, `channel.z9`.
+    #[must_use]
+    pub fn label(&self) -> String {
+        if self.role.may_repeat() { format!("{}.{}", self.role, self.name) } else { self.role.to_string() }
+    }
+}
+
+/// Sign with sign(0) = 0.
+#[must_use]
+pub fn sign(v: f64) -> f64 {
+    if v > 0.0 {
+        1.0
+    } else if v < 0.0 {
+        -1.0
+    } else {
+        0.0
+    }
+}

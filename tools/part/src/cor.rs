@@ -1,0 +1,208 @@
+//! `error.cor`: a feature's errors as a file, of an arc by angle, of a straight feature by place.
+
+use crate::fit::Zx;
+use rtec_files::InputError;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// The error of one point.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PointError {
+    /// Direction of the surface normal from the part's +Z axis, in rad.
+    pub angle_rad: f64,
+    /// Deviation along that normal, in µm; positive: too much material outside.
+    pub error_um: f64,
+    /// Place along a straight feature, in mm from the points' centroid.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub along_mm: Option<f64>,
+}
+
+/// A part's error is no larger, µm: a form that is 10 mm off is another part (as the bounds of `form_bump` have it).
+pub(crate) const MOST_UM: f64 = 10_000.0;
+/// Angles of a part are within some turns.
+pub(crate) const MOST_RAD: f64 = 1e3;
+/// A kilometre: the bounds of every position, mm.
+pub(crate) const MOST_MM: f64 = 1e6;
+/// So far may a straight feature's places be off the line that its normal says, as a share of its length.
+const ASKEW: f64 = 0.01;
+
+/// A feature's errors as an `error.cor` holds them.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FeatureErrors {
+    /// Of an arc, angles ascending.
+    Arc(Vec<PointError>),
+    /// Of a straight feature, places ascending.
+    Line(Vec<LineError>),
+}
+
+/// One line of a straight feature's `error.cor`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LineError {
+    /// Direction of the surface normal from the part's +Z axis, in rad.
+    pub angle_rad: f64,
+    /// Deviation along that normal, in µm; positive: too much material outside.
+    pub error_um: f64,
+    /// Place along the feature, in mm from the points' centroid.
+    pub along_mm: f64,
+    /// The surface there, in part coordinates.
+    pub place: Zx,
+}
+
+impl FeatureErrors {
+    /// Read an `error.cor`: two numbers a line of an arc, five of a straight feature, separated by blanks or a comma; `#`
+    /// starts a comment.
+    ///
+    /// # Errors
+    /// Other numbers than these in a line, or ones that no part has; angles or places that do not ascend, places that
+    /// do not lie along the feature, or no line at all.
+    pub fn read(file: &Path) -> Result<Self, InputError> {
+        Self::parse(file, &rtec_files::text::read(file)?)
+    }
+
+    /// As [`FeatureErrors::read`], from text; `file` is for messages.
+    ///
+    /// # Errors
+    /// As [`FeatureErrors::read`].
+    pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
+        let rows: Vec<Row> = rows(text).collect();
+        match rows.first() {
+            None => Err(InputError::whole(file, "no line at all", ARC)),
+            Some(first) if first.words.len() == 5 => lines_of(file, &rows).map(Self::Line),
+            Some(_) => arc_of(file, &rows).map(Self::Arc),
+        }
+    }
+
+    /// Number of points.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Arc(errors) => errors.len(),
+            Self::Line(errors) => errors.len(),
+        }
+    }
+
+    /// Never: a file without a line is refused.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// What a line of an arc's file holds.
+const ARC: &str = "angle in rad and error in µm";
+
+/// A line that is not empty: its number and its words.
+struct Row<'t> {
+    line: usize,
+    words: Vec<&'t str>,
+}
+
+impl Row<'_> {
+    fn text(&self) -> String {
+        format!("'{}'", self.words.join(" "))
+    }
+
+    fn numbers<const N: usize>(&self, file: &Path, expected: &str) -> Result<[f64; N], InputError> {
+        let numbers: Option<Vec<f64>> =
+            self.words.iter().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
+        let numbers = numbers.and_then(|n| <[f64; N]>::try_from(n).ok());
+        numbers.ok_or_else(|| InputError::at(file, self.line, 1, self.text(), expected))
+    }
+
+    fn checked(&self, file: &Path, angle_rad: f64, error_um: f64) -> Result<(), InputError> {
+        if angle_rad.abs() <= MOST_RAD && error_um.abs() <= MOST_UM {
+            return Ok(());
+        }
+        let expected = format!(
+            "an angle within ±{MOST_RAD} rad and an error within ±{MOST_UM} µm: more is another part"
+        );
+        Err(InputError::at(file, self.line, 1, self.text(), expected))
+    }
+}
+
+fn rows(text: &str) -> impl Iterator<Item = Row<'_>> {
+    text.lines().enumerate().filter_map(|(i, line)| {
+        let content = line.split('#').next().unwrap_or_default();
+        let words: Vec<&str> = content.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
+        (!words.is_empty()).then_some(Row { line: i + 1, words })
+    })
+}
+
+fn arc_of(file: &Path, rows: &[Row]) -> Result<Vec<PointError>, InputError> {
+    let mut errors: Vec<PointError> = Vec::new();
+    for row in rows {
+        let [angle_rad, error_um] = row.numbers(file, ARC)?;
+        row.checked(file, angle_rad, error_um)?;
+        if errors.last().is_some_and(|e| e.angle_rad >= angle_rad) {
+            let found = format!("angle {angle_rad} after a larger or equal one");
+            return Err(InputError::at(file, row.line, 1, found, "ascending angles"));
+        }
+        errors.push(PointError { angle_rad, error_um, along_mm: None });
+    }
+    Ok(errors)
+}
+
+fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<LineError>, InputError> {
+    let mut errors: Vec<LineError> = Vec::new();
+    for row in rows {
+        let expected = "angle in rad, error in µm, place along the feature, Z and X in mm";
+        let [angle_rad, error_um, along_mm, z, x] = row.numbers(file, expected)?;
+        row.checked(file, angle_rad, error_um)?;
+        if [along_mm, z, x].iter().any(|v| v.abs() > MOST_MM) {
+            return Err(InputError::at(
+                file,
+                row.line,
+                1,
+                row.text(),
+                format!("places within ±{MOST_MM} mm"),
+            ));
+        }
+        if errors.last().is_some_and(|e| e.along_mm >= along_mm) {
+            let found = format!("place {along_mm} after a larger or equal one");
+            return Err(InputError::at(file, row.line, 1, found, "ascending places"));
+        }
+        let place = Zx::new(z, x);
+        if let Some(first) = errors.first() {
+            // All on one line, across one normal, as far apart as they say.
+            let (way, length_mm) = (place - first.place, along_mm - first.along_mm);
+            let off_mm = way.dot(Zx::at_angle(first.angle_rad)).abs().max((way.norm() - length_mm).abs());
+            if (angle_rad - first.angle_rad).abs() > ASKEW || off_mm > ASKEW * length_mm + 1e-3 {
+                let expected = "one angle, and Z and X that go along the feature, across it";
+                return Err(InputError::at(file, row.line, 1, row.text(), expected));
+            }
+        }
+        errors.push(LineError { angle_rad, error_um, along_mm, place });
+    }
+    if errors.len() < 2 {
+        return Err(InputError::whole(file, "one point", "two points of a straight feature at least"));
+    }
+    Ok(errors)
+}
+
+/// Read the `error.cor` of an arc.
+///
+/// # Errors
+/// As [`FeatureErrors::read`], and a straight feature's.
+pub fn read_arc(file: &Path) -> Result<Vec<PointError>, InputError> {
+    match FeatureErrors::read(file)? {
+        FeatureErrors::Arc(errors) => Ok(errors),
+        FeatureErrors::Line(_) => Err(InputError::whole(
+            file,
+            "errors of a straight feature",
+            "those of an arc: angle in rad and error in µm",
+        )),
+    }
+}
+
+/// The table of NISTIR 4854, section 5: one line per point, angle from the part's +Z axis in rad and error in µm,
+/// angles ascending.
+#[must_use]
+pub fn error_cor(errors: &[PointError]) -> String {
+    let mut sorted = errors.to_vec();
+    sorted.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
+    sorted.iter().fold(String::new(), |mut text, e| {
+        let _ = writeln!(text, "{:.6} {:.3}", e.angle_rad, e.error_um);
+        text
+    })
+}

@@ -1,0 +1,187 @@
+//! All effects after the last fit: which of them keep their place, what moved beyond chance, the curve that stands for what has
+//! no name.
+
+use crate::answer::Answer;
+use crate::cause::Shape;
+use crate::fit::{self, Term, Way};
+use crate::problem::{Stack, known, rms};
+use crate::unexplained;
+use crate::verdict::Refined;
+use rtec_model::effect::{Effect, Search};
+use rtec_model::machine::Machine;
+use rtec_model::record::Record;
+
+/// How far a value must move from the model's, in standard errors: about one in ten thousand by chance.
+const BEYOND_CHANCE: f64 = 3.9;
+/// A value that is less than this share of its interval's half width is nothing.
+const BY_FAR: f64 = 0.6;
+/// A finding without which so much less is explained is one, however uncertain its size, nats.
+const NEEDED: f64 = 4.0;
+/// Steps of the last fit, and of one curve of several that stand for a shape.
+const STEPS: usize = 12;
+const CURVE_STEPS: usize = 6;
+
+/// All effects after the last fit.
+pub(crate) struct Fitted {
+    /// The model's own, then what was found, then maybe a curve.
+    pub(crate) terms: Vec<Term>,
+    file: Vec<Effect>,
+    /// Which of the model's own moved beyond chance.
+    moved: Vec<bool>,
+    found: usize,
+}
+
+impl Fitted {
+    /// Fits the model's effects and the findings jointly, then once more without those of the model's that did not move
+    /// beyond chance: they stay as the file has them. A finding whose interval then holds zero by far, and without which as
+    /// little is left, is none.
+    pub(crate) fn of(stack: &Stack<'_>, machine: &Machine, answer: &mut Answer) -> Self {
+        let mut fitted = Self::once(stack, machine, answer);
+        for place in fitted.doubtful() {
+            let finding = answer.findings.remove(place);
+            let without = Self::once(stack, machine, answer);
+            let [with, left] = [&fitted, &without].map(|f| rms(&fit::residual(stack, &f.terms)).max(1e-12));
+            if stack.n as f64 * (left / with).ln() < NEEDED {
+                fitted = without;
+            } else {
+                answer.findings.insert(place, finding);
+            }
+        }
+        fitted
+    }
+
+    fn once(stack: &Stack<'_>, machine: &Machine, answer: &Answer) -> Self {
+        let file: Vec<Effect> = machine.effects().cloned().collect();
+        let mut terms = present(stack, answer);
+        terms.extend(answer.findings.iter().map(|f| Term::new(stack, f.effect.clone(), &f.held)));
+        fit::fit(stack, &mut terms, answer.phi, STEPS, None);
+        let moved: Vec<bool> = file.iter().zip(&terms).map(|(f, t)| beyond_chance(f, t)).collect();
+        for (term, effect) in terms.iter_mut().zip(&file).zip(&moved).filter(|(_, m)| !**m).map(|(t, _)| t) {
+            *term = Term::fixed(effect.clone());
+        }
+        fit::fit(stack, &mut terms, answer.phi, STEPS, None);
+        let mut fitted = Self { terms, file, moved, found: answer.findings.len() };
+        fitted.widen(stack, answer);
+        fitted
+    }
+
+    /// A value that was left out is no estimate of nothing: how large it may be, and how far the others are off for it,
+    /// a fit with it shows.
+    fn widen(&mut self, stack: &Stack<'_>, answer: &Answer) {
+        let mut whole = self.terms.clone();
+        let mut widened = Vec::new();
+        for (i, f) in answer.findings.iter().enumerate() {
+            let at = self.file.len() + i;
+            if !f.held.is_empty() && !whole[at].ways.is_empty() {
+                whole[at] = Term::new(stack, whole[at].effect.clone(), &[]);
+                widened.push(at);
+            }
+        }
+        if widened.is_empty() {
+            return;
+        }
+        fit::fit(stack, &mut whole, answer.phi, STEPS, None);
+        for at in widened {
+            let (own, other) = (&mut self.terms[at], &whole[at]);
+            let values = own.effect.values().iter().zip(other.effect.values()).zip(&other.half);
+            for (half, ((a, b), h)) in own.half.iter_mut().zip(values) {
+                *half = half.max((a - b).abs() + h);
+            }
+        }
+    }
+
+    /// Findings whose size is little beside its interval, the last first. Where another value of the same effect is as
+    /// uncertain (a time constant, a phase) that alone says nothing.
+    fn doubtful(&self) -> Vec<usize> {
+        let little = |t: &Term| {
+            let law = t.effect.description();
+            let size = [Search::Linear, Search::Amplitude].into_iter().find_map(|s| law.place(s));
+            let Some(at) = size.filter(|_| t.effect.width() == 1) else { return false };
+            let alone = law.parameters.iter().filter(|p| p.search == law.parameters[at].search).count() == 1;
+            alone && t.half[at] > 0.0 && t.effect.scalar(at).abs() < BY_FAR * t.half[at]
+        };
+        (0..self.found).rev().filter(|i| little(&self.found()[*i])).collect()
+    }
+
+    /// What was found.
+    pub(crate) fn found(&self) -> &[Term] {
+        &self.terms[self.file.len()..self.file.len() + self.found]
+    }
+
+    /// The curve that stands for what has no name.
+    pub(crate) fn curve(&self) -> Option<&Term> {
+        self.terms.get(self.file.len() + self.found)
+    }
+
+    /// Writes what moved beyond chance into the model.
+    pub(crate) fn correct(&self, model: &mut Machine) -> Vec<Refined> {
+        let mut refined = Vec::new();
+        for (place, before) in self.file.iter().enumerate().filter(|(e, _)| self.moved[*e]) {
+            let (after, half) = (&self.terms[place].effect, &self.terms[place].half);
+            write_values(model, place, after, half);
+            refined.push(Refined { place, before: before.clone(), after: (after.clone(), half.clone()) });
+        }
+        refined
+    }
+
+    /// Adds the curve that stands for a shape to the terms, with as many knots as the data pay for. The laws that the
+    /// model names then.
+    pub(crate) fn stand_in(
+        &mut self,
+        stack: &Stack<'_>,
+        shape: &Shape,
+        train: &[Record],
+        model: &mut Machine,
+        phi: f64,
+    ) -> Option<String> {
+        let mut best: Option<(f64, Machine, Vec<Term>, String)> = None;
+        for knots in [5, 9, 17, 33] {
+            let (mut machine, mut all) = (model.clone(), self.terms.clone());
+            let Some(curve) = unexplained::stand_in(shape, knots, train, &mut machine) else { continue };
+            all.push(Term::new(stack, curve.effect, &[]));
+            fit::fit(stack, &mut all, phi, CURVE_STEPS, None);
+            let n = stack.n as f64;
+            let score = n * rms(&fit::residual(stack, &all)).max(1e-12).ln() + 0.5 * knots as f64 * n.ln();
+            if best.as_ref().is_none_or(|b| score < b.0) {
+                best = Some((score, machine, all, curve.laws));
+            }
+        }
+        let (_, machine, all, laws) = best?;
+        (*model, self.terms) = (machine, all);
+        Some(laws)
+    }
+}
+
+/// The model's own effects as terms, each held to the file's values as far as they are trusted.
+fn present(stack: &Stack<'_>, answer: &Answer) -> Vec<Term> {
+    let mut ways: Vec<Vec<Way>> = answer.present.iter().map(|_| Vec::new()).collect();
+    for k in known(stack, 1.0, &answer.anchor, &answer.present) {
+        if let Some(e) = k.effect {
+            ways[e].push(Way { along: k.along, sd: k.sd });
+        }
+    }
+    let of =
+        |((effect, anchor), ways): ((&Effect, &Effect), Vec<Way>)| Term::given(effect.clone(), anchor, ways);
+    answer.present.iter().zip(&answer.anchor).zip(ways).map(of).collect()
+}
+
+/// Whether a fit has moved a value of the model's effect so far from the file's.
+fn beyond_chance(file: &Effect, term: &Term) -> bool {
+    file.values().iter().zip(term.effect.values()).zip(&term.half).any(|((a, b), half)| {
+        *half > 0.0 && (a - b).abs() > BEYOND_CHANCE / 1.96 * half && (a - b).abs() > 1e-9 * a.abs()
+    })
+}
+
+fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]) {
+    let width = effect.width();
+    for (i, p) in effect.description().parameters.iter().enumerate() {
+        if p.search == Search::Chosen {
+            continue;
+        }
+        let values = effect.get(i);
+        let interval: Vec<[f64; 2]> =
+            values.iter().zip(&half[i * width..]).map(|(v, h)| [v - h, v + h]).collect();
+        // The values come from the law itself; they keep its bounds.
+        let _written = model.set(place, &p.name, values, Some(&interval));
+    }
+}

@@ -1,0 +1,104 @@
+//! What a set of names leaves: too much of it, and the names are not the whole.
+
+use crate::cause::Shape;
+use crate::chance::Chance;
+use crate::problem::rms;
+use crate::search::{Member, Search, Set};
+use rtec_model::effect::{Effect, Need};
+
+/// Log odds by which a shape without a name must beat the best named explanation.
+const SHAPE_DECISIVE: f64 = 5.0;
+/// The same where the names leave little.
+const SHAPE_INSTEAD: f64 = 12.0;
+/// An effect that does less than this share of what is left is not worth a name: on a real machine everything shows a
+/// little of everything.
+const WORTH: f64 = 0.2;
+/// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
+const EXPLAINED: f64 = 0.25;
+/// Where named effects leave less than this share of the gap, they are not exchanged for a shape without a name,
+/// however well it fits: no law is true to a fiftieth.
+const NEARLY_ALL: f64 = 0.05;
+/// What names leave is far above the noise where it is so many times what the best account leaves.
+const FAR: f64 = 1.5;
+
+/// The member that does least on the rows that it acts on, where that is too little for a name.
+pub(crate) fn slightest(search: &Search<'_, '_>, named: &Set) -> Option<usize> {
+    let left = search.residual(named).0;
+    let share = |i: usize| {
+        let does = search.does(named, i);
+        let there = |v: &[f64]| {
+            rms(&v.iter().zip(&does).filter(|(_, d)| **d != 0.0).map(|(v, _)| *v).collect::<Vec<_>>())
+        };
+        there(&does) / there(&left).max(1e-300)
+    };
+    let does: Vec<f64> = (0..named.members.len()).map(share).collect();
+    let least = (0..does.len()).min_by(|a, b| does[*a].total_cmp(&does[*b]))?;
+    (does[least] < WORTH).then_some(least)
+}
+
+/// Structure that the names leave to shapes; empty where the names keep their place.
+pub(crate) fn unexplained(
+    search: &Search<'_, '_>,
+    named: &Set,
+    any: &Set,
+    chance: &Chance,
+    level: f64,
+) -> Vec<Shape> {
+    let whole = rms(&search.residual(&search.empty()).0);
+    let left = rms(&search.residual(named).0);
+    let mostly = !named.members.is_empty() && left < EXPLAINED * whole;
+    // Names that leave next to nothing keep their place, and those that a shape only stands beside, where it does little.
+    let beside = named.members.iter().all(|m| any.members.iter().any(|a| a.hypothesis == m.hypothesis));
+    let little = left < FAR * rms(&search.residual(any).0);
+    // A shape that says more with no more values is no bending of what the names say to the last nanometre.
+    let values = |s: &Set| s.members.iter().map(Member::columns).sum::<usize>();
+    let plain = !beside && values(any) <= values(named);
+    let kept = mostly && !plain && ((beside && little) || left < NEARLY_ALL * whole);
+    // A shape in place of the names, not beside them, has to be the far better account where they leave little.
+    // The more names one shape replaces, the less.
+    let each = any.members.len() as f64 / named.members.len().max(1) as f64;
+    let needed = if mostly { SHAPE_INSTEAD * each.min(1.0) } else { SHAPE_DECISIVE };
+    if kept || any.score <= named.score + needed {
+        return Vec::new();
+    }
+    // In place of names it is the whole that chance would have to give.
+    let gain = if beside { search.gain(named, any) } else { search.gain(&search.empty(), any) };
+    if chance.of_anything(gain) > level {
+        return Vec::new();
+    }
+    any.members.iter().filter_map(|m| m.cause.shape().cloned()).collect()
+}
+
+/// Structure that only effects outside their laws' bounds explain: no machine has them, so that it has no name. `full`: the
+/// set with them. Empty where what is left without them, `named`, is as small.
+pub(crate) fn beyond_bounds(
+    search: &Search<'_, '_>,
+    named: &Set,
+    full: &Set,
+    chance: &Chance,
+    level: f64,
+) -> Vec<Shape> {
+    let [left, least] = [named, full].map(|s| rms(&search.residual(s).0));
+    let gain = search.gain(named, full);
+    if left < FAR * least || gain < SHAPE_INSTEAD || chance.of_anything(gain) > level {
+        return Vec::new();
+    }
+    let effects = search.effects(full).into_iter().flatten();
+    effects.filter(|e| !e.is_physical()).filter_map(|e| shape_of(search, &e)).collect()
+}
+
+/// What an effect that is none looks like.
+fn shape_of(search: &Search<'_, '_>, effect: &Effect) -> Option<Shape> {
+    let acts = search.stack.records.iter().find_map(|r| effect.acts_on(r).into_iter().next())?;
+    let role = |n: &Need| match n {
+        Need::Delta => effect.delta.as_ref().map(|d| format!("temperature.{}", d.sensor)),
+        Need::Channel => effect.channel().map(|c| format!("channel.{c}")),
+        other => Some(other.role(effect.axes()).to_string()),
+    };
+    let mut against: Vec<String> = effect.description().needs.iter().filter_map(role).collect();
+    if against.is_empty() {
+        against.push("time".to_owned());
+    }
+    let manner = format!("as {} beyond what a machine can have", effect.name());
+    Some(Shape { response: acts.0.to_string(), against, manner })
+}

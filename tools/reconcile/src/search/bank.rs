@@ -1,0 +1,255 @@
+//! What a set leaves of the bank's columns: every grid point is scored from it, and a set that grew out of another
+//! begins with what that one left.
+
+use super::Search;
+use super::sets::{AtPhi, Set};
+use crate::gram::{self, dot, minus};
+use crate::hypotheses::Atom;
+use std::ops::{Index, Range};
+use std::rc::Rc;
+
+/// So many are kept.
+const KEPT: usize = 64;
+
+/// Nothing over fewer columns than these is no gap.
+const GAP: usize = 32;
+
+/// What a vector has in common with each of the bank's columns, beside the vectors before it. With columns of other
+/// responses than its own that is nothing: they are passed over.
+#[derive(Clone)]
+pub(crate) struct Share {
+    values: Rc<[f64]>,
+    /// Columns outside these have nothing in common with it.
+    runs: Rc<[Range<usize>]>,
+}
+
+impl Share {
+    fn new(values: Vec<f64>) -> Self {
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for (i, _) in values.iter().enumerate().filter(|(_, v)| **v != 0.0) {
+            match runs.last_mut() {
+                Some(run) if i < run.end + GAP => run.end = i + 1,
+                _ => runs.push(i..i + 1),
+            }
+        }
+        Self { values: values.into(), runs: runs.into() }
+    }
+
+    /// Whether it has nothing in common with any of these columns.
+    fn is_nothing(&self, columns: &Range<usize>) -> bool {
+        let at = self.runs.partition_point(|run| run.end <= columns.start);
+        self.runs.get(at).is_none_or(|run| run.start >= columns.end)
+    }
+
+    /// `from - by·share` in its place.
+    pub(crate) fn take_off(&self, by: f64, from: &mut [f64]) {
+        for run in &*self.runs {
+            minus(&mut from[run.clone()], by, &self.values[run.clone()]);
+        }
+    }
+}
+
+/// How an atom's columns lie in the bank.
+pub(super) struct Lie {
+    within: Range<usize>,
+    /// One after the other.
+    in_a_row: bool,
+}
+
+impl Lie {
+    pub(super) fn of(atom: &Atom) -> Self {
+        let columns = &atom.columns;
+        let from = columns.iter().copied().min().unwrap_or(0);
+        let within = from..columns.iter().copied().max().map_or(0, |last| last + 1);
+        let in_a_row = columns.iter().copied().eq(within.clone());
+        Self { within, in_a_row }
+    }
+}
+
+impl Index<usize> for Share {
+    type Output = f64;
+
+    fn index(&self, column: usize) -> &f64 {
+        &self.values[column]
+    }
+}
+
+/// What a set leaves of the bank's columns, at one noise coefficient.
+pub(super) struct Left {
+    ids: Vec<usize>,
+    phi: f64,
+    /// Per vector of the set, one value for each column: L⁻¹ of their products.
+    shares: Vec<Share>,
+    /// Per column: its product with the response, less what the set explains of both.
+    with_y: Vec<f64>,
+    /// Atom by atom: the products among its columns, packed by rows of the lower triangle, less the same.
+    own: Vec<f64>,
+}
+
+impl Search<'_, '_> {
+    /// Log likelihood of a set with a grid point's columns beside it, for every grid point of which `wanted` is true.
+    pub(super) fn with_atoms(
+        &self,
+        set: &Set,
+        wanted: impl Fn(usize) -> bool,
+        mut each: impl FnMut(usize, f64),
+    ) {
+        let mut left: Vec<Option<Rc<Left>>> = vec![None; set.fits.len()];
+        let (mut m, mut g) = (Vec::new(), Vec::new());
+        let mut from = 0;
+        for (i, atom) in self.all.atoms.iter().enumerate() {
+            let full = &self.all.own[i];
+            let at = from..from + full.len();
+            from = at.end;
+            if !wanted(i) {
+                continue;
+            }
+            let k = atom.columns.len();
+            m.resize(k * k, 0.0);
+            let loglik = self.over_noise(set, |f| {
+                let fit = &set.fits[f];
+                let left = left[f].get_or_insert_with(|| self.left_of_bank(set, fit));
+                g.clear();
+                g.extend(atom.columns.iter().map(|c| left.with_y[*c]));
+                let mut packed = left.own[at.clone()].iter().zip(full);
+                for (r, row) in m.chunks_exact_mut(k.max(1)).enumerate() {
+                    for ((c, m), (own, full)) in row[..=r].iter_mut().enumerate().zip(&mut packed) {
+                        // What the set explains already to 1 part in 10⁶ is no new explanation.
+                        let known = c == r && *own < 1e-6 * full.at(fit.phi);
+                        *m = if known { f64::INFINITY } else { *own };
+                    }
+                }
+                gram::reduce(&mut m, &mut g);
+                self.loglik(fit, dot(&g, &g))
+            });
+            each(i, loglik);
+        }
+    }
+
+    fn left_of_bank(&self, set: &Set, fit: &AtPhi) -> Rc<Left> {
+        // The set that it grew out of, or as much of it as was kept.
+        let begins = |l: &&Rc<Left>| l.phi.to_bits() == fit.phi.to_bits() && set.ids.starts_with(&l.ids);
+        let before = self.left.borrow().iter().filter(begins).max_by_key(|l| l.ids.len()).cloned();
+        let mut left = match before {
+            Some(all) if all.ids.len() == set.ids.len() => return all,
+            Some(l) => Left {
+                ids: set.ids.clone(),
+                phi: fit.phi,
+                shares: l.shares.clone(),
+                with_y: l.with_y.clone(),
+                own: l.own.clone(),
+            },
+            None => Left {
+                ids: set.ids.clone(),
+                phi: fit.phi,
+                shares: Vec::new(),
+                with_y: self.against_bank(self.y).iter().map(|p| p.at(fit.phi)).collect(),
+                own: self.all.own.iter().flatten().map(|p| p.at(fit.phi)).collect(),
+            },
+        };
+        let known = left.shares.len();
+        left.shares = self.shares(&set.ids, fit, &left.shares);
+        for (z, share) in fit.z.iter().zip(&left.shares).skip(known) {
+            share.take_off(*z, &mut left.with_y);
+            self.take_off(share, &mut left.own);
+        }
+        let left = Rc::new(left);
+        let mut kept = self.left.borrow_mut();
+        kept.push(Rc::clone(&left));
+        if kept.len() > KEPT {
+            kept.remove(0);
+        }
+        left
+    }
+
+    /// Takes what one share explains of them off the products among each atom's columns.
+    fn take_off(&self, share: &Share, own: &mut [f64]) {
+        let mut rest = own;
+        for ((atom, full), lie) in self.all.atoms.iter().zip(&self.all.own).zip(&self.lie) {
+            let (mut own, behind) = rest.split_at_mut(full.len());
+            rest = behind;
+            if share.is_nothing(&lie.within) {
+                continue;
+            }
+            for (r, c) in atom.columns.iter().enumerate() {
+                let (row, below) = own.split_at_mut(r + 1);
+                own = below;
+                let by = share[*c];
+                // A column of another response than the share's.
+                if by == 0.0 {
+                    continue;
+                }
+                if lie.in_a_row {
+                    minus(row, by, &share.values[lie.within.start..=lie.within.start + r]);
+                } else {
+                    row.iter_mut().zip(&atom.columns).for_each(|(o, d)| *o -= by * share[*d]);
+                }
+            }
+        }
+    }
+
+    /// L⁻¹ of the products of a fit's vectors with the bank's columns, vector by vector; the first of them are known.
+    pub(crate) fn shares(&self, ids: &[usize], fit: &AtPhi, known: &[Share]) -> Vec<Share> {
+        let mut shares = known.to_vec();
+        for (i, id) in ids.iter().enumerate().skip(known.len()) {
+            let row = fit.factor.row(i);
+            let mut share: Vec<f64> = self.against_bank(*id).iter().map(|p| p.at(fit.phi)).collect();
+            for (l, before) in row.iter().zip(&shares) {
+                before.take_off(*l, &mut share);
+            }
+            for x in &mut share {
+                *x /= row[i];
+            }
+            shares.push(Share::new(share));
+        }
+        shares
+    }
+
+    /// Forgets what was left by sets that none of these grew out of.
+    pub(super) fn forget_all_but(&self, sets: &[Set]) {
+        self.left.borrow_mut().retain(|l| sets.iter().any(|s| s.ids.starts_with(&l.ids)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hypotheses::Hypotheses;
+    use crate::problem::Stack;
+    use crate::testing::{noise, record};
+    use rtec_model::effect::Dictionary;
+
+    /// What is scored from products alone is what a fit of all columns gives, for a set that grew and for one that is new.
+    #[test]
+    fn a_grid_point_scores_what_its_fit_does() {
+        let dice = noise(31, 150);
+        let records = [record(150, |i| dice[i as usize] + if i >= 70.0 { 4.0 } else { 0.0 })];
+        let stack = Stack::new(&records);
+        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(1.0, Vec::new(), stack.missing(&[]));
+        let mut set = search.empty();
+        for step in 0..3 {
+            let scores = |search: &Search<'_, '_>, set: &Set| {
+                let mut out = vec![0.0; all.atoms.len()];
+                search.with_atoms(set, |_| true, |i, loglik| out[i] = loglik);
+                out
+            };
+            search.meet_bank(set.ids.iter().copied().chain([search.y]));
+            let grown = scores(&search, &set);
+            search.forget_all_but(&[]);
+            let new = scores(&search, &set);
+            let mut alike = 0;
+            for (i, atom) in all.atoms.iter().enumerate().step_by(7) {
+                let fitted = search.take_atom(&set, atom).loglik;
+                assert!((grown[i] - new[i]).abs() < 1e-7, "{step}, {i}: {} and {}", grown[i], new[i]);
+                // Not all noise coefficients are looked at.
+                assert!(new[i] < fitted + 0.5, "{step}, {i}: {} and {fitted}", new[i]);
+                alike += usize::from((new[i] - fitted).abs() < 1e-6);
+            }
+            assert!(alike * 7 > all.atoms.len() * 3 / 4, "{step}: {alike} alike");
+            let best = (0..new.len()).max_by(|a, b| new[*a].total_cmp(&new[*b])).unwrap();
+            set = search.take_atom(&set, &all.atoms[best]);
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! Waves of one frequency against sets: what was worked out for one set serves all that begin with the same vectors.
+
+use super::Search;
+use super::sets::{AtPhi, Set};
+use crate::gram::{self, Products, dot, dots, products};
+use crate::waves::Wave;
+use std::ops::Range;
+
+/// Values that the waves that were looked at may keep: 64 MB.
+pub(super) const ROOM: usize = 8_000_000;
+
+/// A wave of one frequency.
+pub(super) struct Seen {
+    /// Sine and cosine, where there is room for them.
+    columns: Option<Vec<Vec<f64>>>,
+    /// Of the sine with itself, of the cosine with the sine, of the cosine with itself.
+    own: [Products; 3],
+    /// Products with vectors, those that were asked for.
+    with: Vec<Option<[Products; 2]>>,
+    /// Per noise coefficient: against the set that was the last.
+    solved: Vec<Solved>,
+}
+
+impl Seen {
+    /// Forgets what was worked out for sets: their vectors stay, what the model's file says of them does not.
+    pub(super) fn forget_sets(&mut self) {
+        self.solved.clear();
+    }
+}
+
+/// L⁻¹ of the products of sine and cosine with a set's vectors.
+#[derive(Default)]
+struct Solved {
+    ids: Vec<usize>,
+    sines: Vec<f64>,
+    cosines: Vec<f64>,
+}
+
+impl Solved {
+    /// The same for another set: from where the vectors are others.
+    fn go_to(&mut self, ids: &[usize], fit: &AtPhi, mut with: impl FnMut(usize) -> [Products; 2]) {
+        let same = self.ids.iter().zip(ids).take_while(|(a, b)| a == b).count();
+        self.sines.truncate(same);
+        self.cosines.truncate(same);
+        self.ids.clear();
+        self.ids.extend_from_slice(ids);
+        for (i, id) in ids.iter().enumerate().skip(same) {
+            let [sine, cosine] = with(*id).map(|p| p.at(fit.phi));
+            let row = fit.factor.row(i);
+            let [known_sine, known_cosine] = dots(&self.sines, &self.cosines, &row[..i]);
+            self.sines.push((sine - known_sine) / row[i]);
+            self.cosines.push((cosine - known_cosine) / row[i]);
+        }
+    }
+}
+
+/// The segments of a response, which stand one after the other.
+fn within<'s>(segments: &'s [Range<usize>], rows: &Range<usize>) -> &'s [Range<usize>] {
+    let from = segments.partition_point(|s| s.end <= rows.start);
+    let to = segments.partition_point(|s| s.start < rows.end);
+    &segments[from..to]
+}
+
+impl Search<'_, '_> {
+    /// Score of a set with a wave of one frequency beside it.
+    pub(super) fn wave_score(&self, set: &Set, wave: &Wave, f: f64, cost: f64) -> f64 {
+        let ranges = within(&self.stack.ranges, &wave.rows);
+        let mut all = self.seen.borrow_mut();
+        let first = || self.first_seen(wave, f, ranges);
+        let Seen { columns, own, with, solved } =
+            all.entry((wave.hypothesis, f.to_bits())).or_insert_with(first);
+        with.resize(self.vectors.len(), None);
+        let mut made = None;
+        let mut with = |id: usize| -> [Products; 2] {
+            *with[id].get_or_insert_with(|| {
+                let c = match columns {
+                    Some(kept) => &*kept,
+                    None => made.get_or_insert_with(|| self.wave_columns(wave, f)),
+                };
+                let v = &self.vectors[id];
+                [v.products(&c[0], ranges), v.products(&c[1], ranges)]
+            })
+        };
+        let with_y = with(self.y);
+        if solved.len() < set.fits.len() {
+            solved.resize_with(set.fits.len(), Solved::default);
+        }
+        let loglik = self.over_noise(set, |i| {
+            let fit = &set.fits[i];
+            let Solved { sines, cosines, .. } = {
+                solved[i].go_to(&set.ids, fit, &mut with);
+                &solved[i]
+            };
+            let [sine, cosine] = with_y.map(|p| p.at(fit.phi));
+            let mut g = [sine - dot(sines, &fit.z), cosine - dot(cosines, &fit.z)];
+            let [ss, cs, cc] = own.map(|p| p.at(fit.phi));
+            // What the set explains already to 1 part in 10⁶ is no new explanation.
+            let new = |full: f64, left: f64| if left < 1e-6 * full { f64::INFINITY } else { left };
+            let mut m = [
+                new(ss, ss - dot(sines, sines)),
+                0.0,
+                cs - dot(cosines, sines),
+                new(cc, cc - dot(cosines, cosines)),
+            ];
+            gram::reduce(&mut m, &mut g);
+            self.loglik(fit, dot(&g, &g))
+        });
+        loglik - self.price(set, cost, 2)
+    }
+
+    fn first_seen(&self, wave: &Wave, f: f64, ranges: &[Range<usize>]) -> Seen {
+        let c = self.wave_columns(wave, f);
+        let own = [(0, 0), (1, 0), (1, 1)].map(|(i, j): (usize, usize)| products(&c[i], &c[j], ranges));
+        let kept = self.room.get().checked_sub(2 * self.stack.n);
+        if let Some(left) = kept {
+            self.room.set(left);
+        }
+        Seen { columns: kept.map(|_| c), own, with: Vec::new(), solved: Vec::new() }
+    }
+}

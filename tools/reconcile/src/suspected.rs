@@ -1,0 +1,45 @@
+//! What a suspicion is about, and the record beside what the model makes of it.
+
+use rtec_measure::plausible::{Suspicion, What};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Column, Record, Role};
+
+/// A mistake is believed where with it undone the model explains so much of the record's variance.
+pub(crate) const ALIKE: f64 = 0.8;
+
+/// Whether it is about this record.
+pub(crate) fn about(s: &Suspicion, record: &Record) -> bool {
+    s.record == record.path.display().to_string()
+}
+
+/// Whether a column of this name is a sensor's.
+pub(crate) fn is_sensor(record: &Record, name: &str) -> bool {
+    let sensor = |c: &Column| c.name == name && matches!(c.role, Role::Temperature | Role::Channel);
+    record.columns.iter().any(sensor)
+}
+
+/// Whether it is about the whole record: what it means all along is not known.
+pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
+    match s.what {
+        What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
+        What::Swapped => true,
+        What::Doubled => s.column.is_empty() && s.rows.is_empty(),
+        What::Range => !is_sensor(record, &s.column) && s.rows.is_empty(),
+        _ => false,
+    }
+}
+
+/// Minus its mean.
+pub(crate) fn centred(x: &[f64]) -> Vec<f64> {
+    let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
+    x.iter().map(|x| x - mean).collect()
+}
+
+/// What the model makes of a response, minus its mean, in the response's unit.
+pub(crate) fn simulated(record: &Record, role: &Role, machine: &Machine) -> Vec<f64> {
+    let mut sum = vec![0.0; record.rows()];
+    for e in machine.effects() {
+        let _absent = e.add(record, role, &mut sum);
+    }
+    centred(&sum)
+}

@@ -1,0 +1,167 @@
+//! Records that carry people's mistakes: what is said of them, what is left out, and what is not learned. The runs are made
+//! here, by formulas of their own.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_measure::plausible::What;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use std::path::Path;
+use test_needs::dice::Dice;
+
+const MODEL: &str =
+    "name = \"m\"\n[[effect]]\nname = \"thermal_growth.x\"\nsensor = \"T1\"\num_per_K = 3.0\n";
+
+/// Strokes of 300 mm with 40 ppm that the model lacks, a bearing that warms up and the air; `n` rows, 30 s apart.
+fn run(name: &str, seed: u64, n: usize) -> Record {
+    let mut d = Dice::new(seed);
+    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); 6];
+    for i in 0..n {
+        let t = 30.0 * i as f64;
+        let p = 30.0 * (10.0 - (i as f64 % 20.0 - 10.0).abs());
+        let warm = 8.0 * (1.0 - (-t / 1800.0).exp());
+        let (bearing, air) = (21.0 + warm, 20.0 + 0.4 * (t / 900.0).sin());
+        let e = 3.0 * (bearing - 20.0) + 40.0 * p / 1000.0 + 0.2 * d.normal();
+        let other = 20.5 + 0.3 * warm + 0.02 * d.normal();
+        let row = [t, p, bearing + 0.02 * d.normal(), air + 0.02 * d.normal(), e, other];
+        columns.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+    }
+    let axis = Axis::new("x").unwrap();
+    let named = [
+        ("t", Role::Time),
+        ("x", Role::Position(axis.clone())),
+        ("T1", Role::Temperature),
+        ("air", Role::Temperature),
+        ("e", Role::Error(axis)),
+        ("T8", Role::Temperature),
+    ];
+    let columns = named.into_iter().zip(columns).map(|((n, r), v)| Column::new(n, r, v)).collect();
+    Record::new(Path::new(&format!("{name}.run.toml")), Kind::Positioning, columns).unwrap()
+}
+
+fn spoil(record: &mut Record, column: &str, f: impl Fn(usize, f64) -> f64) {
+    let c = record.columns.iter_mut().find(|c| c.name == column).unwrap();
+    c.data.iter_mut().enumerate().for_each(|(i, v)| *v = f(i, *v));
+}
+
+fn answer(train: &[Record], holdout: &[Record]) -> Reconciliation {
+    let model = Machine::parse(Path::new("m.toml"), MODEL).unwrap();
+    reconcile(train, holdout, &model, &Options::default()).unwrap()
+}
+
+fn names(r: &Reconciliation) -> Vec<String> {
+    r.effects.iter().map(|(f, _)| f.effect.name()).collect()
+}
+
+#[test]
+fn a_bad_sensor_of_a_holdout_changes_nothing_that_is_learned() {
+    let (train, mut later) = (run("a", 1, 160), run("later", 2, 160));
+    let clean = answer(std::slice::from_ref(&train), std::slice::from_ref(&later));
+    assert!(clean.suspicions.is_empty() && clean.left_out.is_empty(), "{:?}", clean.suspicions);
+    assert_eq!((clean.verdict, names(&clean)), (Verdict::Named, vec!["scale.x".to_owned()]));
+    spoil(&mut later, "T8", |_, _| 999.9);
+    let bad = answer(&[train], &[later]);
+    assert!(bad.suspicions.iter().any(|s| s.what == What::Unplugged && s.record.contains("later")));
+    assert_eq!(names(&bad), names(&clean));
+    assert_eq!(bad.model.effects().collect::<Vec<_>>(), clean.model.effects().collect::<Vec<_>>());
+    assert!(bad.left_out.iter().any(|l| l.contains("later") && l.contains("T8")), "{:?}", bad.left_out);
+}
+
+#[test]
+fn the_training_given_again_as_a_holdout_is_no_holdout() {
+    let train = run("a", 3, 160);
+    let r = answer(std::slice::from_ref(&train), std::slice::from_ref(&train));
+    assert!(r.suspicions.iter().any(|s| s.what == What::Doubled), "{:?}", r.suspicions);
+    assert!(r.gap.iter().all(|g| g.holdout.is_none() && g.blocked.is_some()));
+    assert_eq!(names(&r), ["scale.x"]);
+}
+
+#[test]
+fn the_holdout_of_another_machine_is_the_one_that_is_named() {
+    let (train, good, mut strange) = (run("a", 4, 160), run("good", 5, 160), run("strange", 6, 160));
+    spoil(&mut strange, "e", |i, v| v + 25.0 * (i as f64 / 9.0).sin());
+    let r = answer(&[train], &[good, strange]);
+    let said: Vec<&str> = r.suspicions.iter().map(|s| s.record.as_str()).collect();
+    assert_eq!(said, ["strange.run.toml"], "{:?}", r.suspicions);
+    // The figures are the other one's.
+    assert!(r.gap[0].closed().is_some_and(|c| c > 0.9), "{:?}", r.gap);
+    assert!(r.left_out.iter().any(|l| l.contains("strange")), "{:?}", r.left_out);
+}
+
+#[test]
+fn a_few_bad_readings_cost_their_rows_and_no_sensor() {
+    let mut train = run("a", 7, 160);
+    spoil(&mut train, "T1", |i, v| if i == 40 || i == 90 { -127.0 } else { v });
+    let r = answer(&[train], &[run("later", 8, 160)]);
+    assert_eq!(names(&r), ["scale.x"]);
+    assert!(r.left_out.iter().any(|l| l.contains("2 of 160 rows (unplugged)")), "{:?}", r.left_out);
+}
+
+#[test]
+fn a_row_alone_tells_nothing() {
+    let r = answer(&[run("a", 9, 1)], &[]);
+    assert!(r.effects.is_empty() && r.refined.is_empty() && r.verdict != Verdict::Named, "{}", r.to_json());
+    assert!(r.advice.contains("tell nothing apart"), "{}", r.advice);
+}
+
+/// A sensor that stands still from some row on, read in tenths: its own noise before says that it should not.
+#[test]
+fn a_sensor_that_stops_midway_is_stuck() {
+    let (mut train, good) = (run("a", 10, 160), run("b", 11, 160));
+    let held = (train.temperature("T1").unwrap()[80] * 100.0).round() / 100.0;
+    spoil(&mut train, "T1", |i, v| if i < 80 { (v * 100.0).round() / 100.0 } else { held });
+    let r = answer(&[train, good], &[]);
+    let stuck = r.suspicions.iter().find(|s| s.what == What::Stuck).unwrap();
+    assert_eq!((stuck.column.as_str(), stuck.rows.as_str()), ("T1", "81-160"), "{:?}", r.suspicions);
+    assert_eq!(names(&r), ["scale.x"]);
+}
+
+/// Nothing is named where every record is doubted.
+#[test]
+fn doubted_records_name_nothing() {
+    let mut train = run("a", 12, 160);
+    spoil(&mut train, "e", |_, v| -v);
+    let r = answer(&[train], &[]);
+    assert!(r.suspicions.iter().any(|s| s.what == What::Sign), "{:?}", r.suspicions);
+    assert!(r.effects.is_empty() && r.verdict == Verdict::UnknownEffect, "{}", r.verdict);
+    assert!(
+        r.left_out[0].contains("all of it (sign)")
+            && r.gap.iter().all(|g| g.closed().is_none_or(|c| c >= 0.0))
+    );
+}
+
+/// Two sensors exchanged under noise as large as what that does, in one record or in all of them: more likely than growth that
+/// is missing and goes as the exchange would, to the size.
+#[test]
+fn an_exchange_that_explains_more_than_a_missing_growth_is_said() {
+    let exchange = |r: &mut Record| {
+        let at = |name: &str| r.columns.iter().position(|c| c.name == name).unwrap();
+        let (a, b) = (at("T1"), at("T8"));
+        let data = std::mem::take(&mut r.columns[a].data);
+        r.columns[a].data = std::mem::replace(&mut r.columns[b].data, data);
+    };
+    let noisy = |name: &str, seed: u64| {
+        let (mut r, mut dice) = (run(name, seed, 120), Dice::new(seed + 100));
+        let e = r.columns.iter_mut().find(|c| c.name == "e").unwrap();
+        e.data.iter_mut().for_each(|e| *e += 4.0 * dice.normal());
+        r
+    };
+    let machine = Machine::parse(Path::new("machine.toml"), MODEL).unwrap();
+    let said = |records: &[Record]| {
+        let r = reconcile(records, &[], &machine, &Options::default()).unwrap();
+        let swapped = r.suspicions.iter().filter(|s| s.what == What::Swapped);
+        let records: Vec<String> = swapped.map(|s| s.record.clone()).collect();
+        let growth = r.effects.iter().any(|(f, _)| f.effect.name().starts_with("thermal"));
+        (records, growth)
+    };
+    let clean = [noisy("a", 1), noisy("b", 2), noisy("c", 3)];
+    assert_eq!(said(&clean), (Vec::new(), false));
+    let mut one = clean.clone();
+    exchange(&mut one[2]);
+    assert_eq!(said(&one), (vec!["c.run.toml".to_owned()], false));
+    let mut all = clean;
+    all.iter_mut().for_each(exchange);
+    let (records, growth) = said(&all);
+    assert!(records.len() == 3 && !growth, "{records:?}");
+}

@@ -1,0 +1,161 @@
+//! The help: verbs by the door that their user comes through, an example and the exit codes for each.
+
+use crate::Cli;
+use clap::{Command, CommandFactory};
+use std::fmt::Write as _;
+
+/// Doors, and who comes through them.
+const DOORS: [(&str, &str); 5] = [
+    ("operator", "runs the machine"),
+    ("integrator", "wires it, sets it up, connects it to the plant"),
+    ("metrologist", "measures it and makes its model"),
+    ("part", "probes and compensates a part"),
+    ("anyone", "looks round: no hardware, no daemon"),
+];
+
+/// Exit codes of verbs that ask the daemon; of verbs that judge something; of verbs that only read files.
+const ASKS: &str = "0 done; 1 refused; 2 bad usage; 3 no daemon; 4 a fault is latched";
+const SHOWS: &str = "0 shown; 2 bad usage; 3 no daemon";
+const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
+const READS: &str = "0 done; 2 bad input or usage";
+
+/// Verb, door, example, exit codes.
+const VERBS: [(&str, usize, &str, &str); 36] = [
+    ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
+    ("top", 0, "rtecctl top", SHOWS),
+    ("home", 0, "rtecctl home x", ASKS),
+    ("enable", 0, "rtecctl enable", ASKS),
+    ("disable", 0, "rtecctl disable", ASKS),
+    ("shadow", 0, "rtecctl shadow", ASKS),
+    ("park", 0, "rtecctl park --to-zero", ASKS),
+    ("probe", 0, "rtecctl probe on --captures 5", ASKS),
+    ("hold", 0, "rtecctl hold on", ASKS),
+    ("explain", 0, "rtecctl explain z", SHOWS),
+    ("whoami", 0, "rtecctl whoami", SHOWS),
+    (
+        "platform",
+        1,
+        "rtecctl platform --config /etc/rtec/rtec.toml",
+        "0 a real card can be armed; 1 it would not be; 2 bad usage",
+    ),
+    ("selftest", 1, "rtecctl selftest latency --duration 60s", "0 pass; 1 fail; 2 bad usage; 3 no card"),
+    ("card", 1, "rtecctl card list", "0 done; 2 bad usage; 3 the card cannot be reached"),
+    ("config", 1, "rtecctl config check --quiet /etc/rtec/rtec.toml", READS),
+    ("commission", 1, "rtecctl commission x", ASKS),
+    ("correct", 1, "rtecctl correct x 14", ASKS),
+    ("clear", 1, "rtecctl clear", ASKS),
+    ("get", 1, "rtecctl get axes.x.completed", "0 printed; 1 no such value now; 2 no such name; 3 no daemon"),
+    (
+        "metrics",
+        1,
+        "rtecctl metrics --listen 127.0.0.1:9837",
+        "0 written; 1 cannot listen; 2 bad usage; 3 no daemon",
+    ),
+    (
+        "ledger",
+        1,
+        "rtecctl ledger export --out ledger --last 60s",
+        "0 written; 1 replayed it gives other totals; 2 bad usage; 3 no daemon",
+    ),
+    ("log", 1, "rtecctl log --verify", JUDGES),
+    (
+        "bugreport",
+        1,
+        "rtecctl bugreport --out report.tar",
+        "0 whole; 1 parts are missing; 2 bad usage; 3 no daemon",
+    ),
+    ("characterise", 2, "rtecctl characterise evaluate x.run.toml --standard iso230-2", READS),
+    (
+        "model",
+        2,
+        "rtecctl model show --machine machine.toml",
+        "0 done; 1 refused; 2 bad input or usage; 3 no daemon",
+    ),
+    ("reconcile", 2, "rtecctl reconcile x.run.toml --model machine.toml --out found", READS),
+    (
+        "part",
+        3,
+        "rtecctl part run --seed 1",
+        "0 done; 1 refused; 2 bad input or usage; 3 no daemon; 4 a fault is latched",
+    ),
+    ("demo", 4, "rtecctl demo --duration 10s", JUDGES),
+    ("simulate", 4, "rtecctl simulate --list", READS),
+    (
+        "replay",
+        4,
+        "rtecctl replay --trace x.csv --requests totals.csv",
+        "0 done; 1 the ledger does not balance; 2 bad input; 4 a fault was latched",
+    ),
+    ("trace", 4, "rtecctl trace convert x.csv x.vcd", READS),
+    ("designs", 4, "rtecctl designs --json", READS),
+    ("papers", 4, "rtecctl papers 4832", READS),
+    ("completions", 4, "rtecctl completions bash", READS),
+    ("man", 4, "rtecctl man target/man", READS),
+    ("help", 4, "rtecctl help status", READS),
+];
+
+/// The command line with its help.
+pub(crate) fn command() -> Command {
+    let mut command = crate::with_negative_values(Cli::command());
+    let mut list = String::new();
+    for (n, (door, who)) in DOORS.iter().enumerate() {
+        // Writing to a String does not fail.
+        let _ = writeln!(list, "{}{door}: {who}", if n == 0 { "" } else { "\n" });
+        for (verb, ..) in VERBS.iter().filter(|v| v.1 == n) {
+            let about = command.find_subcommand(verb).and_then(Command::get_about).map(ToString::to_string);
+            let about = about.unwrap_or_else(|| "Print this, or the help of a verb".to_owned());
+            let _ = writeln!(list, "  {verb:<13} {}", wrapped(&about));
+        }
+    }
+    for (verb, _, example, codes) in VERBS.iter().filter(|v| v.0 != "help") {
+        let text = format!("Example: {example}\nExit codes: {codes}");
+        command = command.mut_subcommand(verb, |c| c.after_help(text));
+    }
+    command
+        .help_template("{about}\n\n{usage-heading} {usage}{after-help}\nOptions:\n{options}")
+        .after_help(list)
+}
+
+/// A description beside its verb, in lines of 80 columns.
+fn wrapped(about: &str) -> String {
+    let (mut text, mut column) = (String::new(), 16);
+    for word in about.split(' ') {
+        let width = word.chars().count() + 1;
+        if column + width > 80 {
+            text += "\n                ";
+            column = 16;
+        } else if column > 16 {
+            text.push(' ');
+        }
+        text += word;
+        column += width;
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_verb_has_its_door_and_its_example_is_its_own() {
+        let command = command();
+        for verb in command.get_subcommands().map(Command::get_name) {
+            assert_eq!(VERBS.iter().filter(|v| v.0 == verb).count(), usize::from(verb != "help"), "{verb}");
+        }
+        for (verb, _, example, _) in VERBS {
+            assert!(example.starts_with(&format!("rtecctl {verb}")), "{verb}: {example}");
+            let words = example.split(' ');
+            if let Err(error) = super::command().try_get_matches_from(words)
+                && error.exit_code() != 0
+            {
+                panic!("{example}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_list_of_verbs_is_as_recorded() {
+        crate::golden("help.txt", &command().term_width(120).render_help().to_string());
+    }
+}

@@ -1,0 +1,106 @@
+//! Where the output goes: a terminal with colours and a width, a file, a reader that has gone.
+
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use std::io::IsTerminal;
+use std::os::fd::AsFd;
+
+/// A colour of the eight that every terminal has, by what it says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Tone {
+    /// As it should be.
+    Good,
+    /// Worth a look.
+    Doubtful,
+    /// Wrong.
+    Wrong,
+}
+
+/// Colours are not unwanted (`NO_COLOR`, no-color.org) and the terminal knows them.
+pub(crate) fn colours_are_wanted() -> bool {
+    let set = |name: &str| std::env::var_os(name).is_some_and(|v| !v.is_empty());
+    !set("NO_COLOR") && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
+}
+
+/// Standard output shows colours.
+pub(crate) fn colour() -> bool {
+    std::io::stdout().is_terminal() && colours_are_wanted()
+}
+
+/// Columns of the terminal on standard output; none where it is none.
+pub(crate) fn width() -> Option<u16> {
+    let terminal = std::io::stdout().is_terminal();
+    terminal.then(|| ratatui::crossterm::terminal::size().ok()).flatten().map(|(width, _)| width)
+}
+
+/// A text in a tone, where `colour` says so.
+pub(crate) fn toned(text: &str, tone: Tone, colour: bool) -> String {
+    if !colour {
+        return text.to_owned();
+    }
+    let code = match tone {
+        Tone::Good => "32",
+        Tone::Doubtful => "33",
+        Tone::Wrong => "1;31",
+    };
+    format!("\x1b[{code}m{text}\x1b[0m")
+}
+
+/// Nobody reads standard output any more (`| head`): what would go on for ever ends.
+pub(crate) fn reader_has_gone() -> bool {
+    let stdout = std::io::stdout();
+    let mut fds = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
+    poll(&mut fds, PollTimeout::ZERO).is_ok()
+        && fds[0].revents().is_some_and(|found| found.contains(PollFlags::POLLERR))
+}
+
+/// A text in lines of so many columns: broken between words, what goes on stands four columns further in. A word that is
+/// longer than a line stays whole, a tone takes no columns.
+pub(crate) fn wrapped(text: &str, width: usize) -> String {
+    let mut out = String::new();
+    for line in text.lines() {
+        let begin = line.len() - line.trim_start_matches(' ').len();
+        let (indent, words) = line.split_at(begin);
+        let mut at = 0;
+        for word in words.split(' ') {
+            let columns = columns(word);
+            if at == 0 {
+                out += indent;
+                at = begin;
+            } else if at + 1 + columns > width {
+                out = out + "\n    " + indent;
+                at = begin + 4;
+            } else {
+                out.push(' ');
+                at += 1;
+            }
+            out += word;
+            at += columns;
+        }
+        out.push('\n');
+    }
+    out
+}
+
+/// Columns of a word, its tones left out.
+fn columns(word: &str) -> usize {
+    let codes = word.split('\x1b').skip(1);
+    let hidden: usize = codes.map(|rest| 1 + rest.find('m').map_or(0, |m| m + 1)).sum();
+    word.chars().count() - hidden
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_broken_between_words_and_go_on_further_in() {
+        assert_eq!(wrapped("one two three\n", 13), "one two three\n");
+        assert_eq!(wrapped("one two three\n", 12), "one two\n    three\n");
+        assert_eq!(wrapped("  a bc def\n\nx\n", 6), "  a bc\n      def\n\nx\n");
+        assert_eq!(wrapped("ab /a/long/path c\n", 8), "ab\n    /a/long/path\n    c\n");
+        // Two words in a tone, as wide as without.
+        let red = toned("not so:", Tone::Wrong, true) + " µm µm";
+        assert_eq!(wrapped(&red, 13), format!("{red}\n"));
+        assert_eq!(wrapped(&red, 12), "\x1b[1;31mnot so:\x1b[0m µm\n    µm\n");
+    }
+}

@@ -1,0 +1,191 @@
+//! `rtecctl bugreport`: what somebody else needs to know about a corrector, in one archive.
+
+use crate::Outcome;
+use crate::daemon::{Daemon, observe};
+use anyhow::Context;
+use rtec_control::config::{EMBEDDED, INSTALLED};
+use rtec_rt::setup::System;
+use std::fmt::Write as _;
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Put configuration, state, record, log, platform and versions into one archive, for this user's eyes only
+///
+/// Made with or without a running daemon: what could not be had is named, also in contents.txt; then the exit code is 3 where
+/// the daemon does not answer, else 1. Values of keys that sound secret
+/// (password, token, secret, key) and hosts of network sensors are left out. Read it before you give it away.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The archive; it must not exist yet [default: rtec-bugreport-SECONDS.tar]
+    #[arg(long, value_name = "FILE.tar")]
+    out: Option<PathBuf>,
+    /// The configuration to put in [default: that of --config, else /etc/rtec/rtec.toml]
+    #[arg(long, value_name = "FILE")]
+    of: Option<PathBuf>,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+/// So much of the end of a log.
+const LOG_BYTES: u64 = 1 << 20;
+const LOG_LINES: &str = "2000";
+/// Which devices an installed daemon may use.
+const DEVICES: &str = "/etc/rtec/devices";
+/// What the daemon answers.
+const STATE: &str = "state.json";
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let out = args.out.clone().unwrap_or_else(|| format!("rtec-bugreport-{now_s}.tar").into());
+    // Never over something that is there, and never through a link.
+    let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&out);
+    let file =
+        file.map_err(|e| Outcome::Bad(format!("{}: {e}; expected a name that is free", out.display())))?;
+    let done = fill(args, file, now_s);
+    if done.is_err() {
+        let _ = std::fs::remove_file(&out);
+    }
+    let Contents { text, missing } = done.with_context(|| format!("writing {}", out.display()))?;
+    if args.daemon.json {
+        println!("{}", serde_json::json!({ "file": out, "contents": text, "missing": missing }));
+    } else {
+        print!("{text}");
+        println!("{}: read it before you give it away", out.display());
+    }
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let said = format!("{} is written without {}", out.display(), missing.join(", "));
+    Err(if missing.contains(&STATE) { Outcome::Unreachable(said) } else { Outcome::No(said) }.into())
+}
+
+/// What is in the archive, in words, and the parts that could not be had.
+#[derive(Default)]
+struct Contents {
+    text: String,
+    missing: Vec<&'static str>,
+}
+
+fn fill(args: &Args, file: File, now_s: u64) -> anyhow::Result<Contents> {
+    let mut tar = tar::Builder::new(file);
+    let mut contents = Contents::default();
+    let mut put = |name: &'static str, text: anyhow::Result<String>| -> anyhow::Result<()> {
+        let text = match text {
+            Ok(text) => text,
+            Err(error) => {
+                // Writing to a String does not fail.
+                let _ = writeln!(contents.text, "{name}: missing: {error:#}");
+                contents.missing.push(name);
+                return Ok(());
+            }
+        };
+        let _ = writeln!(contents.text, "{name}: {} bytes", text.len());
+        append(&mut tar, name, &text, now_s)
+    };
+    let (installed, devices) = (Path::new(INSTALLED), Path::new(DEVICES));
+    let config = match args.of.as_deref().or(args.daemon.config_file()) {
+        Some(file) => read(file),
+        None if installed.exists() => read(installed),
+        // The daemon runs on the same.
+        None => Ok(format!("# There is no {INSTALLED}: the embedded default.\n{EMBEDDED}")),
+    };
+    put("versions.txt", Ok(versions()))?;
+    put("rtec.toml", config.map(|text| without_secrets(&text)))?;
+    // Only an installed daemon on a real card has one.
+    if devices.exists() {
+        put("devices", read(devices))?;
+    }
+    let seen = args.daemon.view().and_then(|mut client| observe(&mut client, None));
+    put(STATE, seen.and_then(|seen| Ok(serde_json::to_string_pretty(&seen)? + "\n")))?;
+    put("record.jsonl", args.daemon.log_path().and_then(|path| read(&path)))?;
+    let log = output("journalctl", &["-q", "-b", "-u", "rtecd", "--no-pager", "-n", LOG_LINES]);
+    let some = |text: String| {
+        anyhow::ensure!(
+            !text.trim().is_empty(),
+            "the journal has no line of the service rtecd since the boot"
+        );
+        Ok(text)
+    };
+    put("log.txt", log.and_then(some))?;
+    put("kernel.txt", output("uname", &["-a"]))?;
+    let system = System::live();
+    let cpu = system.default_cpu();
+    let platform = serde_json::to_string_pretty(&system.inspect(cpu, 80)).map_err(anyhow::Error::from);
+    put("platform.json", platform.map(|text| text + "\n"))?;
+    append(&mut tar, "contents.txt", &contents.text, now_s)?;
+    tar.into_inner()?.sync_all()?;
+    Ok(contents)
+}
+
+fn append(tar: &mut tar::Builder<File>, name: &str, text: &str, now_s: u64) -> anyhow::Result<()> {
+    let mut header = tar::Header::new_gnu();
+    header.set_size(text.len() as u64);
+    header.set_mode(0o600);
+    header.set_mtime(now_s);
+    header.set_cksum();
+    Ok(tar.append_data(&mut header, format!("rtec-bugreport/{name}"), text.as_bytes())?)
+}
+
+fn versions() -> String {
+    let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
+    format!("rtecctl {}\n{release}", env!("CARGO_PKG_VERSION"))
+}
+
+/// A file, of a long one its end.
+fn read(path: &Path) -> anyhow::Result<String> {
+    let named = || path.display().to_string();
+    let mut file = rtec_files::text::open_regular(path)?;
+    let long = file.metadata().with_context(named)?.len();
+    file.seek(SeekFrom::Start(long.saturating_sub(LOG_BYTES))).with_context(named)?;
+    let mut bytes = Vec::new();
+    file.take(LOG_BYTES).read_to_end(&mut bytes).with_context(named)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+fn output(program: &str, args: &[&str]) -> anyhow::Result<String> {
+    let run = Command::new(program).args(args).output().with_context(|| program.to_owned())?;
+    anyhow::ensure!(run.status.success(), "{program}: {}", String::from_utf8_lossy(&run.stderr).trim());
+    Ok(String::from_utf8_lossy(&run.stdout).into_owned())
+}
+
+/// A configuration without what is nobody's business; lines and keys stay, so that findings keep their places.
+fn without_secrets(text: &str) -> String {
+    let line = |line: &str| {
+        let Some((key, _)) = line.split_once('=') else { return line.to_owned() };
+        let word = key.trim().trim_matches('"').to_lowercase();
+        let secret = ["password", "passwd", "secret", "token", "key", "host", "credential"];
+        if secret.iter().any(|s| word.contains(s)) && !line.trim_start().starts_with('#') {
+            format!("{key}= \"(left out)\"")
+        } else {
+            masked(line)
+        }
+    };
+    text.lines().map(|l| line(l) + "\n").collect()
+}
+
+/// A line whose inline tables or addresses may carry a name and password, as in `tcp://user:word@host`.
+fn masked(line: &str) -> String {
+    let Some(scheme) = line.find("://") else { return line.to_owned() };
+    let rest = &line[scheme + 3..];
+    let end = rest.find(['/', '"', '\'']).unwrap_or(rest.len());
+    format!("{}(left out){}", &line[..scheme + 3], &rest[end..])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn secrets_are_left_out_and_lines_stay() {
+        let text = "[machine]\nname = \"mill\" # = one\n[[sensor]]\nhost = \"10.1.2.3\"\nfrom = \"tcp://me:word@plant/7\"\n\
+                    api_token=\"abc\"\n";
+        let found = without_secrets(text);
+        let wanted = "[machine]\nname = \"mill\" # = one\n[[sensor]]\nhost = \"(left out)\"\nfrom = \"tcp://(left out)/7\"\n\
+                      api_token= \"(left out)\"\n";
+        assert_eq!(found, wanted);
+    }
+}

@@ -1,0 +1,119 @@
+//! `rtecctl get`: one value of the status, for scripts.
+
+use crate::Outcome;
+use crate::daemon::{Daemon, NO_EVENTS, observe};
+use serde_json::Value;
+
+/// Print one value of the status, as axes.x.completed or mode
+///
+/// The names are those of `rtecctl status --json`; an axis or a sensor by its name or its number from 0. Text is printed
+/// bare, everything else as JSON; with --json text too. Without a name every name is printed. Exit 1 where the status has no
+/// such value now, 2 where it never has, 3 without a daemon; a latched fault is no other exit code here.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Which value, as axes.x.completed, `rt.poll_gap_ns.p9999`, sensors.T8.degc
+    name: Option<String>,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+/// Values that a status has only sometimes.
+const SOMETIMES: [&str; 4] = ["model", "table", "table_now", "sensors"];
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let seen = observe(&mut args.daemon.view()?, NO_EVENTS)?;
+    let status = serde_json::to_value(&seen.status)?;
+    let Some(name) = &args.name else {
+        let mut names = Vec::new();
+        all(&status, "", &mut names);
+        println!("{}", names.join("\n"));
+        return Ok(());
+    };
+    match find(&status, name) {
+        Ok(Value::String(text)) if !args.daemon.json => println!("{text}"),
+        Ok(value) => println!("{value}"),
+        Err(text) if name.split('.').next().is_some_and(|first| SOMETIMES.contains(&first)) => {
+            return Err(Outcome::No(text).into());
+        }
+        Err(text) => return Err(Outcome::Bad(text).into()),
+    }
+    Ok(())
+}
+
+/// What the entries of a list are called.
+fn called(entry: &Value) -> Option<&str> {
+    entry.get("name").or_else(|| entry.get("sensor")).and_then(Value::as_str)
+}
+
+fn find<'a>(status: &'a Value, name: &str) -> Result<&'a Value, String> {
+    let mut at = status;
+    let mut path = String::new();
+    for part in name.split('.') {
+        let next = match at {
+            Value::Object(fields) => fields.get(part),
+            Value::Array(list) => (list.iter().find(|e| called(e) == Some(part)))
+                .or_else(|| part.parse().ok().and_then(|n: usize| list.get(n))),
+            _ => None,
+        };
+        at = next.ok_or_else(|| {
+            let here = if path.is_empty() { "the status".to_owned() } else { path.clone() };
+            format!("found {part:?}, expected one of {here}'s {}", known(at))
+        })?;
+        path = if path.is_empty() { part.to_owned() } else { format!("{path}.{part}") };
+    }
+    Ok(at)
+}
+
+fn known(at: &Value) -> String {
+    let names: Vec<String> = match at {
+        Value::Object(fields) => fields.keys().cloned().collect(),
+        Value::Array(list) => {
+            list.iter().enumerate().map(|(n, e)| called(e).map_or(n.to_string(), str::to_owned)).collect()
+        }
+        _ => Vec::new(),
+    };
+    if names.is_empty() { "values: it has none".to_owned() } else { names.join(", ") }
+}
+
+fn all(at: &Value, path: &str, names: &mut Vec<String>) {
+    let under = |part: &str| if path.is_empty() { part.to_owned() } else { format!("{path}.{part}") };
+    match at {
+        Value::Object(fields) if !fields.is_empty() => {
+            for (k, v) in fields {
+                all(v, &under(k), names);
+            }
+        }
+        Value::Array(list) if list.iter().all(|e| called(e).is_some()) && !list.is_empty() => {
+            for e in list {
+                all(e, &under(called(e).unwrap_or_default()), names);
+            }
+        }
+        _ => names.push(path.to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_by_name_by_number_and_not_at_all() {
+        let status: Value = serde_json::from_str(include_str!("../../tests/golden/status.json")).unwrap();
+        assert_eq!(find(&status, "mode"), Ok(&"run".into()));
+        let x = find(&status, "axes.x.completed").unwrap();
+        assert_eq!(find(&status, "axes.1.completed").unwrap(), x);
+        assert_eq!(find(&status, "rt.poll_gap_ns.p9999"), Ok(&471.into()));
+        assert!(
+            find(&status, "axes.w.completed")
+                .unwrap_err()
+                .starts_with("found \"w\", expected one of axes's z, x")
+        );
+        assert!(find(&status, "mode.x").unwrap_err().ends_with("it has none"));
+        let mut names = Vec::new();
+        all(&status, "", &mut names);
+        assert!(names.iter().any(|n| n == "axes.x.completed"));
+        for name in names {
+            find(&status, &name).unwrap();
+        }
+    }
+}

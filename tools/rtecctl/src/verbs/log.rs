@@ -1,0 +1,241 @@
+//! `rtecctl log`: the record of every command.
+
+use crate::Outcome;
+use crate::daemon::Daemon;
+use crate::terminal;
+use rtec_control::audit::{self, Entry, Line};
+use rtec_control::config::plain::is_hidden;
+use rtec_files::InputError;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// Show who asked the daemon for what, when, and what it did; check that the record is whole
+///
+/// Commands, what they did, and what the machine did: modes, faults with the time they were first seen. Reads the record's
+/// files, whether the daemon runs or not; reading them takes the group of the view socket.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// From this time on: a duration back from now (90min, 2d), a day or a moment in UTC (2026-11-22T13:00)
+    #[arg(long, value_name = "TIME")]
+    since: Option<String>,
+    /// What was asked of this axis, or changed its total
+    #[arg(long, value_name = "AXIS")]
+    axis: Option<String>,
+    /// Check every line and the chain through all files; exit 1 where one is missing, changed or in another place. Commands
+    /// that could not be recorded are counted
+    #[arg(long, conflicts_with_all = ["since", "axis", "follow"])]
+    verify: bool,
+    /// Go on with new lines as they come, until interrupted or nobody reads them; with --json one document a line
+    #[arg(long)]
+    follow: bool,
+    /// The record [default: the configuration's]
+    #[arg(long, value_name = "FILE")]
+    file: Option<PathBuf>,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+const EVERY: Duration = Duration::from_millis(250);
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let file = args.file.clone().map_or_else(|| args.daemon.log_path(), Ok)?;
+    if args.verify {
+        return verify(&file, args.daemon.json);
+    }
+    let since_s = args.since.as_deref().map(since).transpose()?;
+    let wanted = |entry: &Entry| {
+        let late = since_s.is_none_or(|since| entry.seconds().is_some_and(|t| t >= since));
+        late && args.axis.as_ref().is_none_or(|axis| entry.concerns(axis))
+    };
+    let (mut all, mut last_n, mut broken, mut axes) = (Vec::new(), 0, 0_u64, BTreeSet::new());
+    let mut show = |line: Line, all: Option<&mut Vec<Value>>| match line.entry {
+        Ok(entry) => {
+            if !wanted(&entry) {
+                return;
+            }
+            match all {
+                Some(all) => all.push(serde_json::from_str(&line.text).unwrap_or_default()),
+                None if args.daemon.json => println!("{}", line.text),
+                None => print!("{}", text(&entry)),
+            }
+        }
+        Err(why) => {
+            broken += 1;
+            eprintln!("rtecctl: {}:{}: {why}", line.file.display(), line.line);
+        }
+    };
+    let document = args.daemon.json && !args.follow;
+    audit::read(&file, &mut |line| {
+        if let Ok(entry) = &line.entry {
+            last_n = entry.n;
+            axes.extend(entry.after.keys().cloned());
+        }
+        show(line, document.then_some(&mut all));
+    })
+    .map_err(|e| unreadable(&file, &e))?;
+    if let Some(axis) = args.axis.as_ref().filter(|axis| !axes.is_empty() && !axes.contains(*axis)) {
+        let known = axes.into_iter().collect::<Vec<_>>().join(", ");
+        return Err(
+            Outcome::Bad(format!("found --axis {axis}, expected one of the record's: {known}")).into()
+        );
+    }
+    if document {
+        println!("{}", json!({ "file": file, "lines": all }));
+    }
+    if args.follow {
+        while !terminal::reader_has_gone() {
+            std::thread::sleep(EVERY);
+            // A moment ago the files may have changed their names.
+            let _ = audit::read(&file, &mut |line| {
+                let n = line.entry.as_ref().map_or(0, |e| e.n);
+                if n > last_n {
+                    last_n = n;
+                    show(line, None);
+                }
+            });
+        }
+    }
+    if broken > 0 {
+        return Err(Outcome::No(format!(
+            "{broken} lines are not as they were written: `rtecctl log --verify`"
+        ))
+        .into());
+    }
+    Ok(())
+}
+
+fn verify(file: &Path, as_json: bool) -> anyhow::Result<()> {
+    let found = audit::verify(file).map_err(|e| unreadable(file, &e))?;
+    if as_json {
+        println!("{}", json!({ "file": file, "ok": found.broken.is_empty(), "found": found }));
+    } else {
+        for broken in &found.broken {
+            let line = if broken.line > 0 { format!(":{}", broken.line) } else { String::new() };
+            println!("{}{line}: {}", broken.file.display(), broken.what);
+        }
+        let [first, last] = found.numbers;
+        println!("{}: {} lines, number {first} to {last}", file.display(), found.lines);
+        if found.lost > 0 {
+            println!(
+                "{} commands were not recorded, as it says itself: `rtecctl log` shows when and why",
+                found.lost
+            );
+        }
+    }
+    match found.broken.len() {
+        0 => Ok(()),
+        n => Err(Outcome::No(format!("{n} findings: the record is not as it was written")).into()),
+    }
+}
+
+fn unreadable(file: &Path, error: &io::Error) -> anyhow::Error {
+    let expected = "a record that this user may read (the group of [control] view), or --file";
+    InputError::whole(file, error.to_string(), expected).into()
+}
+
+/// A time: back from now, or as it is.
+fn since(text: &str) -> anyhow::Result<f64> {
+    if let Some(seconds) = audit::seconds(text) {
+        return Ok(seconds);
+    }
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    match humantime::parse_duration(text) {
+        Ok(back) => Ok(now.saturating_sub(back).as_secs_f64()),
+        Err(_) => Err(InputError::whole(
+            Path::new("--since"),
+            format!("{text:?}"),
+            "a duration (90min, 2d), a day or a moment in UTC (2026-11-22T13:00)",
+        )
+        .into()),
+    }
+}
+
+/// One line for people. What stands in the record came from outside: what cannot be seen is written out.
+fn text(e: &Entry) -> String {
+    let mut text = format!("{} ", e.t);
+    if let Some(by) = &e.by {
+        let user = if by.user.is_empty() { by.uid.to_string() } else { by.user.clone() };
+        // Writing to a String does not fail.
+        let _ = write!(text, "{user} ({} {}, {}) ", by.pid, by.exe, by.role.replace('_', " "));
+    }
+    if let Some(request) = e.request.as_ref().and_then(Value::as_object) {
+        let name = request.get("do").and_then(Value::as_str).unwrap_or_default();
+        let _ = write!(text, "{name}");
+        for (key, value) in request.iter().filter(|(k, v)| *k != "do" && !v.is_null()) {
+            let _ = write!(text, " {key}={value}");
+        }
+        let _ = write!(text, ": {}", e.result);
+    } else {
+        let axis = e.axis.as_ref().map_or(String::new(), |axis| format!("axis {axis} "));
+        let what = e.what.replace('_', " ");
+        if e.text.starts_with(&what) {
+            // It says itself what it is.
+            let _ = write!(text, "{axis}{}", e.text);
+            return plain(&text);
+        }
+        let _ = write!(text, "{axis}{what}");
+    }
+    if let Some(times) = e.times {
+        let _ = write!(text, ", {times} times");
+    }
+    if !e.text.is_empty() {
+        let _ = write!(text, ": {}", e.text);
+    }
+    for (axis, [requested, in_effect]) in
+        e.after.iter().filter(|(axis, now)| e.before.get(*axis) != Some(*now))
+    {
+        if let Some([before, in_effect_before]) = e.before.get(axis) {
+            let _ = write!(
+                text,
+                "; {axis} requested {before:+} to {requested:+}, in effect {in_effect_before:+} to {in_effect:+}"
+            );
+        }
+    }
+    plain(&text)
+}
+
+fn plain(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() || is_hidden(c) { '?' } else { c }).chain(['\n']).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_control::protocol::Caller;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn a_line_says_who_what_and_what_it_did() {
+        let mut entry = Entry::now("command");
+        entry.t = "2026-11-22T13:00:00.123Z".into();
+        entry.by = Some(Caller {
+            uid: 1000,
+            user: "anna".into(),
+            pid: 42,
+            exe: "/usr/bin/rtec\u{1b}ctl".into(),
+            role: "set_up".into(),
+            ..Caller::default()
+        });
+        entry.request = Some(json!({"do": "correct", "axis": "x", "total_counts": 14, "large": false}));
+        entry.result = "done".into();
+        entry.before = BTreeMap::from([("x".into(), [0, 0]), ("y".into(), [2, 2])]);
+        entry.after = BTreeMap::from([("x".into(), [14, 0]), ("y".into(), [2, 2])]);
+        assert_eq!(
+            text(&entry),
+            "2026-11-22T13:00:00.123Z anna (42 /usr/bin/rtec?ctl, set up) correct axis=\"x\" large=false total_counts=14: \
+             done; x requested +0 to +14, in effect +0 to +0\n"
+        );
+    }
+
+    #[test]
+    fn times_are_durations_or_moments() {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
+        assert!((since("1h").unwrap() - (now - 3600.0)).abs() < 60.0);
+        assert!((since("2026-11-22").unwrap() - 1_795_305_600.0).abs() < 1e-6);
+        assert!(since("some day").unwrap_err().to_string().contains("expected a duration"));
+    }
+}

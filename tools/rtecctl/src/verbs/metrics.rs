@@ -1,0 +1,148 @@
+//! `rtecctl metrics`: the status as metrics: printed, written for a collector, or served.
+
+use crate::Outcome;
+use crate::daemon::{Daemon, NO_EVENTS, observe};
+use crate::http::{Answer, Handler, Request, Server};
+use anyhow::Context;
+use rtec_control::metrics::{Form, text};
+use rtec_control::protocol::Observed;
+use rtec_files::InputError;
+use std::fs::{Permissions, remove_file};
+use std::net::SocketAddr;
+use std::os::unix::fs::{FileTypeExt, PermissionsExt};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// Print the corrector's state as metrics; or write them for a collector, or serve them
+///
+/// Without a daemon --textfile and --listen say so by the metric `rtec_up`. Served are /metrics in the form that is asked
+/// for (`OpenMetrics` or 0.0.4), and nothing else; nothing can be commanded.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// `OpenMetrics` text instead of Prometheus' 0.0.4, where the reader does not choose
+    #[arg(long, conflicts_with_all = ["textfile", "listen"])]
+    openmetrics: bool,
+    /// Write them whole to this file, which ends in .prom, for `node_exporter`'s textfile collector
+    #[arg(long, value_name = "FILE.prom")]
+    textfile: Option<PathBuf>,
+    /// Write the file again and again, as 15s
+    #[arg(long, value_name = "TIME", requires = "textfile")]
+    every: Option<humantime::Duration>,
+    /// Serve them at this address, as 127.0.0.1:9837, or at a Unix socket, as /run/rtec-metrics/socket
+    #[arg(long, value_name = "ADDRESS", conflicts_with = "textfile")]
+    listen: Option<String>,
+    /// An address that others can reach is meant: nothing there asks who reads
+    #[arg(long, requires = "listen")]
+    beyond_loopback: bool,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    if args.daemon.json {
+        let text = "metrics are text: `rtecctl status --json` has the same as JSON";
+        return Err(Outcome::Bad(text.to_owned()).into());
+    }
+    if let Some(address) = &args.listen {
+        return serve(&args.daemon, address, args.beyond_loopback);
+    }
+    if let Some(file) = &args.textfile {
+        return write(&args.daemon, file, args.every.map(Into::into));
+    }
+    let form = if args.openmetrics { Form::OpenMetrics } else { Form::Prometheus };
+    print!("{}", text(Some(&seen(&args.daemon)?), form, VERSION));
+    Ok(())
+}
+
+fn seen(daemon: &Daemon) -> anyhow::Result<Observed> {
+    observe(&mut daemon.view()?, NO_EVENTS)
+}
+
+fn write(daemon: &Daemon, file: &Path, every: Option<Duration>) -> anyhow::Result<()> {
+    if file.extension().is_none_or(|e| e != "prom") {
+        let found = format!("the name {}", file.display());
+        return Err(
+            InputError::whole(file, found, "a name that ends in .prom: collectors read no other").into()
+        );
+    }
+    loop {
+        let seen = seen(daemon);
+        let metrics = text(seen.as_ref().ok(), Form::Prometheus, VERSION);
+        rtec_files::write::whole(file, metrics.as_bytes())
+            .with_context(|| format!("writing {}", file.display()))?;
+        // The collector runs as somebody else.
+        std::fs::set_permissions(file, Permissions::from_mode(0o644))?;
+        match (every, seen) {
+            (None, seen) => return seen.map(drop),
+            (Some(every), _) => std::thread::sleep(every),
+        }
+    }
+}
+
+fn serve(daemon: &Daemon, address: &str, beyond_loopback: bool) -> anyhow::Result<()> {
+    let server =
+        if address.contains('/') { at_path(Path::new(address))? } else { at_port(address, beyond_loopback)? };
+    eprintln!("metrics at {address}");
+    let handler = Arc::new(Metrics(daemon.clone()));
+    server.serve(&handler, &AtomicBool::new(false)).with_context(|| format!("listening at {address}"))
+}
+
+fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
+    let bad = |why: String| anyhow::Error::from(Outcome::Bad(why));
+    let at: SocketAddr = address.parse().map_err(|_| {
+        bad(format!(
+            "--listen: found {address:?}, expected ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket"
+        ))
+    })?;
+    if !at.ip().is_loopback() && !beyond_loopback {
+        let text = format!(
+            "--listen: found {at}, which others can reach; expected a loopback address as 127.0.0.1:{}, or --beyond-loopback \
+             beside it",
+            at.port()
+        );
+        return Err(bad(text));
+    }
+    Server::tcp(at).map_err(|e| Outcome::No(format!("cannot listen at {at}: {e}")).into())
+}
+
+/// A Unix socket that owner and group may use; an old one that nobody listens at gives way.
+fn at_path(path: &Path) -> anyhow::Result<Server> {
+    let no = |e: &dyn std::fmt::Display| Outcome::No(format!("cannot listen at {}: {e}", path.display()));
+    if let Ok(found) = std::fs::symlink_metadata(path) {
+        if !found.file_type().is_socket() {
+            return Err(no(&"found something that is no socket").into());
+        }
+        if UnixStream::connect(path).is_ok() {
+            return Err(no(&"somebody else listens there").into());
+        }
+        remove_file(path).map_err(|e| no(&e))?;
+    }
+    let server = Server::unix(path).map_err(|e| no(&e))?;
+    std::fs::set_permissions(path, Permissions::from_mode(0o660)).map_err(|e| no(&e))?;
+    Ok(server)
+}
+
+struct Metrics(Daemon);
+
+impl Handler for Metrics {
+    fn may(&self, head: &Request) -> Result<(), Answer> {
+        if !["GET", "HEAD"].contains(&head.method.as_str()) {
+            return Err(Answer::plain(405, "GET or HEAD"));
+        }
+        if head.path.split('?').next() != Some("/metrics") {
+            return Err(Answer::plain(404, "metrics are at /metrics"));
+        }
+        Ok(())
+    }
+
+    fn answer(&self, request: &Request) -> Answer {
+        let form = Form::accepted(request.header("Accept").unwrap_or_default());
+        let body = text(seen(&self.0).ok().as_ref(), form, VERSION);
+        Answer { status: 200, kind: form.content_type(), body }
+    }
+}

@@ -1,0 +1,147 @@
+//! `rtecctl top`: the corrector on a full screen, as it goes. It shows, and commands nothing.
+
+mod view;
+
+use crate::Outcome;
+use crate::daemon::{Daemon, observe};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signalfd::{SfdFlags, SignalFd};
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use rtec_control::client::Client;
+use rtec_control::protocol::Observed;
+use std::io::IsTerminal;
+use std::os::fd::AsFd;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+use view::View;
+
+/// Show the corrector on the whole terminal: axes, error by effect, sensors, latencies, events, the last minutes
+///
+/// Keys: ? help, q quit. It commands nothing. Without colours where `NO_COLOR` is set.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Time between two looks, as 500ms
+    #[arg(long, value_name = "TIME", default_value = "500ms")]
+    every: humantime::Duration,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+/// A daemon that is gone is looked for so often.
+const AGAIN: Duration = Duration::from_secs(1);
+/// Events of one look.
+const EVENTS: u64 = 40;
+/// Keys are answered within this time.
+const KEYS: Duration = Duration::from_millis(100);
+/// No faster than this: the daemon has other work.
+const FASTEST: Duration = Duration::from_millis(50);
+
+/// What the daemon was found to be.
+enum Look {
+    Here(Box<Observed>),
+    Gone(String),
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let every = Duration::from(args.every);
+    let bad = |text: &str| anyhow::Error::from(Outcome::Bad(text.to_owned()));
+    if args.daemon.json || !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
+        return Err(bad(
+            "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json",
+        ));
+    }
+    if every < FASTEST {
+        return Err(bad("--every: expected 50ms or more"));
+    }
+    // The first one before the screen is taken: a wrong socket is said as everywhere else.
+    drop(args.daemon.view()?);
+    // Before the thread: it inherits the mask. What ends us must not leave the terminal as it is.
+    let signals = SigSet::from_iter([Signal::SIGTERM, Signal::SIGHUP]);
+    signals.thread_block()?;
+    let signals = SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC)?;
+    let (to, looks) = channel();
+    let daemon = args.daemon.clone();
+    std::thread::spawn(move || look(&daemon, every, &to));
+    let colour = crate::terminal::colours_are_wanted();
+    let mut terminal = ratatui::try_init()?;
+    let done = show(&mut terminal, &looks, &signals, View::new(colour, every));
+    ratatui::restore();
+    done
+}
+
+/// Looks again and again, until nobody listens any more.
+fn look(daemon: &Daemon, every: Duration, to: &Sender<Look>) {
+    let (mut client, mut last) = (None, 0);
+    loop {
+        let found = once(daemon, &mut client, &mut last);
+        let wait = if found.is_ok() { every } else { AGAIN };
+        let look = found.unwrap_or_else(|error| {
+            client = None;
+            Look::Gone(format!("{error:#}"))
+        });
+        if to.send(look).is_err() {
+            return;
+        }
+        std::thread::sleep(wait);
+    }
+}
+
+fn once(daemon: &Daemon, client: &mut Option<Client>, last: &mut u64) -> anyhow::Result<Look> {
+    let client = match client {
+        Some(client) => client,
+        None => client.insert(daemon.view()?),
+    };
+    // The first look learns how many events there are, the next ones take the last few.
+    let seen = observe(client, Some(last.saturating_sub(EVENTS)))?;
+    *last = seen.events.last().map_or(*last, |e| e.n);
+    // A daemon that has begun anew counts from the start.
+    if seen.events.is_empty() {
+        *last = 0;
+    }
+    Ok(Look::Here(Box::new(seen)))
+}
+
+fn show(
+    terminal: &mut DefaultTerminal,
+    looks: &Receiver<Look>,
+    signals: &SignalFd,
+    mut view: View,
+) -> anyhow::Result<()> {
+    loop {
+        match looks.recv_timeout(KEYS) {
+            Ok(Look::Here(seen)) => view.take(*seen),
+            Ok(Look::Gone(why)) => view.gone(why),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+        }
+        // A terminal that is gone has no end of input for the reader of keys: it would wait for more for ever.
+        if signals.read_signal()?.is_some() || hung_up()? {
+            return Ok(());
+        }
+        while event::poll(Duration::ZERO)? {
+            let Event::Key(key) = event::read()? else { continue };
+            if key.kind != KeyEventKind::Press {
+                continue;
+            }
+            match key.code {
+                KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return Ok(()),
+                KeyCode::Char('q') => return Ok(()),
+                KeyCode::Char('?' | 'h') => view.help = !view.help,
+                KeyCode::Esc => view.help = false,
+                _ => {}
+            }
+        }
+        terminal.draw(|frame| view.draw(frame))?;
+    }
+}
+
+/// Whether the terminal's other side is closed.
+fn hung_up() -> anyhow::Result<bool> {
+    let stdin = std::io::stdin();
+    let mut fds = [PollFd::new(stdin.as_fd(), PollFlags::empty())];
+    poll(&mut fds, PollTimeout::ZERO)?;
+    let gone = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
+    Ok(fds[0].revents().is_some_and(|found| found.intersects(gone)))
+}

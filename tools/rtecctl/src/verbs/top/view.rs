@@ -1,0 +1,486 @@
+//! What `rtecctl top` draws: from a status, the totals' parts and the last events to one screen.
+
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span, Text};
+use ratatui::widgets::{Block, Clear, Paragraph, Sparkline, Wrap};
+use rtec_control::protocol::{
+    AxisReport, DaemonStatus, Distribution, Explained, Numbered, Observed, Reading, word,
+};
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Looks that the trend keeps: five minutes at two a second.
+const TREND: usize = 600;
+/// Below this nothing of use can be shown.
+const NEEDS: (u16, u16) = (60, 16);
+
+/// What is known, and how it is to be shown.
+pub(super) struct View {
+    pub help: bool,
+    colour: bool,
+    every: Duration,
+    status: Option<DaemonStatus>,
+    explained: Vec<Explained>,
+    events: Vec<Numbered>,
+    /// Total of each axis, µm, oldest first.
+    trend: Vec<VecDeque<f64>>,
+    gone: Option<(Instant, String)>,
+    /// When the daemon was last heard.
+    heard: Option<Instant>,
+}
+
+/// What is shown is no older than this, else it says so.
+const FRESH: Duration = Duration::from_secs(2);
+
+impl View {
+    pub(super) fn new(colour: bool, every: Duration) -> Self {
+        Self {
+            help: false,
+            colour,
+            every,
+            status: None,
+            explained: Vec::new(),
+            events: Vec::new(),
+            trend: Vec::new(),
+            gone: None,
+            heard: None,
+        }
+    }
+
+    pub(super) fn take(&mut self, seen: Observed) {
+        let Observed { status, explained, events, .. } = seen;
+        // Another machine, or a daemon that has begun anew: its past is not this one's.
+        if self.status.as_ref().is_some_and(|s| s.uptime_s > status.uptime_s || s.machine != status.machine) {
+            self.trend.clear();
+        }
+        self.trend.resize_with(explained.len(), VecDeque::new);
+        for (trend, axis) in self.trend.iter_mut().zip(&explained) {
+            if trend.len() == TREND {
+                trend.pop_front();
+            }
+            trend.push_back(axis.total_um);
+        }
+        (self.status, self.explained, self.events, self.gone) = (Some(status), explained, events, None);
+        self.heard = Some(Instant::now());
+    }
+
+    /// For how long the daemon has not been heard, where that is longer than it should be.
+    fn silent(&self) -> Option<Duration> {
+        let since = self.heard.or(self.gone.as_ref().map(|(since, _)| *since))?.elapsed();
+        (self.gone.is_some() || since > FRESH.max(self.every * 3)).then_some(since)
+    }
+
+    pub(super) fn gone(&mut self, why: String) {
+        let since = self.gone.take().map_or_else(Instant::now, |(since, _)| since);
+        self.gone = Some((since, why));
+    }
+
+    fn style(&self, colour: Color, modifier: Modifier) -> Style {
+        let style = Style::new().add_modifier(modifier);
+        if self.colour { style.fg(colour) } else { style }
+    }
+
+    fn good(&self) -> Style {
+        self.style(Color::Green, Modifier::empty())
+    }
+
+    fn doubtful(&self) -> Style {
+        self.style(Color::Yellow, Modifier::BOLD)
+    }
+
+    fn wrong(&self) -> Style {
+        self.style(Color::Red, Modifier::BOLD | Modifier::REVERSED)
+    }
+
+    pub(super) fn draw(&self, frame: &mut Frame) {
+        let area = frame.area();
+        if area.width < NEEDS.0 || area.height < NEEDS.1 {
+            let text = format!(
+                "terminal {}x{}, needs {}x{}; or `rtecctl status`; q quits",
+                area.width, area.height, NEEDS.0, NEEDS.1
+            );
+            return frame.render_widget(Paragraph::new(text).wrap(Wrap { trim: true }), area);
+        }
+        let axes = self.status.as_ref().map_or(0, |s| s.axes.len()) as u16;
+        let [head, table, middle, thread, why, events, foot] = Layout::vertical([
+            Constraint::Length(1),
+            Constraint::Length(axes + 2),
+            Constraint::Fill(2),
+            Constraint::Length(1),
+            Constraint::Length(self.why().len().min(3) as u16),
+            Constraint::Fill(1),
+            Constraint::Length(1),
+        ])
+        .areas(area);
+        match &self.status {
+            None => frame.render_widget("waiting for the daemon", head),
+            Some(s) => {
+                frame.render_widget(self.head(s), head);
+                self.axes(frame, s, table);
+                let [effects, sensors] =
+                    Layout::horizontal([Constraint::Percentage(56), Constraint::Percentage(44)])
+                        .areas(middle);
+                let block = Block::bordered().title(" error taken out, µm ");
+                frame.render_widget(Paragraph::new(self.effects()).block(block), effects);
+                let block = Block::bordered().title(format!(" sensors, {} ", s.sensors.len()));
+                frame.render_widget(Paragraph::new(self.sensors(&s.sensors)).block(block), sensors);
+                frame.render_widget(thread_line(s), thread);
+                let room = why.height as usize;
+                frame.render_widget(Text::from(self.why().into_iter().take(room).collect::<Vec<_>>()), why);
+                let block = Block::bordered().title(" last events ");
+                let room = usize::from(events.height.saturating_sub(2));
+                frame.render_widget(Paragraph::new(self.events(s, room)).block(block), events);
+            }
+        }
+        frame.render_widget(self.foot(), foot);
+        if self.help {
+            Self::draw_help(frame, area);
+        }
+    }
+
+    fn head(&self, s: &DaemonStatus) -> Line<'static> {
+        let mode = match s.mode.as_str() {
+            "run" => self.good(),
+            "fault" => self.wrong(),
+            _ => self.doubtful(),
+        };
+        let homed = if s.homed { "homed" } else { "not homed" };
+        let ledger = if s.balanced {
+            Span::styled("ledger balances", self.good())
+        } else {
+            Span::styled("LEDGER DOES NOT BALANCE", self.wrong())
+        };
+        Line::from(vec![
+            Span::styled(format!(" {} ", s.machine), Modifier::BOLD),
+            Span::raw(" "),
+            Span::styled(s.mode.to_uppercase(), mode),
+            Span::raw(format!("  {homed}  up {}  ", lasted(s.uptime_s))),
+            ledger,
+            match self.silent() {
+                Some(old) => Span::styled(format!("  OLD: {}", lasted(old.as_secs_f64())), self.wrong()),
+                None => Span::raw(""),
+            },
+        ])
+    }
+
+    fn axes(&self, frame: &mut Frame, s: &DaemonStatus, area: Rect) {
+        let minutes = (self.every * TREND as u32).as_secs_f64() / 60.0;
+        let [numbers, _, trend] = Layout::horizontal([
+            Constraint::Length(82.min(area.width)),
+            Constraint::Length(1),
+            Constraint::Fill(1),
+        ])
+        .areas(area);
+        let mut lines = vec![Line::styled(
+            format!(
+                "{:<8} {:>12} {:>9} {:>9} {:>9} {:>8} {:<13}",
+                "axis", "position/mm", "requested", "completed", "in effect", "edges/s", " state"
+            ),
+            Modifier::UNDERLINED,
+        )];
+        lines.extend(s.axes.iter().map(|a| self.axis(a)));
+        frame.render_widget(Text::from(lines), numbers);
+        if trend.width < 8 {
+            return;
+        }
+        let title = format!("total, µm, last {minutes:.0} min");
+        frame.render_widget(Line::styled(title, Modifier::UNDERLINED), Rect { height: 1, ..trend });
+        for (n, values) in self.trend.iter().enumerate() {
+            let row = Rect { y: trend.y + 1 + n as u16, height: 1, ..trend };
+            if row.y < trend.bottom() {
+                let line = Sparkline::default()
+                    .data(squeezed(values, usize::from(row.width)))
+                    .max(8)
+                    .style(self.good());
+                frame.render_widget(line, row);
+            }
+        }
+    }
+
+    fn axis(&self, a: &AxisReport) -> Line<'static> {
+        let text = format!(
+            "{:<8} {:>12.4} {:>9} {:>9} {:>9} {:>8.0}  ",
+            shortened(&a.name, 8),
+            a.position_mm,
+            a.requested,
+            a.completed,
+            a.in_effect,
+            a.edge_rate_hz
+        );
+        let state = if let Some(fault) = a.faults.first() {
+            Span::styled(word(fault).replace('_', " "), self.wrong())
+        } else if !a.homed {
+            Span::styled("not homed", self.doubtful())
+        } else {
+            Span::raw(a.gate.replace('_', " "))
+        };
+        Line::from(vec![Span::raw(text), state])
+    }
+
+    /// Each axis's total and what it is made of, the largest part first.
+    fn effects(&self) -> Vec<Line<'static>> {
+        let mut lines = Vec::new();
+        for axis in &self.explained {
+            lines.push(Line::styled(format!("{:<28} {:>+9.2}", axis.axis, axis.total_um), Modifier::BOLD));
+            let mut parts: Vec<_> = axis.parts.iter().filter(|p| p.um != 0.0).collect();
+            parts.sort_by(|a, b| b.um.abs().total_cmp(&a.um.abs()));
+            lines.extend(
+                parts
+                    .into_iter()
+                    .map(|p| Line::raw(format!("  {:<26} {:>+9.2}", shortened(&p.name, 26), p.um))),
+            );
+            if let Some(why) = &axis.holds {
+                lines.push(Line::styled(format!("  holds: {why}"), self.doubtful()));
+            }
+        }
+        lines
+    }
+
+    fn sensors(&self, sensors: &[Reading]) -> Vec<Line<'static>> {
+        let line = |r: &Reading| {
+            let value = r.degc.map_or("-".to_owned(), |v| format!("{v:.2}"));
+            let age = r.age_s.map_or("never".to_owned(), |a| format!("{a:.0} s"));
+            let style = if r.state == "good" { Style::new() } else { self.doubtful() };
+            Line::styled(format!("{:<8} {value:>7} °C {age:>6} {}", shortened(&r.sensor, 8), r.state), style)
+        };
+        // Those that are not good first: there may be more of them than lines.
+        let (good, other): (Vec<_>, Vec<_>) = sensors.iter().partition(|r| r.state == "good");
+        other.into_iter().chain(good).map(line).collect()
+    }
+
+    /// What stands in the way of correcting; the machine's own faults are the first of it.
+    fn why(&self) -> Vec<Line<'static>> {
+        let Some(s) = &self.status else { return Vec::new() };
+        let style = if s.mode == "fault" { self.wrong() } else { self.doubtful() };
+        let record = s.record_trouble.iter();
+        let record =
+            record.map(|w| Line::styled(format!("record of commands not written: {w}"), self.doubtful()));
+        s.why_not.iter().map(|w| Line::styled(format!("not correcting: {w}"), style)).chain(record).collect()
+    }
+
+    fn events(&self, s: &DaemonStatus, room: usize) -> Vec<Line<'static>> {
+        let line = |e: &Numbered| {
+            let axis = e.event.axis.as_ref().map_or(String::new(), |a| format!("axis {a}: "));
+            let style = match e.event.kind.as_str() {
+                "fault" => self.wrong(),
+                "refused" | "warning" | "control_stale" => self.doubtful(),
+                _ => Style::new(),
+            };
+            let of_day = e.at_s.rem_euclid(86_400.0) as u64;
+            let (h, min, sec) = (of_day / 3600, of_day / 60 % 60, of_day % 60);
+            Line::styled(format!("{h:02}:{min:02}:{sec:02} UTC  {axis}{}", e.event.text), style)
+        };
+        let mut lines: Vec<_> = self.events.iter().rev().take(room).map(line).collect();
+        if s.rt.events_lost > 0 && !lines.is_empty() {
+            lines[0] = Line::styled(format!("{} events were lost", s.rt.events_lost), self.doubtful());
+        }
+        lines
+    }
+
+    fn foot(&self) -> Line<'static> {
+        let Some(silent) = self.silent() else { return Line::styled(" ? help   q quit", Modifier::DIM) };
+        let why = self.gone.as_ref().map_or(String::new(), |(_, why)| format!("; tried every second: {why}"));
+        Line::styled(format!(" NO ANSWER for {}{why}", lasted(silent.as_secs_f64())), self.wrong())
+    }
+
+    fn draw_help(frame: &mut Frame, area: Rect) {
+        let text = "\
+            ? or h     this help, on and off\n\
+            q, Ctrl-C  quit\n\
+            \n\
+            requested  total that was accepted, counts since homing\n\
+            completed  inserted so far; in effect: really in the controller's count\n\
+            state      of the speed gate, or what is latched\n\
+            error      taken out, by effect; the axis moves by the opposite\n\
+            trend      of each axis's total between its least and its most\n\
+            \n\
+            Nothing is commanded from here.";
+        let (width, height) = (area.width.min(76), area.height.min(12));
+        let at = Rect { x: (area.width - width) / 2, y: (area.height - height) / 2, width, height };
+        frame.render_widget(Clear, at);
+        frame.render_widget(Paragraph::new(text).block(Block::bordered().title(" rtecctl top ")), at);
+    }
+}
+
+fn thread_line(s: &DaemonStatus) -> Line<'static> {
+    let rt = &s.rt;
+    let card = if rt.alive { rt.card.clone() } else { "REAL-TIME THREAD ENDED".to_owned() };
+    Line::raw(format!(
+        " {card}  poll gap {}  edge to done {}{}",
+        times(&rt.poll_gap_ns),
+        times(&rt.edge_to_done_ns),
+        if rt.may_arm { "" } else { "  may not be armed" }
+    ))
+}
+
+fn times(d: &Distribution) -> String {
+    if d.samples == 0 {
+        return "-".to_owned();
+    }
+    format!("p50 {}, p99.99 {}, max {}", time(d.p50), time(d.p9999), time(d.max))
+}
+
+fn time(ns: u64) -> String {
+    match ns {
+        0..1000 => format!("{ns} ns"),
+        1000..1_000_000 => format!("{:.1} µs", ns as f64 / 1e3),
+        1_000_000.. => format!("{:.1} ms", ns as f64 / 1e6),
+    }
+}
+
+fn lasted(seconds: f64) -> String {
+    let s = seconds as u64;
+    match s {
+        0..60 => format!("{s} s"),
+        60..3600 => format!("{} min {} s", s / 60, s % 60),
+        3600.. => format!("{} h {} min", s / 3600, s / 60 % 60),
+    }
+}
+
+fn shortened(name: &str, to: usize) -> String {
+    if name.chars().count() <= to {
+        return name.to_owned();
+    }
+    name.chars().take(to - 1).chain(['…']).collect()
+}
+
+/// The last values in so many columns, from 0 (the least) to 8 (the most); a value that stands still is in the middle.
+fn squeezed(values: &VecDeque<f64>, columns: usize) -> Vec<u64> {
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let level =
+        |v: f64| if most > least { (1.0 + (v - least) / (most - least) * 7.0).round() as u64 } else { 4 };
+    let n = columns.min(values.len());
+    (0..n).map(|i| level(values[(i + 1) * values.len() / n - 1])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+    use rtec_control::protocol::{Contribution, Happened, Histograms, LogState};
+
+    /// The screen as text, and its cells' colours.
+    fn screen(view: &View, width: u16, height: u16) -> (String, Vec<Color>) {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| view.draw(frame)).unwrap();
+        let buffer = terminal.backend().buffer();
+        let row = |y| (0..width).map(|x| buffer[(x, y)].symbol()).collect::<String>();
+        let rows: Vec<String> = (0..height).map(|y| row(y).trim_end().to_owned() + "\n").collect();
+        (rows.concat(), buffer.content().iter().map(|c| c.fg).collect())
+    }
+
+    /// The status of the golden files, and what could belong to it.
+    fn view(colour: bool) -> View {
+        let mut status: DaemonStatus =
+            serde_json::from_str(include_str!("../../../tests/golden/status.json")).unwrap();
+        status.uptime_s = 4000.0;
+        let part = |name: &str, um| Contribution {
+            name: name.into(),
+            um,
+            sensors: Vec::new(),
+            outside_k: None,
+            weight: None,
+        };
+        let parts = [part("operator", 2.0), part("thermal_growth.x (T8-T18)", -9.25), part("rounding", 0.0)];
+        let explained = status.axes.iter().map(|a| Explained {
+            axis: a.name.clone(),
+            requested: a.requested,
+            total_um: -7.25,
+            parts: parts.to_vec(),
+            holds: None,
+        });
+        let explained: Vec<_> = explained.collect();
+        let event = |n, axis: Option<&str>, kind: &str, text: &str| Numbered {
+            n,
+            at_s: 86_400.0 + 3_723.5 * n as f64,
+            event: Happened {
+                t_ns: 1,
+                axis: axis.map(str::to_owned),
+                kind: kind.into(),
+                text: text.into(),
+                trip: None,
+            },
+        };
+        let events = vec![event(1, None, "mode", "mode run"), event(2, Some("x"), "homed", "homed")];
+        let seen = |explained| Observed {
+            status: status.clone(),
+            explained,
+            events: events.clone(),
+            events_missed: 0,
+            histograms: Histograms::default(),
+            log: LogState {
+                file: String::new(),
+                last_n: 0,
+                last_hash: String::new(),
+                lost: 0,
+                trouble: None,
+            },
+            clients: Vec::new(),
+        };
+        let mut view = View::new(colour, Duration::from_millis(500));
+        for n in 0..40 {
+            let mut axes = explained.clone();
+            axes[0].total_um = f64::from(n) - 20.0;
+            view.take(seen(axes));
+        }
+        view
+    }
+
+    #[test]
+    fn everything_on_a_wide_screen_and_the_most_on_a_small_one() {
+        let mut view = view(true);
+        crate::golden("top_120x30.txt", &screen(&view, 120, 30).0);
+        crate::golden("top_80x24.txt", &screen(&view, 80, 24).0);
+        view.help = true;
+        crate::golden("top_help.txt", &screen(&view, 80, 24).0);
+    }
+
+    #[test]
+    fn no_size_is_too_small_to_be_answered() {
+        let view = view(true);
+        assert!(screen(&view, 59, 16).0.contains("terminal 59x16, needs 60x16"));
+        for (width, height) in [(1, 1), (20, 3), (60, 16), (75, 17), (300, 90)] {
+            screen(&view, width, height);
+        }
+        assert!(
+            screen(&View::new(true, Duration::from_millis(500)), 80, 24).0.contains("waiting for the daemon")
+        );
+    }
+
+    #[test]
+    fn a_daemon_that_is_gone_is_said_over_what_was_known_last() {
+        let mut view = view(true);
+        view.gone("cannot reach rtecd".into());
+        let (text, _) = screen(&view, 100, 24);
+        assert!(text.contains("NO ANSWER for 0 s; tried every second: cannot reach rtecd"), "{text}");
+        assert!(text.contains("position/mm"), "{text}");
+        assert!(text.contains("OLD: 0 s"), "{text}");
+        view.gone = None;
+        assert!(!screen(&view, 100, 24).0.contains("NO ANSWER"));
+        // One that answers no more, and has not been given up yet.
+        view.heard = Instant::now().checked_sub(Duration::from_secs(5));
+        let (text, _) = screen(&view, 80, 24);
+        assert!(text.contains("OLD: 5 s") && text.contains("NO ANSWER for 5 s"), "{text}");
+    }
+
+    #[test]
+    fn colours_are_left_out_where_they_are_not_wanted() {
+        let any = |colour| screen(&view(colour), 80, 24).1.iter().any(|c| *c != Color::Reset);
+        assert!(any(true));
+        assert!(!any(false));
+    }
+
+    #[test]
+    fn a_trend_is_squeezed_into_its_columns() {
+        let rising: VecDeque<f64> = (0..100).map(f64::from).collect();
+        let columns = squeezed(&rising, 10);
+        assert_eq!((columns.len(), columns[9]), (10, 8));
+        assert!(columns.is_sorted());
+        assert_eq!(squeezed(&VecDeque::from([3.0, 3.0]), 10), [4, 4]);
+        assert!(squeezed(&VecDeque::new(), 10).is_empty());
+    }
+}

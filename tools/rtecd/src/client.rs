@@ -1,0 +1,260 @@
+//! One connection: who it is, what it has sent, what it has not read yet. Everything is bounded.
+
+use nix::cmsg_space;
+use nix::errno::Errno;
+use nix::sys::socket::{ControlMessageOwned, MsgFlags, UnixAddr, getsockopt, recvmsg, sockopt};
+use rtec_control::protocol::{Caller, ClientRequest, MAX_LINE, Response};
+use rtec_control::role::Role;
+use std::collections::VecDeque;
+use std::io::{ErrorKind, IoSliceMut, Write};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Unread answers that a client may leave lying, bytes. Beyond it nothing more is read from it, and a watcher is dropped.
+const MAX_UNREAD: usize = 256 * 1024;
+/// A client that says nothing whole for so long is dropped; watchers may be silent.
+const IDLE: Duration = Duration::from_secs(30);
+/// The same on a reserved place.
+const IDLE_RESERVED: Duration = Duration::from_secs(2);
+/// Descriptors that may come with one message, and wait for their line.
+const MAX_FILES: usize = 8;
+
+/// How soon a request has its turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Urgency {
+    /// Takes corrections out of force or stops the machine: before everything.
+    First,
+    /// Reads: costs little.
+    Look,
+    /// Everything else.
+    Turn,
+}
+
+/// A request that was read and not yet answered.
+pub(crate) struct Pending {
+    pub request: Result<ClientRequest, String>,
+    pub since: Instant,
+}
+
+impl Pending {
+    pub(crate) fn urgency(&self) -> Urgency {
+        match self.request {
+            Ok(ClientRequest::Disable {} | ClientRequest::Hold { .. }) => Urgency::First,
+            Ok(ClientRequest::Status {} | ClientRequest::Whoami {}) | Err(_) => Urgency::Look,
+            Ok(_) => Urgency::Turn,
+        }
+    }
+}
+
+/// How far a connection is from its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Stage {
+    Open,
+    /// Nothing more is read; it goes when its answers are sent.
+    Closing,
+    Gone,
+}
+
+pub(crate) struct Client {
+    pub id: u64,
+    pub stream: UnixStream,
+    pub caller: Caller,
+    pub role: Role,
+    /// On a place that is kept free for what is urgent.
+    pub reserved: bool,
+    pub watching: bool,
+    pub pending: Option<Pending>,
+    /// The answer to its request comes later; nothing more of it is taken up until then.
+    pub waits: bool,
+    inbox: Vec<u8>,
+    files: VecDeque<OwnedFd>,
+    outbox: Vec<u8>,
+    last_line: Instant,
+    stage: Stage,
+}
+
+impl Client {
+    /// A connection that came by the socket of a role.
+    pub(crate) fn new(id: u64, stream: UnixStream, role: Role, socket: &Path) -> nix::Result<Self> {
+        let peer = getsockopt(&stream, sockopt::PeerCredentials)?;
+        let caller = Caller {
+            uid: peer.uid(),
+            user: user_name(peer.uid()),
+            pid: peer.pid(),
+            exe: executable(peer.pid()),
+            role: role.word().to_owned(),
+            may: Vec::new(),
+            socket: socket.display().to_string(),
+        };
+        Ok(Self {
+            id,
+            stream,
+            caller,
+            role,
+            reserved: false,
+            watching: false,
+            pending: None,
+            waits: false,
+            inbox: Vec::new(),
+            files: VecDeque::new(),
+            outbox: Vec::new(),
+            last_line: Instant::now(),
+            stage: Stage::Open,
+        })
+    }
+
+    /// Nobody has hung up.
+    pub(crate) fn is_open(&self) -> bool {
+        self.stage == Stage::Open
+    }
+
+    /// Nobody reads its answers any more.
+    pub(crate) fn gone(&self) -> bool {
+        self.stage == Stage::Gone
+    }
+
+    /// Comes nearer to its end; there is no way back.
+    pub(crate) fn enter(&mut self, stage: Stage) {
+        self.stage = self.stage.max(stage);
+    }
+
+    /// Its next bytes are wanted: not before it has read its answers and its line has had its turn.
+    pub(crate) fn reads(&self) -> bool {
+        self.is_open() && self.outbox.len() < MAX_UNREAD && self.inbox.len() < 2 * MAX_LINE
+    }
+
+    pub(crate) fn unsent(&self) -> bool {
+        !self.outbox.is_empty()
+    }
+
+    pub(crate) fn put(&mut self, response: &Response) {
+        // A response is numbers, strings and lists: it has a JSON form.
+        let Ok(line) = serde_json::to_string(response) else { return };
+        self.outbox.extend_from_slice(line.as_bytes());
+        self.outbox.push(b'\n');
+    }
+
+    /// Takes in what has come, with the descriptors that came with it.
+    pub(crate) fn read(&mut self) {
+        let mut buffer = [0; MAX_LINE];
+        let mut space = cmsg_space!([RawFd; MAX_FILES]);
+        let mut into = [IoSliceMut::new(&mut buffer)];
+        let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_CMSG_CLOEXEC;
+        let message = match recvmsg::<UnixAddr>(self.stream.as_raw_fd(), &mut into, Some(&mut space), flags) {
+            Ok(message) => message,
+            Err(Errno::EAGAIN | Errno::EINTR) => return,
+            Err(_) => {
+                self.enter(Stage::Gone);
+                return;
+            }
+        };
+        let mut fds = Vec::new();
+        for control in message.cmsgs().into_iter().flatten() {
+            if let ControlMessageOwned::ScmRights(raw) = control {
+                // SAFETY: the kernel has just opened them for this process, and nobody else here knows of them.
+                fds.extend(raw.into_iter().map(|fd| unsafe { OwnedFd::from_raw_fd(fd) }));
+            }
+        }
+        let cut = message.flags.contains(MsgFlags::MSG_CTRUNC);
+        let bytes = message.bytes;
+        self.files.extend(fds);
+        if cut || self.files.len() > MAX_FILES {
+            self.files.clear();
+            self.put(&Response::Bad {
+                text: format!("found more than {MAX_FILES} descriptors; expected those of one request"),
+            });
+            self.enter(Stage::Closing);
+        } else if bytes == 0 {
+            self.enter(Stage::Closing);
+        } else {
+            self.inbox.extend_from_slice(&buffer[..bytes]);
+        }
+    }
+
+    /// Takes up the next line, where there is a whole one and the one before is answered.
+    pub(crate) fn take_up(&mut self) {
+        if self.pending.is_some() || self.waits || self.outbox.len() >= MAX_UNREAD {
+            return;
+        }
+        let Some(end) = self.inbox.iter().position(|&b| b == b'\n') else {
+            if self.inbox.len() >= MAX_LINE && self.is_open() {
+                let text = format!("found a line of more than {MAX_LINE} bytes; expected one request a line");
+                self.put(&Response::Bad { text });
+                self.inbox.clear();
+                self.enter(Stage::Closing);
+            }
+            return;
+        };
+        let line: Vec<u8> = self.inbox.drain(..=end).take(end).collect();
+        self.last_line = Instant::now();
+        let request = match std::str::from_utf8(&line) {
+            Ok(line) => ClientRequest::parse(line.trim()),
+            Err(_) => Err("found bytes that are no UTF-8; expected one JSON object a line".to_owned()),
+        };
+        self.pending = Some(Pending { request, since: self.last_line });
+    }
+
+    /// A line has come that could be taken up.
+    pub(crate) fn has_line(&self) -> bool {
+        let free = self.pending.is_none() && !self.waits && self.outbox.len() < MAX_UNREAD;
+        free && self.inbox.contains(&b'\n')
+    }
+
+    /// The descriptors that came with the line that is taken up now.
+    pub(crate) fn take_files(&mut self) -> Vec<OwnedFd> {
+        self.files.drain(..).collect()
+    }
+
+    pub(crate) fn write(&mut self) {
+        while !self.outbox.is_empty() {
+            match self.stream.write(&self.outbox) {
+                Ok(n) => {
+                    self.outbox.drain(..n);
+                }
+                Err(e) if e.kind() == ErrorKind::WouldBlock => return,
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                Err(_) => {
+                    self.enter(Stage::Gone);
+                    return;
+                }
+            }
+        }
+    }
+
+    /// It has gone, or is to go.
+    pub(crate) fn over(&self) -> bool {
+        let patience = if self.reserved { IDLE_RESERVED } else { IDLE };
+        let idle =
+            !self.watching && !self.waits && self.pending.is_none() && self.last_line.elapsed() > patience;
+        let deaf = self.watching && self.outbox.len() > MAX_UNREAD;
+        let ended =
+            self.stage == Stage::Closing && self.outbox.is_empty() && self.pending.is_none() && !self.waits;
+        self.gone() || idle || deaf || ended && !self.inbox.contains(&b'\n')
+    }
+
+    /// Since when it has not said anything whole.
+    pub(crate) fn silent_since(&self) -> Instant {
+        self.last_line
+    }
+}
+
+/// The user's name by the local list of users: no directory service is asked, whose answer could take long.
+fn user_name(uid: u32) -> String {
+    let users = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let named = users.lines().find(|line| line.split(':').nth(2).and_then(|n| n.parse().ok()) == Some(uid));
+    named.and_then(|line| line.split(':').next()).unwrap_or_default().to_owned()
+}
+
+/// The executable of a process; where only its name can be seen, that in brackets.
+fn executable(pid: i32) -> String {
+    let plain = |text: &str| -> String {
+        text.chars().take(256).map(|c| if c.is_control() { '?' } else { c }).collect()
+    };
+    match std::fs::read_link(format!("/proc/{pid}/exe")) {
+        Ok(path) => plain(&path.to_string_lossy()),
+        Err(_) => std::fs::read_to_string(format!("/proc/{pid}/comm"))
+            .map_or(String::new(), |name| format!("[{}]", plain(name.trim()))),
+    }
+}

@@ -1,0 +1,141 @@
+//! The listening sockets, one per role, each for its group only.
+
+use crate::Failure;
+use anyhow::Context;
+use nix::sys::stat::{Mode, umask};
+use nix::unistd::{Gid, Group, Uid, chown};
+use rtec_control::config::{ControlConfig, LONGEST_SOCKET, SocketAt};
+use rtec_control::lock;
+use rtec_control::role::Role;
+use std::fs::{DirBuilder, Permissions};
+use std::io::ErrorKind;
+use std::os::unix::fs::{DirBuilderExt, FileTypeExt, MetadataExt, PermissionsExt};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+
+/// A socket that is listened at.
+pub(crate) struct Door {
+    pub role: Role,
+    pub path: PathBuf,
+    /// The group that may use it.
+    pub group: Option<String>,
+    pub listener: UnixListener,
+}
+
+/// All of them, and the lock that makes them ours. They go with this value.
+pub(crate) struct Doors {
+    pub all: Vec<Door>,
+    /// The group that may see: it may read the record of commands, too.
+    pub seers: Option<Gid>,
+    _lock: lock::Held,
+}
+
+impl Drop for Doors {
+    fn drop(&mut self) {
+        // The lock is still held: nobody else can have sockets of these names.
+        for door in &self.all {
+            let _ = std::fs::remove_file(&door.path);
+        }
+    }
+}
+
+/// Opens the sockets.
+pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<Doors> {
+    let sockets = control.sockets();
+    let groups: Vec<Option<Gid>> = sockets.iter().map(group).collect::<Result<_, _>>()?;
+    let open = groups.iter().any(Option::is_some) || sockets.iter().any(|s| s.mode & 0o066 != 0);
+    for socket in &sockets {
+        let bytes = socket.path.as_os_str().len();
+        if bytes > LONGEST_SOCKET {
+            let path = socket.path.display();
+            let why =
+                format!("socket {path}: found a path of {bytes} bytes, expected at most {LONGEST_SOCKET}");
+            return Err(Failure::Taken(why).into());
+        }
+        directory(&socket.path, open)?;
+    }
+    let lock = lock::socket(&control.socket).map_err(Failure::from)?;
+    let mut doors = Doors { all: Vec::new(), seers: groups[2], _lock: lock };
+    for (socket, group) in sockets.into_iter().zip(groups) {
+        let listener = bind(&socket, group)?;
+        doors.all.push(Door { role: socket.role, path: socket.path, group: socket.group, listener });
+    }
+    Ok(doors)
+}
+
+fn group(socket: &SocketAt) -> anyhow::Result<Option<Gid>> {
+    let Some(name) = &socket.group else { return Ok(None) };
+    let found = Group::from_name(name).with_context(|| format!("looking up group {name}"))?;
+    let key = if socket.role == Role::SetUp { "group" } else { socket.role.word() };
+    Ok(Some(found.with_context(|| format!("there is no group {name} (found in [control] {key})"))?.gid))
+}
+
+/// The socket's directory: made where it is missing, for ourselves alone unless a group is to reach a socket in it. One that
+/// everybody can write to is refused: others could put their files in the place of ours.
+fn directory(socket: &Path, open: bool) -> anyhow::Result<()> {
+    let Some(directory) = socket.parent().filter(|d| !d.as_os_str().is_empty()) else { return Ok(()) };
+    if !directory.exists() {
+        let mode = if open { 0o711 } else { 0o700 };
+        // Those above it are for everybody to pass through, as the system's own.
+        if let Some(above) = directory.parent().filter(|d| !d.as_os_str().is_empty() && !d.exists()) {
+            let made = DirBuilder::new().recursive(true).mode(0o755).create(above);
+            made.with_context(|| format!("creating {}", above.display()))?;
+        }
+        DirBuilder::new()
+            .mode(mode)
+            .create(directory)
+            .with_context(|| format!("creating {}", directory.display()))?;
+        // Whatever the mask says.
+        std::fs::set_permissions(directory, Permissions::from_mode(mode))?;
+    }
+    let found =
+        std::fs::metadata(directory).with_context(|| format!("looking at {}", directory.display()))?;
+    let owner = found.uid();
+    if found.mode() & 0o002 != 0 || owner != 0 && owner != Uid::effective().as_raw() {
+        let why = format!(
+            "directory {}: found mode {:o} and owner {owner}, expected one of our own that not everybody can write to \
+             ([control] socket, --socket)",
+            directory.display(),
+            found.mode() & 0o7777
+        );
+        return Err(Failure::Taken(why).into());
+    }
+    Ok(())
+}
+
+fn bind(socket: &SocketAt, group: Option<Gid>) -> anyhow::Result<UnixListener> {
+    let path = &socket.path;
+    clear_stale(path)?;
+    // Born without access for anybody else; the group gets its own before the first client can be served.
+    let before = umask(Mode::from_bits_truncate(0o177));
+    let listener = UnixListener::bind(path);
+    umask(before);
+    let listener = listener.with_context(|| format!("binding {}", path.display()))?;
+    if group.is_some() {
+        chown(path, None, group).with_context(|| format!("giving {} to its group", path.display()))?;
+    }
+    std::fs::set_permissions(path, Permissions::from_mode(socket.mode))?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
+/// Removes a socket that nobody listens at.
+fn clear_stale(socket: &Path) -> anyhow::Result<()> {
+    let Ok(found) = std::fs::symlink_metadata(socket) else { return Ok(()) };
+    if !found.file_type().is_socket() {
+        let why = format!(
+            "{}: found something that is no socket, expected nothing or an old socket",
+            socket.display()
+        );
+        return Err(Failure::Taken(why).into());
+    }
+    match UnixStream::connect(socket) {
+        Err(error) if error.kind() == ErrorKind::ConnectionRefused => std::fs::remove_file(socket)
+            .with_context(|| format!("removing the old socket {}", socket.display())),
+        Ok(_) => {
+            let why = format!("socket {} is in use: another program listens at it", socket.display());
+            Err(Failure::Taken(why).into())
+        }
+        Err(error) => Err(error).with_context(|| format!("trying the socket {}", socket.display())),
+    }
+}

@@ -1,0 +1,316 @@
+//! Models and part tables: read by the loader, taken here.
+
+use super::{Answer, Beside, Session};
+use crate::loader::{self, Job, Loaded, PATIENCE, Source, Ticket};
+use crate::log::{Level, Log};
+use crate::temperatures::history;
+use rtec_control::protocol::{ModelPreview, PartTable, Response};
+use rtec_correct::corrector::Prepared;
+use rtec_files::InputError;
+use rtec_model::machine::Machine;
+use rtec_part::cor::FeatureErrors;
+use rtec_rt::link::ControlEnd;
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Which model was taken last: a file of this name beside the state file. Only that one runs after a restart. Its hash, its
+/// file, and [`MEANT`] where it was taken although its validity had ended.
+const TAKEN: &str = "model.taken";
+const MEANT: &str = "although expired";
+/// What to do about a model whose validity has ended.
+pub(super) const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record and fit again where it is no longer true; `rtecctl model \
+                          load --expired` takes it as it is, `rtecctl model unload` goes on without";
+/// The files of that model as they were read, beside it: a restart reads no file that is another by then.
+const KEPT: &str = "model.kept";
+
+/// What is to be done with a model when it has been read.
+pub(crate) struct Wanted {
+    /// Take it, if its hash is this one; else show what it changes.
+    pub(crate) take: Option<String>,
+    /// Take it although its validity has ended.
+    pub(crate) expired: bool,
+}
+
+/// What is to be done with a load.
+pub(crate) enum Wish {
+    Model(Wanted),
+    Table,
+}
+
+/// A name is not enough: the daemon may read what its caller may not.
+fn by_name(file: &Path) -> Response {
+    let text = format!(
+        "{}: found a name alone, expected the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with its \
+         caller's rights",
+        file.display()
+    );
+    Response::Refused { why: "no_descriptor".to_owned(), text, jumps: Vec::new() }
+}
+
+impl Session {
+    /// The model that was taken last runs on after a restart: as it was read then, or, where the configuration names it,
+    /// unless its file has changed. Before anybody is served: this waits for the files.
+    pub(crate) fn take_up_model(&mut self, log: &mut Log) {
+        let taken = std::fs::read_to_string(self.directory().join(TAKEN)).unwrap_or_default();
+        let mut lines = taken.lines();
+        let (sha256, file) = (lines.next().unwrap_or_default(), lines.next().map(PathBuf::from));
+        let meant = lines.next() == Some(MEANT);
+        let configured = self.config.model.file.clone();
+        let kept = std::fs::read(self.directory().join(KEPT)).unwrap_or_default();
+        let kept: BTreeMap<PathBuf, String> = serde_json::from_slice(&kept).unwrap_or_default();
+        let Some(file) = configured.clone().or(file) else { return };
+        let source =
+            if configured.is_none() && kept.contains_key(&file) { Source::Kept(kept) } else { Source::Named };
+        let why = match loader::work(self.model_job(file.clone(), source)) {
+            Err(error) => error.to_string(),
+            Ok(Loaded::Table { .. }) => return,
+            Ok(Loaded::Model { prepared, .. }) => {
+                let machine = prepared.machine();
+                match self.ended(machine).filter(|_| !meant) {
+                    Some(ended) if machine.sha256() == sha256 => ended,
+                    _ if machine.sha256() == sha256 => {
+                        self.corrector.day_is((self.today)());
+                        self.corrector.take(*prepared);
+                        self.model_refused = None;
+                        return log.say(Level::Notice, &format!("machine model {}", file.display()));
+                    }
+                    _ if sha256.is_empty() => {
+                        format!("the model {} has not been taken yet: `rtecctl model load`", file.display())
+                    }
+                    _ => format!(
+                        "the model {} is not the one that was taken (its hash is another): `rtecctl model load` shows \
+                         what it changes",
+                        file.display()
+                    ),
+                }
+            }
+        };
+        log.say(Level::Warning, &format!("no machine model: {why}"));
+        self.model_refused = Some(why);
+    }
+
+    /// Why a model is not to be used any more: nobody has looked at it since its validity ended.
+    fn ended(&self, machine: &Machine) -> Option<String> {
+        let ended = machine.expired((self.today)());
+        let file = machine.path.display();
+        (!ended.is_empty()).then(|| format!("the model {file}: {}: {LOOK_AGAIN}", ended.join("; ")))
+    }
+
+    /// Shows what a model would change, or takes the one that was shown: once it has been read.
+    pub(super) fn model_load(
+        &mut self,
+        file: Option<&str>,
+        names: &[String],
+        wanted: Wanted,
+        beside: Beside,
+    ) -> Answer {
+        let bad = |text: String| Answer::Now(Response::Bad { text });
+        if beside.files.len() != names.len() {
+            let (came, named) = (beside.files.len(), names.len());
+            return bad(format!(
+                "found {came} descriptors with the request, expected {named}, one per name in files"
+            ));
+        }
+        let configured = self.config.model.file.clone();
+        let own = file.is_none();
+        let Some(file) = names.first().map(PathBuf::from).or(file.map(PathBuf::from)).or(configured) else {
+            return bad("found no file; expected one, or [model] file in the configuration".to_owned());
+        };
+        let source = if !names.is_empty() {
+            Source::Handed(names.iter().map(PathBuf::from).zip(beside.files).collect())
+        } else if own || beside.trusted {
+            Source::Named
+        } else {
+            return Answer::Now(by_name(&file));
+        };
+        self.corrector.day_is((self.today)());
+        let job = self.model_job(file, source);
+        self.begin(job, Wish::Model(wanted))
+    }
+
+    fn model_job(&mut self, file: PathBuf, source: Source) -> Job {
+        self.temperatures.look();
+        let (directory, now_s) = (self.directory(), self.temperatures.now_s());
+        Job::Model {
+            file,
+            source,
+            preparer: Box::new(self.corrector.preparer()),
+            watches: self.temperatures.sensors().to_vec(),
+            past: Box::new(move |names| history(&directory, names, now_s)),
+            now_s,
+            period: Duration::from_millis(self.config.model.period_ms),
+        }
+    }
+
+    /// Something is being loaded.
+    pub(crate) fn loads(&self) -> bool {
+        self.loader.busy()
+    }
+
+    fn begin(&mut self, job: Job, wish: Wish) -> Answer {
+        let refused = |why: &str, text: String| {
+            Answer::Now(Response::Refused { why: why.to_owned(), text, jumps: Vec::new() })
+        };
+        if self.loader.busy() {
+            let text = "another file is being loaded: ask again when it is done".to_owned();
+            return refused("loading", text);
+        }
+        match self.loader.start(job) {
+            Ok(ticket) => {
+                self.wish = Some(wish);
+                Answer::Later(ticket)
+            }
+            Err(error) => refused("no_thread", format!("no thread to load it: {error}")),
+        }
+    }
+
+    /// The load that is done, its answer, and what the record says of it where that is something else: what stands in a file
+    /// is its reader's alone. `waits` says whether somebody still waits for it; what nobody waits for is not taken.
+    pub(crate) fn loaded(
+        &mut self,
+        waits: impl FnOnce(Ticket) -> bool,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Option<(Ticket, Response, Option<String>)> {
+        if let Some(ticket) = self.loader.overdue()
+            && self.wish.take().is_some()
+        {
+            let text = format!("loading took longer than {} s: nothing is taken", PATIENCE.as_secs());
+            let refused = Response::Refused { why: "too_long".to_owned(), text, jumps: Vec::new() };
+            return Some((ticket, refused, None));
+        }
+        let (ticket, result) = self.loader.done()?;
+        let wish = self.wish.take()?;
+        if !waits(ticket) {
+            return None;
+        }
+        let response = match (result, wish) {
+            (Err(error), _) => {
+                let place = InputError { found: "something else".to_owned(), ..error.clone() };
+                return Some((ticket, Response::Bad { text: error.to_string() }, Some(place.to_string())));
+            }
+            (Ok(Loaded::Table { table, errors }), _) => self.take_table(table, errors, log),
+            (Ok(Loaded::Model { prepared, warnings, files }), Wish::Model(wanted)) => {
+                self.model_ready(*prepared, warnings, &files, &wanted, control, log)
+            }
+            (Ok(Loaded::Model { .. }), Wish::Table) => return None,
+        };
+        Some((ticket, response, None))
+    }
+
+    fn model_ready(
+        &mut self,
+        prepared: Prepared,
+        mut warnings: Vec<String>,
+        files: &BTreeMap<PathBuf, String>,
+        wanted: &Wanted,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Response {
+        let refused =
+            |why: &str, text: String| Response::Refused { why: why.to_owned(), text, jumps: Vec::new() };
+        let machine = prepared.machine();
+        let (sha256, file) = (machine.sha256().to_owned(), machine.path.clone());
+        let Some(shown) = &wanted.take else {
+            let (now_s, status) = (self.temperatures.now_s(), control.status());
+            let preview = self.corrector.preview(prepared, self.temperatures.sensors(), now_s, &status);
+            warnings.extend(preview.warnings);
+            return Response::ModelPreview(Box::new(ModelPreview { warnings, ..preview }));
+        };
+        if *shown != sha256 {
+            return refused(
+                "changed",
+                format!("{} has changed since it was shown: nothing is taken", file.display()),
+            );
+        }
+        let ended = self.ended(machine);
+        if let Some(text) = ended.clone().filter(|_| !wanted.expired) {
+            return refused("expired", text);
+        }
+        self.corrector.take(prepared);
+        self.model_refused = None;
+        let meant = ended.map_or(String::new(), |_| format!("{MEANT}\n"));
+        let warnings = self.remember(&format!("{sha256}\n{}\n{meant}", file.display()), files, log);
+        let text = format!("machine model {} taken, SHA-256 {sha256}", file.display());
+        log.record(Level::Notice, "model_loaded", &text, &[("RTEC_MODEL_SHA256", &sha256)]);
+        Response::Done { jumps: Vec::new(), warnings }
+    }
+
+    /// What a restart is to take up: the model's name and hash, and its files as they were read. Says what it could not keep.
+    fn remember(&self, text: &str, files: &BTreeMap<PathBuf, String>, log: &mut Log) -> Vec<String> {
+        let named: BTreeMap<String, &String> =
+            files.iter().map(|(path, text)| (path.display().to_string(), text)).collect();
+        let kept = serde_json::to_vec(&named).unwrap_or_default();
+        let written = [(KEPT, kept.as_slice()), (TAKEN, text.as_bytes())]
+            .map(|(name, content)| (name, rtec_files::write::whole(&self.directory().join(name), content)));
+        self.failed(written, "a restart will not know which model was taken", log)
+    }
+
+    /// A restart is to take up none. Removing needs no room on a disk, as writing would.
+    fn forget(&self, log: &mut Log) -> Vec<String> {
+        let removed = [TAKEN, KEPT].map(|name| match std::fs::remove_file(self.directory().join(name)) {
+            Err(error) if error.kind() != ErrorKind::NotFound => (name, Err(error)),
+            _ => (name, Ok(())),
+        });
+        self.failed(removed, "a restart may take the model up again", log)
+    }
+
+    /// What failed of the files beside the state file, and what that means: logged, and for the caller.
+    fn failed(&self, done: [(&str, std::io::Result<()>); 2], means: &str, log: &mut Log) -> Vec<String> {
+        let failed = done.into_iter().filter_map(|(name, done)| {
+            let text = format!("{}: {}: {means}", self.directory().join(name).display(), done.err()?);
+            log.say(Level::Warning, &text);
+            Some(text)
+        });
+        failed.collect()
+    }
+
+    pub(super) fn model_unload(&mut self, log: &mut Log) -> Response {
+        // One that was refused at the start is given up, too.
+        if !self.corrector.unload() && self.model_refused.take().is_none() {
+            let text = "no model is loaded".to_owned();
+            return Response::Refused { why: "no_model".to_owned(), text, jumps: Vec::new() };
+        }
+        let warnings = self.forget(log);
+        log.record(Level::Notice, "model_unloaded", "machine model unloaded", &[]);
+        Response::Done { jumps: Vec::new(), warnings }
+    }
+
+    pub(super) fn table_load(&mut self, table: &PartTable, beside: Beside) -> Answer {
+        let file = PathBuf::from(&table.errors);
+        let mut files = beside.files;
+        let source = match files.len() {
+            1 => Source::Handed(files.pop().map(|fd| (file, fd)).into_iter().collect()),
+            0 if beside.trusted => Source::Named,
+            0 => return Answer::Now(by_name(&file)),
+            n => {
+                let text =
+                    format!("found {n} descriptors with the request, expected one, of {}", file.display());
+                return Answer::Now(Response::Bad { text });
+            }
+        };
+        self.begin(Job::Table { table: table.clone(), source }, Wish::Table)
+    }
+
+    fn take_table(&mut self, table: PartTable, errors: FeatureErrors, log: &mut Log) -> Response {
+        let name = table.errors.clone();
+        match self.corrector.load_table(table, errors) {
+            Ok(()) => {
+                log.record(Level::Notice, "table_loaded", &format!("part table {name}"), &[]);
+                Response::done()
+            }
+            Err(text) => Response::Bad { text },
+        }
+    }
+
+    pub(super) fn table_unload(&mut self, log: &mut Log) -> Response {
+        if !self.corrector.unload_table() {
+            let text = "no part table is loaded".to_owned();
+            return Response::Refused { why: "no_table".to_owned(), text, jumps: Vec::new() };
+        }
+        log.record(Level::Notice, "table_unloaded", "part table unloaded", &[]);
+        Response::done()
+    }
+}

@@ -1,0 +1,305 @@
+//! Requests that go to the real-time thread, and what it answers.
+
+use super::{Session, loads};
+use crate::log::Log;
+use rtec_control::config::ConfiguredAxis;
+use rtec_control::protocol::{Jump, Response, explain_fault, explain_refusal, word};
+use rtec_rt::event::{Event, EventKind, Mode, Refusal, Request, Status};
+use rtec_rt::link::{ControlEnd, REQUESTS};
+use std::time::Duration;
+
+/// Below this many edges per second an axis stands: between setting its counter and reading it back, some milliseconds, it
+/// does not move by half a count.
+const STANDSTILL_HZ: f64 = 50.0;
+
+/// Why corrections are not switched on in this mode: they would come on by themselves when it ends.
+pub(super) fn held(mode: Mode) -> Option<Response> {
+    let (why, text) = match mode {
+        Mode::Probe => (word(Refusal::Probing), explain_refusal(Refusal::Probing)),
+        Mode::Hold => ("held".to_owned(), "feed hold is on: `rtecctl hold off` first"),
+        Mode::Run | Mode::Shadow | Mode::Fault | Mode::Disabled => return None,
+    };
+    Some(Response::Refused { why, text: text.to_owned(), jumps: Vec::new() })
+}
+
+impl Session {
+    /// Sends a request and waits until it has been worked off; returns what was reported in the meantime.
+    fn send(
+        &mut self,
+        request: Request,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Vec<Event>, Response> {
+        let dead = |why: &str, text: &str| Response::Refused {
+            why: why.to_owned(),
+            text: text.to_owned(),
+            jumps: Vec::new(),
+        };
+        let silent = "the real-time thread does not answer: is its CPU taken?";
+        // It has not looked at the card since a request was last left unanswered: nobody waits for it again.
+        let stuck = self.unanswered == Some(control.status().polls);
+        let deadline = self.time.now() + self.patience;
+        // What the corrector has sent is not answered to somebody else.
+        while control.pending() > 0
+            && control.pending() < REQUESTS
+            && !stuck
+            && self.time.now() < deadline
+            && !control.ended()
+        {
+            control.beat();
+            self.time.sleep(Duration::from_micros(200));
+        }
+        self.drain(control, log);
+        control.send(request).map_err(|full| dead("ring_full", &full.to_string()))?;
+        if stuck {
+            // It will find the request when it looks again.
+            return Err(dead("no_answer", silent));
+        }
+        self.unanswered = None;
+        let mut events = Vec::new();
+        // It is taken when the ring is empty, and worked off when a status is there that is newer than one read after
+        // that. Its events come before that status.
+        let mut taken_at = None;
+        loop {
+            control.beat();
+            let status = control.status();
+            let worked = taken_at.is_some_and(|polls| polls != status.polls);
+            if taken_at.is_none() && control.pending() == 0 {
+                taken_at = Some(control.status().polls);
+            }
+            while let Some(event) = control.event() {
+                self.note(&event, log);
+                events.push(event);
+            }
+            if worked {
+                return Ok(events);
+            }
+            if control.ended() {
+                return Err(dead(
+                    "ended",
+                    "the real-time thread has ended: see the log, then restart the daemon",
+                ));
+            }
+            if self.time.now() > deadline {
+                self.unanswered = Some(status.polls);
+                return Err(dead("no_answer", silent));
+            }
+            self.time.sleep(Duration::from_micros(200));
+        }
+    }
+
+    /// Sends a request and turns what was reported into an answer.
+    pub(super) fn carry_out(
+        &mut self,
+        request: Request,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Vec<Event>, Response> {
+        let events = self.send(request, control, log)?;
+        for event in &events {
+            match event.kind {
+                EventKind::Refused { why: Refusal::FaultLatched, .. } => {
+                    return Err(Response::Fault { text: explain_refusal(Refusal::FaultLatched).to_owned() });
+                }
+                EventKind::Refused { why, .. } => {
+                    return Err(self.refused(why, request, &control.status()));
+                }
+                EventKind::Fault(fault) => {
+                    return Err(Response::Fault {
+                        text: format!("{}: {}", word(fault), explain_fault(fault)),
+                    });
+                }
+                _ => {}
+            }
+        }
+        Ok(events)
+    }
+
+    /// A refusal with the axis and the figures that it is about.
+    fn refused(&self, why: Refusal, request: Request, status: &Status) -> Response {
+        let axis = match request {
+            Request::Correct { axis, .. }
+            | Request::Home { axis, .. }
+            | Request::ConfirmHome { axis, .. } => {
+                self.config.axes.get(usize::from(axis)).zip(status.axes().get(usize::from(axis)))
+            }
+            _ => None,
+        };
+        let about = match (why, request, axis) {
+            (Refusal::NotBelieved, Request::Correct { total_counts, .. }, Some((axis, now))) => {
+                let window = axis.engine.window_counts;
+                format!("{}, window {window}", asked(axis, total_counts, now.requested))
+            }
+            (Refusal::AboveMaximum, Request::Correct { total_counts, .. }, Some((axis, now))) => {
+                let max = axis.engine.max_correction_counts;
+                format!("{}, at most {max} either way", asked(axis, total_counts, now.requested))
+            }
+            (_, _, Some((axis, _))) => format!("axis {}", axis.name),
+            (Refusal::NotHomed, ..) => match self.away(status)[..] {
+                [name] => format!("axis {name}"),
+                ref names => format!("axes {}", names.join(", ")),
+            },
+            _ => return refused(why),
+        };
+        let text = format!("{about}: {}", explain_refusal(why));
+        Response::Refused { why: word(why), text, jumps: Vec::new() }
+    }
+
+    /// The axes that are not homed.
+    pub(super) fn away(&self, status: &Status) -> Vec<&str> {
+        let all = self.config.axes.iter().zip(status.axes());
+        all.filter(|(_, now)| !now.homed).map(|(axis, _)| axis.name.as_str()).collect()
+    }
+
+    pub(super) fn number(&self, axis: &str) -> Result<usize, Response> {
+        self.config.axis(axis).ok_or_else(|| {
+            let names: Vec<&str> = self.config.axes.iter().map(|a| a.name.as_str()).collect();
+            let mut text = format!("found axis {axis:?}, expected one of {}", names.join(", "));
+            if let Some(near) = self.config.nearest_axis(axis) {
+                text = format!("{text}; did you mean {near}?");
+            }
+            Response::Bad { text }
+        })
+    }
+
+    /// The operator's total, beside what the other sources ask for.
+    pub(super) fn correct(
+        &mut self,
+        axis: &str,
+        operator_counts: i64,
+        large: bool,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Response, Response> {
+        let n = self.number(axis)?;
+        let on = matches!(control.status().mode, Mode::Run | Mode::Shadow);
+        let total_counts =
+            if on { self.corrector.with_operator(n, operator_counts) } else { operator_counts };
+        let before = control.status().axes[n].requested;
+        let events = self.carry_out(Request::Correct { axis: n as u8, total_counts, large }, control, log)?;
+        if on {
+            self.corrector.operator_is(n, operator_counts);
+        }
+        let config = &self.config.axes[n];
+        let warnings = events.iter().filter_map(|event| match event.kind {
+            // The corrector's own requests are told apart by their total.
+            EventKind::Warning { total_counts: of } if event.axis == Some(n as u8) && of == total_counts => {
+                Some(format!(
+                    "{}, warning from {} on (warn_counts): it is taken; is so much meant?",
+                    asked(config, of, before),
+                    config.engine.warn_counts
+                ))
+            }
+            _ => None,
+        });
+        Ok(Response::Done { jumps: Vec::new(), warnings: warnings.take(1).collect() })
+    }
+
+    /// Jogs a simulated axis, and reports what display and indicator show.
+    pub(super) fn jog(&self, axis: &str, display_mm: Option<f64>) -> Result<Response, Response> {
+        let n = self.number(axis)?;
+        let Some(stand) = &self.stand else {
+            let text = "only a simulated machine can be jogged from here".to_owned();
+            return Err(Response::Refused { why: "not_simulated".to_owned(), text, jumps: Vec::new() });
+        };
+        if let Some(mm) = display_mm {
+            let travel_mm = self.config.axes[n].travel_mm;
+            if mm.abs() > travel_mm {
+                let text = format!("found {mm} mm, expected a place within the travel of {travel_mm} mm");
+                return Err(Response::Bad { text });
+            }
+            stand.jog_to(n, mm);
+        }
+        let (display_mm, indicator_mm) = stand.read_mm(n);
+        Ok(Response::Stands { display_mm, indicator_mm })
+    }
+
+    /// Homes one axis or all: the counter is set, read back here, and only the expected value completes it.
+    pub(super) fn home(
+        &mut self,
+        axis: Option<&str>,
+        control: &mut ControlEnd,
+        log: &mut Log,
+    ) -> Result<Response, Response> {
+        let axes = match axis {
+            Some(name) => {
+                let n = self.number(name)?;
+                n..n + 1
+            }
+            None => 0..self.config.axes.len(),
+        };
+        let status = control.status();
+        for n in axes.clone() {
+            let (name, rate_hz) = (&self.config.axes[n].name, status.axes[n].edge_rate_hz);
+            if rate_hz > STANDSTILL_HZ {
+                let text = format!(
+                    "axis {name} moves at {rate_hz:.0} edges/s: its counter would be set somewhere on the way. Home it at \
+                     a standstill, at its known place"
+                );
+                return Err(Response::Refused { why: "moving".to_owned(), text, jumps: Vec::new() });
+            }
+        }
+        for n in axes {
+            let (axis, position_counts) = (n as u8, self.config.axes[n].home_counts);
+            let events = self.carry_out(Request::Home { axis, position_counts }, control, log)?;
+            let read_back = events.iter().find_map(|e| match e.kind {
+                EventKind::HomeSet { position_counts } if e.axis == Some(axis) => Some(position_counts),
+                _ => None,
+            });
+            if read_back != Some(position_counts) {
+                let text = format!(
+                    "axis {}: read back {read_back:?}, expected {position_counts} counts: not homed",
+                    self.config.axes[n].name
+                );
+                return Err(Response::Refused { why: "home_read_back".to_owned(), text, jumps: Vec::new() });
+            }
+            self.carry_out(Request::ConfirmHome { axis, position_counts }, control, log)?;
+        }
+        Ok(Response::done())
+    }
+
+    /// What enabling would insert, axis by axis.
+    pub(super) fn jumps(&self, status: &Status) -> Vec<Jump> {
+        let all = self.config.axes.iter().zip(status.axes()).enumerate();
+        all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect))
+            .filter(|(_, counts)| *counts != 0)
+            .map(|(axis, counts)| Jump {
+                axis: axis.name.clone(),
+                counts,
+                um: counts as f64 * axis.count_um,
+                window_counts: axis.engine.window_counts,
+            })
+            .collect()
+    }
+
+    /// Why corrections must not be enabled, as far as it is known here.
+    pub(super) fn forbidden(&self, status: &Status, jumps: &[Jump], accept_jump: bool) -> Option<Response> {
+        if let Some(refusal) = held(status.mode) {
+            return Some(refusal);
+        }
+        if self.set_up.real && !self.config.rt.latency_measured {
+            return Some(refused(Refusal::NotArmable));
+        }
+        let ended = self.corrector.expired();
+        if !ended.is_empty() {
+            let text = format!("{}: {}", ended.join("; "), loads::LOOK_AGAIN);
+            return Some(Response::Refused { why: "expired".to_owned(), text, jumps: Vec::new() });
+        }
+        let large = jumps.iter().any(|j| j.counts.abs() > j.window_counts);
+        (large && !accept_jump).then(|| Response::Refused {
+            why: "jump".to_owned(),
+            text: "enabling would move an axis further than its belief window; --accept-jump if it is meant"
+                .to_owned(),
+            jumps: jumps.to_vec(),
+        })
+    }
+}
+
+/// The figures of a request for a total.
+fn asked(axis: &ConfiguredAxis, total_counts: i64, now_counts: i64) -> String {
+    format!("axis {}: asked {total_counts:+}, now {now_counts:+} counts", axis.name)
+}
+
+fn refused(why: Refusal) -> Response {
+    Response::Refused { why: word(why), text: explain_refusal(why).to_owned(), jumps: Vec::new() }
+}

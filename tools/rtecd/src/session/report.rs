@@ -1,0 +1,195 @@
+//! Everything that there is to see.
+
+use super::Session;
+use rtec_control::protocol::{
+    AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, LogState, Observed, PROTOCOL,
+    Reading, Response, Rt, explain_fault, explain_refusal, word,
+};
+use rtec_rt::event::{Mode, Refusal, Status};
+use rtec_rt::histogram::Reader;
+use rtec_rt::link::ControlEnd;
+use rtec_rt::setup::Report;
+
+impl Session {
+    /// Everything at once, with the events after one that is known already.
+    pub(crate) fn observed(
+        &mut self,
+        events_after: Option<u64>,
+        log: LogState,
+        clients: Vec<Clients>,
+        control: &mut ControlEnd,
+    ) -> Response {
+        let known = events_after.unwrap_or(0);
+        let events: Vec<_> = self.events.iter().filter(|e| e.n > known).cloned().collect();
+        let first = events.first().map_or(self.event_count + 1, |e| e.n);
+        let timing = &self.set_up.timing;
+        let histograms = Histograms {
+            poll_gap_ns: buckets(&timing.poll_gap_ns),
+            edge_to_done_ns: buckets(&timing.edge_to_done_ns),
+            poll_gap_sum_ns: timing.poll_gap_ns.snapshot().sum(),
+            edge_to_done_sum_ns: timing.edge_to_done_ns.snapshot().sum(),
+        };
+        let explained = self.explained(None, control);
+        Response::Observed(Box::new(Observed {
+            status: DaemonStatus { record_trouble: log.in_words(), ..self.status(control) },
+            explained,
+            events_missed: events_after.map_or(0, |known| first.saturating_sub(known.saturating_add(1))),
+            events,
+            histograms,
+            log,
+            clients,
+        }))
+    }
+
+    fn explained(&self, only: Option<usize>, control: &mut ControlEnd) -> Vec<Explained> {
+        let (status, now_s) = (control.status(), self.temperatures.now_s());
+        let sensors = self.temperatures.sensors();
+        let wanted = (0..self.config.axes.len()).filter(|n| only.is_none_or(|o| o == *n));
+        wanted.map(|n| self.corrector.explain(n, &status.axes[n], sensors, now_s)).collect()
+    }
+
+    pub(super) fn explain(
+        &mut self,
+        axis: Option<&str>,
+        control: &mut ControlEnd,
+    ) -> Result<Response, Response> {
+        let only = axis.map(|name| self.number(name)).transpose()?;
+        Ok(Response::Explained { axes: self.explained(only, control) })
+    }
+
+    pub(super) fn status(&self, control: &mut ControlEnd) -> DaemonStatus {
+        let now = control.status();
+        let alive = !control.ended();
+        let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
+        let may_arm = !self.set_up.real || verified && self.config.rt.latency_measured;
+        let missing = self.set_up.missing.iter().flat_map(Report::missing);
+        let rt = Rt {
+            alive,
+            card: self.config.card.backend().to_owned(),
+            may_arm,
+            cpu: self.set_up.wanted.map(|w| w.cpu),
+            priority: self.set_up.wanted.map(|w| w.priority),
+            missing: missing
+                .map(|f| format!("{}: wanted {}, found {}; {}", f.name, f.wanted, f.got, f.remedy))
+                .collect(),
+            polls: now.polls,
+            events_lost: now.events_lost,
+            control_stale: now.control_stale,
+            disable_switch: now.disable_switch,
+            poll_gap_ns: distribution(&self.set_up.timing.poll_gap_ns),
+            edge_to_done_ns: distribution(&self.set_up.timing.edge_to_done_ns),
+        };
+        let axes = self.config.axes.iter().zip(now.axes()).map(|(axis, s)| AxisReport {
+            name: axis.name.clone(),
+            position_counts: s.position_counts,
+            position_mm: s.position_counts as f64 * axis.count_um / 1000.0,
+            requested: s.requested,
+            completed: s.completed,
+            in_effect: s.in_effect,
+            mtc_minus_scale: s.mtc_minus_scale,
+            inverted: s.inverted,
+            homed: s.homed,
+            gate: word(s.gate),
+            edge_rate_hz: s.edge_rate_hz,
+            faults: s.faults.iter().collect(),
+            max_correction_counts: axis.engine.max_correction_counts,
+            window_counts: axis.engine.window_counts,
+            insertions: s.insertions,
+            waited_for_gate: s.waited_for_gate,
+            overlaps: s.overlaps,
+            late: s.late,
+            illegal: s.illegal,
+            beyond_limits: s.beyond_limits,
+        });
+        DaemonStatus {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            protocol: PROTOCOL,
+            latched: self.history.latched().clone(),
+            record_trouble: None,
+            machine: self.config.machine.clone(),
+            mode: word(now.mode),
+            homed: now.axes().iter().all(|a| a.homed),
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            balanced: now.balanced(),
+            faults: now.faults.iter().collect(),
+            why_not: self.why_not(&now, alive, may_arm),
+            rt,
+            model: self.corrector.shown(),
+            table: self.corrector.table_shown(),
+            table_now: self.corrector.table_now(&now),
+            sensors: self
+                .temperatures
+                .sensors()
+                .iter()
+                .map(|w| Reading::of(w, self.temperatures.now_s()))
+                .collect(),
+            axes: axes.collect(),
+        }
+    }
+
+    /// Why nothing is corrected now, each with its remedy.
+    fn why_not(&self, now: &Status, alive: bool, may_arm: bool) -> Vec<String> {
+        let mut why = Vec::new();
+        if !alive {
+            why.push("the real-time thread has ended: see the log, then restart the daemon".to_owned());
+        }
+        for fault in now.faults.iter() {
+            why.push(format!("{}: {}", word(fault), explain_fault(fault)));
+        }
+        for (axis, s) in self.config.axes.iter().zip(now.axes()) {
+            for fault in s.faults.iter() {
+                why.push(format!("axis {}: {}: {}", axis.name, word(fault), explain_fault(fault)));
+            }
+        }
+        if now.disable_switch {
+            why.push(explain_refusal(Refusal::DisableSwitch).to_owned());
+        }
+        if now.control_stale {
+            why.push("the control side is silent".to_owned());
+        }
+        if !may_arm {
+            why.push(explain_refusal(Refusal::NotArmable).to_owned());
+            if !self.config.rt.latency_measured {
+                why.push("[rt] has no detect_ns and write_ns: run `rtecctl selftest latency`".to_owned());
+            }
+        }
+        let away = self.away(now);
+        if !away.is_empty() {
+            why.push(format!("not homed: {}; move there, then `rtecctl home`", away.join(", ")));
+        }
+        match now.mode {
+            Mode::Disabled => why.push("corrections are off: `rtecctl enable`".to_owned()),
+            Mode::Shadow => why.push("shadow mode: everything is computed, nothing is written".to_owned()),
+            Mode::Probe => why.push("probing mode: `rtecctl probe off`".to_owned()),
+            Mode::Hold => why.push("feed hold: `rtecctl hold off`".to_owned()),
+            Mode::Fault => why.push("when mended: `rtecctl clear`".to_owned()),
+            Mode::Run => {}
+        }
+        if matches!(now.mode, Mode::Disabled | Mode::Fault) {
+            why.extend(self.corrector.expired().iter().map(|e| format!("{e}: {}", super::loads::LOOK_AGAIN)));
+        }
+        why.extend(self.model_refused.iter().cloned());
+        why.extend(self.corrector.holding());
+        why
+    }
+}
+
+fn distribution(reader: &Reader) -> Distribution {
+    let s = reader.snapshot();
+    if s.samples() == 0 {
+        return Distribution::default();
+    }
+    Distribution {
+        min: s.min(),
+        p50: s.p50(),
+        p99: s.p99(),
+        p9999: s.p9999(),
+        max: s.max(),
+        samples: s.samples(),
+    }
+}
+
+fn buckets(reader: &Reader) -> Vec<[u64; 3]> {
+    let s = reader.snapshot();
+    s.buckets().map(|b| [b.low, b.high.min(s.max()), b.count]).collect()
+}

@@ -1,0 +1,207 @@
+use super::*;
+use rtec_correct::sensors;
+use rtec_driver::clock::Monotonic;
+use rtec_driver::mock::{MockCard, SharedWires};
+use rtec_files::csv::Reader;
+use rtec_model::machine::Machine;
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::link::{REQUESTS, link};
+use rtec_rt::thread::{ThreadOptions, spawn};
+
+fn ask(session: &mut Session, request: &ClientRequest, control: &mut ControlEnd, log: &mut Log) -> Response {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    loop {
+        let beside = Beside { trusted: true, ..Beside::default() };
+        match session.answer(request, beside, control, log) {
+            Answer::Now(response) => return response,
+            Answer::Again(response) if Instant::now() > deadline => return response,
+            Answer::Again(_) => {}
+            Answer::Later(_) => loop {
+                control.beat();
+                if let Some((_, response, _)) = session.loaded(|_| true, control, log) {
+                    return response;
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            },
+        }
+    }
+}
+
+fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
+    let mut card = MockCard::new(SharedWires::default(), Monotonic);
+    let machine = MachineConfig { lines: config.lines, may_arm: true };
+    let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
+    (engine, card)
+}
+
+fn session(engine: &Engine) -> Session {
+    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+    let config = Config::embedded();
+    let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
+    Session::new(config, set_up, temperatures)
+}
+
+/// The recorded shift of `rtec-correct`'s tests through the daemon's own tick: the same totals, count for count.
+#[test]
+fn a_recorded_shift_gets_the_recorded_totals() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
+    let directory = tempfile::tempdir().unwrap();
+    let mut config = Config::embedded();
+    config.control.state_file = Some(directory.path().join("state"));
+    config.model.lead_ms = 20.0;
+    let (engine, _card) = engine(&config);
+    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+    let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
+    let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
+    let mut session = Session::new(config, set_up, played);
+    let machine = Machine::read(&folder.join("machine.toml")).unwrap();
+    session.temperatures.look();
+    let watches = session.temperatures.sensors().to_vec();
+    session.corrector.load(machine, &watches, &|_| Vec::new()).unwrap();
+    let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+    status.axes.iter_mut().for_each(|a| a.homed = true);
+    let (mut control, mut rt) = link(status);
+    let mut log = Log::new();
+    let mut reader = Reader::open(&folder.join("shift.csv")).unwrap();
+    let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
+    let mut rows = 0;
+    while let Some(row) = reader.row().unwrap() {
+        let mut at = Vec::new();
+        let take = |_, cell: rtec_files::csv::Cell<'_>| cell.finite().map(|v| at.push(v));
+        header.each(row, take).unwrap();
+        session.temperatures.play(at[0], &at[4..6]);
+        session.corrector.operator_is(0, at[6] as i64);
+        status.t_ns = (at[0] * 1e9).round() as u64;
+        (0..3).for_each(|n| status.axes[n].position_counts = at[1 + n] as i64);
+        rt.publish(status);
+        session.due = Instant::now();
+        session.tick(&mut control, &mut log);
+        while let Some(request) = rt.request() {
+            let Request::Correct { axis, total_counts, large: false } = request else {
+                panic!("{request:?} from the corrector")
+            };
+            let axis = &mut status.axes[usize::from(axis)];
+            (axis.requested, axis.completed, axis.in_effect) = (total_counts, total_counts, total_counts);
+        }
+        for n in 0..3 {
+            assert_eq!(status.axes[n].requested, at[7 + n] as i64, "axis {n} at {} s", at[0]);
+        }
+        rows += 1;
+    }
+    assert_eq!(rows, 2400);
+}
+
+/// A real-time thread that takes nothing: the request is answered, and when the ring is full that is said.
+#[test]
+fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
+    let (engine, _card) = engine(&Config::embedded());
+    let mut session = session(&engine);
+    session.patience = Duration::from_millis(1);
+    let (mut control, _rt) = link(engine.status());
+    let mut log = Log::new();
+    let hold = ClientRequest::Hold { on: true };
+    for _ in 0..REQUESTS {
+        let Response::Refused { why, .. } = ask(&mut session, &hold, &mut control, &mut log) else {
+            panic!("an answer from nobody")
+        };
+        assert_eq!(why, "no_answer");
+    }
+    let Response::Refused { why, text, .. } = ask(&mut session, &hold, &mut control, &mut log) else {
+        panic!("an answer from nobody")
+    };
+    assert!(why == "ring_full" && text.contains("256 requests"), "{why}: {text}");
+    // A status never waits for the real-time thread.
+    assert!(matches!(
+        ask(&mut session, &ClientRequest::Status {}, &mut control, &mut log),
+        Response::Status(_)
+    ));
+}
+
+/// A model that ends while it runs goes on with what is being cut; it is not armed again before somebody has meant it.
+#[test]
+fn corrections_are_not_enabled_on_a_model_that_has_ended() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut config = Config::embedded();
+    config.control.state_file = Some(directory.path().join("state"));
+    let (engine, card) = engine(&config);
+    let mut session = session(&engine);
+    session.config = config;
+    let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 10_000_000_000 };
+    let mut running = spawn(engine, card, options).unwrap();
+    let control = &mut running.control;
+    let mut log = Log::new();
+    let file = directory.path().join("m.toml");
+    let text = "name = \"m\"\n[[fit]]\nresponse = \"error.x\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\
+                rms_um = 0.1\nhalf_width_um = 0.2\n";
+    std::fs::write(&file, text).unwrap();
+    let sha256 = Machine::read(&file).unwrap().sha256().to_owned();
+    let load = |expired| ClientRequest::ModelLoad {
+        file: Some(file.display().to_string()),
+        take: Some(sha256.clone()),
+        expired,
+        files: Vec::new(),
+    };
+    let (enable, done) = (ClientRequest::Enable { accept_jump: false }, Response::done());
+    let refused = |response: Response| match response {
+        Response::Refused { why, text, .. } => (why, text),
+        other => panic!("{other:?}"),
+    };
+    session.today = || 10;
+    assert_eq!(ask(&mut session, &load(false), control, &mut log), done);
+    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None }, control, &mut log), done);
+    assert_eq!(ask(&mut session, &enable, control, &mut log), done);
+    session.today = || 11;
+    session.tick(control, &mut log);
+    let status = session.status(control);
+    assert!(status.why_not.is_empty(), "what is cut goes on: {:?}", status.why_not);
+    assert_eq!(status.model.unwrap().expired.len(), 1);
+    assert_eq!(ask(&mut session, &ClientRequest::Disable {}, control, &mut log), done);
+    assert!(session.status(control).why_not.iter().any(|w| w.contains("validity ended on 1970-01-11")));
+    let (why, text) = refused(ask(&mut session, &enable, control, &mut log));
+    assert!(why == "expired" && text.contains("load --expired"), "{why}: {text}");
+    assert_eq!(refused(ask(&mut session, &load(false), control, &mut log)).0, "expired");
+    // A restart does not take it up either, unless it was meant; then it is armed.
+    session.corrector.unload();
+    session.take_up_model(&mut log);
+    assert!(session.status(control).model.is_none());
+    assert_eq!(ask(&mut session, &load(true), control, &mut log), done);
+    session.corrector.unload();
+    session.take_up_model(&mut log);
+    assert!(session.status(control).model.is_some());
+    assert_eq!(ask(&mut session, &enable, control, &mut log), done);
+    running.stop();
+}
+
+/// A control side that falls silent: corrections freeze, the status says so; back again, they go on.
+#[test]
+fn a_stale_control_side_freezes_corrections_and_is_named() {
+    let config = Config::embedded();
+    let (engine, card) = engine(&config);
+    let mut session = session(&engine);
+    let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 20_000_000 };
+    let mut running = spawn(engine, card, options).unwrap();
+    let control = &mut running.control;
+    let mut log = Log::new();
+    let done = Response::done();
+    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None }, control, &mut log), done);
+    assert_eq!(ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control, &mut log), done);
+    while !control.status().control_stale {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let status = session.status(control);
+    assert!(status.rt.control_stale && status.axes[0].gate == "control_stale", "{status:?}");
+    assert!(status.why_not.iter().any(|w| w.contains("silent")), "{:?}", status.why_not);
+    while control.status().control_stale {
+        control.beat();
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(session.status(control).why_not.is_empty());
+    let (ended, mut control) = running.stop();
+    assert!(ended.status.balanced());
+    // A thread that has ended says so.
+    let Response::Refused { why, .. } = ask(&mut session, &ClientRequest::Clear {}, &mut control, &mut log)
+    else {
+        panic!("an answer from nobody")
+    };
+    assert_eq!(why, "ended");
+}

@@ -1,0 +1,208 @@
+//! What heat does to a machine: spindle cycles, tool changes, drilling.
+
+use super::runs::{Log, Row, both, digits, feed, nothing};
+use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, Setting};
+use crate::errors::NAMES;
+use crate::gcode::Block;
+use crate::heat::{FIGURE_9, SENSORS};
+use crate::noise::Noise;
+use crate::path::AXES;
+use crate::sim::{Sim, SimError, Spec};
+use rtec_measure::plot::{Chart, Series, Style};
+use rtec_model::chain::Chain;
+use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
+use rtec_model::record::{Axis, Kind};
+use serde_json::{Map, Value, json};
+
+/// Runs a spindle cycle at rest at the reference and measures every minute.
+fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Result<(), SimError> {
+    sim.set_control_period(100_000_000);
+    sim.machine.load([Block::Coolant { on: coolant }]);
+    log.take(sim, 1.0);
+    for &(rpm, minutes) in cycle {
+        sim.machine.load([Block::Spindle { rpm }]);
+        for _ in 0..minutes as usize {
+            sim.advance(60.0)?;
+            log.take(sim, 1.0);
+        }
+    }
+    Ok(())
+}
+
+/// What the five gauges show: the near ones where the tool is, the far ones where a tilt of the true machine's chain takes the
+/// mandrel as well.
+fn gauged(rows: &[Row], setting: &Setting<'_>) -> Vec<Gauged> {
+    let arcsec = |um: f64| um / (GAUGE_SPACING_MM * 1e3) * 648_000.0 / std::f64::consts::PI;
+    let mut noise = Noise::new(setting.seed, 0x6A06E);
+    let chain = setting.truth.chain();
+    let far = chain.map(|c| c.with_tool_moved([0.0, 0.0, GAUGE_SPACING_MM]));
+    let row = |r: &Row| {
+        let leans = match (chain, &far) {
+            (Some(near), Some(far)) => {
+                let um = |c: &Chain| c.error_um(|a| placed(r, a), |d| difference(&r.temperatures, d));
+                let (near, far) = (um(near), um(far));
+                [far[0] - near[0], far[1] - near[1]]
+            }
+            _ => [0.0; 2],
+        };
+        let mut gauge = |um: f64| um + 0.1 * noise.normal();
+        let [x, y, z] = [0, 1, 2].map(|p| r.now.off_um(p));
+        let um = [gauge(y), gauge(x), gauge(z), gauge(y + leans[1]), gauge(x + leans[0])];
+        Gauged { t_s: r.now.t_s, um, tilt_arcsec: [arcsec(um[4] - um[1]), arcsec(um[3] - um[0])] }
+    };
+    rows.iter().map(row).collect()
+}
+
+fn placed(row: &Row, axis: &Axis) -> f64 {
+    NAMES.iter().position(|n| *n == axis.as_str()).map_or(0.0, |p| row.now.position_mm[p])
+}
+
+/// A temperature difference by what the sensors read, K.
+fn difference(degc: &[f64], of: &Difference) -> f64 {
+    let read = |name: &str| SENSORS.iter().position(|s| s.0 == name).map_or(STANDARD_DEGC, |k| degc[k]);
+    read(&of.sensor)
+        - match &of.against {
+            Against::Sensor(m) => read(m),
+            Against::Reference(degc) => *degc,
+            Against::Standard => STANDARD_DEGC,
+        }
+}
+
+pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
+        let runs =
+            both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| soak(sim, log, FIGURE_9, coolant))?;
+        let x = |r: &Row| r.now.t_s / 60.0;
+        runs.publish(setting, name, Kind::Drift, (&[0, 1, 2], 0.1), ("time, min", &x), &mut findings)?;
+        let mut chart = Chart::new(&format!("{name}: temperatures"), "time, min", "temperature, °C");
+        for sensor in ["T8", "T9", "T13", "T18", "T20"] {
+            let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
+            let points = runs.logs[0].rows.iter().map(|r| (r.now.t_s / 60.0, r.temperatures[k])).collect();
+            chart = chart.with(Series::new(sensor, Style::Line, points));
+        }
+        findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
+        let gauged = gauged(&runs.logs[0].rows, setting);
+        let line = |g: &Gauged| {
+            let cells = std::iter::once(g.t_s).chain(g.um).chain(g.tilt_arcsec);
+            cells.map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(",") + "\n"
+        };
+        let head = "t_s,gauge1_um,gauge2_um,gauge3_um,gauge4_um,gauge5_um,tilt_x_arcsec,tilt_y_arcsec\n";
+        let table = gauged.iter().map(line).collect::<String>();
+        findings.plots.push((format!("{name}-gauges.csv"), head.to_owned() + &table));
+        findings.gauges.push((name.to_owned(), gauged));
+    }
+    Ok(findings)
+}
+
+/// Minutes at speeds that [`FIGURE_9`] does not have, and rests, in another order.
+const PRODUCTION: &[(f64, f64)] = &[
+    (2000.0, 25.0),
+    (4500.0, 50.0),
+    (0.0, 10.0),
+    (3500.0, 45.0),
+    (5000.0, 40.0),
+    (0.0, 20.0),
+    (2500.0, 30.0),
+    (5200.0, 20.0),
+];
+
+pub(super) fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let runs =
+        both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| soak(sim, log, PRODUCTION, true))?;
+    let x = |r: &Row| r.now.t_s / 60.0;
+    let axes = &[0, 1, 2][..];
+    runs.publish(setting, "production-cycle", Kind::Drift, (axes, 0.1), ("time, min", &x), &mut findings)?;
+    Ok(findings)
+}
+
+pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    // 300 in/min between the changes (WO 97/43703, text before table 3).
+    let mm_min = 300.0 * 25.4;
+    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| {
+        let mut moves = Noise::new(setting.seed, 0x7001);
+        let reference = [50.0, 20.0, -100.0];
+        for cycle in 1..=10 {
+            for _ in 0..3 {
+                let to = [250.0, 300.0, 600.0].map(|r| ((moves.uniform() - 0.5) * 2.0 * r).round());
+                sim.run([feed(to, mm_min)])?;
+            }
+            sim.run([feed(reference, mm_min)])?;
+            sim.advance(0.5)?;
+            log.take(sim, f64::from(cycle));
+        }
+        Ok(())
+    })?;
+    let x = |r: &Row| r.cycle;
+    // How well the holder seats in the spindle: a micrometre or so in each direction.
+    let what = (&[0, 1, 2][..], 1.2);
+    runs.publish(
+        setting,
+        "tool-change-repeatability",
+        Kind::Positioning,
+        what,
+        ("tool change", &x),
+        &mut findings,
+    )?;
+    Ok(findings)
+}
+
+pub(super) fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    // At 5000 rpm without any motion.
+    let soak = |sim: &mut Sim, minutes: f64| {
+        sim.run([Block::Spindle { rpm: 5000.0 }])?;
+        sim.set_control_period(100_000_000);
+        sim.advance(60.0 * minutes)?;
+        sim.set_control_period(0);
+        Ok::<_, SimError>(())
+    };
+    let inch = 25.4;
+    // Figure 12: a plate of 24 in by 8 in; each cycle drills near its corners, the next an inch further in X.
+    let hole = |cycle: usize, n: usize| {
+        let (left, low) = (n == 0 || n == 3, n < 2);
+        let x = if left { -11.0 } else { 9.0 } + cycle as f64;
+        [x * inch, if low { -3.0 * inch } else { 3.0 * inch }, 0.0]
+    };
+    let runs = both(setting, &Spec::machining_centre(), [0.0, 0.0, 100.0], |sim, log| {
+        sim.machine.load([Block::Coolant { on: true }]);
+        if warm {
+            soak(sim, 180.0)?;
+        }
+        for cycle in 0..3 {
+            for n in 0..4 {
+                let at = hole(cycle, n);
+                let above = [at[0], at[1], 5.0];
+                for (depth, rpm, thrust) in [(-0.5 * inch, 2500.0, 400.0), (-0.25 * inch, 1200.0, 250.0)] {
+                    sim.run([Block::Rapid { to: above }, Block::Spindle { rpm }])?;
+                    sim.machine.load([feed([at[0], at[1], depth], 150.0)]);
+                    sim.load_n = [0.0, 0.0, thrust];
+                    sim.finish()?;
+                    log.take(sim, cycle as f64 + 1.0);
+                    sim.load_n = [0.0; AXES];
+                    sim.run([Block::Rapid { to: above }])?;
+                }
+            }
+            if cycle < 2 {
+                soak(sim, 90.0)?;
+            }
+        }
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.t_s / 60.0;
+    let name = if warm { "drilling-warm" } else { "drilling" };
+    runs.publish(setting, name, Kind::Part, (&[0, 1, 2], 0.5), ("time, min", &x), &mut findings)?;
+    // As table 7: deviations with reference to hole 1.
+    let mut table = Map::new();
+    for (log, label) in runs.logs.iter().zip(["without", "with"]) {
+        for (p, axis) in NAMES.iter().enumerate() {
+            let first = log.rows[0].now.off_um(p);
+            let worst = log.rows.iter().fold(0.0_f64, |w, r| w.max((r.now.off_um(p) - first).abs()));
+            table.insert(format!("{axis}_{label}_um"), json!(digits(worst, 1e3)));
+        }
+    }
+    findings.summary.insert("largest deviation from hole 1".to_owned(), Value::Object(table));
+    Ok(findings)
+}

@@ -1,0 +1,103 @@
+//! How often the corrector inserts, and where (NISTIR 4832).
+
+use super::runs::{Row, along, both, digits, feed, nothing};
+use super::{ExperimentError, Findings, Setting};
+use crate::axis::AxisSpec;
+use crate::gcode::Block;
+use crate::sim::Spec;
+use rtec_model::record::Kind;
+use rtec_rt::axis::{Design, RestPolicy};
+use serde_json::json;
+
+/// The report's machine: one axis of a metre, corrected by the Original RTEC.
+#[must_use]
+pub fn one_metre(count_um: f64, travel_mm: f64) -> Spec {
+    let mut spec = Spec::new(vec![AxisSpec { count_um, ..AxisSpec::new("x", travel_mm) }]);
+    spec.design = Design::Original;
+    spec.rest = RestPolicy::Wait;
+    spec
+}
+
+pub(super) fn linear_error(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    // A quarter of the travel at a cutting feed.
+    over_a_part(setting, &one_metre(1.0, 1000.0), 250.0, 500.0)
+}
+
+/// X over the length of a part at a cutting feed: how often something is inserted, and where.
+///
+/// # Errors
+/// As [`super::Experiment::run`].
+pub fn over_a_part(
+    setting: &Setting<'_>,
+    spec: &Spec,
+    length_mm: f64,
+    mm_min: f64,
+) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let mut insertions = 0;
+    let runs = both(setting, spec, [0.0; 3], |sim, log| {
+        sim.machine.load([feed(along(0, length_mm), mm_min)]);
+        while !sim.machine.finished() {
+            // A row every millimetre.
+            sim.advance(60.0 / mm_min)?;
+            log.take(sim, 1.0);
+        }
+        sim.finish()?;
+        insertions = sim.status().axes[0].insertions;
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.position_mm[0];
+    runs.publish(
+        setting,
+        "linear-error-240um",
+        Kind::Positioning,
+        (&[0], 0.0),
+        ("position, mm", &x),
+        &mut findings,
+    )?;
+    findings.summary.insert("insertions".to_owned(), json!(insertions));
+    Ok(findings)
+}
+
+pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let mut spec = one_metre(1.0, 1000.0);
+    // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
+    let nine =
+        crate::computer::Computer::i8051().configure(Design::Original, rtec_rt::axis::AxisConfig::default());
+    (spec.detect_ns, spec.write_ns) = (nine.detect_ns + nine.guard_ns, 500);
+    let (mut waited, mut entering) = (0, Vec::new());
+    let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+        let rapid = [
+            Block::Rapid { to: [400.0, 0.0, 0.0] },
+            feed([410.0, 0.0, 0.0], 500.0),
+            feed([440.0, 0.0, 0.0], 200.0),
+        ];
+        sim.machine.load(rapid);
+        while !sim.machine.finished() {
+            sim.advance(0.02)?;
+            log.take(sim, 1.0);
+        }
+        waited = sim.status().axes[0].waited_for_gate;
+        // The tool enters the part after ten millimetres of feed in air.
+        entering =
+            log.rows.iter().filter(|r| r.now.position_mm[0] > 410.0).map(|r| r.now.off_um(0)).collect();
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.position_mm[0];
+    runs.publish(
+        setting,
+        "rapid-catch-up",
+        Kind::Positioning,
+        (&[0], 0.0),
+        ("position, mm", &x),
+        &mut findings,
+    )?;
+    let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
+    let worst = runs.logs[1].rows.iter().map(pending).fold(0.0, f64::max);
+    let in_part = entering.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
+    findings.summary.insert("edges_waited_for_gate".to_owned(), json!(waited));
+    findings.summary.insert("largest_backlog_um".to_owned(), json!(digits(worst, 1e3)));
+    findings.summary.insert("largest_error_in_part_um".to_owned(), json!(digits(in_part, 1e3)));
+    Ok(findings)
+}

@@ -1,0 +1,170 @@
+//! What a machine does in motion: displacement and circles, the plate, feeds, drive forces.
+
+use super::runs::{Row, along, both, feed, nothing};
+use super::{ExperimentError, Findings, Setting};
+use crate::errors::NAMES;
+use crate::gcode::Block;
+use crate::noise::Noise;
+use crate::path::AXES;
+use crate::sim::Spec;
+use rtec_model::record::Kind;
+
+pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    for (p, axis) in spec.axes.iter().enumerate() {
+        // ISO 230-2: targets over the travel, each off an even pitch by a random amount so that no period hides.
+        let [lo, hi] = axis.travel_mm.map(|t| t * 0.95);
+        let pitch = (hi - lo) / 12.0;
+        let mut noise = Noise::new(setting.seed, 0x150 + p as u64);
+        let targets: Vec<f64> = (0..13)
+            .map(|k| ((lo + pitch * f64::from(k) + 3.0 * (noise.uniform() - 0.5)) * 1000.0).round() / 1000.0)
+            .collect();
+        // WO 97/43703, text before table 2: 64 in/min.
+        let mm_min = 64.0 * 25.4;
+        let over = 4.0;
+        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+            sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
+            for cycle in 0..5 {
+                for up in [true, false] {
+                    let order: Vec<f64> =
+                        if up { targets.clone() } else { targets.iter().rev().copied().collect() };
+                    for target in order {
+                        sim.run([feed(along(p, target), mm_min)])?;
+                        sim.advance(0.5)?;
+                        let mut direction = [0.0; AXES];
+                        direction[p] = if up { 1.0 } else { -1.0 };
+                        log.take(sim, f64::from(cycle + 1)).direction = Some(direction);
+                    }
+                    let beyond = if up { targets[12] + over } else { targets[0] - over };
+                    sim.run([feed(along(p, beyond), mm_min)])?;
+                }
+            }
+            Ok(())
+        })?;
+        let name = format!("linear-displacement-{}", axis.name);
+        let x = |r: &Row| r.now.position_mm[p];
+        runs.publish(setting, &name, Kind::Positioning, (&[p], 0.1), ("position, mm", &x), &mut findings)?;
+    }
+    Ok(findings)
+}
+
+pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    let radius = 150.0;
+    for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+        for inches in [10.0, 50.0, 100.0] {
+            let feed_mm_s = inches * 25.4 / 60.0;
+            let mut start = [0.0; AXES];
+            start[i] = radius;
+            let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+                sim.run([Block::Rapid { to: start }])?;
+                for clockwise in [false, true] {
+                    let arc =
+                        Block::Arc { to: start, plane: (i, j), centre: (0.0, 0.0), clockwise, feed_mm_s };
+                    sim.machine.load([arc]);
+                    let every_s = std::f64::consts::TAU * radius / feed_mm_s / 360.0;
+                    // The first and the last degrees speed up and slow down.
+                    while !sim.machine.finished() {
+                        sim.advance(every_s)?;
+                        if sim.machine.finished() {
+                            break;
+                        }
+                        let row = log.take(sim, if clockwise { 2.0 } else { 1.0 });
+                        let p = row.now.position_mm;
+                        row.angle = Some(libm::atan2(p[j], p[i]));
+                    }
+                    sim.finish()?;
+                }
+                Ok(())
+            })?;
+            let name = format!("ballbar-{}{}-{inches}", NAMES[i], NAMES[j]);
+            let x = |r: &Row| r.angle.unwrap_or(0.0);
+            runs.publish(
+                setting,
+                &name,
+                Kind::Ballbar,
+                (&[i.min(j), i.max(j)], 0.1),
+                ("angle, rad", &x),
+                &mut findings,
+            )?;
+        }
+    }
+    Ok(findings)
+}
+
+pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| {
+        for row in 0..9 {
+            for k in 0..9 {
+                let column = if row % 2 == 0 { k } else { 8 - k };
+                let to = [f64::from(column - 4) * 60.0, f64::from(row - 4) * 70.0, 0.0];
+                sim.run([feed(to, 5000.0)])?;
+                sim.advance(0.3)?;
+                log.take(sim, 1.0);
+            }
+        }
+        Ok(())
+    })?;
+    let x = |r: &Row| r.now.position_mm[0];
+    runs.publish(setting, "plate", Kind::Plate, (&[0, 1], 0.3), ("X, mm", &x), &mut findings)?;
+    Ok(findings)
+}
+
+pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    for (p, axis) in spec.axes.iter().enumerate() {
+        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+            let half = 60.0;
+            sim.run([Block::Rapid { to: along(p, -half) }])?;
+            for (n, mm_min) in
+                [100.0, 300.0, 1000.0, 2000.0, 4000.0, 6000.0, 8000.0, 10_000.0].into_iter().enumerate()
+            {
+                for way in [half, -half] {
+                    sim.machine.load([feed(along(p, way), mm_min)]);
+                    // Forty rows over the stretch, whatever the feed; speeding up and slowing down included.
+                    let every_s = 2.0 * half / (mm_min / 60.0) / 40.0;
+                    while !sim.machine.finished() {
+                        sim.advance(every_s)?;
+                        if !sim.machine.finished() {
+                            log.take(sim, n as f64 + 1.0);
+                        }
+                    }
+                    sim.finish()?;
+                }
+            }
+            Ok(())
+        })?;
+        let name = format!("feed-sweep-{}", axis.name);
+        let x = |r: &Row| r.now.velocity_mm_s[p];
+        runs.publish(setting, &name, Kind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), &mut findings)?;
+    }
+    Ok(findings)
+}
+
+pub(super) fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let spec = Spec::machining_centre();
+    for (p, axis) in spec.axes.iter().enumerate() {
+        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+            for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
+                for way in [40.0 + 10.0 * n as f64, -40.0] {
+                    sim.machine.load([feed(along(p, way), mm_min)]);
+                    while !sim.machine.finished() {
+                        sim.advance(0.001)?;
+                        log.take(sim, n as f64 + 1.0);
+                    }
+                    sim.finish()?;
+                }
+            }
+            Ok(())
+        })?;
+        let name = format!("dynamics-{}", axis.name);
+        let x = |r: &Row| r.now.t_s;
+        runs.publish(setting, &name, Kind::Dynamics, (&[p], 5.0), ("time, s", &x), &mut findings)?;
+    }
+    Ok(findings)
+}

@@ -1,0 +1,69 @@
+//! The loop of NISTIR 4854: a nose turned and probed.
+
+use super::runs::{SUFFIXES, digits, nothing};
+use super::{ExperimentError, Findings, Setting};
+use crate::turning::Setup;
+use rtec_files::InputError;
+use rtec_model::record::{Kind, Record, Role};
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+/// A probing session as a record of the part: what differs from row to row is the angle and, last, the radial error. Time,
+/// place and temperatures are those at its end: where the machine was at each trip says no more than the angle does.
+fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
+    let mut columns = session.columns;
+    columns.sort_by_key(|c| match c.role {
+        Role::Time | Role::Position(_) | Role::Direction(_) => 0,
+        Role::Temperature => 1,
+        _ => 2,
+    });
+    for column in &mut columns {
+        let last = column.data.last().copied().unwrap_or(0.0);
+        let per = if matches!(column.role, Role::Error(_)) { 1e4 } else { 1e9 };
+        for v in &mut column.data {
+            *v = match column.role {
+                Role::Angle | Role::Error(_) => digits(*v, per),
+                _ => digits(last, 1e6),
+            };
+        }
+        if matches!(column.role, Role::Error(_)) {
+            "e_r".clone_into(&mut column.name);
+        }
+    }
+    Record::new(path, Kind::Probing, columns)
+}
+
+/// The loop of NISTIR 4854 without and with correction: by what is known of the part's form, or else by what the
+/// semi-finish cut's own probing finds.
+pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    let mut findings = nothing();
+    let setup = Setup {
+        machine: setting.truth.clone(),
+        design: "c".to_owned(),
+        seed: setting.seed,
+        ..Setup::default()
+    };
+    let (mut records, mut figures) = (Vec::new(), Map::new());
+    for (suffix, label) in SUFFIXES.into_iter().zip(["without", "with"]) {
+        let setup = if suffix.is_empty() {
+            setup.clone()
+        } else {
+            Setup { model: Some(setting.known.clone()), ..setup.clone() }
+        };
+        let turned = setup.turn_nose(!suffix.is_empty())?;
+        let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
+        // A session whose trips are all there has a record.
+        let Some(record) = turned.record else { continue };
+        let record = part_record(record, &path)?;
+        let errors = record.responses().flat_map(|c| c.data.iter());
+        let (lo, hi) =
+            errors.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), e| (lo.min(*e), hi.max(*e)));
+        figures.insert(format!("form_{label}_um"), json!(digits(hi - lo, 1e3)));
+        let angles =
+            record.columns.iter().find(|c| c.role == Role::Angle).map_or_else(Vec::new, |c| c.data.clone());
+        records.push((record, angles));
+    }
+    findings.publish(setting, "hemisphere", records, "angle from Z, rad")?;
+    findings.summary.insert("form".to_owned(), Value::Object(figures));
+    Ok(findings)
+}

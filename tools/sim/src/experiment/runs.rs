@@ -1,0 +1,229 @@
+//! Both runs of an experiment, without and with compensation: their rows, records and plots.
+
+use super::{ExperimentError, Findings, Setting};
+use crate::errors::NAMES;
+use crate::gcode::Block;
+use crate::heat::SENSORS;
+use crate::noise::Noise;
+use crate::path::AXES;
+use crate::sim::{Moment, Sim, SimError, Spec};
+use rtec_files::InputError;
+use rtec_measure::plot::{Chart, Series, Style};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+/// A row of a record.
+#[derive(Debug, Clone)]
+pub(super) struct Row {
+    pub(super) now: Moment,
+    pub(super) temperatures: Vec<f64>,
+    pub(super) channels: Vec<f64>,
+    pub(super) load_n: [f64; AXES],
+    pub(super) cycle: f64,
+    pub(super) angle: Option<f64>,
+    /// Direction of approach as commanded; the machine's own where not given.
+    pub(super) direction: Option<[f64; AXES]>,
+    pub(super) requested_um: [f64; AXES],
+}
+
+/// Rows measured so far, and how they become a record.
+#[derive(Debug, Default)]
+pub(super) struct Log {
+    pub(super) rows: Vec<Row>,
+}
+
+impl Log {
+    pub(super) fn take(&mut self, sim: &mut Sim, cycle: f64) -> &mut Row {
+        let now = sim.moment();
+        let mut requested_um = [0.0; AXES];
+        for (n, a) in sim.status().axes().iter().enumerate() {
+            requested_um[sim.machine.place(n)] = a.requested as f64 * sim.machine.count_um(n);
+        }
+        self.rows.push(Row {
+            now,
+            temperatures: sim.temperatures_degc().to_vec(),
+            channels: sim.channels().to_vec(),
+            load_n: sim.load_n,
+            cycle,
+            angle: None,
+            direction: None,
+            requested_um,
+        });
+        let last = self.rows.len() - 1;
+        &mut self.rows[last]
+    }
+}
+
+/// What is measured: axes (0 X, 1 Y, 2 Z), and the instrument's noise, µm.
+pub(super) struct Measured<'a> {
+    pub(super) axes: &'a [usize],
+    pub(super) noise_um: f64,
+    pub(super) noise: Noise,
+    pub(super) channels: &'a [String],
+}
+
+/// Digits that the CSV shows: `v` rounded to `1/per` exactly as its decimal is.
+pub(super) fn digits(v: f64, per: f64) -> f64 {
+    // Plus zero: one representation for it.
+    (v * per).round() / per + 0.0
+}
+
+impl Log {
+    /// The record of these rows: every quantity that an effect may read and that was not zero throughout.
+    pub(super) fn record(
+        &self,
+        path: &Path,
+        kind: Kind,
+        what: &mut Measured<'_>,
+    ) -> Result<Record, InputError> {
+        let rows = &self.rows;
+        let mut columns = Vec::new();
+        let mut add = |name: &str, role: Role, unit: &str, data: Vec<f64>, always: bool| {
+            if always || data.iter().any(|v| *v != 0.0) {
+                columns.push(Column { name: name.to_owned(), role, unit: unit.to_owned(), data });
+            }
+        };
+        let column =
+            |f: &dyn Fn(&Row) -> f64, per: f64| rows.iter().map(|r| digits(f(r), per)).collect::<Vec<_>>();
+        let names: Vec<Axis> = NAMES.iter().filter_map(|n| Axis::new(n)).collect();
+        add("t", Role::Time, "s", column(&|r| r.now.t_s, 1e6), true);
+        for (p, axis) in names.iter().enumerate() {
+            let n = axis.as_str();
+            let dir = |r: &Row| r.direction.map_or(r.now.direction[p], |d| d[p]);
+            add(n, Role::Position(axis.clone()), "mm", column(&|r| r.now.position_mm[p], 1e6), false);
+            add(&format!("dir_{n}"), Role::Direction(axis.clone()), "1", column(&dir, 1.0), false);
+            // Measured at a standstill there is no speed worth a column.
+            let moves = rows.iter().any(|r| r.now.velocity_mm_s[p].abs() > 0.01);
+            if moves {
+                let (v, a) = (Role::Velocity(axis.clone()), Role::Acceleration(axis.clone()));
+                add(&format!("v_{n}"), v, "mm/s", column(&|r| r.now.velocity_mm_s[p], 1e6), false);
+                add(&format!("a_{n}"), a, "mm/s2", column(&|r| r.now.acceleration_mm_s2[p], 1e4), false);
+            }
+            let load = Role::Load(axis.clone());
+            add(&format!("load_{n}"), load, "N", column(&|r| r.load_n[p], 1e3), false);
+        }
+        add("n", Role::Cycle, "1", column(&|r| r.cycle, 1.0), false);
+        for (k, (name, ..)) in SENSORS.iter().enumerate() {
+            add(name, Role::Temperature, "degC", column(&|r| r.temperatures[k], 1e3), true);
+        }
+        add("rpm", Role::SpindleSpeed, "rpm", column(&|r| r.now.rpm, 1.0), false);
+        add("wet", Role::Coolant, "1", column(&|r| f64::from(u8::from(r.now.coolant)), 1.0), false);
+        if rows.iter().all(|r| r.angle.is_some()) {
+            add("angle", Role::Angle, "rad", column(&|r| r.angle.unwrap_or(0.0), 1e9), true);
+        }
+        for (k, name) in what.channels.iter().enumerate() {
+            add(name, Role::Channel, "1", column(&|r| r.channels[k], 1e6), true);
+        }
+        let (noise, sigma) = (&mut what.noise, what.noise_um);
+        for &p in what.axes {
+            let role = if kind == Kind::Dynamics {
+                Role::Force(names[p].clone())
+            } else {
+                Role::Error(names[p].clone())
+            };
+            let (name, unit) = if kind == Kind::Dynamics { ("f", "N") } else { ("e", "um") };
+            let value = |r: &Row| if kind == Kind::Dynamics { r.now.force_n[p] } else { r.now.off_um(p) };
+            let data = rows.iter().map(|r| digits(value(r) + sigma * noise.normal(), 1e4)).collect();
+            add(&format!("{name}_{}", names[p]), role, unit, data, true);
+        }
+        Record::new(path, kind, columns)
+    }
+}
+
+/// Both runs of an experiment: without and with compensation.
+pub(super) struct Both {
+    pub(super) logs: [Log; 2],
+    pub(super) channels: Vec<String>,
+}
+
+pub(super) fn both(
+    setting: &Setting<'_>,
+    spec: &Spec,
+    at_mm: [f64; AXES],
+    mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
+) -> Result<Both, ExperimentError> {
+    let mut done = Both { logs: [Log::default(), Log::default()], channels: Vec::new() };
+    for (n, log) in done.logs.iter_mut().enumerate() {
+        let mut sim = Sim::new(spec, setting.truth, (n == 1).then_some(setting.known), at_mm, setting.seed)?;
+        run(&mut sim, log)?;
+        done.channels = sim.channel_names().to_vec();
+    }
+    Ok(done)
+}
+
+impl Both {
+    /// Two records, a plot of the errors over `x`, and their figures, into `findings`.
+    pub(super) fn publish(
+        &self,
+        setting: &Setting<'_>,
+        name: &str,
+        kind: Kind,
+        (axes, noise_um): (&[usize], f64),
+        x: (&str, &dyn Fn(&Row) -> f64),
+        findings: &mut Findings,
+    ) -> Result<(), ExperimentError> {
+        let mut records = Vec::new();
+        for (log, suffix) in self.logs.iter().zip(SUFFIXES) {
+            let path = setting.out.join(format!("{name}{suffix}.run.toml"));
+            let stream = 0x10 + suffix.len() as u64;
+            let noise = Noise::new(setting.seed, stream);
+            let mut what = Measured { axes, noise_um, noise, channels: &self.channels };
+            let record = log.record(&path, kind, &mut what)?;
+            records.push((record, log.rows.iter().map(x.1).collect()));
+        }
+        findings.publish(setting, name, records, x.0)
+    }
+}
+
+/// What the files of both runs are called beside the experiment's name.
+pub(super) const SUFFIXES: [&str; 2] = ["", "-compensated"];
+
+impl Findings {
+    /// The records without and with compensation, each with its rows' places on the axis `x_title`; their plot and figures.
+    pub(super) fn publish(
+        &mut self,
+        setting: &Setting<'_>,
+        name: &str,
+        records: Vec<(Record, Vec<f64>)>,
+        x_title: &str,
+    ) -> Result<(), ExperimentError> {
+        let dynamics = records.iter().any(|(r, _)| r.kind == Kind::Dynamics);
+        let unit = if dynamics { "drive force, N" } else { "error, µm" };
+        let mut chart = Chart::new(name, x_title, unit);
+        let mut figures = Map::new();
+        for ((mut record, x), (key, label)) in
+            records.into_iter().zip([("without", "without"), ("with", "with compensation")])
+        {
+            record.count_um = Some(1.0);
+            record.note = Some(format!("simulated, {label}, seed {}", setting.seed));
+            for column in record.responses() {
+                let axis = column.role.axis().map_or("", Axis::as_str);
+                let points = x.iter().copied().zip(column.data.iter().copied()).collect();
+                let rms = (column.data.iter().map(|e| e * e).sum::<f64>() / column.data.len() as f64).sqrt();
+                let worst = column.data.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
+                let both = json!({"max": digits(worst, 1e3), "rms": digits(rms, 1e3)});
+                figures.insert(format!("{axis}_{key}"), both);
+                chart = chart.with(Series::new(&format!("{axis} {label}"), Style::Dots, points));
+            }
+            self.records.push(record);
+        }
+        self.plots.push((format!("{name}.svg"), chart.svg(900, 520)?));
+        self.summary.insert(name.to_owned(), Value::Object(figures));
+        Ok(())
+    }
+}
+
+pub(super) fn nothing() -> Findings {
+    Findings { records: Vec::new(), plots: Vec::new(), gauges: Vec::new(), summary: Map::new() }
+}
+
+pub(super) fn along(axis: usize, p: f64) -> [f64; AXES] {
+    let mut to = [0.0; AXES];
+    to[axis] = p;
+    to
+}
+
+pub(super) fn feed(to: [f64; AXES], mm_min: f64) -> Block {
+    Block::Feed { to, feed_mm_s: mm_min / 60.0 }
+}
