@@ -101,10 +101,10 @@ mod tests {
     fn a_cause_is_said_once() {
         use std::fmt;
         #[derive(Debug)]
-        struct Outer(&'static str, fmt::Error);
+        struct Outer(String, fmt::Error);
         impl fmt::Display for Outer {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str(self.0)
+                f.write_str(&self.0)
             }
         }
         impl std::error::Error for Outer {
@@ -114,8 +114,8 @@ mod tests {
         }
         let cause = fmt::Error.to_string();
         assert_eq!(whole(&fmt::Error), cause);
-        assert_eq!(whole(&Outer("opening it", fmt::Error)), format!("opening it: {cause}"));
-        let says_it = format!("opening it: {cause}; is it there?").leak();
-        assert_eq!(whole(&Outer(says_it, fmt::Error)), *says_it);
+        assert_eq!(whole(&Outer("opening it".to_owned(), fmt::Error)), format!("opening it: {cause}"));
+        let says_it = format!("opening it: {cause}; is it there?");
+        assert_eq!(whole(&Outer(says_it.clone(), fmt::Error)), says_it);
     }
 }
