@@ -22,13 +22,38 @@ use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};
 use std::collections::BTreeMap;
 
+/// A position that is read instead of commanded scatters by far less than a ten-thousandth of the travel.
+const ALIKE: f64 = 1e-4;
+/// Where it scatters by more, targets are told apart by distances so many times larger than those within one.
+const APART: f64 = 10.0;
+
 /// Rows of equal target, in order of position.
 pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
+    let alike = alike(position, ALIKE);
+    let mut gaps: Vec<f64> = sorted(position).windows(2).map(|w| w[1] - w[0]).collect();
+    gaps.sort_by(f64::total_cmp);
+    let span: f64 = gaps.iter().sum();
+    // The widest step from one distance to the next larger one, beyond what is taken for alike anyway.
+    let break_at = gaps
+        .windows(2)
+        .filter(|w| w[0] > ALIKE * span && w[1] > APART * w[0])
+        .max_by(|a, b| (a[1] / a[0]).total_cmp(&(b[1] / b[0])));
+    let Some(wider) = break_at.map(|w| self::alike(position, w[0] / span)) else { return alike };
+    // Targets are some, and come again.
+    if wider.len() >= 3 && 2 * wider.len() <= position.len() { wider } else { alike }
+}
+
+fn sorted(position: &[f64]) -> Vec<f64> {
+    let mut all = position.to_vec();
+    all.sort_by(f64::total_cmp);
+    all
+}
+
+/// Rows in groups, those in one that follow each other by no more than a share of the span.
+pub(crate) fn alike(position: &[f64], share: f64) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..position.len()).collect();
     order.sort_by(|a, b| position[*a].total_cmp(&position[*b]));
-    let span = position[order[order.len() - 1]] - position[order[0]];
-    // A position that is read instead of commanded scatters by far less than a ten-thousandth of the travel.
-    let gap = span * 1e-4;
+    let gap = (position[order[order.len() - 1]] - position[order[0]]) * share;
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for row in order {
         match groups.last_mut() {

@@ -58,6 +58,8 @@ pub struct Plate {
 /// Offset, a scale for each axis, squareness and rotation by one fit: error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Joint {
+    /// Offset of the measured holes, mm; that of [`Plate`] belongs to the other fit.
+    pub offset_mm: [f64; 2],
     /// Scale of x, ppm, as the effect `scale.x`.
     pub scale_x_ppm: f64,
     /// Scale of y, ppm.
@@ -75,9 +77,11 @@ pub struct Joint {
 }
 
 impl Joint {
-    /// From the slopes x on x, y on y, x on y and y on x, ppm or µrad.
-    fn of([sx, sy, c, d]: [f64; 4], rms_um: f64) -> Self {
+    /// From offsets, µm, and the slopes x on x, y on y, x on y and y on x, µm/mm.
+    fn of(fit: &nalgebra::DVector<f64>, rms_um: f64) -> Self {
+        let [sx, sy, c, d] = [2, 3, 4, 5].map(|i| 1000.0 * fit[i]);
         Self {
+            offset_mm: [fit[0] / 1000.0, fit[1] / 1000.0],
             scale_x_ppm: sx,
             scale_y_ppm: sy,
             squareness_urad: c + d,
@@ -103,7 +107,7 @@ pub enum Norm {
 /// An RMS is the root of the mean squared length of the residuals.
 ///
 /// # Errors
-/// The record lacks position or error of x or y, or has fewer than three holes.
+/// The record lacks position or error of x or y, has fewer than three holes, or holes on one line only.
 pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
     let get = |role: fn(Axis) -> Role, name: &str| {
         let axis = Axis::new(name).map(role);
@@ -120,6 +124,10 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
     let n = x.len();
     if n < 3 {
         return Err(InputError::whole(&record.path, format!("{n} holes"), "at least three"));
+    }
+    if !spans_a_plane(x, y) {
+        let found = "holes on one line: no scale across it, no squareness";
+        return Err(InputError::whole(&record.path, found, "holes that span a plane"));
     }
     // measured = a·x − b·y + cx, b·x + a·y + cy: linear in (cx, cy, a, b)
     let solve = |columns: usize, of: &dyn Fn(usize, usize) -> [f64; 2], to: &nalgebra::DVector<f64>| {
@@ -179,7 +187,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
             kinds.entry(format!("{d}")).or_default().push(i);
         }
     }
-    let joint = Joint::of([2, 3, 4, 5].map(|i| 1000.0 * fit_all[i]), rms_of(&left_all, &all) / 1000.0);
+    let joint = Joint::of(&fit_all, rms_of(&left_all, &all) / 1000.0);
     let (a, b) = (fit[2], fit[3]);
     let scale = a.hypot(b);
     let rotation = b.atan2(a);
@@ -205,6 +213,19 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         ),
         residual_um: (0..n).map(|i| [1000.0 * left[2 * i], 1000.0 * left[2 * i + 1]]).collect(),
     })
+}
+
+/// Holes are no farther off one line than a thousandth of their length: nothing is known across it.
+const ON_A_LINE: f64 = 1e-3;
+
+fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {
+    let n = x.len() as f64;
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
+    let (mx, my) = (mean(x), mean(y));
+    let sum = |of: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| of(x - mx, y - my)).sum::<f64>();
+    let (xx, yy, xy) = (sum(&|x, _| x * x), sum(&|_, y| y * y), sum(&|x, y| x * y));
+    let (half, apart) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
+    half - apart > ON_A_LINE.powi(2) * (half + apart)
 }
 
 impl Plate {

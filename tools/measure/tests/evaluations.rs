@@ -106,5 +106,25 @@ fn a_plate_that_is_not_square_is_fitted_at_once() {
     near(p.joint.quadrupole_ppm, 20.0_f64.hypot(12.5));
     near(p.joint.quadrupole_deg, (25.0_f64.atan2(40.0) / 2.0).to_degrees());
     near(p.joint.rms_um, 0.0);
+    // Each fit has an offset of its own; here the holes are about (0, 0) in x only.
+    near(p.joint.offset_mm[0], 0.004);
+    near(p.joint.offset_mm[1], -0.007);
     assert!(p.rms_quadrupole_um > 1.0 && (p.scale_ppm - 10.0).abs() > 5.0, "{p:?}");
+}
+
+#[test]
+fn holes_on_one_line_are_no_plate() {
+    let along: Vec<f64> = (0..12).map(|i| 40.0 * f64::from(i)).collect();
+    for slope in [0.0, 0.7] {
+        let across = along.iter().map(|x| slope * x + 3.0).collect();
+        let columns = vec![
+            column("x", "position.x", along.clone()),
+            column("y", "position.y", across),
+            column("ex", "error.x", along.iter().map(|x| 0.03 * x).collect()),
+            column("ey", "error.y", along.iter().map(|x| 0.02 * x).collect()),
+        ];
+        let record = Record::new(Path::new("p.run.toml"), Kind::Plate, columns).unwrap();
+        let said = rtec_measure::plate::evaluate(&record, rtec_measure::plate::Norm::Squares).unwrap_err();
+        assert!(said.to_string().contains("holes on one line"), "{said}");
+    }
 }

@@ -288,3 +288,60 @@ fn what_is_no_diagonal_is_refused() {
     let e = diagonals(&[noisy(&cycles(&uneven(800.0, 9), 5))], &Options::default()).unwrap_err();
     assert!(e.to_string().contains("1 moving axes (y)"), "{e}");
 }
+
+/// A means what the standard says of all it is made of, so that A is never below E.
+#[test]
+fn what_is_approached_once_is_in_no_figure() {
+    let targets = uneven(400.0, 11);
+    let mut rows = cycles(&targets, 1);
+    for _ in 0..4 {
+        rows.extend(cycles(&targets[4..7], 1));
+    }
+    let whole = noisy(&rows);
+    let p = &positioning(&whole).unwrap()[0];
+    let few = noisy_only(&whole, &targets[4..7]);
+    let own = &positioning(&few).unwrap()[0];
+    assert_eq!(p.figures(), own.figures());
+    assert!(p.A >= p.E && p.A_up >= p.E_up && p.A_down >= p.E_down, "{p:?}");
+    assert!(warned(p, "8 targets approached once only"), "{:?}", p.warnings);
+    assert_eq!(p.targets.len(), 11, "all are listed");
+}
+
+/// Those rows of a record that are of these targets.
+fn noisy_only(record: &Record, targets: &[f64]) -> Record {
+    let data = |role: &str| record.data(&Role::parse(role).unwrap()).unwrap().to_vec();
+    let (y, dir, e) = (data("position.y"), data("direction.y"), data("error.y"));
+    let kept: Vec<usize> = (0..y.len()).filter(|i| targets.contains(&y[*i])).collect();
+    let rows: Vec<(f64, f64)> = kept.iter().map(|i| (y[*i], dir[*i])).collect();
+    let mut errors = kept.iter().map(|i| e[*i]);
+    run(&rows, |_| errors.next().unwrap())
+}
+
+/// Positions that are read scatter; targets stay what they are.
+#[test]
+fn positions_that_scatter_are_of_the_same_targets() {
+    let targets = uneven(400.0, 11);
+    let commanded = cycles(&targets, 5);
+    let mut state = 4;
+    let errors: Vec<f64> = commanded.iter().map(|(p, way)| 0.02 * p + way + uniform(&mut state)).collect();
+    let of = |scatter_mm: f64| {
+        let mut state = 7;
+        let rows: Vec<_> = commanded
+            .iter()
+            .map(|(p, way)| (p + scatter_mm * (2.0 * uniform(&mut state) - 1.0), *way))
+            .collect();
+        let mut e = errors.iter();
+        positioning(&run(&rows, |_| *e.next().unwrap())).unwrap().swap_remove(0)
+    };
+    let exact = of(0.0);
+    for scatter_mm in [0.001, 0.02, 0.05, 0.1, 0.3, 1.0] {
+        let p = of(scatter_mm);
+        assert_eq!(p.figures(), exact.figures(), "{scatter_mm}");
+        assert_eq!(
+            warned(&p, "positions of one target differ"),
+            scatter_mm > 0.04,
+            "{scatter_mm}: {:?}",
+            p.warnings
+        );
+    }
+}

@@ -46,10 +46,10 @@ pub struct Contribution {
 /// left out of spikes and cyclic errors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Diagnosis {
-    /// Centre of the first record's circle: its set-up, µm.
-    pub centre_um: [f64; 2],
-    /// Mean radius of the first record minus the nominal one, µm.
-    pub radius_um: f64,
+    /// Centre of the first record's circle: its set-up, µm. One way round that of the least-squares circle, without an interval.
+    pub centre_um: [Option<f64>; 2],
+    /// Mean radius of the first record minus the nominal one, µm; one way round as the centre.
+    pub radius_um: Option<f64>,
     /// Scale of the first axis minus that of the second, ppm.
     pub scale_mismatch_ppm: Option<f64>,
     /// Squareness, µrad: positive when the angle between the positive axes is below 90°, as `squareness.A.B`.
@@ -66,7 +66,7 @@ pub struct Diagnosis {
     pub interval_95: BTreeMap<String, [f64; 2]>,
     /// Causes by their share, largest first.
     pub contributions: Vec<Contribution>,
-    /// RMS of what is left, µm.
+    /// RMS of what the causes leave at best, µm.
     pub rms: f64,
     /// RMS of what is the same both ways round (maps, bends: the third harmonic and above) and none of the causes explains, µm; `None` where
     /// it does not show beyond the noise. The intervals are widened by it.
@@ -84,6 +84,10 @@ const DISTINCT: f64 = 1e-4;
 const DIED_OUT: f64 = 0.25;
 /// What a single sense of turning at a single feed shows of squareness and servo mismatch: their sum.
 const TOGETHER: &str = "squareness and servo mismatch";
+/// Directions among the values that the runs show with less than this (squared, all values as large) are not shown.
+const SHOWN: f64 = 1e-6;
+/// A value that lies in the directions shown to no more than this is not told.
+const RESOLVED: f64 = 0.99;
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
 
@@ -102,7 +106,10 @@ pub(super) struct Fit<'t> {
     /// First stacked row of each trace.
     pub(super) start: Vec<usize>,
     pub(super) n: usize,
+    /// Radial errors about each record's least-squares circle.
     pub(super) y: DVector<f64>,
+    /// That circle of each record: radius and centre, µm.
+    circle: Vec<[f64; 3]>,
     pub(super) terms: Vec<Term>,
     /// Rows that follow the one before them in the same contour.
     pub(super) follows: Vec<bool>,
@@ -149,6 +156,13 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
         );
     }
     let found = fit.answer(axes, &told);
+    let lost = fit.not_told(&told);
+    if !lost.is_empty() {
+        warnings.push(format!(
+            "these runs do not tell {} apart: full circles both ways in one record do",
+            lost.join(", ")
+        ));
+    }
     if let Some(um) = found.unexplained_um {
         warnings.push(format!(
             "not explained by these causes: {um:.2} µm RMS that is the same both ways round (a map, a bend); the intervals are widened by it"
@@ -159,14 +173,16 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
 
 /// Where neither radius nor plane are known.
 fn plain(trace: &Trace) -> Diagnosis {
+    let [radius, a, b] = circle_of(trace);
+    Diagnosis { centre_um: [Some(a), Some(b)], radius_um: Some(radius), ..Diagnosis::default() }
+}
+
+/// Radius and centre of a record: the mean of its contours' least-squares circles, µm.
+fn circle_of(trace: &Trace) -> [f64; 3] {
     let contours = trace.evaluate();
     let n = contours.len().max(1) as f64;
     let mean = |of: &dyn Fn(&super::Contour) -> f64| contours.iter().map(of).sum::<f64>() / n;
-    Diagnosis {
-        centre_um: [mean(&|c| c.centre_um[0]), mean(&|c| c.centre_um[1])],
-        radius_um: mean(&|c| c.radius_um),
-        ..Diagnosis::default()
-    }
+    [mean(&|c| c.radius_um), mean(&|c| c.centre_um[0]), mean(&|c| c.centre_um[1])]
 }
 
 impl<'t> Fit<'t> {
@@ -223,10 +239,12 @@ impl<'t> Fit<'t> {
     fn new(traces: &'t [Trace]) -> Self {
         let mut start = Vec::new();
         let (mut n, mut y, mut follows, mut counts) = (0, Vec::new(), Vec::new(), Vec::new());
-        for t in traces {
+        let circle: Vec<[f64; 3]> = traces.iter().map(circle_of).collect();
+        for (t, [radius, a, b]) in traces.iter().zip(&circle) {
             start.push(n);
             n += t.radial.len();
-            y.extend_from_slice(&t.radial);
+            // Set-up and radius may lie beyond what a machine's error may be.
+            y.extend(t.angle.iter().zip(&t.radial).map(|(p, e)| e - radius - a * p.cos() - b * p.sin()));
             let first = begun(t);
             let inside = |i: usize| {
                 i > first && t.contours.iter().any(|(rows, _)| rows.contains(&i) && i > rows.start)
@@ -239,6 +257,7 @@ impl<'t> Fit<'t> {
             start,
             n,
             y: DVector::from_vec(y),
+            circle,
             terms: Vec::new(),
             follows,
             counts,
@@ -464,17 +483,14 @@ impl<'t> Fit<'t> {
     }
 
     /// Half the width of the 95 % interval of each free value, and what the harmonics say of what has no law.
-    fn half_widths(&self) -> (Vec<f64>, Option<Told>) {
+    pub(super) fn half_widths(&self) -> (Vec<f64>, Option<Told>) {
         let j = self.jacobian();
         let left = self.left();
         let freedom = self.freedom(j.ncols());
         let white = self.white(&left);
         let variance = white.norm_squared() / freedom * Structure::hangs_together(&white);
         let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
-        let scaled: Vec<f64> = j.column_iter().map(|c| c.norm().max(1e-300)).collect();
-        let unit = DMatrix::from_fn(j.nrows(), j.ncols(), |r, c| j[(r, c)] / scaled[c]);
-        let inverse =
-            unit.tr_mul(&unit).pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(j.ncols(), j.ncols()));
+        let Normal { unit, scaled, inverse, .. } = Normal::of(&j);
         let told_beside = self.told(&left, variance);
         // What a µm of each order that the laws take moves a value by.
         let moves = told_beside.map(|_| {
@@ -502,27 +518,66 @@ impl<'t> Fit<'t> {
         ((0..j.ncols()).map(half).collect(), told_beside)
     }
 
+    /// The least that the causes found can leave, RMS in µm: what stands beside them takes nothing.
+    fn least_left(&self) -> f64 {
+        let own = |v: &DVector<f64>| DVector::from_fn(self.n, |i, _| if self.counts[i] { v[i] } else { 0.0 });
+        let columns: Vec<DVector<f64>> =
+            self.terms.iter().flat_map(|t| self.slopes(t)).map(|c| own(&c)).collect();
+        self.rms(&residual(&DMatrix::from_columns(&columns), &own(&self.left())))
+    }
+
+    /// Free values in the terms' order: whether these runs tell them.
+    fn resolved(&self) -> Vec<bool> {
+        let normal = Normal::of(&self.jacobian());
+        normal.resolution.iter().map(|r| *r > RESOLVED).collect()
+    }
+
+    /// Causes and set-up that are looked for and that these runs do not tell, as people call them.
+    fn not_told(&self, told: &[String]) -> Vec<String> {
+        let resolved = self.resolved();
+        let (mut at, mut names) = (0, Vec::new());
+        for t in &self.terms {
+            let lost = t.free.iter().enumerate().any(|(k, _)| !resolved[at + k]);
+            at += t.free.len();
+            let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
+            if lost && self.separates(&t.name) && (!searched || told.contains(&t.name)) {
+                let name =
+                    if t.only.is_some() { "the set-up (centre, radius)".to_owned() } else { cause(&t.name) };
+                if !names.contains(&name) {
+                    names.push(name);
+                }
+            }
+        }
+        names
+    }
+
     fn answer(&self, axes: [&Axis; 2], told: &[String]) -> Diagnosis {
         let (halves, told_beside) = self.half_widths();
-        let left = self.left();
+        let resolved = self.resolved();
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
         let mut contributions = Vec::new();
         let mut at = 0;
         for t in &self.terms {
             let Some((effect, _)) = t.parts.first() else { continue };
+            let known = (at..at + t.free.len()).all(|k| resolved[k]);
             for i in &t.free {
                 let half = halves[at];
+                at += 1;
+                if !known {
+                    continue;
+                }
                 let key = if t.free.len() > 1 {
                     format!("{}.{}", t.name, effect.description().parameters[*i].name)
                 } else {
                     t.name.clone()
                 };
                 values.insert(key, (effect.values()[*i], half));
-                at += 1;
             }
             let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
-            let fitted_only =
-                t.only.is_some() || (searched && !told.contains(&t.name)) || !self.separates(&t.name);
+            let fitted_only = !known
+                || t.only.is_some()
+                || (searched && !told.contains(&t.name))
+                || !self.separates(&t.name);
             if !fitted_only {
                 let shape = self.value(t);
                 contributions.push(Contribution { cause: cause(&t.name), um: shape.max() - shape.min() });
@@ -547,7 +602,17 @@ impl<'t> Fit<'t> {
             let at = |p: &str| get(&format!("cyclic.{a}.{p}"));
             Some((a.clone(), Cyclic { period_mm: at("period_mm")?, um: at("um")? }))
         });
-        let centre = |n: usize| get(&format!("centre.{n}.0")).unwrap_or(0.0);
+        // One way round reversals pass for set-up: that is the circle's.
+        let set_up = |name: &str, k: usize| {
+            let circle = self.circle[0][k];
+            if self.structure.both_ways { get(name).map(|v| v + circle) } else { Some(circle) }
+        };
+        let circle = |name: &str| match name {
+            "radius.0" => self.circle[0][0],
+            "centre.0.0" => self.circle[0][1],
+            "centre.1.0" => self.circle[0][2],
+            _ => 0.0,
+        };
         let shown = |name: &str| {
             let hidden = |what: &str| {
                 name.starts_with(what)
@@ -557,9 +622,9 @@ impl<'t> Fit<'t> {
         };
         let rename = |name: &str| -> Option<String> {
             match name {
-                "radius.0" => Some("radius_um".to_owned()),
-                "centre.0.0" => Some(format!("centre_um.{}", axes[0])),
-                "centre.1.0" => Some(format!("centre_um.{}", axes[1])),
+                "radius.0" if self.structure.both_ways => Some("radius_um".to_owned()),
+                "centre.0.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[0])),
+                "centre.1.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[1])),
                 n if n.starts_with("radius.") || n.starts_with("centre.") || n == TOGETHER => None,
                 n => Some(n.to_owned()),
             }
@@ -567,11 +632,14 @@ impl<'t> Fit<'t> {
         let interval_95 = values
             .iter()
             .filter(|(name, _)| shown(name))
-            .filter_map(|(name, (v, half))| Some((rename(name)?, [v - half, v + half])))
+            .filter_map(|(name, (v, half))| {
+                let v = v + circle(name);
+                Some((rename(name)?, [v - half, v + half]))
+            })
             .collect();
         Diagnosis {
-            centre_um: [centre(0), centre(1)],
-            radius_um: get("radius.0").unwrap_or(0.0),
+            centre_um: [set_up("centre.0.0", 1), set_up("centre.1.0", 2)],
+            radius_um: set_up("radius.0", 0),
             scale_mismatch_ppm: get("scale_mismatch_ppm"),
             squareness_urad: get("squareness_urad"),
             reversal,
@@ -580,7 +648,7 @@ impl<'t> Fit<'t> {
             cyclic: cyclic.collect(),
             interval_95,
             contributions,
-            rms: self.rms(&left),
+            rms: self.least_left(),
             // One way round reversals are among it.
             unexplained_um: told_beside
                 .filter(|_| self.structure.both_ways)
@@ -643,12 +711,38 @@ fn residual(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {
     y - j * solve(j, y)
 }
 
-/// Least squares by scaled normal equations.
+/// The normal equations of columns taken as large as each other, in the directions that they show.
+struct Normal {
+    /// The columns, each of length one.
+    unit: DMatrix<f64>,
+    /// Their lengths.
+    scaled: Vec<f64>,
+    /// The inverse over the directions shown; of several answers the smallest.
+    inverse: DMatrix<f64>,
+    /// How much of each value lies in the directions shown, 0 to 1.
+    resolution: Vec<f64>,
+}
+
+impl Normal {
+    fn of(j: &DMatrix<f64>) -> Self {
+        let n = j.ncols();
+        let scaled: Vec<f64> = j.column_iter().map(|c| c.norm().max(1e-300)).collect();
+        let unit = DMatrix::from_fn(j.nrows(), n, |r, c| j[(r, c)] / scaled[c]);
+        let eigen = unit.tr_mul(&unit).symmetric_eigen();
+        let (mut inverse, mut resolution) = (DMatrix::zeros(n, n), vec![0.0; n]);
+        for (value, v) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+            if *value > SHOWN {
+                inverse.ger(1.0 / value, &v, &v, 1.0);
+                resolution.iter_mut().zip(v.iter()).for_each(|(r, v)| *r += v * v);
+            }
+        }
+        Self { unit, scaled, inverse, resolution }
+    }
+}
+
+/// Least squares; of several answers the smallest.
 fn solve(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {
-    let scale: Vec<f64> = j.column_iter().map(|c| c.norm().max(1e-300)).collect();
-    let unit = DMatrix::from_fn(j.nrows(), j.ncols(), |r, c| j[(r, c)] / scale[c]);
-    let normal =
-        unit.tr_mul(&unit).pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(j.ncols(), j.ncols()));
-    let beta = normal * unit.tr_mul(y);
-    DVector::from_fn(j.ncols(), |i, _| beta[i] / scale[i])
+    let Normal { unit, scaled, inverse, .. } = Normal::of(j);
+    let beta = inverse * unit.tr_mul(y);
+    DVector::from_fn(j.ncols(), |i, _| beta[i] / scaled[i])
 }

@@ -12,6 +12,8 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 /// it, and told from more on: one in a thousand circles of noise over all lengths.
 const SPIKE_FITTED: f64 = 6.0;
 const SPIKE_TOLD: f64 = 18.0;
+/// The shortest spike that is looked for, mm.
+const SHORTEST_MM: f64 = 0.05;
 /// A cyclic error by chance: one in a thousand circles over all periods.
 const CYCLIC_RISK: f64 = 1e-3;
 /// Screw pitches and pitch circles, mm.
@@ -48,13 +50,22 @@ impl Fit<'_> {
         self.drop_endless(told);
     }
 
-    /// Takes out spikes whose length has run off, where no spike was looked for: what they followed is none.
+    /// Takes out spikes whose length has run off to where no spike was looked for, and those told whose interval holds zero: what
+    /// they followed is none, or a single row.
     fn drop_endless(&mut self, told: &mut Vec<String>) {
         let longest_mm = self.traces[0].record.circle().map_or(f64::INFINITY, |c| c.radius_mm) / 2.0;
         let before = self.terms.len();
+        let (halves, _) = self.half_widths();
+        let mut at = 0;
         self.terms.retain(|t| {
-            let length = t.parts.first().filter(|_| t.name.starts_with("spike.")).map(|(e, _)| e.scalar(1));
-            length.is_none_or(|mm| mm < longest_mm)
+            let half = halves.get(at).copied().unwrap_or(0.0);
+            at += t.free.len();
+            let Some((spike, _)) = t.parts.first().filter(|_| t.name.starts_with("spike.")) else {
+                return true;
+            };
+            let (um, length_mm) = (spike.scalar(0), spike.scalar(1));
+            let none = told.contains(&t.name) && um.abs() <= half;
+            length_mm < longest_mm && length_mm > SHORTEST_MM / 2.0 && !none
         });
         if self.terms.len() < before {
             told.retain(|name| self.terms.iter().any(|t| t.name == *name));
@@ -127,7 +138,7 @@ impl Fit<'_> {
         let (q, left, variance) = self.prepared();
         // One way round a long one is a map like any other.
         let longest = radius_mm / if self.structure.both_ways { 3.0 } else { 30.0 };
-        let lengths = (0..).map(|k| 0.05 * 1.5_f64.powi(k)).take_while(|l| *l < longest);
+        let lengths = (0..).map(|k| SHORTEST_MM * 1.5_f64.powi(k)).take_while(|l| *l < longest);
         let of = |length: f64| {
             let effect = spike.with(&[(1, length)])?;
             let (gain, beta) = self.gain(&q, &left, variance, &self.basis(&effect, None));

@@ -8,6 +8,7 @@
 use super::Trace;
 use nalgebra::{DMatrix, DVector};
 use rtec_model::record::Role;
+use std::f64::consts::TAU;
 
 /// Orders that the laws themselves take: radius (0), centre (1), scale and squareness (2).
 const TAKEN: usize = 2;
@@ -27,6 +28,8 @@ pub(super) struct Structure {
     highest: usize,
     /// Rows of the shortest contour.
     rows: usize,
+    /// A record leaves out a part of the circle: there the harmonics are no longer apart from each other, nor from what the laws take.
+    arc: bool,
     /// Columns of the orders that the laws take: 1, cos, sin, cos 2, sin 2.
     pub(super) taken: DMatrix<f64>,
 }
@@ -61,7 +64,11 @@ impl Structure {
         let columns = columns_of(n, &orders(TAKEN + 1, highest));
         let mut taken = vec![DVector::from_element(n, 1.0)];
         taken.extend(orders(1, TAKEN));
-        Self { both_ways: both, columns, highest, rows, taken: columns_of(n, &taken) }
+        let taken = columns_of(n, &taken);
+        // Each record has a centre of its own: what one leaves out the others do not show.
+        let arc = traces.iter().any(|t| widest_gap(t.angle.clone()) > MISSING_RAD);
+        let columns = if arc { apart(columns, &taken) } else { columns };
+        Self { both_ways: both, columns, highest, rows, arc, taken }
     }
 
     /// What is left, whitened, as a multiple of white noise's variance when it is summed over some rows on end: above one
@@ -80,10 +87,13 @@ impl Structure {
     /// The noise's coefficient from row to row, where what is left shows `seen`: the harmonics have taken the slow part of it,
     /// more of what remembers.
     pub(super) fn memory(&self, seen: f64, n: usize, most: f64) -> f64 {
+        if self.arc {
+            return seen.clamp(0.0, most);
+        }
         let expected = |phi: f64| {
             let (mut own, mut next) = (1.0, phi);
             for k in TAKEN + 1..=self.highest {
-                let c = (std::f64::consts::TAU * k as f64 / self.rows as f64).cos();
+                let c = (TAU * k as f64 / self.rows as f64).cos();
                 let taken = 2.0 / n as f64 * (1.0 - phi * phi) / (1.0 - 2.0 * phi * c + phi * phi);
                 own -= taken;
                 next -= taken * c;
@@ -97,6 +107,12 @@ impl Structure {
     pub(super) fn told(&self, amplitude: &DVector<f64>, variance: &DVector<f64>) -> Option<Told> {
         if self.highest < TELLING[TELLING.len() - 1] {
             return None;
+        }
+        if self.arc {
+            // No order is seen by itself: each of those that the laws take may be as large as all that was fitted.
+            let power: f64 = amplitude.iter().zip(variance).map(|(a, v)| a * a - v).sum::<f64>().max(0.0);
+            let freedom = amplitude.len().clamp(1, TELLING.len()) as f64;
+            return Some(Told { variance: [power; 5], freedom: [freedom; 5], rms_um: (power / 2.0).sqrt() });
         }
         let at = |k: usize, sine: usize| 2 * (k - TAKEN - 1) + sine;
         let mean = |which: &[(usize, usize)]| {
@@ -133,6 +149,36 @@ pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> 
         column
     };
     vec![of(|_| 1.0), of(f64::cos), of(f64::sin)]
+}
+
+/// A record that leaves out more of the circle than this is an arc.
+const MISSING_RAD: f64 = 0.2;
+/// Shapes of less than this share of the largest one's size are no shapes of their own on an arc.
+const OF_ITS_OWN: f64 = 0.1;
+
+/// The widest angle without a row.
+fn widest_gap(mut angles: Vec<f64>) -> f64 {
+    angles.iter_mut().for_each(|a| *a = a.rem_euclid(TAU));
+    angles.sort_by(f64::total_cmp);
+    let round = angles.first().zip(angles.last()).map_or(TAU, |(first, last)| first + TAU - last);
+    angles.windows(2).map(|w| w[1] - w[0]).fold(round, f64::max)
+}
+
+/// What is left of harmonics on an arc beside what the laws take there, as shapes that are apart from each other, each as large as
+/// a harmonic of amplitude one.
+fn apart(columns: DMatrix<f64>, taken: &DMatrix<f64>) -> DMatrix<f64> {
+    if columns.ncols() == 0 {
+        return columns;
+    }
+    let n = columns.nrows();
+    let q = taken.clone().qr().q();
+    let left = &columns - &q * q.tr_mul(&columns);
+    let found = left.svd(true, false);
+    let Some(u) = found.u else { return DMatrix::zeros(n, 0) };
+    let largest = found.singular_values.max();
+    let own = (0..u.ncols()).filter(|i| found.singular_values[*i] > OF_ITS_OWN * largest);
+    let shapes: Vec<DVector<f64>> = own.map(|i| u.column(i) * (n as f64 / 2.0).sqrt()).collect();
+    columns_of(n, &shapes)
 }
 
 fn columns_of(n: usize, all: &[DVector<f64>]) -> DMatrix<f64> {

@@ -1,7 +1,7 @@
 //! Accuracy and repeatability of positioning, ISO 230-2:2014.
 
 use super::conditions::REFERENCE_DEGC;
-use super::{Conditions, Expansion, Uncertainty, lacks, largest, mean_and_s, range, targets};
+use super::{ALIKE, Conditions, Expansion, Uncertainty, alike, lacks, largest, mean_and_s, range, targets};
 use crate::plot::{Chart, Colour, Series, Style};
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Column, Record, Role};
@@ -150,7 +150,7 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputE
 /// Targets are a few places approached again and again, errors are not: where it is the other way round, the columns are.
 fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<(), InputError> {
     let n = position.len();
-    let (places, values) = (targets(position).len(), targets(&error.data).len());
+    let (places, values) = (targets(position).len(), alike(&error.data, ALIKE).len());
     let wide = |v: &[f64]| range(v.iter().map(|v| (*v, *v))).unwrap_or(0.0);
     if n >= 10 && 2 * places > n && 4 * values <= n && values > 1 && wide(&error.data) > wide(position) {
         let found = format!(
@@ -260,6 +260,9 @@ impl Run<'_> {
             return Err(lacks(self.record, &found, "at least two cycles, better the standard's five"));
         }
         self.warn(&list, span, long);
+        // All figures are of the same approaches: a mean of one counts on a long axis only, where all are such.
+        let listed = list;
+        let list: Vec<Target> = listed.iter().map(|t| t.counted(long)).collect();
         let pick = |m: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
             list.iter().filter_map(|t| m(t).zip(s(t))).collect()
         };
@@ -297,7 +300,7 @@ impl Run<'_> {
             uncertainty,
             travel_mm: span,
             test: if long { "long axis, one approach from each side" } else { "standard test cycle" },
-            targets: list,
+            targets: listed,
             warnings: self.notes,
         };
         if tilt {
@@ -307,6 +310,12 @@ impl Run<'_> {
             );
         }
         Ok(found)
+    }
+
+    /// How far apart the positions of one target lie at most, mm.
+    fn scatter_mm(&self) -> f64 {
+        let of = |rows: &Vec<usize>| range(rows.iter().map(|r| (self.position[*r], self.position[*r])));
+        largest(targets(self.position).iter().filter_map(of)).unwrap_or(0.0)
     }
 
     /// What the standard asks of a test and this one does not have.
@@ -342,12 +351,37 @@ impl Run<'_> {
                 span / (n - 1) as f64
             ));
         }
+        let alone = list.iter().filter(|t| t.approaches.contains(&1)).count();
+        if !long && alone > 0 {
+            self.notes.push(format!(
+                "{alone} targets approached once only from a side: those approaches are in no figure, as they have no s"
+            ));
+        }
+        let scatter_mm = self.scatter_mm();
+        if scatter_mm > 2.0 * ALIKE * span {
+            self.notes.push(format!(
+                "the positions of one target differ by up to {scatter_mm:.3} mm: read instead of commanded? The figures are of their means"
+            ));
+        }
         let odd = list.iter().filter(|t| (t.approaches[0] == 0) != (t.approaches[1] == 0)).count();
         if odd > 0 && odd < n {
             self.notes.push(format!(
                 "{odd} targets approached from one side only (the ends of the travel?): not in B, R and M"
             ));
         }
+    }
+}
+
+impl Target {
+    /// With those sides alone that the figures are made of: approached at least twice, or every one on a long axis.
+    fn counted(&self, long: bool) -> Self {
+        let mut own = self.clone();
+        if !long {
+            own.mean_up = own.mean_up.filter(|_| own.s_up.is_some());
+            own.mean_down = own.mean_down.filter(|_| own.s_down.is_some());
+            own.reversal = own.mean_up.zip(own.mean_down).map(|(u, d)| u - d);
+        }
+        own
     }
 }
 

@@ -202,10 +202,10 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         add("its period", &format!("cyclic.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
     }
     if let Some((a, c)) = b.plane.split_once('-') {
-        add(&format!("centre {a}"), &format!("centre_um.{a}"), Some(d.centre_um[0]), "µm", 2);
-        add(&format!("centre {c}"), &format!("centre_um.{c}"), Some(d.centre_um[1]), "µm", 2);
+        add(&format!("centre {a}"), &format!("centre_um.{a}"), d.centre_um[0], "µm", 2);
+        add(&format!("centre {c}"), &format!("centre_um.{c}"), d.centre_um[1], "µm", 2);
     }
-    add("mean radius", "radius_um", Some(d.radius_um), "µm", 2);
+    add("mean radius", "radius_um", d.radius_um, "µm", 2);
     add("not explained, the same both ways (RMS)", "", d.unexplained_um, "µm", 2);
     add("left over (RMS)", "", Some(d.rms).filter(|_| !d.interval_95.is_empty()), "µm", 2);
     report.table(table);
@@ -356,8 +356,8 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         }
     };
     add(&[
-        ("offset x", fixed(p.offset_mm[0], 4), "mm"),
-        ("offset y", fixed(p.offset_mm[1], 4), "mm"),
+        ("offset x", fixed(j.offset_mm[0], 4), "mm"),
+        ("offset y", fixed(j.offset_mm[1], 4), "mm"),
         ("scale x", fixed(j.scale_x_ppm, 1), "ppm"),
         ("scale y", fixed(j.scale_y_ppm, 1), "ppm"),
         ("mean scale as a temperature of aluminium", fixed(p.scale_as_aluminium_k, 2), "K"),
@@ -376,6 +376,8 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         }
     };
     add(&[
+        ("offset x", fixed(p.offset_mm[0], 4), "mm"),
+        ("offset y", fixed(p.offset_mm[1], 4), "mm"),
         ("scale", fixed(p.scale_ppm, 1), "ppm"),
         ("rotation, counter-clockwise", fixed(p.rotation_urad, 1), "µrad"),
         ("left over after these (RMS length)", um(p.rms_um), "µm"),
