@@ -3,15 +3,9 @@
 //! `cargo bench -p rtec-tests --bench clients [-- SECONDS]`, ten seconds a column. Prints, asserts nothing. A daemon of its own
 //! for each column, on the embedded simulated axes, correcting; the record of commands is on, as always.
 
-use rtec_tests::daemon::{Daemon, program, until};
+use rtec_tests::clients::{Clients, Exporter};
+use rtec_tests::daemon::Daemon;
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, TcpStream};
-use std::os::unix::net::UnixStream;
-use std::path::Path;
-use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 const CLIENTS: usize = 30;
@@ -67,62 +61,18 @@ fn measured(load: &Load, time: Duration) -> anyhow::Result<(Value, u64)> {
     let socket = directory.path().join("s");
     let view = directory.path().join("s-view");
     let daemon = Daemon::enabled(&socket);
-    let stop = Arc::new(AtomicBool::new(false));
-    let answers = Arc::new(AtomicU64::new(0));
-    let mut threads = Vec::new();
-    for _ in 0..load.clients {
-        let (stop, answers, view) = (Arc::clone(&stop), Arc::clone(&answers), view.clone());
-        threads.push(std::thread::spawn(move || ask(&view, &stop, &answers)));
-    }
-    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
-    let mut server = None;
-    if load.scraped {
-        let mut command = Command::new(program("rtecctl"));
-        command.args(["metrics", "--listen", &format!("127.0.0.1:{port}"), "--socket"]).arg(&socket);
-        server = Some(command.stderr(Stdio::null()).spawn()?);
-        until("served", || scrape(port).is_ok());
-    }
+    let clients = Clients::start(load.clients, &view);
+    let exporter = load.scraped.then(|| Exporter::start(&socket)).transpose()?;
     let (begun, mut total) = (Instant::now(), 0);
     while begun.elapsed() < time {
         // Something to insert all the time.
         total = if total == 0 { 40 } else { 0 };
         daemon.expect(0, &["correct", "x", &total.to_string()]);
-        if load.scraped {
-            scrape(port)?;
+        if let Some(exporter) = &exporter {
+            exporter.scrape()?;
         }
         std::thread::sleep(Duration::from_secs(1));
     }
     let status = daemon.status();
-    stop.store(true, Ordering::Relaxed);
-    for thread in threads {
-        drop(thread.join());
-    }
-    if let Some(mut server) = server {
-        server.kill()?;
-        server.wait()?;
-    }
-    Ok((status, answers.load(Ordering::Relaxed)))
-}
-
-fn ask(socket: &Path, stop: &AtomicBool, answers: &AtomicU64) {
-    let Ok(stream) = UnixStream::connect(socket) else { return };
-    let mut stream = BufReader::new(stream);
-    let mut line = String::new();
-    while !stop.load(Ordering::Relaxed) {
-        line.clear();
-        let asked = stream.get_mut().write_all(b"{\"do\":\"status\"}\n");
-        if asked.is_err() || stream.read_line(&mut line).is_ok_and(|n| n == 0) {
-            return;
-        }
-        answers.fetch_add(1, Ordering::Relaxed);
-        std::thread::sleep(Duration::from_millis(100));
-    }
-}
-
-fn scrape(port: u16) -> std::io::Result<String> {
-    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
-    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;
-    let mut text = String::new();
-    stream.read_to_string(&mut text)?;
-    Ok(text)
+    Ok((status, clients.answers()))
 }

@@ -3,60 +3,13 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_tests::daemon::{Daemon, alone, until};
+use rtec_tests::sensors::Sensors;
 use serde_json::Value;
-use std::io::Write;
-use std::net::{TcpListener, TcpStream};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::Duration;
-
-/// Two sensors at the end of a line: T1 reads what it is set to, T2 20 °C.
-struct Sensors {
-    address: String,
-    t1: Arc<AtomicU64>,
-    silent: Arc<AtomicBool>,
-}
-
-impl Sensors {
-    fn start(t1: f64) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = listener.local_addr().unwrap().to_string();
-        let sensors = Self { address, t1: Arc::new(AtomicU64::new(t1.to_bits())), silent: Arc::default() };
-        let (t1, silent) = (Arc::clone(&sensors.t1), Arc::clone(&sensors.silent));
-        std::thread::spawn(move || {
-            for peer in listener.incoming().map_while(Result::ok) {
-                let (t1, silent) = (Arc::clone(&t1), Arc::clone(&silent));
-                std::thread::spawn(move || send_readings(&peer, &t1, &silent));
-            }
-        });
-        sensors
-    }
-
-    fn set(&self, t1: f64) {
-        self.t1.store(t1.to_bits(), Ordering::Relaxed);
-    }
-}
-
-fn send_readings(mut peer: &TcpStream, t1: &AtomicU64, silent: &AtomicBool) {
-    loop {
-        let said = format!("T1 {}\nT2 20\n", f64::from_bits(t1.load(Ordering::Relaxed)));
-        if !silent.load(Ordering::Relaxed) && peer.write_all(said.as_bytes()).is_err() {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    }
-}
+use std::sync::atomic::Ordering;
 
 fn set_up(directory: &Path, sensors: &Sensors, model: &str) -> std::path::PathBuf {
     std::fs::write(directory.join("machine.toml"), format!("name = \"bench\"\n{model}")).unwrap();
-    let sensor = |n: &str| {
-        format!(
-            "[[sensor]]\nname = '{n}'\nplace = 'spindle'\nsource = 'line'\nfrom = '{}'\nperiod_s = 0.2\ntimeout_s = 1\n\
-             freeze_s = 2\nmax_rate_K_per_min = 10000\n",
-            sensors.address
-        )
-    };
     let axis = |n: &str| {
         format!(
             "[[axis]]\nname = '{n}'\ncount_um = 1.0\ntravel_mm = 40\nmax_correction_counts = 1000\nwindow_counts = 50\n\
@@ -64,11 +17,10 @@ fn set_up(directory: &Path, sensors: &Sensors, model: &str) -> std::path::PathBu
         )
     };
     let text = format!(
-        "[machine]\nname = 'bench'\n[card]\nbackend = 'mock'\n{}{}[model]\nfile = 'machine.toml'\nramp_um_s = 200\nlog_s = 0.2\n{}{}",
+        "[machine]\nname = 'bench'\n[card]\nbackend = 'mock'\n{}{}[model]\nfile = 'machine.toml'\nramp_um_s = 200\nlog_s = 0.2\n{}",
         axis("x"),
         axis("z"),
-        sensor("T1"),
-        sensor("T2")
+        sensors.config()
     );
     let file = directory.join("rtec.toml");
     std::fs::write(&file, text).unwrap();

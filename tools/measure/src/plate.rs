@@ -224,7 +224,7 @@ fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {
     let (mx, my) = (mean(x), mean(y));
     let sum = |of: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| of(x - mx, y - my)).sum::<f64>();
     let (xx, yy, xy) = (sum(&|x, _| x * x), sum(&|_, y| y * y), sum(&|x, y| x * y));
-    let (half, apart) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
+    let (half, apart) = (f64::midpoint(xx, yy), ((xx - yy) / 2.0).hypot(xy));
     half - apart > ON_A_LINE.powi(2) * (half + apart)
 }
 

@@ -551,8 +551,9 @@ impl<'t> Fit<'t> {
         names
     }
 
-    fn answer(&self, axes: [&Axis; 2], told: &[String]) -> Diagnosis {
-        let (halves, told_beside) = self.half_widths();
+    /// What each free value is, with half its interval, and what the causes told make of the radius; what is not resolved is in
+    /// neither.
+    fn values(&self, halves: &[f64], told: &[String]) -> (BTreeMap<String, (f64, f64)>, Vec<Contribution>) {
         let resolved = self.resolved();
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
         let mut contributions = Vec::new();
@@ -584,6 +585,12 @@ impl<'t> Fit<'t> {
             }
         }
         contributions.sort_by(|a, b| b.um.total_cmp(&a.um));
+        (values, contributions)
+    }
+
+    fn answer(&self, axes: [&Axis; 2], told: &[String]) -> Diagnosis {
+        let (halves, told_beside) = self.half_widths();
+        let (values, contributions) = self.values(&halves, told);
         let get = |name: &str| values.get(name).map(|v| v.0);
         let of_axes = |what: &str| {
             axes.iter()

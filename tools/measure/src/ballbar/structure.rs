@@ -158,7 +158,9 @@ const OF_ITS_OWN: f64 = 0.1;
 
 /// The widest angle without a row.
 fn widest_gap(mut angles: Vec<f64>) -> f64 {
-    angles.iter_mut().for_each(|a| *a = a.rem_euclid(TAU));
+    for a in &mut angles {
+        *a = a.rem_euclid(TAU);
+    }
     angles.sort_by(f64::total_cmp);
     let round = angles.first().zip(angles.last()).map_or(TAU, |(first, last)| first + TAU - last);
     angles.windows(2).map(|w| w[1] - w[0]).fold(round, f64::max)
