@@ -474,6 +474,69 @@ fn an_axis_on_its_way_that_shows_no_change_after_a_late_look_may_have_gone_round
     assert!(!rig.faults().contains(&Fault::PollGap));
 }
 
+/// The same, asleep until a line changes.
+#[derive(Default)]
+struct Sleeper(Bench);
+
+impl Card for Sleeper {
+    const SLEEPS: bool = true;
+
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        self.0.sample(wake_ns)
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.0.write(mask, value)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        self.0.outputs()
+    }
+}
+
+/// The figure that the self-test and the gate go by. Of a polled card it is the time from look to look, with what the process was
+/// kept away; the time before the first look was the set-up's.
+#[test]
+fn a_polled_cards_latency_is_the_time_between_two_looks() {
+    let mut rig = Rig::with(windowed(), true);
+    let found = |rig: &Rig| {
+        let gaps = rig.engine.timing().poll_gap_ns.snapshot();
+        (gaps.samples(), gaps.min(), gaps.max())
+    };
+    rig.card.t_ns += 5_000_000;
+    rig.looks(1);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no look was before it");
+    rig.looks(10);
+    assert_eq!(found(&rig), (10, 100, 100));
+    rig.card.says = Some(Sample { waited_ns: 7000, ..Sample::level(0, 0) });
+    rig.looks(1);
+    assert_eq!(found(&rig), (11, 100, 7100));
+    // The age of an edge that such a card stamps is another figure.
+    rig.card.says = Some(Sample::stamped(0, 0, Some(1)));
+    rig.looks(3);
+    assert_eq!(found(&rig), (11, 100, 7100));
+}
+
+/// Of a card that sleeps it is the age of an edge when it is seen: how long nothing happened says nothing.
+#[test]
+fn a_sleeping_cards_latency_is_the_age_of_an_edge() {
+    let config = AxisConfig { lines: AxisLines::standard(0, false), ..windowed() };
+    let mut rig = Rig::on(Sleeper::default(), config, true);
+    rig.looks(2);
+    rig.card.0.t_ns += 60_000_000_000;
+    rig.looks(5);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no edge, no age");
+    let seen_ns = rig.card.0.t_ns + 100;
+    rig.card.0.says = Some(Sample::stamped(0, 0, Some(seen_ns - 42)));
+    rig.looks(1);
+    let gaps = rig.engine.timing().poll_gap_ns.snapshot();
+    assert_eq!((gaps.samples(), gaps.min(), gaps.max()), (1, 42, 42));
+    // Later looks, without an edge.
+    rig.card.0.says = None;
+    rig.looks(5);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 1);
+}
+
 #[test]
 fn a_late_look_before_the_second_edge_is_judged_from_rest() {
     // From rest at 1e6 counts/s² three counts take 2.4 ms: 1 ms is no loss of counts, 10 ms may be.
