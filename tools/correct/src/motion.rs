@@ -134,6 +134,7 @@ fn mm_s(from: Option<&Status>, to: Option<&Status>, axis: usize, count_um: f64) 
 }
 
 #[cfg(test)]
+#[allow(clippy::float_cmp)] // rest and a direction are exact
 mod tests {
     use super::*;
 
