@@ -200,7 +200,7 @@ mod tests {
     fn a_state_that_is_seen_twice_does_not_slow_an_axis_down() {
         let mut motion = Motion::new(1);
         for k in 0..20 {
-            for _ in 0..3 {
+            for _ in 0..5 {
                 motion.follow(&status(k, 100 * k as i64), &[setup()]);
             }
         }
