@@ -262,6 +262,24 @@ fn shadow_mode_counts_everything_and_writes_nothing() {
     assert!(rig.status().balanced());
 }
 
+/// Wherever the scale has gone meanwhile, the first edge after shadow mode is counted from the lines as they are.
+#[test]
+fn shadow_mode_may_end_at_any_count() {
+    for shadowed in 20..24 {
+        let mut rig = Rig::running(windowed());
+        rig.take(Request::Shadow);
+        rig.correct(2);
+        rig.step(shadowed);
+        rig.take(Request::Enable);
+        rig.step(3);
+        rig.correct(4);
+        rig.step(30);
+        let axis = rig.status().axes[0];
+        assert_eq!((axis.completed, axis.mtc_minus_scale), (4, 4), "after {shadowed} counts");
+        assert!(rig.status().balanced() && rig.faults().is_empty(), "{:?}", rig.events);
+    }
+}
+
 #[test]
 fn a_silent_control_side_freezes_corrections_and_is_said() {
     let mut rig = Rig::running(windowed());
