@@ -449,6 +449,26 @@ fn a_trip_before_the_axis_stops_is_reported_as_that() {
     assert_eq!((capture.after, capture.position_counts()), (None, (-2.0, 1.0)));
 }
 
+/// A look that comes late may have read its lines long before: what the next one shows may be as old as the look before both.
+#[test]
+fn a_trip_seen_right_after_a_late_look_may_be_as_old_as_the_look_before_it() {
+    for (late_ns, early_ns) in [(0, 100), (10_000_000, 10_000_200)] {
+        let mut rig = Rig::running(windowed());
+        rig.step(3);
+        rig.take(Request::Probe(true));
+        rig.looks(1000);
+        rig.card.t_ns += late_ns;
+        rig.looks(1);
+        rig.card.inputs |= PROBE;
+        rig.looks(1);
+        let seen_ns = rig.card.t_ns;
+        rig.card.t_ns += 200_000_000;
+        rig.looks(2);
+        let trip = |e: &Event| if let EventKind::Trip(c) = e.kind { Some(c.trip_ns) } else { None };
+        assert_eq!(rig.events.iter().find_map(trip), Some((seen_ns - early_ns, seen_ns)), "{late_ns}");
+    }
+}
+
 #[test]
 fn operator_hold_asserts_the_line_and_freezes() {
     let mut rig = Rig::running(windowed());
