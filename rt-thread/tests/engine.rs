@@ -262,6 +262,24 @@ fn shadow_mode_counts_everything_and_writes_nothing() {
     assert!(rig.status().balanced());
 }
 
+/// Wherever the scale has gone meanwhile, the first edge after shadow mode is counted from the lines as they are.
+#[test]
+fn shadow_mode_may_end_at_any_count() {
+    for shadowed in 20..24 {
+        let mut rig = Rig::running(windowed());
+        rig.take(Request::Shadow);
+        rig.correct(2);
+        rig.step(shadowed);
+        rig.take(Request::Enable);
+        rig.step(3);
+        rig.correct(4);
+        rig.step(30);
+        let axis = rig.status().axes[0];
+        assert_eq!((axis.completed, axis.mtc_minus_scale), (4, 4), "after {shadowed} counts");
+        assert!(rig.status().balanced() && rig.faults().is_empty(), "{:?}", rig.events);
+    }
+}
+
 #[test]
 fn a_silent_control_side_freezes_corrections_and_is_said() {
     let mut rig = Rig::running(windowed());
@@ -431,6 +449,26 @@ fn a_trip_before_the_axis_stops_is_reported_as_that() {
     assert_eq!((capture.after, capture.position_counts()), (None, (-2.0, 1.0)));
 }
 
+/// A look that comes late may have read its lines long before: what the next one shows may be as old as the look before both.
+#[test]
+fn a_trip_seen_right_after_a_late_look_may_be_as_old_as_the_look_before_it() {
+    for (late_ns, early_ns) in [(0, 100), (10_000_000, 10_000_200)] {
+        let mut rig = Rig::running(windowed());
+        rig.step(3);
+        rig.take(Request::Probe(true));
+        rig.looks(1000);
+        rig.card.t_ns += late_ns;
+        rig.looks(1);
+        rig.card.inputs |= PROBE;
+        rig.looks(1);
+        let seen_ns = rig.card.t_ns;
+        rig.card.t_ns += 200_000_000;
+        rig.looks(2);
+        let trip = |e: &Event| if let EventKind::Trip(c) = e.kind { Some(c.trip_ns) } else { None };
+        assert_eq!(rig.events.iter().find_map(trip), Some((seen_ns - early_ns, seen_ns)), "{late_ns}");
+    }
+}
+
 #[test]
 fn operator_hold_asserts_the_line_and_freezes() {
     let mut rig = Rig::running(windowed());
@@ -472,6 +510,69 @@ fn an_axis_on_its_way_that_shows_no_change_after_a_late_look_may_have_gone_round
     rig.card.t_ns += 10_000_000;
     rig.looks(1);
     assert!(!rig.faults().contains(&Fault::PollGap));
+}
+
+/// The same, asleep until a line changes.
+#[derive(Default)]
+struct Sleeper(Bench);
+
+impl Card for Sleeper {
+    const SLEEPS: bool = true;
+
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        self.0.sample(wake_ns)
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.0.write(mask, value)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        self.0.outputs()
+    }
+}
+
+/// The figure that the self-test and the gate go by. Of a polled card it is the time from look to look, with what the process was
+/// kept away; the time before the first look was the set-up's.
+#[test]
+fn a_polled_cards_latency_is_the_time_between_two_looks() {
+    let mut rig = Rig::with(windowed(), true);
+    let found = |rig: &Rig| {
+        let gaps = rig.engine.timing().poll_gap_ns.snapshot();
+        (gaps.samples(), gaps.min(), gaps.max())
+    };
+    rig.card.t_ns += 5_000_000;
+    rig.looks(1);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no look was before it");
+    rig.looks(10);
+    assert_eq!(found(&rig), (10, 100, 100));
+    rig.card.says = Some(Sample { waited_ns: 7000, ..Sample::level(0, 0) });
+    rig.looks(1);
+    assert_eq!(found(&rig), (11, 100, 7100));
+    // The age of an edge that such a card stamps is another figure.
+    rig.card.says = Some(Sample::stamped(0, 0, Some(1)));
+    rig.looks(3);
+    assert_eq!(found(&rig), (11, 100, 7100));
+}
+
+/// Of a card that sleeps it is the age of an edge when it is seen: how long nothing happened says nothing.
+#[test]
+fn a_sleeping_cards_latency_is_the_age_of_an_edge() {
+    let config = AxisConfig { lines: AxisLines::standard(0, false), ..windowed() };
+    let mut rig = Rig::on(Sleeper::default(), config, true);
+    rig.looks(2);
+    rig.card.0.t_ns += 60_000_000_000;
+    rig.looks(5);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no edge, no age");
+    let seen_ns = rig.card.0.t_ns + 100;
+    rig.card.0.says = Some(Sample::stamped(0, 0, Some(seen_ns - 42)));
+    rig.looks(1);
+    let gaps = rig.engine.timing().poll_gap_ns.snapshot();
+    assert_eq!((gaps.samples(), gaps.min(), gaps.max()), (1, 42, 42));
+    // Later looks, without an edge.
+    rig.card.0.says = None;
+    rig.looks(5);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 1);
 }
 
 #[test]

@@ -262,6 +262,19 @@ mod tests {
         );
     }
 
+    /// Figures come through to the last bit: most numbers of 17 digits, and where a sloppy reader goes wrong first.
+    #[test]
+    fn what_the_daemon_sends_is_what_its_client_has() {
+        let mut random = 0x9E37_79B9_7F4A_7C15_u64;
+        for _ in 0..10_000 {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let display_mm = (random >> 11) as f64 / 2.0_f64.powi(53) * 1000.0;
+            let sent = Response::Stands { display_mm, indicator_mm: -display_mm / 3.0 };
+            let line = serde_json::to_string(&sent).unwrap() + "\n";
+            assert_eq!(read_answer(line.as_bytes()).unwrap(), sent, "{line}");
+        }
+    }
+
     /// Of three sockets one may be closed to this user and another left over: that one says why.
     #[test]
     fn a_daemon_that_has_died_is_not_mistaken_for_one_that_forbids() {

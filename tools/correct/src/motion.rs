@@ -132,3 +132,114 @@ fn mm_s(from: Option<&Status>, to: Option<&Status>, axis: usize, count_um: f64) 
     let moved = b.axes[axis].position_counts - a.axes[axis].position_counts;
     if dt_s > 0.0 { moved as f64 * count_um / 1000.0 / dt_s } else { 0.0 }
 }
+
+#[cfg(test)]
+#[allow(clippy::float_cmp)] // rest and a direction are exact
+mod tests {
+    use super::*;
+
+    const COUNT_UM: f64 = 0.5;
+    const EVERY_NS: u64 = 10_000_000;
+
+    fn setup() -> AxisSetup {
+        AxisSetup {
+            name: "x".to_owned(),
+            count_um: COUNT_UM,
+            increment_counts: 2,
+            window_counts: 50,
+            max_counts: 1000,
+        }
+    }
+
+    /// One axis, seen at these places, counts, every 10 ms.
+    fn seen(places_counts: impl IntoIterator<Item = i64>) -> Motion {
+        let mut motion = Motion::new(1);
+        for (k, counts) in places_counts.into_iter().enumerate() {
+            motion.follow(&status(k as u64, counts), &[setup()]);
+        }
+        motion
+    }
+
+    fn status(k: u64, position_counts: i64) -> Status {
+        let mut status = Status { t_ns: k * EVERY_NS, axes_used: 1, ..Status::default() };
+        status.axes[0].position_counts = position_counts;
+        status
+    }
+
+    /// While the acceleration itself changes, both are still means over the last 30 ms, and the 30 ms before them.
+    #[test]
+    fn velocity_and_acceleration_are_of_the_last_thirty_milliseconds() {
+        let place = |k: i64| k * k * k;
+        let motion = seen((0..20).map(place));
+        let now = motion.now()[0];
+        let mm_s = |from: i64, to: i64| (place(to) - place(from)) as f64 * COUNT_UM / 1000.0 / 0.03;
+        assert!((now.position_mm - 6859.0 * COUNT_UM / 1000.0).abs() < 1e-9, "{now:?}");
+        assert!((now.velocity_mm_s - mm_s(16, 19)).abs() < 1e-9, "{now:?}");
+        let mm_s2 = (mm_s(16, 19) - mm_s(13, 16)) / 0.03;
+        assert!((now.acceleration_mm_s2 - mm_s2).abs() < 1e-9, "{now:?}");
+        assert!((motion.speed_age_s() - 0.015).abs() < 1e-12, "a mean is as old as the middle of its time");
+    }
+
+    /// Nothing is said of what has not been seen yet, at the start and after homing.
+    #[test]
+    fn an_axis_that_was_just_seen_stands_as_far_as_is_known() {
+        for looks in 0..4 {
+            let mut motion = seen((0..looks).map(|k| 1000 * k));
+            motion.forget();
+            motion.follow(&status(9, 77), &[setup()]);
+            let now = motion.now()[0];
+            assert_eq!((now.velocity_mm_s, now.acceleration_mm_s2, motion.speed_age_s()), (0.0, 0.0, 0.0));
+        }
+        let after_six = seen((0..6).map(|k| 100 * k));
+        assert!((after_six.now()[0].velocity_mm_s - 100.0 * COUNT_UM / 10.0).abs() < 1e-9);
+        assert_eq!(after_six.now()[0].acceleration_mm_s2, 0.0, "30 ms before the last 30 ms: not yet");
+    }
+
+    /// The engine's state may be read twice before there is a new one: the axis does not stand because of that.
+    #[test]
+    fn a_state_that_is_seen_twice_does_not_slow_an_axis_down() {
+        let mut motion = Motion::new(1);
+        for k in 0..20 {
+            for _ in 0..5 {
+                motion.follow(&status(k, 100 * k as i64), &[setup()]);
+            }
+        }
+        assert!((motion.now()[0].velocity_mm_s - 100.0 * COUNT_UM / 10.0).abs() < 1e-9);
+        assert_eq!(motion.now()[0].acceleration_mm_s2, 0.0);
+    }
+
+    /// A capture finds its place within the last half second, at the nearest state; before that, at the oldest one there is.
+    #[test]
+    fn places_are_known_for_half_a_second_and_no_memory_grows() {
+        let motion = seen((0..1000).map(|k| 7 * k));
+        let at = |k: u64| motion.position_counts_at(0, k * EVERY_NS + EVERY_NS / 3);
+        assert_eq!((at(999), at(950)), (Some(7 * 999), Some(7 * 950)));
+        assert_eq!(at(0), Some(7 * (1000 - KEPT as i64)));
+        assert_eq!(motion.seen.len(), KEPT);
+        assert_eq!(Motion::new(1).position_counts_at(0, 0), None);
+    }
+
+    /// An operator's total moves the scale: until the drive has followed that is no turn, and from then on the axis is believed.
+    #[test]
+    fn an_insertion_hides_a_turn_only_until_the_drive_has_followed() {
+        let direction_after = |wait: u64, back_counts: i64| {
+            let mut motion = seen((0..40).map(|k| 10 * k));
+            assert_eq!(motion.now()[0].direction, 1.0);
+            for k in 40..=40 + wait {
+                let back_counts = if k == 40 + wait { back_counts } else { 0 };
+                let mut state = status(k, 290 - back_counts);
+                state.axes[0].in_effect = 100;
+                motion.follow(&state, &[setup()]);
+            }
+            motion.forget();
+            motion.now()[0].direction
+        };
+        assert_eq!(
+            direction_after(SETTLED as u64 - 1, 50),
+            1.0,
+            "the drive still goes where the insertion sent it"
+        );
+        assert_eq!(direction_after(SETTLED as u64, 50), -1.0, "that was the axis itself");
+        assert_eq!(direction_after(SETTLED as u64, 0), 1.0);
+    }
+}

@@ -228,6 +228,43 @@ mod tests {
         assert_eq!(total.goal(1e300), 100, "held at the limit, whatever is asked for");
     }
 
+    /// The dead band is a quarter of an increment to either side, however fine the scale is: of 0.32 µm 0.05 stay away.
+    #[test]
+    fn the_dead_band_goes_with_the_scale() {
+        let mut total = Total::new(0.1, 2, 10, 1000);
+        assert_eq!(total.next(wanted(0.0, 0)), None);
+        let mut requested = 0;
+        for _ in 0..100 {
+            let slow = TickInputs { slow_um: 0.32, ..wanted(0.0, requested) };
+            requested = total.next(slow).unwrap_or(requested);
+        }
+        assert_eq!(requested, 2, "2.7 counts; without the dead band they were 3.2, and that is 4");
+        assert!(total.settled(2), "what stays in the dead band is not on its way");
+        for _ in 0..100 {
+            let slow = TickInputs { slow_um: 0.40, ..wanted(0.0, requested) };
+            requested = total.next(slow).unwrap_or(requested);
+        }
+        assert_eq!(requested, 4, "3.5 counts");
+    }
+
+    /// What an operator asked for belongs to the total that an axis comes to rest at, within the limit; and is said in µm.
+    #[test]
+    fn an_axis_has_settled_with_the_operators_share() {
+        let mut total = Total::new(0.1, 2, 1000, 100);
+        total.set_operator(6);
+        assert_eq!(total.operator(), (6, 6.0 * 0.1));
+        assert_eq!(total.next(wanted(0.0, 6)), None);
+        assert_eq!(total.next(wanted(0.8, 6)), Some(14));
+        assert!(total.settled(14) && !total.settled(8) && !total.settled(2));
+        assert_eq!((total.with_operator(6), total.with_operator(-6)), (14, 2));
+        total.set_operator(98);
+        assert_eq!(total.next(wanted(0.8, 14)), Some(100), "at the limit");
+        assert!(total.settled(100) && !total.settled(106));
+        total.set_operator(-108);
+        assert_eq!(total.next(wanted(0.7, 100)), Some(-100));
+        assert!(total.settled(-100) && !total.settled(100));
+    }
+
     /// A source that asks for far more than the limit leaves: the way back begins at the limit, and the operator's way out
     /// is open all the time.
     #[test]

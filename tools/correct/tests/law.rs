@@ -510,6 +510,25 @@ fn outside_its_range_a_correction_fades_and_says_so() {
     assert!((total - sum).abs() < 1e-9);
 }
 
+/// Whoever asks why an axis moved is told which sensors said so, how far outside its range a fit is used, and what is left of it.
+#[test]
+fn a_part_is_explained_with_its_sensors_and_what_is_left_of_it() {
+    let mut bench = Bench::new();
+    bench.load(&format!("{GROWTH}range_K = [0.0, 3.0]\n"));
+    for (delta_k, outside_k) in [(2.0, None), (3.5, Some(0.5))] {
+        bench.run(60.0, 2, |_| Some((20.0 + delta_k, 20.0)));
+        let explained = bench.corrector.explain(2, &bench.status.axes[2], &bench.watches, bench.now_s);
+        let part = explained.parts.iter().find(|p| p.name == "thermal_growth.z").unwrap();
+        let sensors: Vec<_> = part.sensors.iter().map(|s| (s.sensor.as_str(), s.degc)).collect();
+        assert_eq!(sensors, [("T1", Some(20.0 + delta_k)), ("T2", Some(20.0))]);
+        assert_eq!(part.outside_k, outside_k);
+        match part.weight {
+            Some(weight) => assert!((part.um.abs() - weight * 30.0).abs() < 1e-9 && weight < 1.0, "{part:?}"),
+            None => assert!(outside_k.is_none() && (part.um.abs() - 20.0).abs() < 1e-9, "{part:?}"),
+        }
+    }
+}
+
 /// Temperatures as a log and as they come: a restart in the middle gives the same correction as none.
 #[test]
 fn a_restart_knows_the_heat_from_the_log_or_holds() {
