@@ -568,8 +568,8 @@ fn a_model_that_reads_what_the_machine_has_not_is_refused_by_name() {
     // All of them at once, what reads each, and what to write where.
     let text = refuse(&GROWTH.replace("T1", "T8").replace("T2", "T18"));
     for part in [
-        "T8 (read by thermal_growth.z), T18 (read by thermal_growth.z)",
-        "[[sensor]] name = \"T8\", role = \"temperature\"; [[sensor]] name = \"T18\"",
+        "T18 (read by thermal_growth.z), T8 (read by thermal_growth.z)",
+        "[[sensor]] name = \"T18\", role = \"temperature\"; [[sensor]] name = \"T8\"",
         "in the rtec.toml that rtecd was started with",
     ] {
         assert!(text.contains(part), "{text}");
