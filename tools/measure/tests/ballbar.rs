@@ -363,3 +363,70 @@ fn intervals_hold_the_truth_beside_effects_that_have_no_law_here() {
     assert!(false_spikes * 20 <= machines, "{false_spikes}");
     assert!(false_waves * 20 <= machines, "{false_waves}");
 }
+
+/// Half a circle: centre and reversal, squareness and scale are nearly one another there, one way round or both.
+#[test]
+fn an_arc_gives_its_deviations_and_no_causes() {
+    let arc = |run: &Run, below_rad: f64, noise: &mut Noise| {
+        let record = run.of_machine(
+            "squareness.x.y urad = 60\nreversal.x um = 4\nreversal.y um = -3",
+            noise,
+            0.15,
+            0.0,
+        );
+        let rows: Vec<usize> = (0..record.rows())
+            .filter(|i| (i % run.rows) as f64 * 1.02 * TAU / (run.rows as f64) < below_rad)
+            .collect();
+        record.select(&rows)
+    };
+    for (circles, part) in [(vec![1.0, -1.0], 0.5), (vec![1.0], 0.5), (vec![1.0], 0.75)] {
+        let run = Run {
+            circles: circles.iter().map(|c| (*c, 25.0)).collect(),
+            from: 0.0,
+            ..Run::both(150.0, 25.0)
+        };
+        let found = one(&[arc(&run, TAU * part, &mut Noise(5))]);
+        let d = &found.diagnosis;
+        assert!(
+            d.scale_mismatch_ppm.is_none() && d.squareness_urad.is_none() && d.reversal.is_empty(),
+            "{d:?}"
+        );
+        assert!(d.interval_95.is_empty() && d.contributions.is_empty() && d.spike.is_empty(), "{d:?}");
+        assert!(
+            found.warnings.iter().any(|w| w.contains("does not tell centre, reversal")),
+            "{:?}",
+            found.warnings
+        );
+    }
+    // Three quarters both ways do.
+    let run = Run { from: 0.0, ..Run::both(150.0, 25.0) };
+    let d = one(&[arc(&run, 0.75 * TAU, &mut Noise(6))]).diagnosis;
+    near(d.squareness_urad, 60.0, 5.0);
+    near(d.reversal["x"], 4.0, 0.5);
+}
+
+/// What is left over is never far more than the data itself about a circle: a step of the gauge halfway, or a bar read from its far
+/// end, gives no causes rather than such.
+#[test]
+fn what_drowns_the_causes_gives_none() {
+    for (step_um, zero_um) in [(30.0, 0.0), (0.0, 150_000.0)] {
+        let run = Run { circles: vec![(1.0, 25.0)], ..Run::both(150.0, 25.0) };
+        let mut noise = Noise(8);
+        let record = run.of_machine("squareness.x.y urad = 60\nreversal.x um = 4", &mut noise, 0.15, 0.0);
+        let mut spoilt = record.clone();
+        for c in spoilt.columns.iter_mut().filter(|c| c.name == "e") {
+            let half = c.data.len() / 2;
+            c.data
+                .iter_mut()
+                .enumerate()
+                .for_each(|(i, e)| *e += zero_um + if i < half { 0.0 } else { step_um });
+        }
+        let e = spoilt.columns.iter().find(|c| c.name == "e").unwrap().data.clone();
+        let mean = e.iter().sum::<f64>() / e.len() as f64;
+        let sd = (e.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / e.len() as f64).sqrt();
+        let found = one(&[spoilt]);
+        let d = &found.diagnosis;
+        assert!(d.interval_95.is_empty() || d.rms <= sd, "left {} of {sd}: {:?}", d.rms, found.warnings);
+        near(d.radius_um, mean, 0.2 * mean.abs().max(sd));
+    }
+}

@@ -84,6 +84,12 @@ const DISTINCT: f64 = 1e-4;
 const DIED_OUT: f64 = 0.25;
 /// What a single sense of turning at a single feed shows of squareness and servo mismatch: their sum.
 const TOGETHER: &str = "squareness and servo mismatch";
+/// Shorter contours do not tell the causes from one another: with both senses of turning, and with one.
+const ARC_BOTH_WAYS_DEG: f64 = 255.0;
+const ARC_ONE_WAY_DEG: f64 = 340.0;
+/// Causes that leave so many times what a mere circle through each contour leaves do not describe the runs.
+const BEYOND: f64 = 2.0;
+const LEAST_UM: f64 = 0.01;
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
 
@@ -128,6 +134,24 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
         );
         return Ok(plain(&traces[0]));
     };
+    // On an arc centre, reversals, squareness and scale are nearly one another; one way round it takes the whole circle.
+    let longest_deg = |sense: f64| {
+        let own = traces.iter().flat_map(|t| t.contours.iter().map(move |c| (t, c)));
+        let own = own.filter(|(_, (_, turn))| turn * sense > 0.0);
+        own.map(|(t, (rows, _))| t.turned(rows).to_degrees()).reduce(f64::max)
+    };
+    let (arc_deg, enough_deg) = match (longest_deg(1.0), longest_deg(-1.0)) {
+        (Some(a), Some(b)) if a.min(b) >= ARC_BOTH_WAYS_DEG => (a.min(b), ARC_BOTH_WAYS_DEG),
+        (Some(a), Some(b)) => (a.max(b), ARC_ONE_WAY_DEG),
+        (a, b) => (a.or(b).unwrap_or(0.0), ARC_ONE_WAY_DEG),
+    };
+    if arc_deg < enough_deg {
+        warnings.push(format!(
+            "an arc of {arc_deg:.0}° does not tell centre, reversal, squareness and scale from one another: no causes are given; they take \
+             {ARC_BOTH_WAYS_DEG:.0}° both ways, or the whole circle one way"
+        ));
+        return Ok(plain(&traces[0]));
+    }
     let planned = [circle.plane[0].clone(), circle.plane[1].clone()];
     let axes = [&planned[0], &planned[1]];
     let mut told = Vec::new();
@@ -149,12 +173,26 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
         );
     }
     let found = fit.answer(axes, &told);
+    if found.rms > BEYOND * about_circles(traces) + LEAST_UM {
+        warnings.push(
+            "what else is in these runs (a jump, a bar's length called its error) drowns the causes: none are given; look at the contours"
+                .to_owned(),
+        );
+        return Ok(plain(&traces[0]));
+    }
     if let Some(um) = found.unexplained_um {
         warnings.push(format!(
             "not explained by these causes: {um:.2} µm RMS that is the same both ways round (a map, a bend); the intervals are widened by it"
         ));
     }
     Ok(found)
+}
+
+/// RMS of all contours about a circle through each.
+fn about_circles(traces: &[Trace]) -> f64 {
+    let contours: Vec<super::Contour> = traces.iter().flat_map(Trace::evaluate).collect();
+    let off = || contours.iter().flat_map(|c| &c.trace).map(|p| p.1 * p.1);
+    (off().sum::<f64>() / off().count().max(1) as f64).sqrt()
 }
 
 /// Where neither radius nor plane are known.
@@ -528,6 +566,17 @@ impl<'t> Fit<'t> {
                 contributions.push(Contribution { cause: cause(&t.name), um: shape.max() - shape.min() });
             }
         }
+        // A spike or wave whose size may as well be none is none.
+        let sized = |name: &&String| {
+            let um = values.get(&format!("{name}.um")).or_else(|| values.get(*name));
+            um.is_none_or(|(v, half)| half.is_finite() && *half < v.abs())
+        };
+        let told: Vec<String> = told.iter().filter(sized).cloned().collect();
+        let none = |c: &Contribution| {
+            let searched = ["reversal spike", "cyclic error"].iter().any(|w| c.cause.starts_with(w));
+            searched && !told.iter().any(|t| cause(t) == c.cause)
+        };
+        contributions.retain(|c| !none(c));
         contributions.sort_by(|a, b| b.um.total_cmp(&a.um));
         let get = |name: &str| values.get(name).map(|v| v.0);
         let of_axes = |what: &str| {
