@@ -288,3 +288,40 @@ fn what_is_no_diagonal_is_refused() {
     let e = diagonals(&[noisy(&cycles(&uneven(800.0, 9), 5))], &Options::default()).unwrap_err();
     assert!(e.to_string().contains("1 moving axes (y)"), "{e}");
 }
+
+/// A and R over the targets that were repeated, beside an E over all of them, would be smaller than it: there is none.
+#[test]
+fn figures_of_some_targets_do_not_stand_beside_those_of_all() {
+    let targets = uneven(800.0, 11);
+    let mut rows = cycles(&targets, 1);
+    rows.extend(cycles(&targets[5..7], 4));
+    let found = &positioning(&noisy(&rows)).unwrap()[0];
+    assert!(found.E.is_some() && found.B.is_some() && found.M.is_some());
+    assert!(
+        [found.A, found.A_up, found.A_down, found.R, found.R_up, found.R_down].iter().all(Option::is_none)
+    );
+    assert!(warned(found, "9 targets approached once only upwards"), "{:?}", found.warnings);
+    // One side complete: its own figures stand.
+    let (mut ups, mut left) = (0, cycles(&targets, 5));
+    left.retain(|(p, w)| {
+        ups += i32::from(*w > 0.0 && *p <= targets[0]);
+        !(*w > 0.0 && *p <= targets[0] && ups > 1)
+    });
+    let found = &positioning(&noisy(&left)).unwrap()[0];
+    assert!(found.A.is_none() && found.A_up.is_none() && found.A_down.is_some() && found.R_down.is_some());
+    for f in [&found, &&positioning(&noisy(&cycles(&targets, 5))).unwrap()[0]] {
+        assert!(f.A.is_none_or(|a| a >= f.E.unwrap()) && f.A_down.unwrap() >= f.E_down.unwrap());
+    }
+}
+
+/// Positions that were read instead of commanded fall apart into targets of their own: said, with the two.
+#[test]
+fn targets_that_lie_too_close_are_asked_about() {
+    let targets = uneven(800.0, 11);
+    let mut state = 3;
+    let rows: Vec<_> =
+        cycles(&targets, 5).into_iter().map(|(p, w)| (p + 0.4 * uniform(&mut state), w)).collect();
+    let found = &positioning(&noisy(&rows)).unwrap()[0];
+    assert!(warned(found, "are taken as two targets"), "{:?}", found.warnings);
+    assert!(!warned(&positioning(&noisy(&cycles(&targets, 5))).unwrap()[0], "are taken as two targets"));
+}

@@ -264,6 +264,21 @@ impl Run<'_> {
             list.iter().filter_map(|t| m(t).zip(s(t))).collect()
         };
         let (ups, downs) = (pick(|t| t.mean_up, |t| t.s_up), pick(|t| t.mean_down, |t| t.s_down));
+        // A and R over some of the targets beside an E over all of them would contradict it.
+        let once = |m: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>| {
+            list.iter().filter(|t| m(t).is_some() && s(t).is_none()).count()
+        };
+        let (once_up, once_down) = (once(|t| t.mean_up, |t| t.s_up), once(|t| t.mean_down, |t| t.s_down));
+        if !long {
+            for (n, way) in [(once_up, "upwards"), (once_down, "downwards")] {
+                if n > 0 {
+                    self.notes.push(format!(
+                        "{n} targets approached once only {way}: no A and R of that side, as E and M are over all targets"
+                    ));
+                }
+            }
+        }
+        let of_side = |v: Option<f64>, once: usize| v.filter(|_| once == 0);
         let spread = |v: &[(f64, f64)]| range(v.iter().map(|(m, s)| (m - 2.0 * s, m + 2.0 * s)));
         let mean_range = |m: fn(&Target) -> Option<f64>| range(list.iter().filter_map(m).map(|m| (m, m)));
         let both: Vec<(f64, f64)> = ups.iter().chain(&downs).copied().collect();
@@ -281,15 +296,15 @@ impl Run<'_> {
             axis: self.axis.to_string(),
             response: role.to_string(),
             unit: if tilt { "urad" } else { "um" },
-            A: only(spread(&both)),
-            A_up: spread(&ups),
-            A_down: spread(&downs),
+            A: only(of_side(spread(&both), once_up + once_down)),
+            A_up: of_side(spread(&ups), once_up),
+            A_down: of_side(spread(&downs), once_down),
             E: only(range(means.map(|m| (m, m)))),
             E_up: mean_range(|t| t.mean_up),
             E_down: mean_range(|t| t.mean_down),
-            R: largest(list.iter().filter_map(|t| t.repeatability)),
-            R_up: largest(ups.iter().map(|(_, s)| 4.0 * s)),
-            R_down: largest(downs.iter().map(|(_, s)| 4.0 * s)),
+            R: of_side(largest(list.iter().filter_map(|t| t.repeatability)), once_up + once_down),
+            R_up: of_side(largest(ups.iter().map(|(_, s)| 4.0 * s)), once_up),
+            R_down: of_side(largest(downs.iter().map(|(_, s)| 4.0 * s)), once_down),
             B: largest(reversals.iter().map(|b| b.abs())),
             B_mean: (!reversals.is_empty()).then(|| reversals.iter().sum::<f64>() / reversals.len() as f64),
             M: only(range(centres.map(|c| (c, c)))),
@@ -342,6 +357,15 @@ impl Run<'_> {
                 span / (n - 1) as f64
             ));
         }
+        let widest = steps.iter().copied().fold(0.0, f64::max);
+        if let Some(k) = steps.iter().position(|s| *s < CLOSE * widest) {
+            self.notes.push(format!(
+                "{:.3} and {:.3} mm are taken as two targets, beside others {widest:.3} mm apart: if they are one, the positions are \
+                 what was read, and the commanded ones belong there",
+                list[k].position_mm,
+                list[k + 1].position_mm
+            ));
+        }
         let odd = list.iter().filter(|t| (t.approaches[0] == 0) != (t.approaches[1] == 0)).count();
         if odd > 0 && odd < n {
             self.notes.push(format!(
@@ -350,6 +374,9 @@ impl Run<'_> {
         }
     }
 }
+
+/// Targets closer than this share of the widest distance look like one that was read, not commanded.
+const CLOSE: f64 = 0.05;
 
 /// The fewest targets on so much travel of up to 2 m.
 pub(crate) fn fewest_targets(span_mm: f64) -> usize {
