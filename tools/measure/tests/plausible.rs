@@ -892,7 +892,9 @@ fn stretches_and_exchanges_are_said() {
             let records = make(&machine, &mut d);
             let twin = suspicions(&records);
             (clean, wrong) = (clean + 1, wrong + usize::from(!twin.is_empty()));
-            twin.iter().for_each(|s| println!("clean: {s}"));
+            for s in &twin {
+                println!("clean: {s}");
+            }
             said += u64::from(suspicions(&mistake(records, &mut d)).iter().any(|s| s.what == *what));
         }
         println!("{name}: {said} of {turns}");
