@@ -127,7 +127,7 @@ fn of_name(watches: &[Watch], name: &str) -> Option<usize> {
 /// Places of the configured sensors of these names and this role.
 ///
 /// # Errors
-/// One that is not configured.
+/// Those that are not configured, all at once: what reads them, and what the configuration needs.
 fn places(
     machine: &Machine,
     names: &[String],
@@ -135,15 +135,37 @@ fn places(
     watches: &[Watch],
 ) -> Result<Vec<usize>, InputError> {
     let place = |n: &String| watches.iter().position(|w| w.config().name == *n && w.config().role == *role);
-    let found = |n: &String| {
-        place(n).ok_or_else(|| {
-            let has = watches.iter().filter(|w| w.config().role == *role).map(|w| w.config().name.as_str());
-            let has = has.collect::<Vec<_>>().join(", ");
-            let expected = format!("one of the configuration's [[sensor]]: {has}");
-            InputError::whole(&machine.path, format!("a {what} {n} is read"), expected)
-        })
+    let lacking: Vec<&String> = names.iter().filter(|n| place(n).is_none()).collect();
+    if lacking.is_empty() {
+        return Ok(names.iter().filter_map(place).collect());
+    }
+    let read = |n: &&String| format!("{n} (read by {})", readers(machine, n).join(", "));
+    let read: Vec<String> = lacking.iter().map(read).collect();
+    let found = format!("no {what} {} in the daemon's configuration", read.join(", "));
+    let add = |n: &&String| format!("[[sensor]] name = \"{n}\", role = \"{role}\"");
+    let add: Vec<String> = lacking.iter().map(add).collect();
+    let has = watches.iter().filter(|w| w.config().role == *role).map(|w| w.config().name.as_str());
+    let has: Vec<&str> = has.collect();
+    let has = if has.is_empty() { "none".to_owned() } else { has.join(", ") };
+    let expected = format!(
+        "{}, each with its source, in the rtec.toml that rtecd was started with, and rtecd started again; of role {role} \
+         it has {has}",
+        add.join("; ")
+    );
+    Err(InputError::whole(&machine.path, found, expected))
+}
+
+/// What of a model reads a sensor or channel of this name.
+fn readers(machine: &Machine, name: &str) -> Vec<String> {
+    let reads = |e: &&Effect| {
+        e.delta.iter().flat_map(Difference::sensors).any(|s| s == name) || e.channel() == Some(name)
     };
-    names.iter().map(found).collect()
+    let mut readers: Vec<String> = machine.effects().filter(reads).map(Effect::name).collect();
+    let mut of_chain = machine.chain().into_iter().flat_map(|c| c.deltas().flat_map(Difference::sensors));
+    if of_chain.any(|s| s == name) {
+        readers.push("the chain".to_owned());
+    }
+    readers
 }
 
 /// What the effects read that no configured sensor gives: taken as zero.
@@ -158,7 +180,10 @@ fn missing(machine: &Machine, watches: &[Watch]) -> Vec<String> {
                 _ => true,
             };
             if !given {
-                missing.push(format!("{}: no [[sensor]] of role {role}, taken as zero", effect.name()));
+                missing.push(format!(
+                    "{}: no [[sensor]] of role {role} in the daemon's configuration, taken as zero",
+                    effect.name()
+                ));
             }
         }
     }

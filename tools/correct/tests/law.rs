@@ -584,6 +584,17 @@ fn a_model_that_reads_what_the_machine_has_not_is_refused_by_name() {
     let mut refuse = |text: &str| bench.try_load(text).unwrap_err().to_string();
     let text = refuse(&GROWTH.replace("T2", "T9"));
     assert!(text.contains("temperature T9") && text.contains("T1, T2"), "{text}");
+    // All of them at once, what reads each, and what to write where.
+    let text = refuse(&GROWTH.replace("T1", "T8").replace("T2", "T18"));
+    for part in [
+        "T18 (read by thermal_growth.z), T8 (read by thermal_growth.z)",
+        "[[sensor]] name = \"T18\", role = \"temperature\"; [[sensor]] name = \"T8\"",
+        "in the rtec.toml that rtecd was started with",
+    ] {
+        assert!(text.contains(part), "{text}");
+    }
+    let text = refuse("[[effect]]\nname = \"channel.x.flow\"\ngain = 1.0\n");
+    assert!(text.contains("role = \"channel\"") && text.ends_with("it has none"), "{text}");
     assert!(refuse("[[effect]]\nname = \"channel.x.flow\"\ngain = 1.0\n").contains("channel flow"));
     bench.load("[[effect]]\nname = \"coolant.z\"\num = 5.0\n");
     assert!(bench.corrector.shown().unwrap().notes[0].contains("no [[sensor]] of role coolant"));

@@ -835,3 +835,71 @@ fn inches_on_a_circle_are_said() {
     assert_eq!(said(record(1.0)), []);
     assert_eq!(said(record(1.0 / 25.4)), [(What::Unit, "x".to_owned()), (What::Unit, "y".to_owned())]);
 }
+
+/// A gauge that stands for a stretch, and two sensors in each other's place, in one of two records or on the way: most are said, and
+/// their clean twins are not.
+#[test]
+fn stretches_and_exchanges_are_said() {
+    fn stands(mut r: Vec<Record>, d: &mut Dice) -> Vec<Record> {
+        let k = r.len() - 1;
+        let n = r[k].rows();
+        let (from, rows) = (5 + d.below(n - 10), 10 + d.below(n / 8));
+        let e = &mut by_name(&mut r[k], "e").data;
+        let held = e[from];
+        e[from..(from + rows).min(n)].iter_mut().for_each(|v| *v = held);
+        r[k] = again(&r[k]);
+        r
+    }
+    fn crossed(mut r: Vec<Record>, d: &mut Dice, from: usize) -> Vec<Record> {
+        let k = r.len() - 1;
+        let sensors = r[k].names(&Role::Temperature).count();
+        let (a, b) = (1 + d.below(sensors - 1), d.below(sensors));
+        let b = if a == b { 0 } else { b };
+        let (x, y) = (format!("T{a}"), format!("T{b}"));
+        let (old, new) = (by_name(&mut r[k], &x).data.clone(), by_name(&mut r[k], &y).data.clone());
+        by_name(&mut r[k], &x).data[from..].copy_from_slice(&new[from..]);
+        by_name(&mut r[k], &y).data[from..].copy_from_slice(&old[from..]);
+        r[k] = again(&r[k]);
+        r
+    }
+    const KINDS: [(&str, Clean, Mistake, What, f64); 4] = [
+        ("a gauge stands for a stretch, drift", drift, stands, What::Stuck, 0.8),
+        ("a gauge stands for a stretch, positioning", positioning, stands, What::Stuck, 0.5),
+        (
+            "two sensors exchanged in one of two records",
+            two_drift,
+            |r, d| crossed(r, d, 0),
+            What::Swapped,
+            0.4,
+        ),
+        (
+            "two sensors exchanged on the way",
+            warming,
+            |r, d| {
+                let at = r[0].rows() / 3 + d.below(r[0].rows() / 2);
+                crossed(r, d, at)
+            },
+            What::Swapped,
+            0.5,
+        ),
+    ];
+    let (mut wrong, mut clean) = (0, 0);
+    for (k, (name, make, mistake, what, least)) in KINDS.iter().enumerate() {
+        let (mut said, turns) = (0, 12);
+        for turn in 0..turns {
+            let mut d = Dice::new(90_000 + 1000 * k as u64 + turn);
+            let machine = Machine::random(&mut d);
+            let records = make(&machine, &mut d);
+            let twin = suspicions(&records);
+            (clean, wrong) = (clean + 1, wrong + usize::from(!twin.is_empty()));
+            for s in &twin {
+                println!("clean: {s}");
+            }
+            said += u64::from(suspicions(&mistake(records, &mut d)).iter().any(|s| s.what == *what));
+        }
+        println!("{name}: {said} of {turns}");
+        assert!(said as f64 >= least * turns as f64, "{name}: {said} of {turns}");
+    }
+    println!("clean suspected {wrong} of {clean}");
+    assert!(wrong == 0, "clean suspected {wrong} of {clean}");
+}

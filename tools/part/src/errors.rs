@@ -64,6 +64,8 @@ pub struct ErrorReport {
     pub feature: &'static str,
     /// Number of probed points.
     pub points: usize,
+    /// Radius of the probe's tip that was taken off, in mm; 0: the points were taken as on the surface.
+    pub tip_mm: f64,
     /// Centre of the circle `[z, x]`, or centroid of the line, in mm.
     pub centre_mm: [f64; 2],
     /// Radius of the surface, in mm.
@@ -309,6 +311,7 @@ impl Probed {
         Ok(ErrorReport {
             feature: if shape == FitShape::Circle { "circle" } else { "line" },
             points: points.len(),
+            tip_mm,
             centre_mm,
             radius_mm,
             size_error_um,

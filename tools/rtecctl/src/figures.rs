@@ -13,8 +13,14 @@ pub(crate) fn with_half(value: f64, half: f64) -> String {
 
 /// A value with the bounds of its 95 % interval: `4.9950  [4.9919, 4.9983]`.
 pub(crate) fn with_bounds(value: f64, low: f64, high: f64) -> String {
+    let [value, low, high] = alike([value, low, high]);
+    format!("{value:>12}  [{low}, {high}]")
+}
+
+/// The same with nothing between them.
+pub(crate) fn alike([value, low, high]: [f64; 3]) -> [String; 3] {
     let n = decimals((high - low) / 2.0);
-    format!("{value:12.n$}  [{low:.n$}, {high:.n$}]")
+    [value, low, high].map(|v| format!("{v:.n$}"))
 }
 
 #[cfg(test)]

@@ -54,6 +54,52 @@ fn part_errors_keeps_its_contract() {
     assert_eq!(errors.len(), 20);
     assert!((errors[5]["error_um"].as_f64().unwrap() - 20.0).abs() < 3.0 && errors[5]["angle_rad"].is_f64());
     assert_eq!(std::fs::read_dir(folder).unwrap().count(), 1, "no file unless --out names a place");
+    assert_eq!(document["tip_mm"], 2.5);
+
+    // A tip of no radius is said, and what it means; one that was asked for is no reason for a word more.
+    for (tip, word) in [(None, true), (Some("0"), false), (Some("2.5"), false)] {
+        let mut arguments = vec!["errors", "--points", "probed.csv", "--radius-mm", "38.1"];
+        arguments.extend(tip.iter().flat_map(|t| ["--tip-mm", t]));
+        let output = part(folder, &arguments);
+        let said = |bytes: &[u8], what: &str| String::from_utf8_lossy(bytes).contains(what);
+        assert_eq!(said(&output.stderr, "no --tip-mm: the points are taken as on the part's surface"), word);
+        assert_eq!(said(&output.stdout, "taken as the part's surface"), tip != Some("2.5"), "{tip:?}");
+    }
+
+    // A false trip is the part's for error.cor: said.
+    let place = |k: usize| text.lines().nth(k).unwrap().to_owned();
+    std::fs::write(folder.join("false.csv"), text.replace(&place(15), "20.0,30.0")).unwrap();
+    let output = part(folder, &["errors", "--points", "false.csv", "--radius-mm", "38.1", "--tip-mm", "2.5"]);
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(stderr.contains("point 14 is") && stderr.contains("false trip"), "{stderr}");
+    std::fs::remove_file(folder.join("false.csv")).unwrap();
+
+    // Tables that no memory holds, and counts that no axis has.
+    std::fs::write(folder.join("e.cor"), "angle_rad,error_um\n0.1,1.0\n0.2,2.0\n").unwrap();
+    for (option, value) in [
+        ("--between", "18446744073709551615"),
+        ("--between", "100000000"),
+        ("--count-um", "1e-300"),
+        ("--increment", "3"),
+    ] {
+        let line = [
+            "table",
+            "--errors",
+            "e.cor",
+            "--centre-z-mm",
+            "5",
+            "--radius-mm",
+            "38",
+            "--out",
+            "o",
+            option,
+            value,
+        ];
+        let output = part(folder, &line);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{option} {value}: {stderr}");
+        assert!(stderr.contains(option), "{stderr}");
+    }
 
     std::fs::write(folder.join("bad.csv"), "z_mm,x_mm\n1,2\n3,nan\n").unwrap();
     for (arguments, said) in [

@@ -15,6 +15,10 @@ use rtec_rt::event::{Request, Status};
 
 /// How often new totals are computed, ns (NISTIR 4832, Alternate Configurations: every 10 to 20 ms).
 pub const CONTROL_NS: u64 = 10_000_000;
+/// How long an axis must have been quiet to be taken as at rest, ns: longer than it is on its own while it turns. On the slowest
+/// circle, 150 mm at 10 in/min, it turns at 119 counts/s², and takes 2·√(2·1.1/119) s from one edge over a count and the
+/// hysteresis to the next: 0.27 s. What is inserted while it moves may meet its next edge, and the controller sees both as one.
+pub(crate) const REST_NS: u64 = 300_000_000;
 /// Largest change that the simulated corrector believes at once, counts.
 pub(crate) const WINDOW_COUNTS: i64 = 64;
 

@@ -1,7 +1,7 @@
 //! The machine with the unchanged engine in its feedback and a corrector that tells it what it knows.
 
 use crate::axis::AxisSpec;
-use crate::control::{Control, Readings, WINDOW_COUNTS};
+use crate::control::{Control, REST_NS, Readings, WINDOW_COUNTS};
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::Heat;
@@ -58,7 +58,7 @@ impl Spec {
             axes,
             controller: ControllerSpec::default(),
             design: Design::C,
-            rest: RestPolicy::Insert { after_ns: 5_000_000 },
+            rest: RestPolicy::Insert { after_ns: REST_NS },
             detect_ns: 500,
             write_ns: 200,
             ambient_degc: 20.0,

@@ -4,8 +4,10 @@
 
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
+use rtec_rt::axis::RestPolicy;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, Findings, Setting};
 use rtec_sim::heat::FIGURE_9;
+use rtec_sim::sim::Spec;
 use std::path::Path;
 
 fn model(text: &str) -> Machine {
@@ -276,4 +278,19 @@ fn experiments_of_the_sources_bring_their_machine() {
     // Whatever is handed to it: 15 insertions.
     let other = model(&(effect("scale.x", "ppm = 12") + &effect("offset.x", "um = 30")));
     assert_eq!(run("linear-error-240um", &other, &other, 1).summary["insertions"], 15);
+}
+
+/// While an axis turns on the slowest circle of the ballbar, no edge comes for long, and the next may come at any moment: one that
+/// falls into an insertion is two edges at once for the controller. (With 5 ms seeds 3, 5 and 6 ended with `TooFast`.)
+#[test]
+fn an_axis_that_turns_slowly_is_not_at_rest() {
+    let spec = Spec::machining_centre();
+    let RestPolicy::Insert { after_ns } = spec.rest else { panic!("{:?}", spec.rest) };
+    let (radius_mm, feed_mm_s) = (150.0, 10.0 * 25.4 / 60.0);
+    for axis in &spec.axes {
+        let counts_s2 = feed_mm_s * feed_mm_s / radius_mm * 1000.0 / axis.count_um;
+        // Over a count and back over it and the hysteresis, from standstill each.
+        let gap_s = 2.0 * (2.0 * (1.0 + axis.hysteresis_counts) / counts_s2).sqrt();
+        assert!(after_ns as f64 > gap_s * 1e9, "{}: {gap_s:.3} s between two edges", axis.name);
+    }
 }

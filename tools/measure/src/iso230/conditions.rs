@@ -162,10 +162,13 @@ fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
     const FORM: &str = "{ sensor = \"T3\", ppm_per_K = 8.5 }";
     let t = entry.table(FORM)?;
     t.only(&["sensor", "ppm_per_K"])?;
-    Ok(Expansion {
-        sensor: t.required("sensor", FORM)?.str("the sensor's name")?.to_owned(),
-        ppm_per_k: t.required("ppm_per_K", FORM)?.number("the coefficient of expansion, ppm/K")?,
-    })
+    let value = t.required("ppm_per_K", FORM)?;
+    let ppm_per_k = value.number("the coefficient of expansion, ppm/K")?;
+    // No solid expands by more; and one of less than the best glass ceramics' is a number of another unit.
+    if ppm_per_k != 0.0 && !(1e-3..=100.0).contains(&ppm_per_k.abs()) {
+        return Err(value.mismatch("a coefficient of 0.001 to 100 ppm/K, as steel's 11.5, or 0"));
+    }
+    Ok(Expansion { sensor: t.required("sensor", FORM)?.str("the sensor's name")?.to_owned(), ppm_per_k })
 }
 
 /// One contributor to an uncertainty.
@@ -296,6 +299,8 @@ mod tests {
             ("drift_um = 1.7", "drift_um = -1.7", 11, "drift_um = -1.7"),
             ("[test]", "[tests]", 5, "unknown key tests"),
             ("ppm_per_K = 8.5", "ppm = 8.5", 8, "unknown key ppm"),
+            ("ppm_per_K = 8.5", "ppm_per_K = 8500.0", 8, "ppm_per_K = 8500"),
+            ("ppm_per_K = 8.5", "ppm_per_K = 8.5e-6", 8, "ppm_per_K = "),
             ("sensor = \"T3\"", "sensor = 3", 8, "sensor = 3"),
         ] {
             let e = Conditions::parse(Path::new("c.toml"), &FILE.replacen(from, to, 1)).unwrap_err();

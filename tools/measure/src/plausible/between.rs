@@ -1,7 +1,7 @@
 //! Several records beside one another.
 
 use super::stats::{median, middle_range, range};
-use super::told::told;
+use super::told::{told, with_lags};
 use super::{Suspicion, What};
 use crate::iso230::correlation;
 use rtec_model::record::{Column, Record, Role};
@@ -178,26 +178,36 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
     }
     let pairs = (0..names.len()).flat_map(|k| (0..k).map(move |i| (i, k)));
     // Sensors that stand still but for their noise say nothing of one another.
-    let moves = |r: &Record, name: &str| {
-        r.temperature(name).is_some_and(|t| {
-            let (lo, hi) = t.iter().fold((f64::MAX, f64::MIN), |(l, h), t| (l.min(*t), h.max(*t)));
-            hi - lo > MOVES_K
-        })
-    };
+    let moves = |r: &Record, name: &str| r.temperature(name).is_some_and(|t| range(t) > MOVES_K);
     let both = |name: &str| moves(a, name) && moves(b, name);
     pairs.map(|(i, k)| (names[i], names[k])).filter(|(p, q)| both(p) && both(q)).find_map(|(p, q)| {
         let rest: Vec<&str> = names.iter().filter(|n| **n != p && **n != q).copied().collect();
-        let (of_p, of_q) = (told(a, a.temperature(p)?, &rest)?, told(a, a.temperature(q)?, &rest)?);
-        let (says_p, says_q) = (of_p.says(b, &rest), of_q.says(b, &rest));
-        let (tp, tq) = (b.temperature(p)?, b.temperature(q)?);
-        let away = |t: &[f64], says: &[f64]| {
-            let d: f64 = t.iter().zip(says).map(|(t, s)| (t - s).powi(2)).sum();
-            (d / t.len() as f64).sqrt()
+        let at_once = crosses(a, b, (p, q), &rest);
+        let found = at_once || {
+            // What one body passes to another comes late.
+            let ((wide_a, all), (wide_b, _)) = (with_lags(a, &rest), with_lags(b, &rest));
+            let all: Vec<&str> = all.iter().map(String::as_str).collect();
+            3 * all.len() < a.rows() && crosses(&wide_a, &wide_b, (p, q), &all)
         };
-        let straight = [away(tp, &says_p), away(tq, &says_q)];
-        let crossed = [away(tq, &says_p), away(tp, &says_q)];
-        let fits = crossed[0] < (3.0 * of_p.left).max(1.0) && crossed[1] < (3.0 * of_q.left).max(1.0);
-        let found = fits && (0..2).all(|s| straight[s] > (4.0 * crossed[s]).max(1.5));
         found.then(|| vec![p.to_owned(), q.to_owned()])
     })
+}
+
+/// What the rest says in one record of a pair of sensors is found in the other record with the two exchanged, and not as they
+/// stand there.
+fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> bool {
+    let columns = (a.temperature(p), a.temperature(q), b.temperature(p), b.temperature(q));
+    let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return false };
+    let (Some(of_p), Some(of_q)) = (told(a, ap, rest), told(a, aq, rest)) else { return false };
+    let (says_p, says_q) = (of_p.says(b, rest), of_q.says(b, rest));
+    let away = |t: &[f64], says: &[f64]| {
+        let d: f64 = t.iter().zip(says).map(|(t, s)| (t - s).powi(2)).sum();
+        (d / t.len() as f64).sqrt()
+    };
+    let straight = [away(bp, &says_p), away(bq, &says_q)];
+    let crossed = [away(bq, &says_p), away(bp, &says_q)];
+    let fits = crossed[0] < (3.0 * of_p.left).max(1.0) && crossed[1] < (3.0 * of_q.left).max(1.0);
+    // Both would have to be wrong by the very difference of the two, and to opposite sides.
+    fits && straight[0].hypot(straight[1]) > 2.5 * crossed[0].hypot(crossed[1])
+        && (0..2).all(|s| straight[s] > (2.0 * crossed[s]).max(1.0))
 }

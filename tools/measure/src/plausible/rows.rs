@@ -5,6 +5,8 @@ use super::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
 use std::collections::HashMap;
 
+/// A shorter stretch of one value is not looked at.
+const SHORTEST: usize = 6;
 /// So many rows of one value are no chance.
 const FLAT: usize = 20;
 /// A block that stands twice is at least so long.
@@ -115,18 +117,35 @@ fn flat(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
     let length = best.1 - best.0;
     let outside: Vec<f64> = (0..n).filter(|i| *i < best.0 || *i >= best.1).map(|i| c.data[i]).collect();
-    if outside.len() < 20 || length < 20 {
+    if outside.len() < 20 || length < SHORTEST {
         return;
     }
     let p = outside.windows(2).filter(|w| w[0].to_bits() != w[1].to_bits()).count() as f64
         / (outside.len() - 1) as f64;
     // Coarse steps change less where the value lies between two of them, hence the square.
     let chance = length as f64 * (1.0 - 0.7 * p.min(0.95).powi(2)).ln() + (n as f64).ln();
-    if p >= 0.7 && distinct(&outside) * 4 > outside.len() && chance < (1e-8_f64).ln() {
+    let long =
+        length >= FLAT && p >= 0.7 && distinct(&outside) * 4 > outside.len() && chance < (1e-8_f64).ln();
+    // A noisy gauge: the chance that two readings on end are alike is what it is at other times; and nothing smooth, and no
+    // machine at rest, keeps it from its noise.
+    let alike = 3.0 * ((1.0 - p) * (outside.len() - 1) as f64 + 1.0) / outside.len() as f64;
+    let usual = longest_run(&outside);
+    let noisy = rough(&outside) && alike < 0.8 && length >= 3 * usual;
+    if long || noisy && (length - 1) as f64 * alike.max(0.1).ln() + (n as f64).ln() < (1e-5_f64).ln() {
         let rows: Vec<usize> = (best.0..best.1).collect();
         let text = format!("reads {} in {length} rows on end, as it does nowhere else", c.data[best.0]);
         out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
     }
+}
+
+/// How many rows on end have one value at the most.
+fn longest_run(v: &[f64]) -> usize {
+    let (mut best, mut now) = (0, 0);
+    for w in v.windows(2) {
+        now = if w[0].to_bits() == w[1].to_bits() { now + 1 } else { 0 };
+        best = best.max(now);
+    }
+    best + usize::from(!v.is_empty())
 }
 
 /// Rows far off those that are near in time, and off those near in position and direction.

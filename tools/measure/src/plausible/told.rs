@@ -1,7 +1,41 @@
 //! What some sensors say of another one, or of an error, learned from one run and asked of another.
 
 use nalgebra::{DMatrix, DVector};
-use rtec_model::record::Record;
+use rtec_model::record::{Record, Role};
+
+/// Lags of what a warm body passes on, s.
+const LAGS_S: [f64; 2] = [600.0, 2400.0];
+
+/// The record with each of these sensors once more behind each lag, and all their names.
+pub(super) fn with_lags(record: &Record, names: &[&str]) -> (Record, Vec<String>) {
+    let mut wide = record.clone();
+    let mut all: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
+    for name in names {
+        let Some(own) = record.columns.iter().find(|c| c.role == Role::Temperature && c.name == *name) else {
+            continue;
+        };
+        for tau_s in LAGS_S {
+            let mut late = own.clone();
+            late.name = format!("{name} {tau_s} s late");
+            late.data = lagged(&own.data, record.time_s(), tau_s);
+            all.push(late.name.clone());
+            wide.columns.push(late);
+        }
+    }
+    (wide, all)
+}
+
+/// Through a first-order lag, in equilibrium at the first row.
+fn lagged(v: &[f64], t: &[f64], tau_s: f64) -> Vec<f64> {
+    let mut x = v.first().copied().unwrap_or(0.0);
+    let step = |i: usize| if i == 0 { 0.0 } else { t[i] - t[i - 1] };
+    (0..v.len())
+        .map(|i| {
+            x += (v[i] - x) * (1.0 - (-step(i) / tau_s).exp());
+            x
+        })
+        .collect()
+}
 
 /// What sensors of a record say of another one, or of an error.
 pub(super) struct Told {

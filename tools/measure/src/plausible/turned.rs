@@ -1,6 +1,6 @@
 //! A record beside itself: single runs whose direction is wrong, a sign that turns on the way, a clock that was put forward.
 
-use super::stats::{median, range, spread, steps};
+use super::stats::{median, quantum, range, spread, steps};
 use super::told::told;
 use super::{Suspicion, What, motion, repeats};
 use crate::iso230::correlation;
@@ -11,6 +11,8 @@ const RUN: usize = 5;
 /// The sign has turned where what is left of the error with the sign turned back is less than this share of what is left as it
 /// stands.
 const TURNED: f64 = 0.1;
+/// Two sensors that exchange their places from one row to the next are at least so far apart, K.
+const EXCHANGE_K: f64 = 1.5;
 /// A clock's step is out of the ordinary from so many usual ones on.
 const PAUSE: f64 = 20.0;
 
@@ -28,6 +30,40 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         }
     }
     clock(record, out);
+    exchanged(record, out);
+}
+
+/// Two sensors of one record in each other's place from a row on: both step at once, each to where the other was.
+fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
+    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let usual: Vec<f64> = sensors.iter().map(|c| spread(&steps(&c.data)).max(quantum(&c.data))).collect();
+    let n = record.rows();
+    for (k, q) in sensors.iter().enumerate() {
+        for (i, p) in sensors[..k].iter().enumerate() {
+            let most = usual[i].max(usual[k]);
+            // Each goes on where the other would be: by how much both moved before.
+            let goes_on = |x: &Column, y: &Column, at: usize| {
+                let due = x.data[at - 1] + (x.data[at - 1] - x.data[at - 2]);
+                (y.data[at] - due).abs()
+                    < (0.15 * (x.data[at - 1] - y.data[at - 1]).abs()).max(6.0 * most).min(EXCHANGE_K / 2.0)
+            };
+            let at = (2..n).find(|&at| {
+                let apart = (p.data[at - 1] - q.data[at - 1]).abs();
+                apart > EXCHANGE_K.max(20.0 * most)
+                    && (p.data[at] - p.data[at - 1]) * (q.data[at] - q.data[at - 1]) < 0.0
+                    && goes_on(p, q, at)
+                    && goes_on(q, p, at)
+            });
+            if let Some(at) = at {
+                let rows: Vec<usize> = (at..n).collect();
+                for (own, other) in [(p, q), (q, p)] {
+                    let text = format!("goes on where {} was, and that one where this one was", other.name);
+                    out.push(Suspicion::new(record, &own.name, What::Swapped, &rows, text));
+                }
+                return;
+            }
+        }
+    }
 }
 
 /// Stretches of rows that move one way and say the other, beside others that say what they do.

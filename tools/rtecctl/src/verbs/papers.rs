@@ -92,17 +92,20 @@ fn explain(error: PaperError) -> anyhow::Error {
     }
 }
 
-/// A source as a table: place, what, paper, we; beneath a row why it is not the same, once for rows that share it.
+/// A source as a table: place, what, paper, we. Every row that is not the same has its reason's number, the same in all of the
+/// source; beneath the first row of a place that has it stands the reason.
 fn table(c: &Compared, differ: bool) -> String {
     let mut text = format!(
         "{}, seed {}\n{} agree, {} differ, {} cannot be compared\n",
         c.title, c.seed, c.agree, c.differ, c.not_compared
     );
-    let (mut place, mut why) = ("", "");
+    let mut reasons: Vec<&str> = Vec::new();
+    let (mut place, mut said) = ("", Vec::new());
     for row in c.rows.iter().filter(|r| !differ || r.verdict == Verdict::Differs) {
         if place != row.place {
             let _ = writeln!(text, "\n{}\n  {:<76} {:>16}  {:>16}", row.place, "", "paper says", "we get");
-            (place, why) = (&row.place, "");
+            place = &row.place;
+            said.clear();
         }
         let mark = match row.verdict {
             Verdict::Agrees if row.why.is_empty() => String::new(),
@@ -111,11 +114,65 @@ fn table(c: &Compared, differ: bool) -> String {
             Verdict::NotCompared => "  not compared".to_owned(),
         };
         let gets = if row.gets.is_empty() { "-" } else { &row.gets };
-        let _ = writeln!(text, "  {:<76} {:>16}  {gets:>16} {}{mark}", row.what, row.says, row.unit);
-        if !row.why.is_empty() && row.why != why {
-            let _ = writeln!(text, "      why: {}", row.why);
-            why = &row.why;
+        let _ = write!(text, "  {:<76} {:>16}  {gets:>16} {}{mark}", row.what, row.says, row.unit);
+        if row.why.is_empty() {
+            text.push('\n');
+            continue;
+        }
+        let number = reasons.iter().position(|w| *w == row.why).unwrap_or_else(|| {
+            reasons.push(&row.why);
+            reasons.len() - 1
+        });
+        let _ = writeln!(text, " [{}]", number + 1);
+        if !said.contains(&number) {
+            said.push(number);
+            let _ = writeln!(text, "      [{}] {}", number + 1, row.why);
         }
     }
     text + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_papers::Row;
+
+    fn row(place: &str, what: &str, verdict: Verdict, why: &str) -> Row {
+        Row {
+            place: place.into(),
+            what: what.into(),
+            unit: "um",
+            says: "1".into(),
+            paper: Some(1.0),
+            gets: "2".into(),
+            we: Some(2.0),
+            agreement: "within 0.5 um".into(),
+            verdict,
+            why: why.into(),
+        }
+    }
+
+    /// Rows that share a reason, with others between them, and in another table: each row names its own.
+    #[test]
+    fn every_row_that_is_not_the_same_names_its_reason() {
+        let rows = vec![
+            row("Table 1", "first", Verdict::Differs, "a scale of its own"),
+            row("Table 1", "second", Verdict::Agrees, ""),
+            row("Table 1", "third", Verdict::Differs, "noise"),
+            row("Table 1", "fourth", Verdict::Differs, "a scale of its own"),
+            row("Table 2", "fifth", Verdict::NotCompared, "a scale of its own"),
+        ];
+        let (paper, title) = ("p", "A paper");
+        let compared = Compared { paper, title, seed: 1, agree: 1, differ: 3, not_compared: 1, rows };
+        let text = table(&compared, false);
+        let mark = |what: &str| {
+            let line = text.lines().find(|l| l.trim_start().starts_with(what)).unwrap_or_default();
+            line.rsplit_once(" [").map(|(_, n)| n.trim_end_matches(']').to_owned())
+        };
+        let marks = ["first", "second", "third", "fourth", "fifth"].map(mark);
+        assert_eq!(marks.map(Option::unwrap_or_default), ["1", "", "2", "1", "1"], "{text}");
+        // Once in each table.
+        assert_eq!(text.matches("[1] a scale of its own").count(), 2, "{text}");
+        assert!(table(&compared, true).contains("fourth"));
+    }
 }

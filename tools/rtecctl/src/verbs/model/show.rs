@@ -1,5 +1,6 @@
 //! `rtecctl model show` and `compare`: what a model says, and what sets two apart.
 
+use crate::figures::alike;
 use rtec_model::chain::{Branch, COMPONENTS, Chain, Component, Term};
 use rtec_model::date;
 use rtec_model::effect::Effect;
@@ -77,10 +78,11 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             let values = l.effect.get(i);
             let interval = l.provenance.interval.get(&p.name);
             for (k, v) in values.iter().enumerate() {
-                let within =
-                    interval.map_or(String::new(), |i| format!("  [{}, {}]", short(i[k][0]), short(i[k][1])));
-                let v = short(*v);
-                println!("    {:14} {v} {}{within}", if k == 0 { p.name.as_str() } else { "" }, p.unit);
+                println!(
+                    "    {:14} {}",
+                    if k == 0 { p.name.as_str() } else { "" },
+                    parameter(*v, &p.unit, interval.map(|i| i[k]))
+                );
             }
         }
         if let Some([lo, hi]) = l.effect.range_k {
@@ -107,14 +109,27 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// A value with its unit and the bounds of its interval: as many digits as that leaves.
+fn parameter(v: f64, unit: &str, interval: Option<[f64; 2]>) -> String {
+    match interval {
+        Some([low, high]) if high > low => {
+            let [v, low, high] = alike([v, low, high]);
+            format!("{v} {unit}  [{low}, {high}]")
+        }
+        Some([low, high]) => format!("{} {unit}  [{}, {}]", short(v), short(low), short(high)),
+        None => format!("{} {unit}", short(v)),
+    }
+}
+
 /// A chain: every joint in order from the bed, and every component that is not zero, term by term.
 fn chain_text(chain: &Chain) -> String {
-    let [x, y, z] = chain.tool_mm;
+    let [x, y, z] = chain.tool_mm.map(short);
     let mut text = format!("chain to a tool point at {x}, {y}, {z} mm of the last frame\n");
     for joint in &chain.joints {
-        let [x, y, z] = joint.offset_mm;
+        let [x, y, z] = joint.offset_mm.map(short);
         let _ = write!(text, "{} ({}), offset {x}, {y}, {z} mm", joint.name, branch(joint.branch));
-        if let Some((axis, [x, y, z])) = &joint.axis {
+        if let Some((axis, along)) = &joint.axis {
+            let [x, y, z] = along.map(short);
             let _ = write!(text, ", moved by {axis} along {x}, {y}, {z}");
         }
         text.push('\n');
@@ -135,7 +150,9 @@ fn term(t: &Term) -> String {
         1 => format!("·{what}"),
         n => format!("·{what}^{n}"),
     };
-    format!("{:+}{}{}", t.coefficient, power("(p/100 mm)", t.position), power("ΔT", t.temperature))
+    let sign = if t.coefficient < 0.0 { '-' } else { '+' };
+    let size = short(t.coefficient.abs());
+    format!("{sign}{size}{}{}", power("(p/100 mm)", t.position), power("ΔT", t.temperature))
 }
 
 fn unit(kind: usize) -> &'static str {
@@ -265,7 +282,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Numbers as a person reads them, with four digits behind the point that count.
+/// Numbers as a person reads them.
 fn figures(value: &Value) -> String {
     match value {
         Value::Array(all) => all.iter().map(figures).collect::<Vec<_>>().join(" "),
@@ -274,9 +291,47 @@ fn figures(value: &Value) -> String {
     }
 }
 
+/// Five digits that count, or a whole number's own; zeros at the end left out.
 fn short(v: f64) -> String {
-    if v != 0.0 && !(1e-3..1e7).contains(&v.abs()) {
-        return format!("{v:.3e}");
+    if v != 0.0 && !(1e-4..1e7).contains(&v.abs()) {
+        return format!("{v:.4e}");
     }
-    format!("{v:.4}").trim_end_matches('0').trim_end_matches('.').to_owned()
+    let before = if v == 0.0 { 0 } else { v.abs().log10().floor() as i32 };
+    let digits = (4 - before).clamp(0, 8) as usize;
+    let text = format!("{v:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_have_the_digits_that_they_are_known_to() {
+        assert_eq!(
+            parameter(-0.000_812_345, "um/K2", Some([-0.000_83, -0.000_79])),
+            "-0.000812 um/K2  [-0.000830, -0.000790]"
+        );
+        assert_eq!(parameter(12.345_678, "ppm", Some([12.1, 12.6])), "12.35 ppm  [12.10, 12.60]");
+        assert_eq!(parameter(25_100.4, "s", Some([21_000.0, 29_000.0])), "25100 s  [21000, 29000]");
+        assert_eq!(parameter(0.001_234_56, "um/K", None), "0.0012346 um/K");
+        for (v, text) in [
+            (0.0, "0"),
+            (54.0, "54"),
+            (-7.25, "-7.25"),
+            (3.45 / 3.0, "1.15"),
+            (3.0e-7, "3.0000e-7"),
+            (123_456.7, "123457"),
+        ] {
+            assert_eq!(short(v), text);
+        }
+    }
+
+    /// A coefficient that came out of a fit, and one typed by a person.
+    #[test]
+    fn a_chain_s_terms_are_short() {
+        let term = |coefficient| super::term(&Term { position: 1, temperature: 0, coefficient });
+        assert_eq!(term(0.123_456_789_012_345_6), "+0.12346·(p/100 mm)");
+        assert_eq!(term(-1.15), "-1.15·(p/100 mm)");
+    }
 }

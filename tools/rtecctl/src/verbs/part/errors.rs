@@ -19,9 +19,9 @@ pub(crate) struct Args {
     /// Nominal radius of the circle, in mm; a straight feature has none
     #[arg(long)]
     radius_mm: Option<f64>,
-    /// Radius of the probe's tip, in mm: 0 where the points already are on the surface
-    #[arg(long, default_value_t = 0.0)]
-    tip_mm: f64,
+    /// Radius of the probe's tip, in mm; 0 where the points already are on the surface [default: 0, and it is said]
+    #[arg(long)]
+    tip_mm: Option<f64>,
     /// What was probed [default: recognised from the points]
     #[arg(long, value_enum)]
     feature: Option<Feature>,
@@ -53,6 +53,9 @@ pub(crate) struct Args {
     #[arg(long)]
     json: bool,
 }
+
+/// An error of this size is no finish cut's.
+const FALSE_TRIP_UM: f64 = 200.0;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Feature {
@@ -97,8 +100,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
         return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
     }
-    if !(0.0..=1000.0).contains(&args.tip_mm) {
-        return Err(usage("--tip-mm", format!("{}", args.tip_mm), "a radius in mm, 0 or more"));
+    let tip_mm = args.tip_mm.unwrap_or(0.0);
+    if !(0.0..=1000.0).contains(&tip_mm) {
+        return Err(usage("--tip-mm", format!("{tip_mm}"), "a radius in mm, 0 or more"));
     }
     if args.radius_mm.is_some_and(|r| !(r.is_finite() && r > 0.0)) {
         return Err(usage("--radius-mm", "no positive radius", "the arc's nominal radius in mm"));
@@ -117,7 +121,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         probed.correct_geometric_thermal(&Machine::read(file)?, origin)?;
     }
-    let mut report = probed.errors(nominal(args, &probed)?, args.tip_mm)?;
+    let mut report = probed.errors(nominal(args, &probed)?, tip_mm)?;
+    if args.tip_mm.is_none() {
+        eprintln!(
+            "rtecctl: no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
+             the radius (a straight feature's place) is off by the tip's; the form is not"
+        );
+    }
     if let (Some(nominal), Some(radius)) = (args.radius_mm, report.radius_mm)
         && !(0.5..=2.0).contains(&(radius / nominal))
     {
@@ -131,6 +141,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.with_size && report.size_error_um.is_none() {
         let expected = "--expected PROBPATH.CDL beside it: without places to compare with, a straight feature has no size";
         return Err(usage("--with-size", "a straight feature", expected));
+    }
+    let farthest =
+        report.errors.iter().enumerate().max_by(|a, b| a.1.error_um.abs().total_cmp(&b.1.error_um.abs()));
+    if let Some((n, e)) = farthest.filter(|(_, e)| e.error_um.abs() > FALSE_TRIP_UM) {
+        eprintln!(
+            "warning: point {n} is {:+.0} µm off the {}, and error.cor takes it as the part's: if it was a false trip, take its row \
+             out, or give the expected trips (--expected)",
+            e.error_um, report.feature
+        );
     }
     if let Some(folder) = &args.out {
         let (table, svg, dxf) =
@@ -159,6 +178,11 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         r.points,
         r.rejected.len()
     );
+    if r.tip_mm == 0.0 {
+        let _ = writeln!(t, "tip             0 mm: the points as they stand are taken as the part's surface");
+    } else {
+        let _ = writeln!(t, "tip             {} mm taken off: the points are its centres", r.tip_mm);
+    }
     let _ = writeln!(t, "centre          Z {z:.5} mm  X {x:.5} mm");
     if let (Some(radius), Some(off)) = (r.radius_mm, r.size_error_um) {
         let _ = writeln!(t, "radius          {radius:.5} mm ({off:+.1} µm from nominal)");
@@ -190,7 +214,7 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
     let _ = writeln!(t, "robust fit      Z {rz:.5} mm  X {rx:.5} mm, scale {:.2} µm", r.robust.scale_um);
     let _ = writeln!(t, "\n   #  angle rad  error µm  robust µm");
     for (i, e) in r.errors.iter().enumerate() {
-        let mark = if r.rejected.contains(&i) { "  left out" } else { "" };
+        let mark = if r.rejected.contains(&i) { "  not in the fit" } else { "" };
         let _ = writeln!(
             t,
             "{i:>4} {:>10.6} {:>9.2} {:>10.2}{mark}",

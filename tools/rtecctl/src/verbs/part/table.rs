@@ -20,8 +20,8 @@ pub(crate) struct Args {
     #[command(flatten)]
     counts: CountArgs,
     /// Entries interpolated between each two probed points
-    #[arg(long, default_value_t = 9)]
-    between: usize,
+    #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u16).range(0..=1000))]
+    between: u16,
     /// Feed of the finish cut, in mm/min
     #[arg(long, default_value_t = 100.0)]
     feed_mm_min: f64,
@@ -106,7 +106,7 @@ pub(crate) struct CountArgs {
     #[arg(long, default_value_t = 1.0)]
     count_um: f64,
     /// Counts of one insertion: 2 for Design C, 4 for the Original and Design A, 1 for Design B
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(i64).range(1..=64))]
+    #[arg(long, default_value_t = 2, value_parser = increment)]
     increment: i64,
     /// Z counts down towards the part's +Z
     #[arg(long)]
@@ -116,9 +116,20 @@ pub(crate) struct CountArgs {
     x_counts_down: bool,
 }
 
+fn increment(text: &str) -> Result<i64, String> {
+    text.parse().ok().filter(|n| [1, 2, 4].contains(n)).ok_or_else(|| "expected 1, 2 or 4".to_owned())
+}
+
 impl CountArgs {
     pub(crate) fn axes(&self) -> anyhow::Result<[AxisCounts; 2]> {
-        let count_um = positive("--count-um", self.count_um)?;
+        let count_um = self.count_um;
+        if !(1e-4..=1000.0).contains(&count_um) {
+            return Err(usage(
+                "--count-um",
+                count_um.to_string(),
+                "what a scale's count is worth: 0.0001 to 1000 µm",
+            ));
+        }
         Ok([self.z_counts_down, self.x_counts_down].map(|down| AxisCounts {
             count_um,
             increment: self.increment,
@@ -139,13 +150,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         FeatureErrors::Line(errors) => {
             let (nose_mm, origin) = args.cut.tool()?;
             let table = LineTable { errors, axes, nose_mm, origin };
-            let rows = table.rows(args.between);
+            let rows = table.rows(usize::from(args.between));
             let text = table.csv(&rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|_| table.straight_moves()))
         }
         FeatureErrors::Arc(errors) => {
             let table = FinishTable::new(args.cut.cut()?, axes, errors);
-            let rows = table.rows(args.between);
+            let rows = table.rows(usize::from(args.between));
             let text = csv(&table, &rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))
         }
