@@ -81,11 +81,9 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
         "name = \"b\"\n[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T9\"\num_per_K = 1\n",
     )
     .unwrap();
-    assert!(
-        daemon
-            .expect(2, &["model", "load", bad.to_str().unwrap(), "--yes"])
-            .contains("temperature T9 is read")
-    );
+    let said = daemon.expect(2, &["model", "load", bad.to_str().unwrap(), "--yes"]);
+    let lacks = "no temperature T9 (read by thermal_growth.z) in the daemon's configuration";
+    assert!(said.contains(lacks) && said.contains("[[sensor]] name = \"T9\""), "{said}");
     assert_eq!(daemon.status()["axes"][1]["requested"], 0);
 
     daemon.expect(0, &["model", "load", "--yes"]);

@@ -68,7 +68,7 @@ fn part_errors_keeps_its_contract() {
 
     // A false trip is the part's for error.cor: said.
     let place = |k: usize| text.lines().nth(k).unwrap().to_owned();
-    std::fs::write(folder.join("false.csv"), text.replace(&place(15), "20.0,30.0")).unwrap();
+    std::fs::write(folder.join("false.csv"), text.replace(&place(15), "20.71,35.80")).unwrap();
     let output = part(folder, &["errors", "--points", "false.csv", "--radius-mm", "38.1", "--tip-mm", "2.5"]);
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(stderr.contains("point 14 is") && stderr.contains("false trip"), "{stderr}");

@@ -44,7 +44,7 @@ fn figures_are_for_people_and_json_for_programs() {
     let (text, _) =
         rtecctl(dir.path(), "model compare a.toml b.toml --record sim/linear-displacement-x.run.toml");
     readable(&text);
-    assert!(text.contains("ppm: 12.3457 -> 13.1\n"), "{text}");
+    assert!(text.contains("ppm: 12.346 -> 13.1\n"), "{text}");
     assert!(text.contains("left by 1st") && text.contains("\nerror.x "), "{text}");
     for words in [
         "simulate linear-displacement --machine a.toml --out sim --json",
