@@ -127,6 +127,40 @@ impl Problem {
         self.y[i] - found.iter().zip(&self.columns).map(|(f, c)| f.value * c[i]).sum::<f64>()
     }
 
+    /// RMS over the pieces that `take` chooses, each stretch of time by the solution of all the others.
+    fn unseen_um(&self, take: impl Fn(usize) -> bool) -> Option<f64> {
+        let (p, blocks) = (self.columns.len(), self.stretches().swap_remove(0));
+        let scale: Vec<f64> =
+            self.columns.iter().map(|c| c.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-300)).collect();
+        let grams = self.grams(&blocks, &scale);
+        let mut solutions = Vec::with_capacity(BLOCKS);
+        for b in 0..BLOCKS {
+            let (g, h) = sum_of(&grams, p, Some(b));
+            solutions.push(g.cholesky()?.solve(&h));
+        }
+        let (mut sum, mut n) = (0.0, 0.0);
+        for i in self.pieces.iter().enumerate().filter(|(k, _)| take(*k)).flat_map(|(_, r)| r.clone()) {
+            let of = &solutions[blocks[i]];
+            let said: f64 = (0..p).map(|k| of[k] * self.columns[k][i] / scale[k]).sum();
+            sum += (self.y[i] - said).powi(2);
+            n += 1.0;
+        }
+        (n > 0.0).then(|| (sum / n).sqrt())
+    }
+
+    /// The products of columns and response over the rows of each block.
+    fn grams(&self, blocks: &[usize], scale: &[f64]) -> Vec<Gram> {
+        let p = self.columns.len();
+        let mut grams = vec![(DMatrix::<f64>::zeros(p, p), DVector::<f64>::zeros(p)); BLOCKS];
+        for (i, b) in blocks.iter().enumerate() {
+            let (g, h) = &mut grams[*b];
+            let row = DVector::from_fn(p, |k, _| self.columns[k][i] / scale[k]);
+            g.ger(1.0, &row, &row, 1.0);
+            h.axpy(self.y[i], &row, 1.0);
+        }
+        grams
+    }
+
     /// Within this the solution says 95 % of the rows, of the worst of the pieces that `take` chooses: what one kind of run
     /// shows another may not.
     fn half_width_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> f64 {
@@ -163,21 +197,8 @@ impl Problem {
     /// The solution with intervals from leaving out each block in turn.
     fn jackknifed(&self, blocks: &[usize], scale: &[f64]) -> Option<Vec<Found>> {
         let p = self.columns.len();
-        let mut grams = vec![(DMatrix::<f64>::zeros(p, p), DVector::<f64>::zeros(p)); BLOCKS];
-        for (i, b) in blocks.iter().enumerate() {
-            let (g, h) = &mut grams[*b];
-            let row = DVector::from_fn(p, |k, _| self.columns[k][i] / scale[k]);
-            g.ger(1.0, &row, &row, 1.0);
-            h.axpy(self.y[i], &row, 1.0);
-        }
-        let sum = |skip: Option<usize>| {
-            let mut all = (DMatrix::<f64>::zeros(p, p), DVector::<f64>::zeros(p));
-            for (_, (g, h)) in grams.iter().enumerate().filter(|(b, _)| Some(*b) != skip) {
-                all.0 += g;
-                all.1 += h;
-            }
-            all
-        };
+        let grams = self.grams(blocks, scale);
+        let sum = |skip: Option<usize>| sum_of(&grams, p, skip);
         let (g, h) = sum(None);
         let all = g.cholesky()?.solve(&h);
         let used = (0..BLOCKS).filter(|b| blocks.contains(b));
@@ -196,6 +217,30 @@ impl Problem {
     }
 }
 
+/// Products of columns with each other and with the response.
+type Gram = (DMatrix<f64>, DVector<f64>);
+
+/// All of them but one.
+fn sum_of(grams: &[Gram], p: usize, skip: Option<usize>) -> Gram {
+    let mut all = (DMatrix::zeros(p, p), DVector::zeros(p));
+    for (_, (g, h)) in grams.iter().enumerate().filter(|(b, _)| Some(*b) != skip) {
+        all.0 += g;
+        all.1 += h;
+    }
+    all
+}
+
+/// A record's own zero of a response: where its gauge or its homing put it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Zero {
+    /// The record's file.
+    pub record: String,
+    /// The response.
+    pub response: String,
+    /// What the fit leaves of it on average, µm.
+    pub um: f64,
+}
+
 /// What a fit of named effects found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NamedReport {
@@ -203,8 +248,59 @@ pub struct NamedReport {
     pub effects: Vec<Fitted>,
     /// RMS per response over all records, each record's own zero taken off, µm: before, and after.
     pub rms_um: Vec<(String, [f64; 2])>,
+    /// The records' own zeros that were taken off: no part of the model, and of no interval.
+    pub zeros: Vec<Zero>,
     /// What is left that is no noise, by response.
     pub warnings: Vec<String>,
+}
+
+/// Enters the effects with what was found of them into the machine.
+fn written(
+    machine: &mut Machine,
+    effects: Vec<Effect>,
+    found: &[Found],
+    records: &[&Record],
+    date: &str,
+) -> Result<Vec<Fitted>, InputError> {
+    let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
+    let mut fitted = Vec::new();
+    let mut at = 0;
+    for mut effect in effects {
+        let n = effect.coefficient_count();
+        let own = &found[at..at + n];
+        at += n;
+        effect.set_coefficients(&own.iter().map(|f| f.value).collect::<Vec<_>>());
+        let names = effect.description().parameters.iter().map(|p| p.name.clone());
+        let interval: Intervals = names.zip(own.iter().map(|f| vec![f.interval])).collect();
+        fitted.push(Fitted::of(&effect, &interval));
+        let provenance = Provenance {
+            added_by: Some("model fit".to_owned()),
+            date: Some(date.to_owned()),
+            from: records.iter().map(|r| Source::of(r)).collect(),
+            interval,
+        };
+        machine.push(effect, provenance).map_err(|e| usage(e.to_string(), "each effect once"))?;
+    }
+    Ok(fitted)
+}
+
+/// What the fit leaves of every response on average.
+fn zeros(
+    machine: &Machine,
+    records: &[&Record],
+    roles: &[Role],
+    known: bool,
+) -> Result<Vec<Zero>, InputError> {
+    let mut found = Vec::new();
+    for record in records.iter().filter(|_| !known) {
+        let left = machine.beyond(record)?;
+        for column in left.responses().filter(|c| roles.contains(&c.role)) {
+            let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+            let um = column.data.iter().sum::<f64>() / column.data.len().max(1) as f64;
+            found.push(Zero { record: name, response: column.role.to_string(), um });
+        }
+    }
+    Ok(found)
 }
 
 /// `scale.x`, or `thermal_expansion.x:T3-T20` where the effect reads temperatures.
@@ -296,10 +392,12 @@ pub fn fit_named(
     valid_days: i64,
 ) -> Result<(Machine, NamedReport), InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
-    let mut effects = effects_of(base, names)?;
+    let effects = effects_of(base, names)?;
     let count: usize = effects.iter().map(Effect::coefficient_count).sum();
     let mut problem = Problem::new(count);
     let mut roles: Vec<Role> = Vec::new();
+    // A constant was asked for somewhere: then no zero is taken off.
+    let mut known = false;
     // Response and kind of run.
     let mut piece_of: Vec<(Role, Option<String>)> = Vec::new();
     let mut owners: Vec<&Record> = Vec::new();
@@ -330,6 +428,7 @@ pub fn fit_named(
             if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {
                 continue;
             }
+            known |= zero_is_known;
             problem.push(&column.data, &columns, zero_is_known);
             problem.moved(record);
             owners.push(record);
@@ -363,7 +462,7 @@ pub fn fit_named(
             response: role.to_string(),
             date: date.to_owned(),
             valid_until: date::parse(date).map_or_else(|| date.to_owned(), |d| date::format(d + valid_days)),
-            rms_um: rms(role)[1],
+            rms_um: problem.unseen_um(|piece| piece_of[piece].0 == *role).unwrap_or(rms(role)[1]),
             half_width_um: problem.half_width_um(&found, |piece| piece_of[piece].0 == *role),
             valid: Vec::new(),
             at_mm: Some(FitNote::places(&seen)),
@@ -375,23 +474,7 @@ pub fn fit_named(
         }
         machine.note_fit(note);
     }
-    let mut fitted = Vec::new();
-    let mut at = 0;
-    for effect in &mut effects {
-        let n = effect.coefficient_count();
-        let own = &found[at..at + n];
-        at += n;
-        effect.set_coefficients(&own.iter().map(|f| f.value).collect::<Vec<_>>());
-        let names = effect.description().parameters.iter().map(|p| p.name.clone());
-        let interval: Intervals = names.zip(own.iter().map(|f| vec![f.interval])).collect();
-        fitted.push(Fitted::of(effect, &interval));
-        let provenance = Provenance {
-            added_by: Some("model fit".to_owned()),
-            date: Some(date.to_owned()),
-            from: records.iter().map(|r| Source::of(r)).collect(),
-            interval,
-        };
-        machine.push(effect.clone(), provenance).map_err(|e| usage(e.to_string(), "each effect once"))?;
-    }
-    Ok((machine, NamedReport { effects: fitted, rms_um, warnings }))
+    let fitted = written(&mut machine, effects, &found, records, date)?;
+    let zeros = zeros(&machine, records, &roles, known)?;
+    Ok((machine, NamedReport { effects: fitted, rms_um, zeros, warnings }))
 }

@@ -42,10 +42,10 @@ pub const FEEDS_MM_PER_MIN: [f64; 3] = [254.0, 1270.0, 2540.0];
 const TEMPERATURES: &str = "every temperature sensor";
 
 /// The sequence for these axes and this highest spindle speed. The warm runs come last, each from a machine that has
-/// stood over night where it says *cold*.
+/// stood over night where it says *cold*. Without a bar there are no circles.
 #[must_use]
-pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: f64) -> Vec<Step> {
-    let mut steps = contouring(axes, ball_radius_mm);
+pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) -> Vec<Step> {
+    let mut steps = ball_radius_mm.map_or_else(Vec::new, |radius_mm| contouring(axes, radius_mm));
     steps.extend(axes.iter().flat_map(displacement));
     let errors: Vec<String> = axes.iter().map(|a| format!("error.{}", a.name)).collect();
     steps.push(Step {
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn the_sequence_holds_what_the_patent_asks_for() {
         let axes = ["x", "y", "z"].map(|n| PlanAxis { name: n.into(), travel_mm: 500.0 });
-        let steps = sequence(&axes, 6000.0, 150.0);
+        let steps = sequence(&axes, 6000.0, Some(150.0));
         let count = |what: &str| steps.iter().filter(|s| s.record.starts_with(what)).count();
         // Three planes at three feeds both ways, three lines, tool changes, six spindle runs.
         assert_eq!([count("ballbar_"), count("linear_"), count("tool_change"), steps.len()], [18, 3, 1, 28]);
@@ -265,7 +265,7 @@ mod tests {
     /// ISO 230-2:2014, 5.3: at most 250 mm apart on an axis of more than 2 m, and the cycles on 2 m of it.
     #[test]
     fn a_long_axis_has_a_long_run_and_the_cycles_on_two_metres() {
-        let steps = sequence(&[PlanAxis { name: "x".into(), travel_mm: 4000.0 }], 6000.0, 150.0);
+        let steps = sequence(&[PlanAxis { name: "x".into(), travel_mm: 4000.0 }], 6000.0, Some(150.0));
         let numbers = |record: &str| -> Vec<f64> {
             let run = &steps.iter().find(|s| s.record == record).unwrap().run;
             run.split(" mm from").next().unwrap().split(' ').filter_map(|w| w.parse().ok()).collect()

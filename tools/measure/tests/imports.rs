@@ -61,6 +61,13 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
         assert_eq!((e.line, e.column), (line, column), "{text:?}: {e}");
         assert!(e.found.contains(found), "{text:?}: {e}");
     }
+    for (text, line, found) in [
+        ("t;e\n1,5;2,0\n2,5;2.500\n", 3, "'2.500' in column e"),
+        ("t;e\n1.5;2\n2;2,5\n", 3, "'2,5' in column e"),
+    ] {
+        let e = read(text, &["t=time", "e=error.x"]).unwrap_err();
+        assert!(e.line == line && e.found.contains(found) && e.expected.contains("part thousands"), "{e}");
+    }
     assert!(read("t,e\n1,1\n0,1\n", &["t=time", "e=error.x"]).is_err(), "time runs backwards");
     for (text, expected) in [
         ("t", "NAME=ROLE"),

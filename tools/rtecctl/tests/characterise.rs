@@ -434,3 +434,24 @@ fn json_has_the_standard_s_keys() {
         assert!(out.contains(&format!("\"{key}\": ")), "{key}: {out}");
     }
 }
+
+/// No plan asks for what the machine cannot do.
+#[test]
+fn a_plan_fits_the_machine() {
+    let dir = tempfile::tempdir().unwrap();
+    let plan = |words: &[&str]| said(&rtecctl(dir.path(), &[&["plan", "--axes"], words].concat()));
+    for (words, code, what) in [
+        (&["x=500,y=400"][..], 0, "ballbar of 150 mm"),
+        (&["x=500,y=220"], 0, "ballbar of 100 mm"),
+        (&["x=500,y=110"], 0, "ballbar of 50 mm"),
+        (&["x=500,y=80"], 0, "no circles"),
+        (&["x=500,y=80", "--ballbar-mm", "40"], 0, "ballbar of 40 mm"),
+        (&["x=500,y=400", "--ballbar-mm", "900"], 2, "a circle 1800 mm across on an axis of 400 mm"),
+        (&["x=500,x=400"], 2, "x a second time"),
+        (&["x=500"], 0, "linear_x"),
+    ] {
+        let (got, out, err) = plan(words);
+        assert_eq!(got, Some(code), "{words:?}: {err}");
+        assert!(out.contains(what) || err.contains(what), "{words:?}: {out} {err}");
+    }
+}

@@ -299,3 +299,29 @@ fn a_chain_is_shown_and_exported_along_an_axis() {
     let z = &document["summary"]["linear-displacement-z"];
     assert!(z["z_without"]["max"].as_f64().is_some(), "{z}");
 }
+
+/// Each run has a zero of its own, from homing: no model foretells it. The fit says what it took off, and a later run is judged about
+/// its own: before, an interval of ±0.2 µm held none of its rows and nothing said why.
+#[test]
+fn a_run_s_own_zero_is_said_and_in_no_interval() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    for seed in [1, 7] {
+        rtecctl(dir, &format!("simulate linear-displacement --seed {seed} --out s{seed} --json"));
+    }
+    let fit = rtecctl(
+        dir,
+        "model fit --effects scale.x,reversal.x --record s1/linear-displacement-x.run.toml --out m.toml --json",
+    );
+    let zero = &fit["zeros"][0];
+    assert!(zero["response"] == "error.x" && zero["um"].as_f64().unwrap().abs() > 1.0, "{fit}");
+    let later = "model validate --machine m.toml --record s7/linear-displacement-x.run.toml";
+    let found = rtecctl(dir, &format!("{later} --json"));
+    let v = &found["responses"][0];
+    assert!(v["coverage"].as_f64().unwrap() < 0.1, "{v}");
+    assert!((0.85..=1.0).contains(&v["coverage_about_mean"].as_f64().unwrap()), "{v}");
+    let said =
+        Command::new(env!("CARGO_BIN_EXE_rtecctl")).current_dir(dir).args(later.split(' ')).output().unwrap();
+    let said = String::from_utf8_lossy(&said.stderr).into_owned();
+    assert!(said.contains("the run's own zero"), "{said}");
+}

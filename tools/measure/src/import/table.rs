@@ -242,6 +242,7 @@ pub fn table(
     };
     let mut data = vec![Vec::new(); wanted.len()];
     let mut start: Option<(i128, String)> = None;
+    let mut marked: Option<char> = None;
     while let Some(row) = reader.row()? {
         let cells = cells(header.as_ref(), row, decimal)?;
         for ((w, place), data) in wanted.iter().zip(&places).zip(&mut data) {
@@ -264,6 +265,7 @@ pub fn table(
             if is_time && start.is_some() {
                 return Err(named(cell.finding("a time as in the rows before, 2022-08-08T13:51:37.25Z")));
             }
+            decimal.alike(cell, &mut marked).map_err(named)?;
             data.push(decimal.number(cell).map_err(named)? * w.scale[0] + w.scale[1]);
         }
     }
@@ -306,6 +308,23 @@ enum Decimal {
 }
 
 impl Decimal {
+    /// Where a table may have either, it has one: a dot beside decimal commas is as likely one of thousands.
+    fn alike(self, cell: &Cell<'_>, marked: &mut Option<char>) -> Result<(), InputError> {
+        let Some(mark) =
+            cell.text().chars().find(|c| matches!(c, '.' | ',')).filter(|_| self == Self::Either)
+        else {
+            return Ok(());
+        };
+        if *marked.get_or_insert(mark) == mark {
+            return Ok(());
+        }
+        Err(cell.finding(if mark == '.' {
+            "a decimal comma, as the numbers before it: a dot beside decimal commas may part thousands"
+        } else {
+            "a decimal point, as the numbers before it: a comma beside decimal points may part thousands"
+        }))
+    }
+
     fn number(self, cell: &Cell<'_>) -> Result<f64, InputError> {
         let text = cell.text();
         let of = |text: &str| text.parse().ok().filter(|v: &f64| v.is_finite());

@@ -180,6 +180,10 @@ impl Span {
     fn name(&self, record: &Record) -> (&'static str, String) {
         match &self.state {
             State::Rest if self.after_heat => ("cooling", "at rest after heat".to_owned()),
+            State::Rest if record.column(&Role::SpindleSpeed).is_none() => (
+                "environment",
+                "no axis moves, spindle_speed not recorded: environment (ETVE) only if it stood".to_owned(),
+            ),
             State::Rest => ("environment", "environment (ETVE), at rest".to_owned()),
             State::Moves(axes) => ("movement", format!("movement of {axes}")),
             State::Spindle => {

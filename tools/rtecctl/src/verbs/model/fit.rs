@@ -191,7 +191,15 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     }
     print_effects(&report.effects);
     for (response, [before, after]) in &report.rms_um {
-        println!("{response}: {before:.3} -> {after:.3} µm RMS");
+        println!("{response}: {before:.3} -> {after:.3} µm RMS about each record's own zero");
+    }
+    for z in &report.zeros {
+        println!("  {} {}: its own zero {:+.3} µm, no part of the model", z.record, z.response, z.um);
+    }
+    if !report.zeros.is_empty() {
+        println!(
+            "intervals are of the shape: another run's own zero (homing, the gauge's set-up) comes on top"
+        );
     }
     Ok(())
 }

@@ -52,6 +52,9 @@ pub(crate) struct RehearseArgs {
     json: bool,
 }
 
+/// Less than this share of the rows within a 95 % interval is too little.
+const HOLDS: f64 = 0.9;
+
 pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let mut found: Vec<Value> = Vec::new();
@@ -71,6 +74,11 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
             let inside = widths
                 .as_ref()
                 .map(|w| left.iter().zip(w).filter(|(v, w)| v.abs() <= **w).count() as f64 / n);
+            // A run's own zero (homing, the gauge's set-up) is no model's to tell.
+            let zero = left.iter().sum::<f64>() / n;
+            let about_zero = widths
+                .as_ref()
+                .map(|w| left.iter().zip(w).filter(|(v, w)| (*v - zero).abs() <= **w).count() as f64 / n);
             let width = widths.as_ref().map(|w| w.iter().sum::<f64>() / n);
             if let Some(path) = &args.plot {
                 let path = if found.is_empty() {
@@ -83,14 +91,25 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
                 rtec_files::write::whole(&path, svg.as_bytes())
                     .with_context(|| format!("writing {}", path.display()))?;
             }
+            if let (Some(inside), Some(about)) = (inside, about_zero)
+                && inside < HOLDS
+                && about >= HOLDS
+            {
+                eprintln!(
+                    "rtecctl: {}: {response}: what is left is {zero:+.3} µm all along, the run's own zero (homing, the gauge's set-up) or a \
+                     lost count: the interval is of the shape, and holds {:.1} % about it",
+                    path.display(),
+                    100.0 * about
+                );
+            }
             if after >= before && before > 0.0 {
                 worse.push(format!("{}: {response}", path.display()));
             }
             found.push(json!({
                 "record": path, "response": response, "rms": after, "rms_without_model": before,
-                "sd": rms(&mut column.data.iter().map(|v| v - mean)), "mean_left": left.iter().sum::<f64>() / n,
+                "sd": rms(&mut column.data.iter().map(|v| v - mean)), "mean_left": zero,
                 "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), "mean_half_width_um": width,
-                "coverage": inside, "fitted_on_this_record": seen,
+                "coverage": inside, "coverage_about_mean": about_zero, "fitted_on_this_record": seen,
             }));
         }
         for (effect, role) in &prediction.taken_as_zero {
@@ -109,7 +128,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         for v in &found {
             let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
             println!(
-                "{} {}: {} left of {} (SD {}), mean {}, largest {}; interval ±{} (mean) holds {}{}",
+                "{} {}: {} left of {} (SD {}), mean {}, largest {}; interval ±{} (mean) holds {}, {} about the mean left{}",
                 v["record"].as_str().unwrap_or_default(),
                 v["response"].as_str().unwrap_or_default(),
                 f("rms"),
@@ -119,6 +138,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
                 f("largest_left"),
                 f("mean_half_width_um"),
                 f("coverage"),
+                f("coverage_about_mean"),
                 if v["fitted_on_this_record"] == true {
                     "; NOT unseen: the model was fitted on it"
                 } else {
