@@ -29,6 +29,7 @@ fn main() -> anyhow::Result<()> {
     let length = Duration::from_secs_f64(60.0 * minutes);
     let out = rtec_tests::root().join("target/soak");
     std::fs::create_dir_all(&out)?;
+    let out = out.canonicalize()?;
 
     let sensors = Sensors::start(20.0);
     let more = format!("{Z}[model]\nfile = 'machine.toml'\nramp_um_s = 5\nlog_s = 5\n{}", sensors.config());
