@@ -37,6 +37,8 @@ pub(crate) struct Problem {
     y: Vec<f64>,
     /// Where each response of each record starts, and where it ends.
     pieces: Vec<std::ops::Range<usize>>,
+    /// The means that were taken off each piece: of the response, and of every column; none where the zero is known.
+    means: Vec<Option<(f64, Vec<f64>)>>,
     /// Where an axis was at every row, mm, by its name; nothing where it stood still.
     at_mm: BTreeMap<String, Vec<Option<f64>>>,
 }
@@ -49,16 +51,25 @@ impl Problem {
     /// A response of a record: what was measured, and per parameter what one unit of it makes of every row. The mean is
     /// taken off unless the zero is known.
     pub(crate) fn push(&mut self, y: &[f64], columns: &[Vec<f64>], zero_is_known: bool) {
-        let less_mean = |v: &[f64]| {
-            let m = if zero_is_known { 0.0 } else { v.iter().sum::<f64>() / v.len().max(1) as f64 };
-            v.iter().map(|v| v - m).collect::<Vec<f64>>()
-        };
+        let mean =
+            |v: &[f64]| if zero_is_known { 0.0 } else { v.iter().sum::<f64>() / v.len().max(1) as f64 };
         let start = self.y.len();
-        self.y.extend(less_mean(y));
+        let of_y = mean(y);
+        self.y.extend(y.iter().map(|v| v - of_y));
         self.pieces.push(start..self.y.len());
+        let mut of_columns = Vec::with_capacity(columns.len());
         for (all, own) in self.columns.iter_mut().zip(columns) {
-            all.extend(less_mean(own));
+            let m = mean(own);
+            all.extend(own.iter().map(|v| v - m));
+            of_columns.push(m);
         }
+        self.means.push((!zero_is_known).then_some((of_y, of_columns)));
+    }
+
+    /// What the solution leaves of a piece on average, µm: its own zero; none where that is known.
+    fn zero_um(&self, found: &[Found], piece: usize) -> Option<f64> {
+        let (of_y, of_columns) = self.means[piece].as_ref()?;
+        Some(of_y - found.iter().zip(of_columns).map(|(f, m)| f.value * m).sum::<f64>())
     }
 
     /// Where the axes were that moved through the response pushed last.
@@ -91,6 +102,11 @@ impl Problem {
         };
         let by_place: Vec<Vec<usize>> = self.at_mm.values().filter_map(of_axis).collect();
         std::iter::once(in_time).chain(by_place).collect()
+    }
+
+    /// The length of every column.
+    fn scale(&self) -> Vec<f64> {
+        self.columns.iter().map(|c| c.iter().map(|v| v * v).sum::<f64>().sqrt()).collect()
     }
 
     /// The first column that those before it make up.
@@ -129,9 +145,7 @@ impl Problem {
 
     /// RMS over the pieces that `take` chooses, each stretch of time by the solution of all the others.
     fn unseen_um(&self, take: impl Fn(usize) -> bool) -> Option<f64> {
-        let (p, blocks) = (self.columns.len(), self.stretches().swap_remove(0));
-        let scale: Vec<f64> =
-            self.columns.iter().map(|c| c.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-300)).collect();
+        let (p, blocks, scale) = (self.columns.len(), self.stretches().swap_remove(0), self.scale());
         let grams = self.grams(&blocks, &scale);
         let mut solutions = Vec::with_capacity(BLOCKS);
         for b in 0..BLOCKS {
@@ -172,8 +186,7 @@ impl Problem {
     /// The solution, or the number of a parameter that these rows do not determine beside those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
         let p = self.columns.len();
-        let scale: Vec<f64> =
-            self.columns.iter().map(|c| c.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
+        let scale = self.scale();
         if let Some(k) = scale.iter().position(|s| *s <= 1e-12) {
             return Err(k);
         }
@@ -284,25 +297,6 @@ fn written(
     Ok(fitted)
 }
 
-/// What the fit leaves of every response on average.
-fn zeros(
-    machine: &Machine,
-    records: &[&Record],
-    roles: &[Role],
-    known: bool,
-) -> Result<Vec<Zero>, InputError> {
-    let mut found = Vec::new();
-    for record in records.iter().filter(|_| !known) {
-        let left = machine.beyond(record)?;
-        for column in left.responses().filter(|c| roles.contains(&c.role)) {
-            let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-            let um = column.data.iter().sum::<f64>() / column.data.len().max(1) as f64;
-            found.push(Zero { record: name, response: column.role.to_string(), um });
-        }
-    }
-    Ok(found)
-}
-
 /// `scale.x`, or `thermal_expansion.x:T3-T20` where the effect reads temperatures.
 fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> {
     let usage = |found: String, expected: String| InputError::whole(Path::new("--effects"), found, expected);
@@ -396,8 +390,6 @@ pub fn fit_named(
     let count: usize = effects.iter().map(Effect::coefficient_count).sum();
     let mut problem = Problem::new(count);
     let mut roles: Vec<Role> = Vec::new();
-    // A constant was asked for somewhere: then no zero is taken off.
-    let mut known = false;
     // Response and kind of run.
     let mut piece_of: Vec<(Role, Option<String>)> = Vec::new();
     let mut owners: Vec<&Record> = Vec::new();
@@ -428,7 +420,6 @@ pub fn fit_named(
             if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {
                 continue;
             }
-            known |= zero_is_known;
             problem.push(&column.data, &columns, zero_is_known);
             problem.moved(record);
             owners.push(record);
@@ -475,6 +466,10 @@ pub fn fit_named(
         machine.note_fit(note);
     }
     let fitted = written(&mut machine, effects, &found, records, date)?;
-    let zeros = zeros(&machine, records, &roles, known)?;
+    let zero = |(piece, (record, (role, _))): (usize, (&&Record, &(Role, Option<String>)))| {
+        let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        Some(Zero { record: name, response: role.to_string(), um: problem.zero_um(&found, piece)? })
+    };
+    let zeros = owners.iter().zip(&piece_of).enumerate().filter_map(zero).collect();
     Ok((machine, NamedReport { effects: fitted, rms_um, zeros, warnings }))
 }

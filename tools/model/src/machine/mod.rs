@@ -11,6 +11,8 @@
 
 mod check;
 mod evaluate;
+#[cfg(test)]
+mod lathe;
 mod note;
 mod places;
 mod read;

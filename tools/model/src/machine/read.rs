@@ -295,16 +295,9 @@ fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, Inpu
 
 #[cfg(test)]
 mod tests {
+    use super::super::lathe::{LATHE, parse};
     use super::*;
     use crate::effect::Difference;
-
-    const LATHE: &str = "# my lathe\nname = \"demo lathe\"\n\n[[effect]]\nname = \"scale.x\"\nppm = 12.0 # measured in May\n\n\
-                         [[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 0.114\n\
-                         um_per_K2 = -0.0008\n";
-
-    fn parse(text: &str) -> Result<Machine, InputError> {
-        Machine::parse(Path::new("m.toml"), text)
-    }
 
     /// Values that no machine has are refused where they stand, in few words.
     #[test]

@@ -303,19 +303,12 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
 
 #[cfg(test)]
 mod tests {
+    use super::super::lathe::{LATHE, parse};
     use super::*;
     use crate::effect::Difference;
     use crate::record::{Record, hex};
     use sha2::{Digest, Sha256};
     use std::collections::BTreeMap;
-
-    const LATHE: &str = "# my lathe\nname = \"demo lathe\"\n\n[[effect]]\nname = \"scale.x\"\nppm = 12.0 # measured in May\n\n\
-                         [[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 0.114\n\
-                         um_per_K2 = -0.0008\n";
-
-    fn parse(text: &str) -> Result<Machine, InputError> {
-        Machine::parse(Path::new("m.toml"), text)
-    }
 
     #[test]
     fn nothing_the_user_wrote_is_lost() {
