@@ -124,6 +124,16 @@ pub(super) struct Fit<'t> {
     pub(super) beside_white: DMatrix<f64>,
 }
 
+/// What the runs show of the free values, in the terms' order.
+pub(super) struct Shown {
+    /// Half the width of each 95 % interval.
+    pub(super) halves: Vec<f64>,
+    /// Whether the runs tell it at all.
+    resolved: Vec<bool>,
+    /// What the harmonics say of what has no law.
+    beside: Option<Told>,
+}
+
 /// Fits one plane.
 pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<Diagnosis, InputError> {
     let Some(circle) =
@@ -155,8 +165,9 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
                 .to_owned(),
         );
     }
-    let found = fit.answer(axes, &told);
-    let lost = fit.not_told(&told);
+    let shown = fit.shown();
+    let found = fit.answer(axes, &told, &shown);
+    let lost = fit.not_told(&told, &shown);
     if !lost.is_empty() {
         warnings.push(format!(
             "these runs do not tell {} apart: full circles both ways in one record do",
@@ -482,15 +493,15 @@ impl<'t> Fit<'t> {
         inside
     }
 
-    /// Half the width of the 95 % interval of each free value, and what the harmonics say of what has no law.
-    pub(super) fn half_widths(&self) -> (Vec<f64>, Option<Told>) {
+    /// What the runs show of each free value, and what the harmonics say of what has no law.
+    pub(super) fn shown(&self) -> Shown {
         let j = self.jacobian();
         let left = self.left();
         let freedom = self.freedom(j.ncols());
         let white = self.white(&left);
         let variance = white.norm_squared() / freedom * Structure::hangs_together(&white);
         let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
-        let Normal { unit, scaled, inverse, .. } = Normal::of(&j);
+        let Normal { unit, scaled, inverse, resolution } = Normal::of(&j);
         let told_beside = self.told(&left, variance);
         // What a µm of each order that the laws take moves a value by.
         let moves = told_beside.map(|_| {
@@ -515,7 +526,8 @@ impl<'t> Fit<'t> {
             let quantile = StudentsT::new(0.0, 1.0, effective).map_or(1.96, |t| t.inverse_cdf(0.975));
             quantile * all.sqrt() / scaled[at]
         };
-        ((0..j.ncols()).map(half).collect(), told_beside)
+        let halves = (0..j.ncols()).map(half).collect();
+        Shown { halves, resolved: resolution.iter().map(|r| *r > RESOLVED).collect(), beside: told_beside }
     }
 
     /// The least that the causes found can leave, RMS in µm: what stands beside them takes nothing.
@@ -526,18 +538,11 @@ impl<'t> Fit<'t> {
         self.rms(&residual(&DMatrix::from_columns(&columns), &own(&self.left())))
     }
 
-    /// Free values in the terms' order: whether these runs tell them.
-    fn resolved(&self) -> Vec<bool> {
-        let normal = Normal::of(&self.jacobian());
-        normal.resolution.iter().map(|r| *r > RESOLVED).collect()
-    }
-
     /// Causes and set-up that are looked for and that these runs do not tell, as people call them.
-    fn not_told(&self, told: &[String]) -> Vec<String> {
-        let resolved = self.resolved();
+    fn not_told(&self, told: &[String], shown: &Shown) -> Vec<String> {
         let (mut at, mut names) = (0, Vec::new());
         for t in &self.terms {
-            let lost = t.free.iter().enumerate().any(|(k, _)| !resolved[at + k]);
+            let lost = t.free.iter().enumerate().any(|(k, _)| !shown.resolved[at + k]);
             at += t.free.len();
             let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
             if lost && self.separates(&t.name) && (!searched || told.contains(&t.name)) {
@@ -553,16 +558,15 @@ impl<'t> Fit<'t> {
 
     /// What each free value is, with half its interval, and what the causes told make of the radius; what is not resolved is in
     /// neither.
-    fn values(&self, halves: &[f64], told: &[String]) -> (BTreeMap<String, (f64, f64)>, Vec<Contribution>) {
-        let resolved = self.resolved();
+    fn values(&self, shown: &Shown, told: &[String]) -> (BTreeMap<String, (f64, f64)>, Vec<Contribution>) {
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
         let mut contributions = Vec::new();
         let mut at = 0;
         for t in &self.terms {
             let Some((effect, _)) = t.parts.first() else { continue };
-            let known = (at..at + t.free.len()).all(|k| resolved[k]);
+            let known = (at..at + t.free.len()).all(|k| shown.resolved[k]);
             for i in &t.free {
-                let half = halves[at];
+                let half = shown.halves[at];
                 at += 1;
                 if !known {
                     continue;
@@ -588,9 +592,8 @@ impl<'t> Fit<'t> {
         (values, contributions)
     }
 
-    fn answer(&self, axes: [&Axis; 2], told: &[String]) -> Diagnosis {
-        let (halves, told_beside) = self.half_widths();
-        let (values, contributions) = self.values(&halves, told);
+    fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &Shown) -> Diagnosis {
+        let (values, contributions) = self.values(shown, told);
         let get = |name: &str| values.get(name).map(|v| v.0);
         let of_axes = |what: &str| {
             axes.iter()
@@ -620,7 +623,7 @@ impl<'t> Fit<'t> {
             "centre.1.0" => self.circle[0][2],
             _ => 0.0,
         };
-        let shown = |name: &str| {
+        let stands = |name: &str| {
             let hidden = |what: &str| {
                 name.starts_with(what)
                     && !told.iter().any(|t| name == t || name.starts_with(&format!("{t}.")))
@@ -638,7 +641,7 @@ impl<'t> Fit<'t> {
         };
         let interval_95 = values
             .iter()
-            .filter(|(name, _)| shown(name))
+            .filter(|(name, _)| stands(name))
             .filter_map(|(name, (v, half))| {
                 let v = v + circle(name);
                 Some((rename(name)?, [v - half, v + half]))
@@ -657,7 +660,8 @@ impl<'t> Fit<'t> {
             contributions,
             rms: self.least_left(),
             // One way round reversals are among it.
-            unexplained_um: told_beside
+            unexplained_um: shown
+                .beside
                 .filter(|_| self.structure.both_ways)
                 .map(|t| t.rms_um)
                 .filter(|um| *um > SHOWS * self.rms(&self.noise())),

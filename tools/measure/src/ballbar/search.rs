@@ -55,7 +55,7 @@ impl Fit<'_> {
     fn drop_endless(&mut self, told: &mut Vec<String>) {
         let longest_mm = self.traces[0].record.circle().map_or(f64::INFINITY, |c| c.radius_mm) / 2.0;
         let before = self.terms.len();
-        let (halves, _) = self.half_widths();
+        let halves = self.shown().halves;
         let mut at = 0;
         self.terms.retain(|t| {
             let half = halves.get(at).copied().unwrap_or(0.0);
