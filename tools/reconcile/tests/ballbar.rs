@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+mod noise;
+
+use noise::noise;
 use rtec_model::circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -11,18 +14,6 @@ use std::path::Path;
 
 const R: f64 = 150.0;
 const FEED_MM_S: f64 = 25.0;
-
-/// Normal numbers, near enough, always the same.
-fn noise(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut uniform = move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        state as f64 / u64::MAX as f64
-    };
-    move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0
-}
 
 /// Both ways round, with an error by angle and sense of turning and 0.2 µm of noise: angle and time only.
 fn circles(seed: u64, error: impl Fn(f64, f64) -> f64) -> Record {

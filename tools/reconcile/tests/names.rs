@@ -2,23 +2,14 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+mod noise;
+
+use noise::noise;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use std::path::Path;
-
-/// Normal numbers, near enough, always the same.
-fn noise(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut uniform = move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        state as f64 / u64::MAX as f64
-    };
-    move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0
-}
 
 fn record(kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
     let columns = columns.into_iter().map(|(n, role, data)| Column::new(n, Role::parse(role).unwrap(), data));
