@@ -59,6 +59,7 @@ use rtec_driver::pci::PciId;
 use rtec_driver::profile::Profile;
 use rtec_files::toml::{At, Document, Section, SourceFile};
 use rtec_files::{InputError, nearest};
+use rtec_model::told::FileKind;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::event::MAX_AXES;
 use std::fmt;
@@ -297,6 +298,9 @@ impl Config {
 
     fn parse_for(file: &Path, text: &str, here: bool) -> Result<Self, ConfigFindings> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        if let Some(other) = FileKind::of(text).filter(|k| *k != FileKind::Configuration) {
+            return Err(ConfigFindings(vec![FileKind::Configuration.instead(file, other)]));
+        }
         let (document, findings) = Document::parse_all(file, text);
         let mut source = SourceFile { file, text, findings: first_causes(text, findings) };
         let config = if source.findings.is_empty() { read(&mut source, &document, here) } else { None };

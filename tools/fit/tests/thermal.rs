@@ -292,3 +292,46 @@ fn a_lag_that_the_record_is_too_short_for_is_said() {
         assert!(!said(record(5.0, tau_s)), "{tau_s} s in 5 hours");
     }
 }
+
+/// A body that pushes one way in the morning and the other way in the afternoon (its clamp slipped): a fit on one half does not
+/// hold the other, and the stated interval is said to be of states as the records show them. Of a machine that does the same
+/// all day nothing is said.
+#[test]
+fn an_interval_that_other_states_may_break_is_said() {
+    let said = |turns: bool| {
+        let (mut noise, n) = (Noise(77), 960);
+        let (mut first, mut second) = (0.0, 0.0);
+        let mut c: [Vec<f64>; 5] = Default::default();
+        for i in 0..n {
+            let on = |period: usize| f64::from(u8::from((i / period) % 2 == 0));
+            first += (8.0 * on(40) - first) / 12.0;
+            second += (8.0 * on(50) - second) / 15.0;
+            let mut with = |v: f64| v + 0.02 * noise.normal();
+            let row = [
+                60.0 * i as f64,
+                with(20.0),
+                with(20.0 + first),
+                with(20.0 + second),
+                with(3.0 * first + if turns && i >= n / 2 { -2.0 } else { 2.0 } * second),
+            ];
+            c.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+        }
+        let roles = ["time", "temperature", "temperature", "temperature", "error.z"];
+        let names = ["t", "T0", "T1", "T2", "e"];
+        let columns = names
+            .iter()
+            .zip(roles)
+            .zip(c)
+            .map(|((name, role), data)| ((*name).to_owned(), Role::parse(role).unwrap(), data));
+        let options = Options { environment: Some("T0".into()), ..Options::default() };
+        let (_, reports) = thermal::fit(&[&record(columns.collect())], &[], &options).unwrap();
+        let held = reports[0].interval95.coverage_halves.unwrap();
+        let warned = reports[0].warnings.iter().any(|w| w.contains("states as these records show them"));
+        println!("turns {turns}: halves {held:?}, {:?}", reports[0].warnings);
+        (held[0].min(held[1]), warned)
+    };
+    let (worst, warned) = said(true);
+    assert!(worst < 0.9 && warned, "{worst} {warned}");
+    let (worst, warned) = said(false);
+    assert!(worst >= 0.9 && !warned, "{worst} {warned}");
+}

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`positioning()`] | ISO 230-2: accuracy and repeatability of positioning of an axis, of tilts too |
 //! | [`drift()`] | ISO 230-3: thermal effects, phase by phase |
+//! | [`straightness()`] | ISO 230-1: straightness of an axis's motion |
 //! | [`diagonals()`] | ISO 230-6: body and face diagonals |
 //! | [`Conditions`] | what a test was done under, and its uncertainty by ISO/TR 230-9 |
 
@@ -11,12 +12,14 @@ mod conditions;
 mod diagonals;
 mod drift;
 mod positioning;
+mod straightness;
 
 pub use conditions::{Conditions, Contributor, Expansion, Uncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
 pub use drift::{Drift, Figures, Phase, SensorDrift, drift, drift_charts};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
-pub use positioning::{Options, Positioning, Target, positioning, positioning_with};
+pub use positioning::{Options, Positioning, Target, has_positioning, positioning, positioning_with};
+pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
 
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};

@@ -47,6 +47,7 @@ const TEMPERATURES: &str = "every temperature sensor";
 pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) -> Vec<Step> {
     let mut steps = ball_radius_mm.map_or_else(Vec::new, |radius_mm| contouring(axes, radius_mm));
     steps.extend(axes.iter().flat_map(displacement));
+    steps.extend(axes.iter().flat_map(|a| axes.iter().filter(|b| b.name != a.name).map(|b| straight(a, b))));
     let errors: Vec<String> = axes.iter().map(|a| format!("error.{}", a.name)).collect();
     steps.push(Step {
         number: 0,
@@ -161,6 +162,41 @@ fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
     }
 }
 
+/// Straightness of one axis's motion in the direction of another (ISO 230-1).
+fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
+    let (n, b) = (&axis.name, &across.name);
+    let margin_mm = (0.02 * axis.travel_mm).clamp(2.0, 25.0).min(axis.travel_mm / 10.0);
+    let length_mm = axis.travel_mm - 2.0 * margin_mm;
+    let places: Vec<String> = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11))
+        .iter()
+        .map(|t| format!("{t:.2}"))
+        .collect();
+    Step {
+        number: 0,
+        record: format!("straightness_{n}_{b}"),
+        kind: "positioning",
+        state: "cold, spindle at rest",
+        mount: format!(
+            "straightedge along {n}, or straightness optics, a gauge across it reading in {b}; the other axes stand"
+        ),
+        run: format!(
+            "{} mm from the lower end, up and down, three cycles, 3 s at rest before each reading; where the straightedge's \
+             form is not known, once more with it turned over",
+            places.join(" ")
+        ),
+        columns: words(&[
+            "time",
+            &format!("position.{n}"),
+            &format!("direction.{n}"),
+            "cycle",
+            &format!("error.{b}"),
+            TEMPERATURES,
+        ]),
+        evaluate: "straightness about the least-squares line; straightness, and squareness where the straightedge was squared",
+        minutes: 0.36 * (places.len() * 2 * 3) as f64,
+    }
+}
+
 /// Spindle cycles cold-dry, cold-wet, warm, production, and cooling down.
 fn spindle(errors: &[String], max_rpm: f64) -> Vec<Step> {
     let full = 0.9 * max_rpm;
@@ -241,15 +277,18 @@ mod tests {
         let axes = ["x", "y", "z"].map(|n| PlanAxis { name: n.into(), travel_mm: 500.0 });
         let steps = sequence(&axes, 6000.0, Some(150.0));
         let count = |what: &str| steps.iter().filter(|s| s.record.starts_with(what)).count();
-        // Three planes at three feeds both ways, three lines, tool changes, six spindle runs.
-        assert_eq!([count("ballbar_"), count("linear_"), count("tool_change"), steps.len()], [18, 3, 1, 28]);
+        // Three planes at three feeds both ways, three lines, each axis straight in two directions, tool changes, six spindle
+        // runs.
+        let counts =
+            [count("ballbar_"), count("linear_"), count("straightness_"), count("tool_change"), steps.len()];
+        assert_eq!(counts, [18, 3, 6, 1, 34]);
         for want in ["spindle_cold_dry", "spindle_cold_wet", "spindle_warm", "production_cycle", "cool_down"]
         {
             assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
         }
         assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
         let text = markdown("m", &steps);
-        assert!(text.contains("## 28. cool_down") && text.contains("254 mm/min"));
+        assert!(text.contains("## 34. cool_down") && text.contains("254 mm/min"));
         // Away from the ends, so that each can be approached from both sides.
         let line = &steps.iter().find(|s| s.record == "linear_x").unwrap().run;
         let ends: Vec<f64> = line.split(' ').filter_map(|w| w.parse().ok()).collect();

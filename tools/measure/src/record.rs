@@ -6,6 +6,7 @@ use rtec_files::toml::{Document, Table};
 use rtec_model::circle::Circle;
 use rtec_model::date;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, check, hex};
+use rtec_model::told::FileKind;
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -228,9 +229,11 @@ struct Sidecar {
 impl Sidecar {
     fn read(path: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(path)?;
-        let doc = Document::parse(path, &text)?;
+        let mistaken = |e: InputError| FileKind::RunRecord.finding(path, &text, e);
+        let doc = Document::parse(path, &text).map_err(mistaken)?;
         let root = doc.root();
-        root.only(&["file", "kind", "count_um", "radius_mm", "plane", "date", "note", "zero", "columns"])?;
+        root.only(&["file", "kind", "count_um", "radius_mm", "plane", "date", "note", "zero", "columns"])
+            .map_err(mistaken)?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
         let kinds = Kind::ALL.map(|(name, _)| name).join(", ");

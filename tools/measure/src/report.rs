@@ -4,7 +4,7 @@
 mod of;
 
 pub(crate) use of::short;
-pub use of::{ballbar, diagonals, drift, plate, positioning, repeatability};
+pub use of::{ballbar, diagonals, drift, plate, positioning, repeatability, straightness};
 
 use crate::iso230::Conditions;
 use crate::plot::PlotError;

@@ -128,3 +128,50 @@ fn holes_on_one_line_are_no_plate() {
         assert!(said.to_string().contains("holes on one line"), "{said}");
     }
 }
+
+/// A bow of k·u² (u from −1 to 1 over the travel) is 1·k from its least-squares line, whatever slope and zero stand beside
+/// it; up and down apart by the reversal.
+#[test]
+fn straightness_is_what_is_off_the_line() {
+    let (bow_um, slope_urad, reversal_um) = (8.0, -35.0, 1.5);
+    let mut columns: [Vec<f64>; 4] = Default::default();
+    for _cycle in 0..3 {
+        for (dir, k) in (0..21).map(|k| (1.0, k)).chain((0..21).rev().map(|k| (-1.0, k))) {
+            let p = 100.0 + 20.0 * f64::from(k);
+            let u = (p - 300.0) / 200.0;
+            let e = 12.0 + slope_urad * p / 1000.0 + bow_um * u * u + dir * reversal_um / 2.0;
+            for (c, v) in columns.iter_mut().zip([p, dir, e, e / 2.0]) {
+                c.push(v);
+            }
+        }
+    }
+    let [p, dir, y, z] = columns;
+    let columns = vec![
+        column("x", "position.x", p.clone()),
+        column("dir", "direction.x", dir),
+        column("y", "error.y", y),
+        column("z", "error.z", z),
+    ];
+    let record = Record::new(Path::new("s.run.toml"), Kind::Positioning, columns).unwrap();
+    let found = iso230::straightness(&record).unwrap();
+    assert_eq!(found.iter().map(|s| s.symbol.as_str()).collect::<Vec<_>>(), ["EYX", "EZX"]);
+    let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} and {b}");
+    let s = &found[0];
+    near(s.straightness_um, bow_um);
+    near(s.straightness_up_um.unwrap(), bow_um);
+    near(s.straightness_down_um.unwrap(), bow_um);
+    near(s.slope_urad, slope_urad);
+    near(s.reversal_um.unwrap(), reversal_um);
+    near(s.repeatability_um.unwrap(), 0.0);
+    near(found[1].straightness_um, bow_um / 2.0);
+    assert!(!iso230::has_positioning(&record) && iso230::has_straightness(&record));
+
+    // Four places are a line and no straightness; an axis that stands has none.
+    let columns =
+        vec![column("x", "position.x", vec![0.0, 1.0, 2.0, 3.0]), column("y", "error.y", vec![0.0; 4])];
+    let few = Record::new(Path::new("f.run.toml"), Kind::Positioning, columns).unwrap();
+    assert!(iso230::straightness(&few).unwrap_err().to_string().contains("4 places"));
+    let columns = vec![column("x", "position.x", vec![1.0; 4]), column("y", "error.y", vec![0.0; 4])];
+    let still = Record::new(Path::new("f.run.toml"), Kind::Positioning, columns).unwrap();
+    assert!(iso230::straightness(&still).is_err());
+}

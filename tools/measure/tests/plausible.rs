@@ -789,6 +789,26 @@ fn a_step_of_the_error_is_said() {
 }
 
 /// What a fit leaves out, and how a suspicion names its rows.
+/// A month of minutes is no record in milliseconds; a clock that was set is said as one.
+#[test]
+fn a_long_record_and_a_clock_that_steps() {
+    let mut d = Dice::new(31);
+    let mut at = |seconds: &[f64]| {
+        let e = seconds.iter().map(|_| d.normal()).collect();
+        let columns = vec![column("t", "time", seconds.to_vec()), column("e", "error.z", e)];
+        suspicions(&[record("long", Kind::Drift, columns)])
+    };
+    let minutes: Vec<f64> = (0..43_200).map(|m| 60.0 * f64::from(m)).collect();
+    assert_eq!(at(&minutes), []);
+    let step: Vec<f64> =
+        (0..500).map(|i| 10.0 * f64::from(i) + if i < 200 { 0.0 } else { 30.0 * 86_400.0 }).collect();
+    let said = at(&step);
+    assert!(said.len() == 1 && said[0].what == What::Jump, "{said:?}");
+    assert!(said[0].text.contains("30.0 days") && said[0].rows == "201", "{said:?}");
+    let milliseconds: Vec<f64> = (0..2000).map(|i| 1000.0 * f64::from(i)).collect();
+    assert!(at(&milliseconds).iter().any(|s| s.what == What::Unit), "seconds in milliseconds");
+}
+
 #[test]
 fn unusable_rows_and_sensors_are_left_out() {
     let mut d = Dice::new(77);

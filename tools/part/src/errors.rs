@@ -49,6 +49,9 @@ pub struct RobustSummary {
     /// Radius of the surface, in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_mm: Option<f64>,
+    /// The robust fit's radius minus the nominal one, in µm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub size_error_um: Option<f64>,
     /// Robust scale of the deviations of the points that belong to the shape, in µm.
     pub scale_um: f64,
     /// Points (rows from 0) with weight below one half.
@@ -228,7 +231,15 @@ impl Probed {
             _ => false,
         };
         // A circle that cannot be fitted to points of a line: they lie on it exactly.
-        Ok(bowed || spread(FitShape::Circle).map_or(true, |circle_um| circle_um >= STRAIGHT * line_um))
+        let straight = spread(FitShape::Circle).map_or(true, |circle_um| circle_um >= STRAIGHT * line_um);
+        if straight && expected && points.len() >= ENOUGH_TO_DOUBT {
+            // One false trip of millimetres spoils both fits alike; what most of the points agree on it does not.
+            let of = |shape| fit::robust(shape, points).map(|r| r.scale_um);
+            if let (Ok(circle_um), Ok(line_um)) = (of(FitShape::Circle), of(FitShape::Line)) {
+                return Ok(circle_um >= STRAIGHT * line_um);
+            }
+        }
+        Ok(bowed || straight)
     }
 
     /// How far the points lie outside the expected ones on average, along the normals, µm: of a straight feature its
@@ -325,6 +336,10 @@ impl Probed {
             robust: RobustSummary {
                 centre_mm: robust_centre,
                 radius_mm: robust_radius,
+                size_error_um: match nominal {
+                    Nominal::Circle { radius_mm: r } => robust_radius.map(|f| (f - r) * 1e3),
+                    Nominal::Line { .. } => None,
+                },
                 scale_um: robust.scale_um,
                 down_weighted: (0..points.len()).filter(|&i| robust.weights[i] < 0.5).collect(),
                 errors_um: robust.errors_um.iter().map(|e| e * sign).collect(),
@@ -355,6 +370,8 @@ impl Probed {
 
 /// The share of a line's deviations that a circle must leave at most to be one.
 const STRAIGHT: f64 = 0.25;
+/// Of fewer points some circle goes through most, whatever they are.
+const ENOUGH_TO_DOUBT: usize = 8;
 /// A radius of so many times the points' length is a bow of a straight feature: less than 0.13 mm on 100 mm.
 const BOWED: f64 = 100.0;
 

@@ -203,3 +203,31 @@ fn whiskers_are_drawn_at_two_hundred_and_fifty() {
     let svg = report.whisker_svg();
     assert_eq!(svg.matches("class=\"dropped\"").count(), report.rejected.len());
 }
+
+/// One gross false trip spoils the circle and the line alike: the arc of the others is still an arc, and the trip is the
+/// point that is far off.
+#[test]
+fn a_gross_false_trip_is_no_straight_feature() {
+    let files = Files::new();
+    let probed = Probed::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
+    for off_mm in [5.0, 30.0, 200.0] {
+        let mut one = probed.clone();
+        one.tip_centre[9] = one.tip_centre[9] + Zx::new(off_mm, -off_mm);
+        assert!(!one.is_straight(true).unwrap(), "{off_mm}");
+        let report = one.errors(CIRCLE, 0.0).unwrap();
+        let worst = (0..20)
+            .max_by(|a, b| report.robust.errors_um[*a].abs().total_cmp(&report.robust.errors_um[*b].abs()));
+        assert_eq!(worst, Some(9), "{off_mm}");
+        assert!((report.robust.radius_mm.unwrap() - 38.1).abs() < 0.002, "{off_mm}");
+    }
+}
+
+/// A bump over much of the arc pulls the size of the report's fit; the robust fit's stands beside it.
+#[test]
+fn the_size_by_the_robust_fit_stands_beside() {
+    let files = Files::new();
+    let probed = Probed::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
+    let larger = Nominal::Circle { radius_mm: 38.09 };
+    let report = probed.errors(larger, 0.0).unwrap();
+    assert!((report.robust.size_error_um.unwrap() - 10.0).abs() < 0.1, "{:?}", report.robust.size_error_um);
+}

@@ -285,6 +285,53 @@ fn tilt(folder: &Path) {
     write(folder, "tilt", "kind = \"positioning\"", &columns, &rows);
 }
 
+/// A sensor of the conditions that reads 999.9 would carry it into every figure.
+#[test]
+fn lengths_are_not_reduced_by_a_sensor_that_reads_nonsense() {
+    let dir = tempfile::tempdir().unwrap();
+    positioning(dir.path(), "y", 800.0, |w| w);
+    std::fs::write(dir.path().join("conditions.toml"), CONDITIONS).unwrap();
+    let words = ["evaluate", "y.run.toml", "--conditions", "conditions.toml"];
+    assert_eq!(said(&rtecctl(dir.path(), &words)).0, Some(0));
+    let csv = std::fs::read_to_string(dir.path().join("y.csv")).unwrap();
+    let place = csv.lines().next().unwrap().split(',').position(|c| c == "T3").unwrap();
+    let unplugged = csv.lines().enumerate().map(|(row, line)| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if (20..30).contains(&row) {
+            cells[place] = "999.9";
+        }
+        cells.join(",") + "\n"
+    });
+    std::fs::write(dir.path().join("y.csv"), unplugged.collect::<String>()).unwrap();
+    let (code, out, err) = said(&rtecctl(dir.path(), &words));
+    assert!(
+        code == Some(2) && out.is_empty() && err.contains("T3") && err.contains("20 °C"),
+        "{code:?} {err}"
+    );
+}
+
+/// A file of another kind is called what it is.
+#[test]
+fn a_file_of_another_kind_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    positioning(dir.path(), "y", 800.0, |w| w);
+    std::fs::write(dir.path().join("m.toml"), "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 1.0\n")
+        .unwrap();
+    for (words, what) in [
+        (["characterise", "evaluate", "m.toml"].as_slice(), "a machine model"),
+        (&["characterise", "evaluate", "y.csv"], "a table of values"),
+        (&["model", "show", "--machine", "y.run.toml"], "a run record"),
+        (&["model", "show", "--machine", "y.csv"], "a table of values"),
+        (&["config", "check", "y.run.toml"], "a run record"),
+        (&["config", "check", "m.toml"], "a machine model"),
+    ] {
+        let out =
+            Command::new(env!("CARGO_BIN_EXE_rtecctl")).current_dir(dir.path()).args(words).output().unwrap();
+        let (code, _, err) = said(&out);
+        assert!(code == Some(2) && err.contains(what) && err.lines().count() == 1, "{words:?}: {err}");
+    }
+}
+
 const CONDITIONS: &str = "machine = \"machining centre 12\"\naxis = \"Y, 800 mm\"\noperator = \"N. N.\"\n[instrument]\nname = \"laser interferometer\"\n\
                           calibrated = \"2026-01-15\"\n[test]\nfeed_mm_per_min = 1000\ndwell_s = 4\n[thermal]\n\
                           scale = { sensor = \"T3\", ppm_per_K = 8.5 }\n[uncertainty]\ndevice_um_per_m = 0.8\nmisalignment_mm = 1.0\n\

@@ -81,6 +81,8 @@ fn part_errors_keeps_its_contract() {
         ("--between", "100000000"),
         ("--count-um", "1e-300"),
         ("--increment", "3"),
+        ("--tool-z-mm", "1e300"),
+        ("--nose-mm", "1e9"),
     ] {
         let line = [
             "table",

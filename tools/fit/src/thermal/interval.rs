@@ -162,17 +162,9 @@ fn blocks(
     for f in 0..problem.folds {
         let others: Vec<usize> = (0..problem.folds).filter(|o| *o != f).collect();
         let Some(terms) = choose(&others) else { return Ok(None) };
-        let terms = &terms;
-        let rows = Rows::new(problem, terms, train, response)?;
-        let plain = Rows::new(problem, &unlagged(terms), train, response)?;
-        let Some(c) = rows.solve(&|i| rows.fold[i] != f) else { return Ok(None) };
-        let guards = rows.guards(problem, terms, &plain, &|i| rows.fold[i] != f);
-        let ranges = watched.ranges(problem, &|i| rows.fold[i] != f);
-        let own = (0..rows.y.len()).filter(|i| rows.fold[*i] == f).map(|i| {
-            let (says, x) = rows.held(&c, &guards, i);
-            (rows.y[i] - says, x.hypot(watched.outside_um(&ranges, i)))
-        });
-        let own: Vec<(f64, f64)> = own.collect();
+        let Some(own) = unseen(problem, &terms, train, response, &watched, &|g| g == f)? else {
+            return Ok(None);
+        };
         folds.push(rms(own.iter().map(|l| l.0)));
         left.push(own);
     }
@@ -193,4 +185,47 @@ fn blocks(
     let all: usize = left.iter().map(Vec::len).sum();
     let coverage = left.iter().enumerate().map(inside).sum::<usize>() as f64 / all as f64;
     Ok(Some(Nested { folds, half_width_um: width_without(None), coverage }))
+}
+
+/// Share of the later half of the blocks that a model chosen and fitted on the earlier one holds within this half width, and
+/// of the earlier one by the later: what is left of a promise made on one day in states that it has not seen.
+pub(super) fn halves(
+    problem: &Problem,
+    train: &[&Record],
+    response: &Role,
+    half_width_um: f64,
+) -> Result<Option<[f64; 2]>, InputError> {
+    let watched = Watched::new(problem, train, response)?;
+    let middle = problem.folds / 2;
+    let mut held = [0.0; 2];
+    for (held, later) in held.iter_mut().zip([true, false]) {
+        let asked = |f: usize| (f >= middle) == later;
+        let known: Vec<usize> = (0..problem.folds).filter(|f| !asked(*f)).collect();
+        let Some(terms) = problem.select(&known).map(|c| c.structure.terms) else { return Ok(None) };
+        let Some(left) = unseen(problem, &terms, train, response, &watched, &asked)? else { return Ok(None) };
+        let inside = left.iter().filter(|(r, x)| r.abs() <= half_width_um.hypot(*x)).count();
+        *held = inside as f64 / left.len().max(1) as f64;
+    }
+    Ok(Some(held))
+}
+
+/// What a structure fitted without the blocks that are `asked` leaves of their rows, with x of the interval.
+fn unseen(
+    problem: &Problem,
+    terms: &[Term],
+    train: &[&Record],
+    response: &Role,
+    watched: &Watched,
+    asked: &dyn Fn(usize) -> bool,
+) -> Result<Option<Vec<(f64, f64)>>, InputError> {
+    let rows = Rows::new(problem, terms, train, response)?;
+    let plain = Rows::new(problem, &unlagged(terms), train, response)?;
+    let Some(c) = rows.solve(&|i| !asked(rows.fold[i])) else { return Ok(None) };
+    let guards = rows.guards(problem, terms, &plain, &|i| !asked(rows.fold[i]));
+    let ranges = watched.ranges(problem, &|i| !asked(rows.fold[i]));
+    let of = |i: usize| {
+        let (says, x) = rows.held(&c, &guards, i);
+        (rows.y[i] - says, x.hypot(watched.outside_um(&ranges, i)))
+    };
+    Ok(Some((0..rows.y.len()).filter(|i| asked(rows.fold[*i])).map(of).collect()))
 }

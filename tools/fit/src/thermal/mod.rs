@@ -47,10 +47,10 @@ pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};
 
-use crate::statistics::mean;
+use crate::statistics::{mean, mean_square};
 use compare::{baselines, dry_wet, judge_holdouts};
 use effects::effects;
-use interval::{Watched, mean_only, nested};
+use interval::{Watched, halves, mean_only, nested};
 use jackknife::{jackknife, tuned};
 use judge::Judged;
 use problem::Problem;
@@ -231,6 +231,9 @@ fn fit_response(
         warnings.extend(silent.map(|r| format!("{}: no coolant logged, taken as dry", r.path.display())));
     }
     warnings.extend(long_lags(&fitted, train));
+    let coverage_halves = halves(&problem, train, response, half_width_um)?;
+    warnings.extend(coverage_halves.and_then(|held| unlike(held, half_width_um)));
+    warnings.extend(outdone(&baselines, &blocks.folds));
     let ranked = |j: &Judged| problem.ranked(j, &all);
     let kept: Vec<Ranked> = chosen.kept.iter().map(ranked).collect();
     warnings.extend(chosen.rivals(&problem).filter(|_| !terms.is_empty()));
@@ -255,6 +258,7 @@ fn fit_response(
         interval95: Interval {
             half_width_um,
             coverage_folds: blocks.coverage,
+            coverage_halves,
             coverage_holdout: later.coverage,
             mean_half_width_holdout_um: later.width_um,
         },
@@ -280,6 +284,38 @@ fn long_lags(fitted: &[Fitted], train: &[&Record]) -> Vec<String> {
         ))
     };
     fitted.iter().filter_map(of).collect()
+}
+
+/// Of rows that a fit on the other half of the records does not hold, more than the 5 % that may be.
+const UNHELD: f64 = 0.10;
+
+/// Says that the interval is of states as the records show them.
+fn unlike([later, earlier]: [f64; 2], half_width_um: f64) -> Option<String> {
+    (later.min(earlier) < 1.0 - UNHELD).then(|| {
+        format!(
+            "the interval is of states as these records show them: fitted on their earlier half alone, ±{half_width_um:.2} µm holds {:.0} % of \
+             the later one, and {:.0} % the other way round; a run of the states to come, as a --holdout or in the fit, tells",
+            100.0 * later,
+            100.0 * earlier
+        )
+    })
+}
+
+/// A single difference as a straight line that does better than the fit on the same blocks by more than this is said.
+const OUTDONE: f64 = 1.1;
+
+/// Says of a simple prediction that leaves less of the blocks than the fit does.
+fn outdone(baselines: &BTreeMap<String, Rms>, folds: &[f64]) -> Option<String> {
+    let own = mean_square(folds).sqrt();
+    let lines = baselines.iter().filter(|(name, _)| name.starts_with("linear "));
+    let (name, line) = lines.map(|(n, b)| (n, b.mean_square().sqrt())).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (own > OUTDONE * line).then(|| {
+        let difference = name.trim_start_matches("linear ");
+        format!(
+            "{difference} alone, as a straight line, leaves {line:.2} µm of the same blocks, this fit {own:.2} µm: what is chosen here changes \
+             from block to block; --sensors {difference} --no-lag --no-square fits the line"
+        )
+    })
 }
 
 /// One half width for the kinds of these records.
@@ -317,4 +353,32 @@ fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Res
     let base = machine.listed()[n].effect.scalar(0);
     let [lo, hi] = provenance.interval.get("um").map_or([effect.scalar(0); 2], |i| i[0]);
     machine.set(n, "um", &[base + effect.scalar(0)], Some(&[[base + lo, base + hi]]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_does_better_on_the_same_blocks_is_named() {
+        let rms = |folds: &[f64]| Rms {
+            train: 1.0,
+            folds: folds.to_vec(),
+            folds_mean: mean(folds),
+            holdout: Vec::new(),
+        };
+        let baselines = |line: &[f64]| {
+            [
+                ("mean", rms(&[9.0, 9.0])),
+                ("persistence", rms(&[0.1, 0.1])),
+                ("linear T1", rms(line)),
+                ("linear T8-T18", rms(&[5.0, 5.0])),
+            ]
+            .map(|(n, r)| (n.to_owned(), r))
+            .into()
+        };
+        let said = outdone(&baselines(&[1.0, 1.2]), &[2.0, 1.5]).unwrap();
+        assert!(said.starts_with("T1 alone") && said.contains("--sensors T1 "), "{said}");
+        assert_eq!(outdone(&baselines(&[1.7, 1.7]), &[1.8, 1.8]), None, "no more than a tenth better");
+    }
 }

@@ -127,6 +127,10 @@ pub struct Interval {
     pub half_width_um: f64,
     /// Share of the rows inside, each block judged by the others' width.
     pub coverage_folds: f64,
+    /// Share of the later half's rows inside this half width by a fit on the earlier half alone, and of the earlier by the
+    /// later: what to expect in a state that the records do not show. Nothing where a half is too short to choose from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coverage_halves: Option<[f64; 2]>,
     /// Share of the rows inside on every hold-out.
     pub coverage_holdout: Vec<f64>,
     /// Mean half width over the rows of every hold-out, µm.

@@ -85,6 +85,15 @@ pub struct Positioning {
     pub warnings: Vec<String>,
 }
 
+/// Whether a record holds an error (or tilt) along an axis beside its position.
+#[must_use]
+pub fn has_positioning(record: &Record) -> bool {
+    record.columns.iter().any(|c| match &c.role {
+        Role::Error(axis) | Role::AngleError(axis, _) => record.data(&Role::Position(axis.clone())).is_some(),
+        _ => false,
+    })
+}
+
 /// Evaluates a positioning run, axis by axis.
 ///
 /// # Errors
@@ -116,7 +125,8 @@ pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positi
         found.push(run.evaluate(options)?);
     }
     if found.is_empty() {
-        let expected = "columns error.AXIS (or angle_error.AXIS.ABOUT) and position.AXIS";
+        let expected = "columns error.AXIS (or angle_error.AXIS.ABOUT) and position.AXIS of the same axis; an error across the axis \
+                        that moves is its straightness (--standard straightness)";
         return Err(lacks(record, "no axis with both error and position", expected));
     }
     Ok(found)

@@ -30,26 +30,39 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// A time of milliseconds called seconds: rows hours apart.
+/// A time of milliseconds called seconds: rows hours apart. And a clock that steps: set on the way, or two runs in one file.
 fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(t) = record.column(&Role::Time) else { return };
     if t.data.len() < 5 {
         return;
     }
-    let usual = median(steps(&t.data).into_iter().filter(|d| *d > 0.0).collect());
+    let between = steps(&t.data);
+    let usual = median(between.iter().copied().filter(|d| *d > 0.0).collect());
     let limit = match record.kind {
         Kind::Drift => 3600.0,
         Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep => 60.0,
         _ => 900.0,
     };
-    // Even by the longest drift test nobody waits three weeks for a record.
-    let long = range(&t.data) > 20.0 * 86_400.0 && t.data.iter().all(|t| t.fract() == 0.0);
+    // Weeks of rows in whole numbers that are no minutes: a logger of seconds is set to 1, 10 or 60 s, not to 1000.
+    let whole = t.data.iter().all(|t| t.fract() == 0.0);
+    let long = usual * t.data.len() as f64 > 20.0 * DAY_S && whole && usual % 60.0 != 0.0;
     let epoch_ms = t.data[0] > 5e11;
     if usual >= limit || long || epoch_ms {
         let text = format!("rows are {usual} s apart, which looks like milliseconds");
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
+        return;
+    }
+    let Some(at) = (0..between.len()).max_by(|a, b| between[*a].total_cmp(&between[*b])) else { return };
+    if between[at] > LONGEST_PAUSE_S.max(1000.0 * usual) {
+        let days = between[at] / DAY_S;
+        let text = format!("steps by {days:.1} days: a clock that was set, or two runs in one file");
+        out.push(Suspicion::new(record, &t.name, What::Jump, &[at + 1], text));
     }
 }
+
+const DAY_S: f64 = 86_400.0;
+/// A machine may stand over a long weekend between two rows of one run.
+const LONGEST_PAUSE_S: f64 = 5.0 * DAY_S;
 
 /// Degrees called radians: large, and in whole steps of a degree or half a one.
 fn angle(record: &Record, out: &mut Vec<Suspicion>) {

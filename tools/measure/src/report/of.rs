@@ -2,7 +2,7 @@
 
 use super::{Report, Table};
 use crate::ballbar::{Ballbar, Contour};
-use crate::iso230::{self, Conditions, Diagonals, Drift, Figures, Positioning};
+use crate::iso230::{self, Conditions, Diagonals, Drift, Figures, Positioning, Straightness};
 use crate::plate::Plate;
 use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
@@ -129,6 +129,53 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         report.table(table);
     }
     Ok(())
+}
+
+/// Straightness of one axis's motion, across it.
+///
+/// # Errors
+/// The plot could not be made.
+pub fn straightness(
+    all: &[Straightness],
+    record: &Record,
+    conditions: &Conditions,
+) -> Result<Report, PlotError> {
+    let symbols: Vec<&str> = all.iter().map(|s| s.symbol.as_str()).collect();
+    let title = format!("Straightness {} (ISO 230-1)", symbols.join(", "));
+    let mut report = Report::new(&title, std::slice::from_ref(record), conditions);
+    for s in all {
+        report.warnings.extend(s.warnings.iter().map(|w| format!("{}: {w}", s.symbol)));
+        let title = format!(
+            "{}: error in {} while {} moves over {:.1} mm, {} places",
+            s.symbol,
+            s.across,
+            s.axis,
+            s.travel_mm,
+            s.places.len()
+        );
+        let mut table = Table::new(&title, &["figure", "#value", "unit"]);
+        let figures = [
+            ("straightness, about the least-squares line", Some(s.straightness_um), "µm"),
+            ("the same moving upwards alone", s.straightness_up_um, "µm"),
+            ("the same moving downwards alone", s.straightness_down_um, "µm"),
+            ("reversal across the motion, mean", s.reversal_um, "µm"),
+            ("largest range of readings at a place, from one side", s.repeatability_um, "µm"),
+            ("slope of the line: straightedge and axis together", Some(s.slope_urad), "µrad"),
+        ];
+        for (words, value, unit) in figures {
+            table.row([words.to_owned(), um(value), unit.to_owned()]);
+        }
+        report.table(table);
+        report.plot(s.chart().svg(PLOT.0, PLOT.1))?;
+        let head = ["#i", "#position (mm)", "#readings", "#up ↑ (µm)", "#down ↓ (µm)", "#mean (µm)"];
+        let mut table = Table::new(&format!("{}: places, about the line", s.symbol), &head);
+        for (i, p) in s.places.iter().enumerate() {
+            let start = [(i + 1).to_string(), format!("{:.3}", p.position_mm), p.readings.to_string()];
+            table.row(start.into_iter().chain([p.up_um, p.down_um, Some(p.mean_um)].map(um)));
+        }
+        report.table(table);
+    }
+    Ok(report)
 }
 
 /// Circular tests: contours, and what makes their deviations.

@@ -6,6 +6,7 @@ use crate::chain::Chain;
 use crate::date;
 use crate::effect::{Dictionary, Effect, Need, Parameter, read_difference};
 use crate::record::{Kind, hex};
+use crate::told::FileKind;
 use rtec_files::InputError;
 use rtec_files::text::short;
 use rtec_files::toml::{Document, Entry, Table};
@@ -52,9 +53,10 @@ impl Machine {
         given: Dictionary,
         read: &dyn Fn(&Path) -> Result<String, InputError>,
     ) -> Result<Self, InputError> {
-        let doc = Document::parse(path, text)?;
+        let mistaken = |e: InputError| FileKind::Model.finding(path, text, e);
+        let doc = Document::parse(path, text).map_err(mistaken)?;
         let root = doc.root();
-        root.only(&["name", "note", "dictionary", "chain", "fit", "effect"])?;
+        root.only(&["name", "note", "dictionary", "chain", "fit", "effect"]).map_err(mistaken)?;
         let name = root.required("name", "the machine's name, as name = \"…\"")?.str("the machine's name")?;
         if let Some(note) = root.get("note") {
             note.str("free text")?;

@@ -4,7 +4,7 @@ use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::iso230::{self, Conditions, Options};
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::{Suspicion, What};
 use rtec_measure::report::{self, Report};
 use rtec_measure::{ballbar, plate};
 use rtec_model::record::{Kind, Record};
@@ -46,6 +46,8 @@ enum Standard {
     /// Positioning: accuracy and repeatability; tilts too
     #[value(name = "iso230-2")]
     Iso230_2,
+    /// Straightness of an axis's motion: the error across it, about a least-squares line (ISO 230-1)
+    Straightness,
     /// Thermal effects, phase by phase
     #[value(name = "iso230-3")]
     Iso230_3,
@@ -66,6 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         args.records.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
     let conditions = args.conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default();
     let doubts = suspicions::warn(&records);
+    reducible(&conditions, &doubts)?;
     let standard = match args.standard {
         Some(s) => s,
         None => by_kind(&records[0])?,
@@ -98,12 +101,33 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// A sensor that reads nonsense would carry it into every figure by the reduction to 20 °C.
+fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputError> {
+    for body in [&conditions.scale, &conditions.workpiece].into_iter().flatten() {
+        let Some(doubt) = doubts.iter().find(|d| d.is_of_sensor() && d.column == body.sensor) else {
+            continue;
+        };
+        let found = format!(
+            "{}: {}: {}, and lengths are to be reduced to 20 °C with it",
+            doubt.column, doubt.what, doubt.text
+        );
+        let expected =
+            "another sensor in [thermal] of the conditions, a record without those rows, or no [thermal]";
+        return Err(InputError::whole(Path::new(&doubt.record), found, expected));
+    }
+    Ok(())
+}
+
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
     rtec_files::write::whole(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
 }
 
 fn by_kind(record: &Record) -> Result<Standard, InputError> {
     match (iso230::standard_for(record.kind), record.kind) {
+        // What was measured across an axis alone is its straightness, not its positioning.
+        (Some("iso230-2"), _) if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
+            Ok(Standard::Straightness)
+        }
         (Some("iso230-2"), _) => Ok(Standard::Iso230_2),
         (Some("iso230-3"), _) => Ok(Standard::Iso230_3),
         (Some("ballbar"), _) => Ok(Standard::Ballbar),
@@ -156,8 +180,19 @@ fn evaluate(
                     e
                 })?);
             }
+            for record in records.iter().filter(|r| iso230::has_straightness(r)) {
+                eprintln!(
+                    "note: {}: errors across the moving axis too: --standard straightness evaluates them",
+                    record.path.display()
+                );
+            }
             let report = report::positioning(&all, records, conditions)?;
             (one_or("axes", values(&all)?), report)
+        }
+        Standard::Straightness => {
+            let record = single(records)?;
+            let all = iso230::straightness(record)?;
+            (one_or("motions", values(&all)?), report::straightness(&all, record, conditions)?)
         }
         Standard::Iso230_3 => {
             let record = single(records)?;

@@ -6,7 +6,7 @@ use rtec_files::InputError;
 use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::import::{self, Form, ImportColumn, Own};
 use rtec_measure::{derive::derive, record};
-use rtec_model::record::{Axis, Kind};
+use rtec_model::record::{Axis, Kind, Record};
 use std::path::{Path, PathBuf};
 
 /// Turn another tool's file into a run record
@@ -128,26 +128,31 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let form =
         Form { decimal_comma: args.decimal.map(|d| d == Decimal::Comma), log: args.log, ..Form::default() };
-    let mut record = match args.format {
-        Format::EcmcDat => import::ecmc_dat(file, &text, &axis()?, out)?,
-        Format::LinuxcncComp0 | Format::LinuxcncComp1 => {
-            import::linuxcnc_comp(file, &text, &axis()?, args.format == Format::LinuxcncComp1, unit, out)?
-        }
-        Format::Csv => import::table(file, &text, &columns()?, &form, kind()?, out)?,
-        Format::Own => {
-            let path = args.form.as_deref().unwrap_or(Path::new(""));
-            Own::parse(path, &rtec_files::text::read(path)?)?.read(file, &text, out)?
-        }
-        Format::CmmPlate => import::cmm_plate(file, &text, out)?,
-        Format::Rtl => import::rtl(file, &text, &axis()?, out)?,
-        Format::Etalon => import::etalon(file, &text, &axis()?, out)?,
-        Format::Halsampler => {
-            let sampling =
-                import::Sampling { period_s: args.period_s.unwrap_or_default(), numbered: args.numbered };
-            import::halsampler(file, &text, &columns()?, &sampling, &form, kind()?, out)?
-        }
-        Format::Shdr => import::shdr(file, &text, &columns()?, kind()?, args.log, out)?,
+    let read = || -> Result<Record, InputError> {
+        Ok(match args.format {
+            Format::EcmcDat => import::ecmc_dat(file, &text, &axis()?, out)?,
+            Format::LinuxcncComp0 | Format::LinuxcncComp1 => {
+                import::linuxcnc_comp(file, &text, &axis()?, args.format == Format::LinuxcncComp1, unit, out)?
+            }
+            Format::Csv => import::table(file, &text, &columns()?, &form, kind()?, out)?,
+            Format::Own => {
+                let path = args.form.as_deref().unwrap_or(Path::new(""));
+                Own::parse(path, &rtec_files::text::read(path)?)?.read(file, &text, out)?
+            }
+            Format::CmmPlate => import::cmm_plate(file, &text, out)?,
+            Format::Rtl => import::rtl(file, &text, &axis()?, out)?,
+            Format::Etalon => import::etalon(file, &text, &axis()?, out)?,
+            Format::Halsampler => {
+                let sampling =
+                    import::Sampling { period_s: args.period_s.unwrap_or_default(), numbered: args.numbered };
+                import::halsampler(file, &text, &columns()?, &sampling, &form, kind()?, out)?
+            }
+            Format::Shdr => import::shdr(file, &text, &columns()?, kind()?, args.log, out)?,
+        })
     };
+    // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
+    let mut record =
+        read().map_err(|e| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e })?;
     if matches!(args.format, Format::LinuxcncComp0 | Format::LinuxcncComp1) {
         let unit = if unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
         eprintln!("positions and corrections were read in {unit}: --unit states another");

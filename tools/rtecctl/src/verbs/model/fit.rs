@@ -133,6 +133,13 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
             i.half_width_um,
             100.0 * i.coverage_folds
         );
+        if let Some([later, earlier]) = i.coverage_halves {
+            println!(
+                "               {:.1} % of the later half by a fit on the earlier one, {:.1} % the other way round",
+                100.0 * later,
+                100.0 * earlier
+            );
+        }
         for (c, w) in i.coverage_holdout.iter().zip(&i.mean_half_width_holdout_um) {
             println!("               and {:.1} % of a hold-out, ±{w:.3} µm wide there on average", 100.0 * c);
         }

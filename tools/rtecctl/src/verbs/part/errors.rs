@@ -151,6 +151,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             e.error_um, report.feature
         );
     }
+    if let Some((own, robust)) = sizes_differ(&report) {
+        eprintln!(
+            "warning: the size is not certain: {own:+.1} µm by the fit of error.cor, {robust:+.1} µm by the robust fit, which leaves \
+             out {} points; a form error over much of the arc pulls the first{}",
+            report.robust.down_weighted.len(),
+            if args.with_size { ", and it goes into error.cor" } else { "" }
+        );
+    }
     if let Some(folder) = &args.out {
         let (table, svg, dxf) =
             (report.error_cor(args.with_size), report.whisker_svg(), report.whisker_dxf()?);
@@ -166,6 +174,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         print(&text(&report, args.with_size))
     }
+}
+
+/// The size by both fits, where they differ by more than what the points scatter by.
+fn sizes_differ(r: &ErrorReport) -> Option<(f64, f64)> {
+    let both = r.size_error_um.zip(r.robust.size_error_um)?;
+    ((both.0 - both.1).abs() > (2.0 * r.robust.scale_um).max(1.0)).then_some(both)
 }
 
 fn text(r: &ErrorReport, with_size: bool) -> String {
@@ -211,7 +225,9 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
     );
     let _ = writeln!(t, "form            {:.2} µm, largest minus smallest", r.form_um);
     let [rz, rx] = r.robust.centre_mm;
-    let _ = writeln!(t, "robust fit      Z {rz:.5} mm  X {rx:.5} mm, scale {:.2} µm", r.robust.scale_um);
+    let size = r.robust.size_error_um.map_or_else(String::new, |s| format!(", size {s:+.1} µm"));
+    let _ =
+        writeln!(t, "robust fit      Z {rz:.5} mm  X {rx:.5} mm, scale {:.2} µm{size}", r.robust.scale_um);
     let _ = writeln!(t, "\n   #  angle rad  error µm  robust µm");
     for (i, e) in r.errors.iter().enumerate() {
         let mark = if r.rejected.contains(&i) { "  not in the fit" } else { "" };

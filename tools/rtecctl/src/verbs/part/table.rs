@@ -73,10 +73,11 @@ impl CutArgs {
                 usage(name, "nothing", "a number in mm: the errors are those of an arc, by angle")
             })
         };
-        let radius_mm = positive("--radius-mm", given("--radius-mm", self.radius_mm)?)?;
-        let centre_z_mm = finite("--centre-z-mm", given("--centre-z-mm", self.centre_z_mm)?)?;
+        let radius_mm =
+            place("--radius-mm", positive("--radius-mm", given("--radius-mm", self.radius_mm)?)?)?;
+        let centre_z_mm = place("--centre-z-mm", given("--centre-z-mm", self.centre_z_mm)?)?;
         let (nose_mm, origin) = self.tool()?;
-        let centre = Zx::new(centre_z_mm, finite("--centre-x-mm", self.centre_x_mm)?);
+        let centre = Zx::new(centre_z_mm, place("--centre-x-mm", self.centre_x_mm)?);
         Ok(FinishCut { centre, radius_mm, nose_mm, origin })
     }
 
@@ -87,16 +88,23 @@ impl CutArgs {
 
     /// Radius of the tool's nose, and the machine position at which its centre is at the part's origin.
     pub(crate) fn tool(&self) -> anyhow::Result<(f64, Zx)> {
-        if !(self.nose_mm.is_finite() && self.nose_mm >= 0.0) {
-            return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 or more"));
+        if !(0.0..=1000.0).contains(&self.nose_mm) {
+            return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 to 1000"));
         }
-        let (z, x) = (finite("--tool-z-mm", self.tool_z_mm)?, finite("--tool-x-mm", self.tool_x_mm)?);
+        let (z, x) = (place("--tool-z-mm", self.tool_z_mm)?, place("--tool-x-mm", self.tool_x_mm)?);
         Ok((self.nose_mm, Zx::new(z, x)))
     }
 }
 
-fn finite(name: &str, value: f64) -> anyhow::Result<f64> {
-    if value.is_finite() { Ok(value) } else { Err(usage(name, value.to_string(), "a finite number")) }
+/// No machine is longer than this, mm.
+const FARTHEST_MM: f64 = 100_000.0;
+
+fn place(name: &str, value: f64) -> anyhow::Result<f64> {
+    if value.abs() <= FARTHEST_MM {
+        Ok(value)
+    } else {
+        Err(usage(name, value.to_string(), "a place in mm, within 100 m of zero"))
+    }
 }
 
 /// The corrector's counts
