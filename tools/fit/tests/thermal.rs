@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_fit::thermal::{self, Options};
+use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
@@ -334,4 +335,61 @@ fn an_interval_that_other_states_may_break_is_said() {
     assert!(worst < 0.9 && warned, "{worst} {warned}");
     let (worst, warned) = said(false);
     assert!(worst >= 0.9 && !warned, "{worst} {warned}");
+}
+
+/// Two and three bodies that drive the growth alike, each by its own sensor, in plain sums: what one of them leaves is as slow
+/// as what it explains, so that none earns its place alone. All are found, with their gains.
+#[test]
+fn bodies_that_say_little_alone_are_found_together() {
+    for (seed, gains) in
+        [(3, vec![3.0, 2.0]), (4, vec![3.0, 2.5]), (5, vec![-3.0, 3.0]), (6, vec![3.0, 2.5, 2.0])]
+    {
+        let (mut noise, n) = (Noise(seed), 960);
+        let mut bodies = vec![0.0; gains.len()];
+        let mut c: Vec<Vec<f64>> = vec![Vec::new(); gains.len() + 3];
+        for i in 0..n {
+            for (k, b) in bodies.iter_mut().enumerate() {
+                let on = f64::from(u8::from((i / (37 + 9 * k)) % 2 == 0));
+                *b += (8.0 * on - *b) / (12.0 + 3.0 * k as f64);
+            }
+            let mut with = |v: f64| v + 0.02 * noise.normal();
+            let grown: f64 = gains.iter().zip(&bodies).map(|(g, b)| g * b).sum();
+            let mut row = vec![60.0 * i as f64, with(20.0)];
+            row.extend(bodies.iter().map(|b| with(20.0 + b)));
+            row.push(with(grown));
+            c.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+        }
+        let last = c.len() - 1;
+        let columns = c.into_iter().enumerate().map(|(k, data)| match k {
+            0 => ("t".to_owned(), Role::Time, data),
+            k if k == last => ("e".to_owned(), error("z"), data),
+            k => (format!("T{}", k - 1), Role::Temperature, data),
+        });
+        let record = record(columns.collect());
+        // The environment given, and the bodies' differences alone to choose from: gains are read off the effects.
+        let sensors = (1..=gains.len()).map(|k| Difference::pair(&format!("T{k}"), "T0")).collect();
+        let options = Options { environment: Some("T0".into()), sensors, ..Options::default() };
+        let (_, reports) = thermal::fit(&[&record], &[], &options).unwrap();
+        let r = &reports[0];
+        println!(
+            "{gains:?}: {:?}, blocks {:.3} µm",
+            r.rounds.iter().map(|r| &r.added).collect::<Vec<_>>(),
+            r.rms_um.folds_mean
+        );
+        for (k, gain) in gains.iter().enumerate() {
+            let own = r.effects.iter().find(|e| e.sensor.as_deref() == Some(&format!("T{}", k + 1)));
+            let found = own.and_then(|e| e.parameters.get("um_per_K")).map_or(0.0, |p| p.value);
+            assert!(
+                (found - gain).abs() < 0.02 * gain.abs(),
+                "T{}: {found} of {gain}; {:?}",
+                k + 1,
+                r.effects
+            );
+        }
+        let (_, reports) =
+            thermal::fit(&[&record], &[], &Options { environment: Some("T0".into()), ..Options::default() })
+                .unwrap();
+        let left = reports[0].rms_um.folds_mean;
+        assert!(left < 0.3, "{gains:?}: {left} µm left with all to choose from: {:?}", reports[0].rounds);
+    }
 }

@@ -69,7 +69,12 @@ impl Judged {
     /// The same, where unseen blocks need only be better off on the whole: beside the mean, which a machine that stood most
     /// of the time leaves little in most blocks.
     pub(super) fn beyond_chance(&self, simpler: &Self, choices: usize) -> bool {
-        self.gain_over(simpler) > CHANCE + 2.0 * (choices.max(1) as f64).ln() && self.rms() < simpler.rms()
+        // Every term more was a choice; a square was none.
+        let chosen =
+            |j: &Self| j.terms.iter().filter(|t| !matches!(t, Term::Thermal { square: true, .. })).count();
+        let more = chosen(self).saturating_sub(chosen(simpler)).max(1) as f64;
+        self.gain_over(simpler) > CHANCE + 2.0 * more * (choices.max(1) as f64).ln()
+            && self.rms() < simpler.rms()
     }
 }
 

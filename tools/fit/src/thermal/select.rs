@@ -18,6 +18,9 @@ const SCREEN_LAGS: usize = 28;
 /// The search of a lag begins with every so many of the grid.
 const COARSE: usize = 16;
 
+/// So many terms may stand before the first has earned its place.
+const UNEARNED: usize = 2;
+
 /// Candidates that pass the screening of a round.
 const SCREENED: usize = 12;
 
@@ -118,12 +121,14 @@ impl Problem {
         let mut candidates: Vec<Pair> = kept.iter().filter_map(|j| pair_of(j.terms[0])).collect();
         candidates.extend(&self.pairs);
         let mean = self.judge(&[], folds)?;
-        let begun = |first: Judged| self.built(self.refit(first, &candidates, folds), &candidates, folds);
-        let by_environment =
-            first.beyond_chance(&mean, LAG_CHOICES * self.offered.len()).then(|| begun(first));
+        let begun = |first: Judged, choices: usize| {
+            let rounds = self.refit(first, &mean, &candidates, choices, folds);
+            (!rounds.is_empty()).then(|| self.built(rounds, &candidates, folds))
+        };
+        let by_environment = begun(first.clone(), LAG_CHOICES * self.offered.len());
         // The environment may have been taken wrongly, or not matter: begun with any pair, is it simpler or better?
         let pair = self.best_pair(&candidates, folds).filter(|_| !self.explicit);
-        let by_pair = pair.filter(|p| p.beyond_chance(&mean, LAG_CHOICES * candidates.len())).map(begun);
+        let by_pair = pair.and_then(|p| begun(p, LAG_CHOICES * candidates.len()));
         let differences = |j: &Judged| j.terms.iter().filter(|t| squared(**t).is_some()).count();
         let mut both = None;
         let chosen = match (by_environment, by_pair) {
@@ -228,11 +233,24 @@ impl Problem {
         (kept, dropped)
     }
 
-    /// The rounds of the refit, the first term's among them: the next best term while it earns its place.
-    fn refit(&self, first: Judged, candidates: &[Pair], folds: &[usize]) -> Vec<Judged> {
-        let mut now = first;
-        let mut rounds = vec![now.clone()];
-        while rounds.len() < ROUNDS {
+    /// The rounds of the refit, the first term's among them: the next best term while it earns its place. None where nothing
+    /// says more than the mean does.
+    ///
+    /// Where two bodies drive the growth, either alone leaves the other's share, which is slow and so worth few independent
+    /// values: neither earns its place by itself, both together do. So a term may come in unearned, and stands once what
+    /// came with it has earned the place of all of them.
+    fn refit(
+        &self,
+        first: Judged,
+        mean: &Judged,
+        candidates: &[Pair],
+        choices_of_first: usize,
+        folds: &[usize],
+    ) -> Vec<Judged> {
+        let mut standing = usize::from(first.beyond_chance(mean, choices_of_first));
+        let mut rounds = vec![first];
+        while rounds.len() < ROUNDS && rounds.len() - standing <= if standing == 0 { UNEARNED } else { 1 } {
+            let now = &rounds[rounds.len() - 1];
             // Twice the same difference only makes up for a lag that was not exact.
             let new = |p: &Pair| now.terms.iter().all(|t| pair_of(*t) != Some(*p));
             let few = |(s, m): &Pair| {
@@ -253,16 +271,28 @@ impl Problem {
             // The patent asks R to improve by 1 %, which a term cannot do where R is above 0.99: a term stays where blocks
             // that it has not seen are better off with it, by more than chance makes the best of so many.
             let choices = LAG_CHOICES * (offered.len() + 1);
-            let earned = next.into_iter().map(|j| self.retune(j, folds));
-            let bent = |j: &&Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
-            let earned: Vec<Judged> =
-                earned.filter(|j| if bent(&j) { j.is_bent(&now) } else { j.earns(&now, choices) }).collect();
-            let Some(best) = earned.first() else { break };
-            // A difference that is there, bent, before another one that does no better.
-            let best = earned.iter().find(bent).filter(|b| !best.beats(b)).unwrap_or(best);
-            now = best.clone();
-            rounds.push(now.clone());
+            let next: Vec<Judged> = next.into_iter().map(|j| self.retune(j, folds)).collect();
+            let bent = |j: &Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
+            let stands = |j: &Judged| match standing {
+                0 => j.beyond_chance(mean, choices.max(choices_of_first)),
+                n if n == rounds.len() && bent(j) => j.is_bent(now),
+                n => j.earns(&rounds[n - 1], choices),
+            };
+            let earned: Vec<&Judged> = next.iter().filter(|j| stands(j)).collect();
+            let added = match earned.first() {
+                // A difference that is there, bent, before another one that does no better.
+                Some(best) => {
+                    standing = rounds.len() + 1;
+                    earned.iter().find(|j| bent(j)).filter(|b| !best.beats(b)).unwrap_or(best)
+                }
+                None => match next.iter().find(|j| j.rms() < now.rms() && !bent(j)) {
+                    Some(tried) => tried,
+                    None => break,
+                },
+            };
+            rounds.push(added.clone());
         }
+        rounds.truncate(standing);
         rounds
     }
 
