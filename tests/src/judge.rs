@@ -1,7 +1,7 @@
 //! Counters that we did not write: they are given the states that the MTC saw and say what they counted.
 
 use crate::root;
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 use rtec_files::trace::TraceFile;
@@ -176,45 +176,86 @@ fn word(record: &[u8], n: usize) -> i32 {
     i32::from_le_bytes(bytes)
 }
 
-/// Lets sigrok's graycode decoder count a trace (through VCD), and compares at every state. For some ten thousand
-/// states: it is slow.
+/// States that sigrok is given at a time: this version loses references as it works and may end itself after millions.
+const PIECE: usize = 200_000;
+
+/// sigrok's graycode decoder, given the states one by one: some ten thousand a second.
+#[derive(Debug, Default)]
+pub struct Sigrok {
+    /// States not yet judged, with the counts due; the first is the last of the piece before.
+    piece: Vec<(State, i64)>,
+    verdict: Verdict,
+}
+
+impl Sigrok {
+    /// Shows the next state and the count that is due after it.
+    ///
+    /// # Errors
+    /// sigrok did not run, or did not get through the states shown so far.
+    pub fn show(&mut self, state: State, due: i64) -> anyhow::Result<()> {
+        self.piece.push((state, due));
+        if self.piece.len() > PIECE { self.count() } else { Ok(()) }
+    }
+
+    /// What it found of all that was shown.
+    ///
+    /// # Errors
+    /// As [`Sigrok::show`]; nothing was shown.
+    pub fn verdict(mut self) -> anyhow::Result<Verdict> {
+        ensure!(!self.piece.is_empty(), "an empty trace");
+        if self.piece.len() > 1 || self.verdict.judged == 0 {
+            self.count()?;
+        }
+        Ok(self.verdict)
+    }
+
+    /// Lets it count the piece, through VCD. Its count is of states, not of times: they follow each other evenly, as it
+    /// works through every nanosecond.
+    fn count(&mut self) -> anyhow::Result<()> {
+        let directory = tempfile::tempdir()?;
+        let vcd = directory.path().join("mtc.vcd");
+        let mut file = TraceFile::create(&vcd)?;
+        // It reports a state when the next one comes, and does not see the last: two more edges bring all of ours out.
+        let last = self.piece[self.piece.len() - 1].0;
+        let more = [last.next(true), last.next(true).next(true)];
+        for (n, state) in self.piece.iter().map(|(state, _)| *state).chain(more).enumerate() {
+            file.write(TracePoint { t_ns: 2 * n as u64, state })?;
+        }
+        file.finish()?;
+        let done = Command::new("sigrok-cli")
+            .args(["-I", "vcd", "-P", "graycode:d0=a:d1=b", "-A", "graycode=count", "-i"])
+            .arg(&vcd)
+            .stdin(Stdio::null())
+            .output()
+            .context("sigrok-cli")?;
+        // Its exit status is no measure: this version may crash when it ends, after it has printed everything.
+        let printed = String::from_utf8_lossy(&done.stdout);
+        let counts: Vec<i64> = printed.lines().filter_map(|l| l.rsplit(' ').next()?.parse().ok()).collect();
+        ensure!(
+            counts.len() >= self.piece.len(),
+            "sigrok counted {} of {} states: {}",
+            counts.len(),
+            self.piece.len(),
+            String::from_utf8_lossy(&done.stderr)
+        );
+        // It counts from zero in every piece, and the first of a later piece has been judged in the one before.
+        let (before, known) = (self.piece[0].1, usize::from(self.verdict.judged > 0));
+        for ((_, due), counted) in self.piece.iter().zip(counts).skip(known) {
+            self.verdict.take(*due, before + counted);
+        }
+        self.piece.drain(..self.piece.len() - 1);
+        Ok(())
+    }
+}
+
+/// Lets sigrok count a trace, and compares at every state.
 ///
 /// # Errors
-/// sigrok did not run, or did not get through the trace.
+/// As [`Sigrok::show`].
 pub fn sigrok(trace: &[(TracePoint, i64)]) -> anyhow::Result<Verdict> {
-    let directory = tempfile::tempdir()?;
-    let vcd = directory.path().join("mtc.vcd");
-    let mut file = TraceFile::create(&vcd)?;
-    let Some(&(mut last, _)) = trace.last() else { bail!("an empty trace") };
-    for (point, _) in trace {
-        file.write(*point)?;
+    let mut judge = Sigrok::default();
+    for (point, due) in trace {
+        judge.show(point.state, *due)?;
     }
-    // It reports a state when the next one comes, and does not see the last: two more edges bring all of ours out.
-    for _ in 0..2 {
-        last = TracePoint { t_ns: last.t_ns + 1000, state: last.state.next(true) };
-        file.write(last)?;
-    }
-    file.finish()?;
-    // It works through every nanosecond; idle ones beyond the 2000th in a row are left out, they do not count.
-    let done = Command::new("sigrok-cli")
-        .args(["-I", "vcd:compress=2000", "-P", "graycode:d0=a:d1=b", "-A", "graycode=count", "-i"])
-        .arg(&vcd)
-        .stdin(Stdio::null())
-        .output()
-        .context("sigrok-cli")?;
-    // Its exit status is no measure: this version may crash when it ends, after it has printed everything.
-    let printed = String::from_utf8_lossy(&done.stdout);
-    let counts: Vec<i64> = printed.lines().filter_map(|l| l.rsplit(' ').next()?.parse().ok()).collect();
-    ensure!(
-        counts.len() >= trace.len(),
-        "sigrok counted {} of {} states: {}",
-        counts.len(),
-        trace.len(),
-        String::from_utf8_lossy(&done.stderr)
-    );
-    let mut verdict = Verdict::default();
-    for ((_, due), counted) in trace.iter().zip(counts) {
-        verdict.take(*due, counted);
-    }
-    Ok(verdict)
+    judge.verdict()
 }

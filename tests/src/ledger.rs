@@ -15,6 +15,16 @@ pub struct Totals {
     pub inserted: i64,
     /// Number of single inversions, of A or of B.
     pub inversions: u64,
+    /// Insertions by where they were made: the scale's state, which way it last moved, added or subtracted.
+    pub phases: [u64; 16],
+}
+
+impl Totals {
+    /// How many of the sixteen phases have an insertion, and the fewest in one of all.
+    #[must_use]
+    pub fn phases_seen(&self) -> (usize, u64) {
+        (self.phases.iter().filter(|n| **n > 0).count(), self.phases.iter().copied().min().unwrap_or(0))
+    }
 }
 
 /// Walks a scale's trace and the trace that the MTC saw, and gives each state of the latter with the count that is
@@ -34,7 +44,7 @@ pub fn walk(
     let mut scale = scale.peekable();
     let mut totals = Totals::default();
     let mut at = scale.next().context("the scale's trace is empty")??;
-    let mut inverted = 0;
+    let (mut inverted, mut up) = (0, true);
     for (n, row) in mtc.enumerate() {
         let row = row?;
         let mut scale_moved = false;
@@ -47,6 +57,7 @@ pub fn walk(
                 bail!("the scale's trace has an illegal transition at {} ns", next.t_ns);
             };
             totals.scale_counts += i64::from(step);
+            up = step > 0;
             scale_moved = next.t_ns == row.t_ns;
             at = next;
         }
@@ -61,8 +72,14 @@ pub fn walk(
                 bail!("at {} ns an inverter and the scale change in one nanosecond", row.t_ns);
             }
             let a_equals_b = matches!(at.state.bits() ^ now ^ flipped, 0 | 3);
-            totals.inserted += if a_equals_b == (flipped == 1) { 1 } else { -1 };
+            let adds = a_equals_b == (flipped == 1);
+            totals.inserted += if adds { 1 } else { -1 };
             totals.inversions += 1;
+            // The first of a pair: both inverters were alike.
+            if matches!(now ^ flipped, 0 | 3) {
+                totals.phases
+                    [usize::from(at.state.bits()) << 2 | usize::from(up) << 1 | usize::from(adds)] += 1;
+            }
         } else if !scale_moved {
             bail!("at {} ns a row of the MTC's trace changes nothing", row.t_ns);
         }

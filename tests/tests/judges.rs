@@ -75,6 +75,8 @@ fn the_ledger_of_two_traces_is_the_planted_one() {
         })
         .unwrap();
     assert!(totals.inversions > 5000, "{totals:?}");
+    let (phases, fewest) = totals.phases_seen();
+    assert!(phases == 16 && fewest > 20, "{totals:?}");
     assert_eq!(totals.scale_counts + totals.inserted, trace.last().unwrap().1);
 }
 

@@ -2,10 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+use rtec_files::trace::TraceReader;
 use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::judge::{LINUXCNC, LinuxCnc, available};
+use rtec_tests::ledger::walk;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 fn corrected() -> (tempfile::TempDir, Daemon) {
@@ -34,6 +38,7 @@ fn a_ledger_replays_to_the_same_totals() {
         let run = Command::new(program("rtecctl"))
             .args(["replay", "--json", "--trace", &name(&format!("{axis}_trace.csv"))])
             .args(["--requests", &name(&format!("{axis}_requests.csv"))])
+            .args(["--out", &name(&format!("{axis}_mtc.csv"))])
             .output()
             .unwrap();
         assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
@@ -44,6 +49,15 @@ fn a_ledger_replays_to_the_same_totals() {
             "{axis}"
         );
         assert_eq!(replayed["illegal_out"], 0);
+        // LinuxCNC counts what the MTC saw of it as the ledger does, at every state.
+        if available(LINUXCNC) {
+            let read =
+                |kind: &str| TraceReader::open(Path::new(&name(&format!("{axis}_{kind}.csv")))).unwrap();
+            let mut judge = LinuxCnc::new().unwrap();
+            let totals = walk(read("trace"), read("mtc"), |point, due| judge.show(point.state, due)).unwrap();
+            let verdict = judge.verdict().unwrap();
+            assert_eq!((totals.inserted, verdict.wrong, verdict.judged), (total, 0, totals.states), "{axis}");
+        }
     }
     // Every insertion stands between two looks.
     let table = std::fs::read_to_string(name("x_insertions.csv")).unwrap();

@@ -6,7 +6,7 @@ use anyhow::{Context, ensure};
 use clap::{Parser, Subcommand};
 use rtec_driver::quadrature::State;
 use rtec_files::trace::TraceReader;
-use rtec_tests::judge::{LinuxCnc, Verdict, sigrok};
+use rtec_tests::judge::{LinuxCnc, Sigrok, Verdict};
 use rtec_tests::ledger;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -22,7 +22,7 @@ struct Cli {
 enum Judge {
     /// LinuxCNC's encoder component, at every state
     Linuxcnc(Traces),
-    /// sigrok's graycode decoder, at every state (short traces)
+    /// sigrok's graycode decoder, at every state (slow)
     Sigrok(Traces),
     /// TSC cycles of LinuxCNC's encoder.update-counters for three channels: one JSON document
     Cycles,
@@ -50,13 +50,10 @@ fn main() -> anyhow::Result<()> {
             report("LinuxCNC", totals, judge.verdict()?, start)
         }
         Judge::Sigrok(traces) => {
-            let mut trace = Vec::new();
-            let totals = traces.walk(|point, due| {
-                trace.push((point, due));
-                Ok(())
-            })?;
+            let mut judge = Sigrok::default();
             let start = Instant::now();
-            report("sigrok", totals, sigrok(&trace)?, start)
+            let totals = traces.walk(|point, due| judge.show(point.state, due))?;
+            report("sigrok", totals, judge.verdict()?, start)
         }
         Judge::Cycles => cycles(),
     }
@@ -80,8 +77,10 @@ impl Traces {
 
 fn report(name: &str, totals: ledger::Totals, verdict: Verdict, start: Instant) -> anyhow::Result<()> {
     let seconds = start.elapsed().as_secs_f64();
+    let (phases, fewest) = totals.phases_seen();
     println!(
-        "{name}: {} states judged, {} wrong ({:.0} states/s); scale {:+}, inserted {:+} by {} inversions",
+        "{name}: {} states judged, {} wrong ({:.0} states/s); scale {:+}, inserted {:+} by {} inversions, insertions at {phases} of 16 \
+         phases, {fewest} at least",
         verdict.judged,
         verdict.wrong,
         verdict.judged as f64 / seconds,
