@@ -427,6 +427,43 @@ mod tests {
         assert_eq!(bench.written(), [(4, 0b01)]);
     }
 
+    /// Two output registers, some lines of each inverted: whatever is written, the lines asked for and no others change, each
+    /// register is written where a line of its own changes and not else, and the levels read back are those written.
+    #[test]
+    fn every_write_changes_its_own_lines_and_no_others() {
+        let output = |offset, width| Register { offset, width };
+        let invert = 0b1010_0110_1100;
+        let profile = Profile {
+            outputs: vec![output(4, Width::Bits8), output(8, Width::Bits8)],
+            output_invert: invert,
+            ..Profile::shared_memory()
+        };
+        let bench = Bench::default();
+        bench.0.borrow_mut().0 = vec![0; 8];
+        let mut card = RegisterCard::new(bench.clone(), &profile, Virtual::default()).unwrap();
+        assert_eq!(card.outputs().unwrap(), invert, "registers at 0");
+        bench.written();
+        let mut levels = invert;
+        let mut dice = 0x9E37_79B9_u64;
+        for _ in 0..2000 {
+            dice ^= dice << 13;
+            dice ^= dice >> 7;
+            dice ^= dice << 17;
+            let (mask, value) = (dice & 0xffff & dice >> 20, dice >> 40 & 0xffff);
+            let expected: u64 = (0..16)
+                .map(|bit| if mask >> bit & 1 == 1 { value & 1 << bit } else { levels & 1 << bit })
+                .sum();
+            card.write(mask, value).unwrap();
+            let raw = |levels: u64| levels ^ invert;
+            let changed = raw(levels) ^ raw(expected);
+            let own = [(4, changed & 0xff, raw(expected) & 0xff), (8, changed >> 8, raw(expected) >> 8)];
+            let due: Vec<(usize, u32)> = own.iter().filter(|o| o.1 != 0).map(|o| (o.0, o.2 as u32)).collect();
+            assert_eq!(bench.written(), due, "mask {mask:#x}, value {value:#x}");
+            assert_eq!(card.outputs().unwrap(), expected);
+            levels = expected;
+        }
+    }
+
     #[test]
     fn setting_up_is_done_once_and_only_on_the_card_that_was_meant() {
         let order = Order { register: Register { offset: 12, width: Width::Bits32 }, value: 0x92 };
