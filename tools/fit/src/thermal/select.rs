@@ -170,7 +170,8 @@ impl Problem {
         folds: &[usize],
     ) -> (Vec<Judged>, Judged, Vec<(Judged, Term)>) {
         let (structure, swaps) = self.exchange(rounds[rounds.len() - 1].clone(), candidates, folds);
-        let mut structure = self.without_idle(structure, candidates.len(), folds);
+        let structure = self.without_idle(structure, candidates.len(), folds);
+        let mut structure = self.to_environment(structure, folds);
         for term in structure.terms.clone() {
             let Some(square) = squared(term).filter(|q| self.square && !structure.terms.contains(q)) else {
                 continue;
@@ -180,6 +181,37 @@ impl Problem {
             structure = bent.filter(|b| b.is_bent(&structure)).unwrap_or(structure);
         }
         (rounds, structure, swaps)
+    }
+
+    /// The same sums by differences to the environment where they can be: beside T1−T0 a T1−T2 says what T2−T0 says, and
+    /// that one's gain is the body's own.
+    fn to_environment(&self, mut now: Judged, folds: &[usize]) -> Judged {
+        for k in 0..now.terms.len() {
+            let Term::Thermal { sensor, minus: Some(minus), lag, square: false } = now.terms[k] else {
+                continue;
+            };
+            let to = |sensor: usize| Term::Thermal { sensor, minus: self.environment, lag, square: false };
+            if Some(minus) == self.environment
+                || squared(now.terms[k]).is_some_and(|q| now.terms.contains(&q))
+            {
+                continue;
+            }
+            let other = match [sensor, minus].map(|s| now.terms.contains(&to(s))) {
+                [true, false] => to(minus),
+                [false, true] => to(sensor),
+                _ => continue,
+            };
+            // Where the differences were given, no other is read.
+            if self.explicit && pair_of(other).is_none_or(|p| !self.offered.contains(&p)) {
+                continue;
+            }
+            let mut terms = now.terms.clone();
+            terms[k] = other;
+            if let Some(same) = self.judge(&terms, folds).filter(|j| self.physical(j, folds)) {
+                now = same;
+            }
+        }
+        now
     }
 
     /// The difference of any two sensors that leaves least by itself.
