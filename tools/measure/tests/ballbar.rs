@@ -485,3 +485,65 @@ fn a_single_row_is_no_spike() {
     near(d.reversal["x"], 4.0, 0.3);
     near(d.servo_mismatch_ms, 0.0, 0.1);
 }
+
+/// Play that is taken up over its own width after each turn, rows at whole degrees and halves from 0: those on an axis stand on
+/// either side of its turn. Reversals are the play, and nothing is made of those rows, no spike and no servo mismatch.
+#[test]
+fn rows_where_an_axis_turns_are_no_cause() {
+    let (radius_mm, noise_um) = (150.0, 0.15);
+    for (n, first, play, seed) in [
+        (360, 0.0, [10.0, 5.0], 1),
+        (720, 0.0, [10.0, 5.0], 2),
+        (720, 0.0, [10.0, -6.0], 3),
+        (1440, 0.0, [4.0, 3.0], 4),
+        (720, 0.7, [10.0, 5.0], 5),
+        (360, 0.002, [10.0, 5.0], 6),
+        (720, 0.0, [60.0, 35.0], 7),
+    ] {
+        for at_turn in [-1.0, 0.0, 1.0] {
+            let mut noise = Noise(seed);
+            let mut columns: [Vec<f64>; 4] = Default::default();
+            for (lap, turn) in [(1.0, 1.0), (2.0, -1.0)] {
+                for k in 0..=n {
+                    let a = first + turn * TAU * f64::from(k) / f64::from(n);
+                    let error = |at: f64, slope: f64, play: f64| {
+                        let to_turn_um = 1000.0 * radius_mm * (1.0 - at.abs());
+                        let way = slope * turn;
+                        // Past the turn it moves back towards zero: the play is then being taken up.
+                        let moved = if to_turn_um < 1e-6 {
+                            0.5 * (1.0 + at_turn)
+                        } else if way * at < 0.0 {
+                            (to_turn_um / play.abs()).min(1.0)
+                        } else {
+                            1.0
+                        };
+                        let now = if to_turn_um < 1e-6 { -at.signum() } else { way.signum() };
+                        play * now * (moved - 0.5)
+                    };
+                    let (s, c) = a.sin_cos();
+                    let radial =
+                        error(c, -s, play[0]) * c + error(s, c, play[1]) * s + noise_um * noise.normal();
+                    let t = columns[0].len() as f64 * TAU * radius_mm / f64::from(n) / 16.67;
+                    for (column, v) in columns.iter_mut().zip([t, lap, a, radial]) {
+                        column.push(v);
+                    }
+                }
+            }
+            let roles = [("t", "time"), ("n", "cycle"), ("a", "angle"), ("e", "error.r")];
+            let columns =
+                roles.into_iter().zip(columns).map(|((name, role), data)| column(name, role, data)).collect();
+            let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
+            let record = Record::new(Path::new("p.run.toml"), Kind::Ballbar, columns).unwrap();
+            let record = record.with_circle(Circle { radius_mm, plane }).unwrap();
+            let d = one(&[record]).diagnosis;
+            let said = format!("{n} rows from {first}, play {play:?}, at the turn {at_turn}: {d:?}");
+            for (axis, play) in ["x", "y"].iter().zip(play) {
+                near(d.reversal[*axis], play, 0.25);
+                let [lo, hi] = d.interval_95[&format!("reversal.{axis}")];
+                assert!(lo - 0.05 <= play && play <= hi + 0.05, "{said}");
+            }
+            assert!(d.spike.values().all(|s| s.um.abs() < 0.5), "{said}");
+            assert!(d.servo_mismatch_ms.is_none_or(|ms| ms.abs() < 0.02), "{said}");
+        }
+    }
+}

@@ -73,6 +73,13 @@ pub struct Diagnosis {
     pub unexplained_um: Option<f64>,
 }
 
+/// Rows nearer than this to where an axis turns are in no cause, mm: play up to 20 µm is taken up by then, and such a row may
+/// stand on either side of the turn.
+const SETTLED_MM: f64 = 0.03;
+/// Rows are left out to so many times the play that is found.
+const TAKEN_UP: f64 = 1.5;
+/// More play than this is no machine tool's.
+const LONGEST_PLAY_MM: f64 = 0.5;
 /// Where structure shows, laws were chosen among it as well: their variance is so many times larger.
 const CHOSEN_AMONG: f64 = 1.5;
 /// Structure that shows: its RMS over that of the noise that is left.
@@ -136,6 +143,26 @@ pub(super) struct Shown {
 
 /// Fits one plane.
 pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<Diagnosis, InputError> {
+    let mut settled_mm = SETTLED_MM;
+    loop {
+        let mut said = Vec::new();
+        let found = diagnose_beyond(traces, settled_mm, &mut said)?;
+        // Play is taken up over its own width: more of it than was left out, and rows within are in the fit.
+        let play_mm = found.reversal.values().map(|um| um.abs() / 1000.0).fold(0.0, f64::max);
+        if TAKEN_UP * play_mm <= settled_mm || settled_mm > LONGEST_PLAY_MM {
+            warnings.append(&mut said);
+            return Ok(found);
+        }
+        settled_mm = 2.0 * TAKEN_UP * play_mm;
+    }
+}
+
+/// The same by rows at which both axes are further than this from where they turn, mm.
+fn diagnose_beyond(
+    traces: &[Trace],
+    settled_mm: f64,
+    warnings: &mut Vec<String>,
+) -> Result<Diagnosis, InputError> {
     let Some(circle) =
         traces[0].record.circle().filter(|_| traces.iter().all(|t| t.record.circle().is_some()))
     else {
@@ -148,13 +175,13 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
     let planned = [circle.plane[0].clone(), circle.plane[1].clone()];
     let axes = [&planned[0], &planned[1]];
     let mut told = Vec::new();
-    let mut fit = Fit::of_laws(traces, axes, warnings)?;
+    let mut fit = Fit::of_laws(traces, axes, settled_mm, warnings)?;
     fit.search(axes, &mut told);
     // One way round, what depends on the place looks much as reversals and squareness do: it is taken to be there.
     if !fit.structure.both_ways || fit.harmonics_show() {
         // What the laws took for theirs may be the structure's.
         told.clear();
-        fit = Fit::of_laws(traces, axes, &mut Vec::new())?;
+        fit = Fit::of_laws(traces, axes, settled_mm, &mut Vec::new())?;
         fit.take_beside(&fit.structure.columns.clone());
         fit.search(axes, &mut told);
     }
@@ -201,9 +228,10 @@ impl<'t> Fit<'t> {
     fn of_laws(
         traces: &'t [Trace],
         [a, b]: [&Axis; 2],
+        settled_mm: f64,
         warnings: &mut Vec<String>,
     ) -> Result<Self, InputError> {
-        let mut fit = Self::new(traces);
+        let mut fit = Self::new(traces, settled_mm);
         let d = Dictionary::default();
         let one = |name: &str, axis: &Axis| Some((law(&d, name, &[axis])?, 1.0));
         let mismatch = |name: &str| Some(vec![(one(name, a)?.0, 0.5), (one(name, b)?.0, -0.5)]);
@@ -247,7 +275,7 @@ impl<'t> Fit<'t> {
         self.prepare_beside();
     }
 
-    fn new(traces: &'t [Trace]) -> Self {
+    fn new(traces: &'t [Trace], settled_mm: f64) -> Self {
         let mut start = Vec::new();
         let (mut n, mut y, mut follows, mut counts) = (0, Vec::new(), Vec::new(), Vec::new());
         let circle: Vec<[f64; 3]> = traces.iter().map(circle_of).collect();
@@ -257,11 +285,15 @@ impl<'t> Fit<'t> {
             // Set-up and radius may lie beyond what a machine's error may be.
             y.extend(t.angle.iter().zip(&t.radial).map(|(p, e)| e - radius - a * p.cos() - b * p.sin()));
             let first = begun(t);
+            let own: Vec<bool> =
+                t.angle.iter().enumerate().map(|(i, a)| i >= first && !turns(t, *a, settled_mm)).collect();
             let inside = |i: usize| {
-                i > first && t.contours.iter().any(|(rows, _)| rows.contains(&i) && i > rows.start)
+                i > first
+                    && own[i - 1]
+                    && t.contours.iter().any(|(rows, _)| rows.contains(&i) && i > rows.start)
             };
             follows.extend((0..t.radial.len()).map(inside));
-            counts.extend((0..t.radial.len()).map(|i| i >= first));
+            counts.extend(own);
         }
         let mut fit = Self {
             traces,
@@ -683,6 +715,12 @@ impl<'t> Fit<'t> {
         let normal = all.tr_mul(&all).pseudo_inverse(1e-12).ok()?;
         self.structure.told(&solve(&all, &self.whitened(left)), &(normal.diagonal() * variance))
     }
+}
+
+/// Whether one of the axes is so near to where it turns that play may not be taken up, or the row be on either side of the turn.
+fn turns(trace: &Trace, angle: f64, settled_mm: f64) -> bool {
+    let radius_mm = trace.record.circle().map_or(f64::INFINITY, |c| c.radius_mm);
+    [angle.cos(), angle.sin()].iter().any(|share| radius_mm * (1.0 - share.abs()) < settled_mm)
 }
 
 /// The first row at which both axes have turned within the record, or moved on far enough from where it begins.
