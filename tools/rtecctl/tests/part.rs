@@ -574,3 +574,29 @@ fn the_page_is_for_whoever_started_it_and_nobody_holds_it_up() {
     assert_eq!(page.wait().unwrap().code(), Some(0));
     drop(strangers);
 }
+
+/// A diameter for a radius, and the tip's diameter for its radius: the commonest slips, both said.
+#[test]
+fn a_diameter_for_a_radius_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let points = (0..20).fold("z_mm,x_mm\n".to_owned(), |text, k| {
+        let a = std::f64::consts::FRAC_PI_2 * f64::from(k) / 19.0;
+        text + &format!("{:.6},{:.6}\n", 127.0 + 40.854 * a.cos(), 40.854 * a.sin())
+    });
+    std::fs::write(folder.join("p.csv"), points).unwrap();
+    let run = |words: &[&str]| {
+        let out = part(folder, &[&["errors", "--points", "p.csv"], words].concat());
+        (out.status.code(), String::from_utf8(out.stderr).unwrap())
+    };
+    let (code, said) = run(&["--radius-mm", "76.708", "--tip-mm", "2.5"]);
+    assert!(code == Some(2) && said.contains("diameter"), "{code:?} {said}");
+    let (code, said) = run(&["--radius-mm", "38.354", "--tip-mm", "5"]);
+    assert!(code == Some(0) && said.contains("half of --tip-mm"), "{code:?} {said}");
+    let (code, said) = run(&["--radius-mm", "40.854", "--tip-mm", "2.5"]);
+    assert!(code == Some(0) && said.contains("as much as --tip-mm"), "{code:?} {said}");
+    let (code, said) = run(&["--radius-mm", "38.354", "--tip-mm", "5", "--with-size", "--out", "o"]);
+    assert!(code == Some(2) && said.contains("--with-size") && !folder.join("o").exists(), "{code:?} {said}");
+    let (code, said) = run(&["--radius-mm", "38.354", "--tip-mm", "2.5"]);
+    assert!(code == Some(0) && said.is_empty(), "{code:?} {said}");
+}

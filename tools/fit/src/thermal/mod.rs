@@ -180,7 +180,8 @@ fn fit_response(
     if !terms.is_empty() && blocks.mean_square() > baselines["mean"].mean_square() {
         // Its own table is against it: structures chosen without a block say less of that block than the mean does.
         warnings.push(format!(
-            "{} is left out: chosen without a block of rows, it says less of that block than the mean does",
+            "{} is left out: chosen without a block of rows, it says less of that block than the mean does; a run in which these temperatures move more \
+             would tell",
             terms.iter().map(|t| problem.name(*t)).collect::<Vec<_>>().join(", ")
         ));
         terms.clear();

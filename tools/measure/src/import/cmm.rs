@@ -40,7 +40,7 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputErro
         return Err(InputError::whole(
             from,
             "no table of holes",
-            format!("a line with {}", HEADINGS.join(", ")),
+            format!("a line with the headings {}, two spaces or more between them", HEADINGS.join(" | ")),
         ));
     }
     let axis = |name: &str| Axis::new(name).unwrap_or_else(|| unreachable!("a letter is an axis name"));

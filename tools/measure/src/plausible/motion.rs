@@ -176,6 +176,17 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
         let (size, pitch) = (range(&p.data), median(sizes));
         let few = places.len() <= 45 && pitch >= 1e-3 && record.kind != Kind::FeedSweep;
         let quick = matches!(record.kind, Kind::Ballbar) && size < 0.7;
+        // In a positioning run one axis moves, and another by as little as its own error or what corrects it.
+        let follows = record.kind == Kind::Positioning
+            && record.columns.iter().any(|c| match &c.role {
+                Role::Position(a) if c.name != p.name => {
+                    record.column(&Role::Error(a.clone())).is_some() && range(&c.data) > 100.0 * size
+                }
+                _ => false,
+            });
+        if follows {
+            return;
+        }
         if !(static_run && size > 0.01 && size < 3.0 && places.len() >= 5 && (few || quick)) {
             return;
         }

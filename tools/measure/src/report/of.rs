@@ -298,6 +298,11 @@ fn natural(name: &str) -> (String, u64) {
 /// A plot without a finite point.
 pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
     let mut report = Report::new("Thermal effects (ISO 230-3)", std::slice::from_ref(record), conditions);
+    if let Some(short) = all.iter().map(|d| d.whole.t_min).reduce(f64::min).filter(|t| *t < 59.5) {
+        report.warnings.push(format!(
+            "the run lasts {short:.1} min: d60 and the last hour are of all of it; or is its time in another unit than stated?"
+        ));
+    }
     let head = ["response", "#time (min)", "#d60", "#dt", "#last hour", "#end", "#µm/h", "#most µm/h"];
     let cells = |f: &Figures| {
         let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h, f.max_rate_per_h].map(um);

@@ -1,10 +1,11 @@
 //! What to know before a model is trusted: values that are unlikely, fits past their date, records that have changed,
 //! ranges that are left.
 
-use super::Machine;
 use super::evaluate::differences;
 use super::places::folder_of;
+use super::{FitNote, Machine, Validity};
 use crate::date;
+use crate::effect::Difference;
 use crate::record::{Record, hex};
 use sha2::{Digest, Sha256};
 
@@ -93,13 +94,41 @@ impl Machine {
                 ));
             }
         }
+        found.extend(self.fits().iter().filter_map(|fit| self.unseen(fit, record)));
         found
+    }
+
+    /// The difference that leaves most what a fit saw of it, where no effect of the fit's response reads it: what grows with it
+    /// there is not in the model at all.
+    fn unseen(&self, fit: &FitNote, record: &Record) -> Option<String> {
+        let axis = fit.response.split('.').nth(1)?;
+        let read = |d: &Difference| {
+            let own = self.effects().filter(|e| e.axes().first().is_some_and(|a| a.as_str() == axis));
+            own.filter_map(|e| e.delta.as_ref()).any(|e| e == d)
+        };
+        let farthest = |v: &Validity| -> Option<(f64, f64, usize)> {
+            let all = v.of(record)?;
+            let cost = |d: &f64| v.outside_um(*d);
+            let worst = all.iter().copied().max_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+            Some((cost(&worst), worst, all.iter().filter(|d| cost(d) > 0.0).count()))
+        };
+        let own = fit.valid.iter().filter(|v| !read(&v.difference)).filter_map(|v| Some((v, farthest(v)?)));
+        let (v, (um, worst, rows)) = own.max_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
+        let share = 100.0 * rows as f64 / record.rows() as f64;
+        (um > fit.half_width_um).then(|| {
+            format!(
+                "{}: {} reaches {worst:.2} K, and the fit saw {:.2} to {:.2} K ({share:.1} % of the rows outside): what grows with it there \
+                 is not in the model",
+                fit.response, v.difference, v.range_k[0], v.range_k[1]
+            )
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::record::{Kind, Role};
     use rtec_files::InputError;
     use std::path::Path;
 
@@ -125,5 +154,34 @@ mod tests {
         let e = fit("\"2026-05-01\"", "\"soon\"").unwrap_err();
         assert_eq!((e.line, e.found.as_str(), e.expected.as_str()), (5, "`soon`", "a day as YYYY-MM-DD"));
         assert!(fit("\"1. Mai 2026\"", "\"2027-05-01\"").is_err());
+    }
+
+    /// A model that has no effect of a difference, asked where that one is by far what the fit saw of it.
+    #[test]
+    fn what_the_fit_never_saw_is_said() {
+        let m = parse(
+            "name = \"m\"\n[[fit]]\nresponse = \"error.z\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 0.4\n\
+             half_width_um = 0.7\nvalid = [{ sensor = \"T1\", minus = \"T0\", range_K = [-0.2, 1.2], um_per_K = 3.7 }]\n\
+             [[effect]]\nname = \"offset.z\"\num = 0.1\n",
+        )
+        .unwrap();
+        let run = |warm: f64| {
+            let column = |name: &str, role, data| crate::record::Column::new(name, role, data);
+            let columns = vec![
+                column("t", Role::Time, (0..10).map(f64::from).collect()),
+                column("T0", Role::Temperature, vec![20.0; 10]),
+                column("T1", Role::Temperature, (0..10).map(|i| 20.0 + warm * f64::from(i) / 9.0).collect()),
+                column("e", Role::parse("error.z").unwrap(), vec![0.0; 10]),
+            ];
+            Record::new(Path::new("r.run.toml"), Kind::Drift, columns).unwrap()
+        };
+        assert_eq!(m.out_of_range(&run(1.0)), [""; 0]);
+        let said = m.out_of_range(&run(7.75));
+        assert!(
+            said.len() == 1
+                && said[0].contains("T1-T0 reaches 7.75 K")
+                && said[0].contains("not in the model"),
+            "{said:?}"
+        );
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Machine;
 use super::note::unknown_um;
-use crate::effect::{Against, Effect, Heat};
+use crate::effect::{Effect, Heat};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
 
@@ -84,15 +84,8 @@ impl Machine {
         let mut outside = vec![0.0_f64; record.rows()];
         for v in valid {
             // A sensor that the model does not read may be missing here.
-            let Some(u) = record.temperature(&v.difference.sensor) else { continue };
-            let minus = |row: usize| match &v.difference.against {
-                Against::Sensor(m) => record.temperature(m).map(|m| m[row]),
-                Against::Reference(degc) => Some(*degc),
-                Against::Standard => Some(crate::effect::STANDARD_DEGC),
-            };
-            for (row, (o, u)) in outside.iter_mut().zip(u).enumerate() {
-                *o = minus(row).map_or(*o, |m| o.max(v.outside_um(u - m)));
-            }
+            let Some(differences) = v.of(record) else { continue };
+            outside.iter_mut().zip(differences).for_each(|(o, d)| *o = o.max(v.outside_um(d)));
         }
         squares.iter_mut().zip(&outside).for_each(|(s, o)| *s += o * o);
         for effect in self.effects().filter(|e| e.axes().first() == response.axis()) {

@@ -1,6 +1,6 @@
 //! What a fit says about itself and about its effects: records, dates, intervals, the range in which it is valid.
 
-use crate::effect::{Difference, Effect};
+use crate::effect::{Against, Difference, Effect, STANDARD_DEGC};
 use crate::record::{Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -81,6 +81,21 @@ pub struct Validity {
 }
 
 impl Validity {
+    /// The difference at every row of a record; nothing where the record lacks a sensor of it.
+    #[must_use]
+    pub fn of(&self, record: &Record) -> Option<Vec<f64>> {
+        let u = record.temperature(&self.difference.sensor)?;
+        let minus: &dyn Fn(usize) -> f64 = match &self.difference.against {
+            Against::Sensor(m) => {
+                let m = record.temperature(m)?;
+                &move |row| m[row]
+            }
+            Against::Reference(degc) => &move |_| *degc,
+            Against::Standard => &|_| STANDARD_DEGC,
+        };
+        Some(u.iter().enumerate().map(|(row, u)| u - minus(row)).collect())
+    }
+
     /// What being so far outside may cost, µm.
     #[must_use]
     pub fn outside_um(&self, delta_k: f64) -> f64 {

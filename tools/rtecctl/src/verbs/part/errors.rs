@@ -54,6 +54,10 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// A circle so many times larger or smaller than nominal is another one.
+const OTHER_SIZE: f64 = 1.3;
+/// A larger error of size is a wrong number, of radius or tip.
+const NO_SIZE_ERROR_UM: f64 = 500.0;
 /// An error of this size is no finish cut's.
 const FALSE_TRIP_UM: f64 = 200.0;
 
@@ -129,10 +133,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     if let (Some(nominal), Some(radius)) = (args.radius_mm, report.radius_mm)
-        && !(0.5..=2.0).contains(&(radius / nominal))
+        && !(1.0 / OTHER_SIZE..=OTHER_SIZE).contains(&(radius / nominal))
     {
         let found = format!("a circle of {radius:.3} mm through the points");
-        let expected = format!("one near {nominal} mm; points of a straight feature are --feature line");
+        let hint =
+            if (nominal / radius / 2.0 - 1.0).abs() < 0.02 { "; twice that is its diameter" } else { "" };
+        let expected = format!(
+            "one near {nominal} mm, the radius in mm{hint}; points of a straight feature are --feature line"
+        );
         return Err(rtec_files::InputError::whole(&args.points, found, expected).into());
     }
     if let (None, Some(expected)) = (report.size_error_um, &places) {
@@ -150,6 +158,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
              out, or give the expected trips (--expected)",
             e.error_um, report.feature
         );
+    }
+    if let Some(off_um) = report.size_error_um.filter(|s| s.abs() > NO_SIZE_ERROR_UM) {
+        let tip_um = 1000.0 * tip_mm;
+        let like = if tip_mm > 0.0 && (off_um.abs() - tip_um).abs() < 0.02 * tip_um {
+            ": as much as --tip-mm; is that the tip's diameter, or are the points on the surface already?"
+        } else if tip_mm > 0.0 && (off_um.abs() - tip_um / 2.0).abs() < 0.02 * tip_um {
+            ": half of --tip-mm; is that the tip's diameter?"
+        } else {
+            ": more than a cut part is off; look at --radius-mm and --tip-mm"
+        };
+        eprintln!("warning: {off_um:+.0} µm from nominal{like}");
+        if args.with_size {
+            return Err(usage(
+                "--with-size",
+                format!("a size error of {off_um:+.0} µm"),
+                "one that a finish cut takes out, within 500 µm",
+            ));
+        }
     }
     if let Some((own, robust)) = sizes_differ(&report) {
         eprintln!(
