@@ -38,7 +38,8 @@ fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
 pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnable: bool) -> Option<Answer> {
     let mut stack = Stack::new(records);
     let file: Vec<Effect> = machine.effects().cloned().collect();
-    let missing = stack.missing(&file);
+    let mut missing = stack.missing(&file);
+    stack.without_zeros(&mut missing);
     stack.sigma = noise_guess(&stack, &missing);
     let mut model = Model { anchor: file.clone(), now: file.clone(), noise: 1.0 };
     retune(&stack, model.noise, &mut model.anchor, &mut model.now, &[]);
@@ -88,6 +89,7 @@ impl Model {
     fn begin(&self, search: &mut Search<'_, '_>) -> Vec<Known> {
         let mut missing = search.stack.missing(&self.now);
         search.stack.weigh(&mut missing);
+        search.stack.without_zeros(&mut missing);
         let parameters = known(search.stack, self.noise, &self.anchor, &self.now);
         search.begin(self.noise, parameters.clone(), missing);
         parameters

@@ -27,6 +27,7 @@ pub(crate) fn retune(
         let others = now.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, x)| x);
         let mut missing = stack.missing(others.chain(beside));
         stack.weigh(&mut missing);
+        stack.without_zeros(&mut missing);
         let others: Vec<Known> =
             known(stack, noise, anchor, now).into_iter().filter(|k| k.effect != Some(e)).collect();
         let (none, waves) = Hypotheses::periods(stack, &now[e]);
