@@ -35,7 +35,7 @@ pub(crate) fn retune(
         search.begin(noise, others, missing);
         let empty = search.empty();
         let Some(best) = search.scan(&empty, true).into_iter().next() else { continue };
-        let same = search.score_of(&empty, &now[e]);
+        let same = search.score_of(&empty, best.hypothesis, &now[e]);
         if best.score > same + 6.0 {
             let set = search.take(&empty, &best);
             let beta = search.coefficients(&set);

@@ -1,7 +1,7 @@
 //! What further columns add to a set, from products alone: no fit is made anew.
 
 use super::Search;
-use super::sets::{Member, Set};
+use super::sets::Set;
 use crate::gram::{self, Products, covered, dot, products};
 use std::ops::Range;
 
@@ -14,9 +14,9 @@ pub(super) struct Cross {
 }
 
 impl Search<'_, '_> {
-    pub(super) fn price(&self, set: &Set, cost: f64, columns: usize) -> f64 {
-        let own: usize = set.members.iter().map(Member::columns).sum();
-        let crowd = self.crowding_cost(own + columns) - self.crowding_cost(own);
+    /// What a set costs with so many columns of a hypothesis beside it.
+    pub(super) fn price(&self, set: &Set, hypothesis: usize, cost: f64, columns: usize) -> f64 {
+        let crowd = self.crowding_cost(set, hypothesis, columns);
         set.loglik - set.score + cost + self.dimension_cost(columns) + crowd
     }
 

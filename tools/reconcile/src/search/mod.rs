@@ -85,6 +85,10 @@ pub(crate) struct Search<'p, 'r> {
     room: Cell<usize>,
     /// Rankings that were asked for, by what the set's vectors and hypotheses are.
     rankings: RefCell<HashMap<Vec<usize>, Rc<[Ranked]>>>,
+    /// Rows of each response.
+    rows_of: Vec<usize>,
+    /// Per hypothesis: the responses that it acts on, each with the share of its coefficients that counts there.
+    acts_on: Vec<Vec<(usize, f64)>>,
     /// How each atom's columns lie in the bank.
     lie: Vec<Lie>,
     /// What sets left of the bank's columns.
@@ -116,6 +120,8 @@ impl<'p, 'r> Search<'p, 'r> {
             seen: RefCell::new(HashMap::new()),
             room: Cell::new(ROOM),
             rankings: RefCell::default(),
+            rows_of: (0..stack.responses.len()).map(|j| stack.rows(j).len()).collect(),
+            acts_on: all.acts_on(stack, waves),
             lie: all.atoms.iter().map(Lie::of).collect(),
             left: RefCell::default(),
         }

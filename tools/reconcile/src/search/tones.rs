@@ -105,7 +105,7 @@ impl Search<'_, '_> {
             gram::reduce(&mut m, &mut g);
             self.loglik(fit, dot(&g, &g))
         });
-        loglik - self.price(set, cost, 2)
+        loglik - self.price(set, wave.hypothesis, cost, 2)
     }
 
     fn first_seen(&self, wave: &Wave, f: f64, ranges: &[Range<usize>]) -> Seen {
