@@ -47,6 +47,9 @@ const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=3;
 /// The same where a name is judged: what only wanders slowly is structure, but no ground for a name.
 const WANDERING: std::ops::RangeInclusive<i32> = -1..=8;
 
+/// As many as the longest grid has.
+const MOST_COEFFICIENTS: usize = (*WANDERING.end() - *WANDERING.start() + 1) as usize;
+
 fn coefficients_of(grid: std::ops::RangeInclusive<i32>) -> Vec<f64> {
     grid.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect()
 }
