@@ -50,8 +50,8 @@ impl Search<'_, '_> {
     pub(super) fn over_noise(&self, set: &Set, mut at_fit: impl FnMut(usize) -> f64) -> f64 {
         let Range { mut start, mut end } = set.near();
         let mut values = [0.0; MOST_COEFFICIENTS];
-        for i in start..end {
-            values[i] = at_fit(i);
+        for (i, value) in values.iter_mut().enumerate().take(end).skip(start) {
+            *value = at_fit(i);
         }
         // What explains much leaves noise of another memory than the set had: on to where the best is inside.
         while start > 0 && values[start] > values[start + 1] {
