@@ -96,6 +96,20 @@ fn one_wave_at_few_targets_is_no_map_and_another_wave() {
     }
 }
 
+/// A bug once: maps and waves that had as many coefficients as a response had rows made its noise look like nothing, so that
+/// still more was fitted to it, for a quarter of a minute, and all was called unknown.
+#[test]
+fn no_response_of_a_short_circle_is_fitted_full() {
+    for seed in [8_200_048, 8_200_142, 8_200_152] {
+        let dir = tempfile::tempdir().unwrap();
+        let manner = if seed % 2 == 0 { Manner::First } else { Manner::Second };
+        let case = Class::Pairs.make(seed, manner, dir.path()).unwrap().case;
+        let reply = judge(&case).unwrap().reply;
+        let mark = mark(&case, &reply);
+        assert!(matches!(mark, Mark::Exact | Mark::Group), "{seed}: {} {:?}", reply.verdict, reply.effects);
+    }
+}
+
 #[test]
 fn the_same_data_give_the_same_document() {
     let dir = tempfile::tempdir().unwrap();

@@ -5,7 +5,7 @@ use crate::answer::Answer;
 use crate::hypotheses::Hypotheses;
 use crate::naming;
 use crate::problem::{Known, Stack, known, rms};
-use crate::search::{Found, Search};
+use crate::search::{Found, Search, Set};
 use crate::tuning::{bend, is_wave, moved, retune};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -38,7 +38,8 @@ fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
 pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnable: bool) -> Option<Answer> {
     let mut stack = Stack::new(records);
     let file: Vec<Effect> = machine.effects().cloned().collect();
-    let missing = stack.missing(&file);
+    let mut missing = stack.missing(&file);
+    stack.without_zeros(&mut missing);
     stack.sigma = noise_guess(&stack, &missing);
     let mut model = Model { anchor: file.clone(), now: file.clone(), noise: 1.0 };
     retune(&stack, model.noise, &mut model.anchor, &mut model.now, &[]);
@@ -88,6 +89,7 @@ impl Model {
     fn begin(&self, search: &mut Search<'_, '_>) -> Vec<Known> {
         let mut missing = search.stack.missing(&self.now);
         search.stack.weigh(&mut missing);
+        search.stack.without_zeros(&mut missing);
         let parameters = known(search.stack, self.noise, &self.anchor, &self.now);
         search.begin(self.noise, parameters.clone(), missing);
         parameters
@@ -106,7 +108,7 @@ impl Model {
         let mut moved = moved(&self.now, parameters, &beta);
         let bent = bend(stack, &self.now, &moved, parameters, &beta) / self.noise;
         let (residual, _) = search.residual(&found.any);
-        let change = self.change(stack, &residual);
+        let change = self.change(search, &found.any, &residual);
         let alone = stack.responses.len() == 1;
         let off = change.iter().any(|c| !SIZED.contains(c));
         if alone && off {
@@ -118,11 +120,16 @@ impl Model {
         (!last && (weigh || bent > STRAIGHT || tuned)).then_some(Pass { moved, change })
     }
 
-    fn change(&self, stack: &Stack<'_>, residual: &[f64]) -> Vec<f64> {
+    /// Per response: by how much the noise is larger than was thought. Where several are weighed by it, what was fitted to a
+    /// response's rows would make it look certain, and more would be fitted to it the next time.
+    fn change(&self, search: &Search<'_, '_>, set: &Set, residual: &[f64]) -> Vec<f64> {
+        let stack = search.stack;
+        let alone = stack.responses.len() == 1;
         let of = |j: usize| {
             let segments = stack.segments.iter().filter(|s| s.response == j);
             let rows: Vec<f64> = segments.flat_map(|s| &residual[s.rows.clone()]).copied().collect();
-            (rms(&rows) / self.noise).clamp(0.02, 50.0)
+            let free = if alone { 1.0 } else { 1.0 - search.crowd(set, j) };
+            (rms(&rows) / free.sqrt() / self.noise).clamp(0.02, 50.0)
         };
         (0..stack.responses.len()).map(of).collect()
     }

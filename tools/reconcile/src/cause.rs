@@ -2,7 +2,7 @@
 
 use crate::problem::Stack;
 use crate::teeth::Teeth;
-use rtec_model::effect::{Against, Effect, STANDARD_DEGC};
+use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC};
 
 /// A shape that is in no dictionary.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,6 +13,23 @@ pub struct Shape {
     pub against: Vec<String>,
     /// In words: smooth, periodic, differs by direction, …
     pub manner: String,
+}
+
+impl Shape {
+    /// What an effect looks like that is given no name; none where it acts on nothing that was measured.
+    pub(crate) fn like(stack: &Stack<'_>, effect: &Effect, manner: String) -> Option<Self> {
+        let acts = stack.records.iter().find_map(|r| effect.acts_on(r).into_iter().next())?;
+        let role = |n: &Need| match n {
+            Need::Delta => effect.delta.as_ref().map(|d| format!("temperature.{}", d.sensor)),
+            Need::Channel => effect.channel().map(|c| format!("channel.{c}")),
+            other => Some(other.role(effect.axes()).to_string()),
+        };
+        let mut against: Vec<String> = effect.description().needs.iter().filter_map(role).collect();
+        if against.is_empty() {
+            against.push("time".to_owned());
+        }
+        Some(Self { response: acts.0.to_string(), against, manner })
+    }
 }
 
 /// An explanation.

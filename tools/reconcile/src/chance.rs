@@ -113,7 +113,8 @@ impl Search<'_, '_> {
         let mut best_any = best_named.clone();
         for (i, atom) in self.all.atoms.iter().enumerate() {
             let columns = atom.columns.len();
-            let price = atom.cost + self.dimension_cost(columns) + self.crowding_cost(columns);
+            let crowd = self.crowding_cost(&rounds.empty, atom.hypothesis, columns);
+            let price = atom.cost + self.dimension_cost(columns) + crowd;
             let named = self.all.list[atom.hypothesis].named();
             for (d, value) in rounds.with_atom(self, i).into_iter().enumerate() {
                 let gain = value - rounds.null[d];

@@ -58,6 +58,25 @@ impl Term {
         Self { effect, ways, listed: Some(listed.values().to_vec()), half }
     }
 
+    /// A term whose held values are free too, but do no more than a share of what its effect does: one standard deviation.
+    pub(crate) fn with_left_out(stack: &Stack<'_>, effect: &Effect, held: &[usize], share: f64) -> Self {
+        let mut term = Self::new(stack, effect.clone(), &[]);
+        let mut does = stack.predict([effect]);
+        stack.weigh(&mut does);
+        let slopes = stack.slopes(effect);
+        for way in &mut term.ways {
+            if let [(v, _)] = way.along[..]
+                && held.contains(&v)
+            {
+                let mut slope = slopes[v].clone();
+                stack.weigh(&mut slope);
+                way.sd = share * rms(&does) / rms(&slope).max(f64::MIN_POSITIVE);
+            }
+        }
+        term.listed = Some(effect.values().to_vec());
+        term
+    }
+
     /// A term that stays as it is.
     pub(crate) fn fixed(effect: Effect) -> Self {
         let half = vec![0.0; effect.values().len()];

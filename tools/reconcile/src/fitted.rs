@@ -13,10 +13,10 @@ use rtec_model::record::Record;
 
 /// How far a value must move from the model's, in standard errors: about one in ten thousand by chance.
 const BEYOND_CHANCE: f64 = 3.9;
-/// A value that is less than this share of its interval's half width is nothing.
-const BY_FAR: f64 = 0.6;
-/// A finding without which so much less is explained is one, however uncertain its size, nats.
+/// A finding without which less than so much less is explained is none where its interval holds zero, nats.
 const NEEDED: f64 = 4.0;
+/// A value that was left out does no more than this share of what its effect does: one standard deviation.
+const LEFT_OUT: f64 = 0.4;
 /// Steps of the last fit, and of one curve of several that stand for a shape.
 const STEPS: usize = 12;
 const CURVE_STEPS: usize = 6;
@@ -29,24 +29,35 @@ pub(crate) struct Fitted {
     /// Which of the model's own moved beyond chance.
     moved: Vec<bool>,
     found: usize,
+    /// What is there, and of a size that the rows do not tell: it has no name.
+    pub(crate) sizeless: Vec<Shape>,
 }
 
 impl Fitted {
     /// Fits the model's effects and the findings jointly, then once more without those of the model's that did not move
-    /// beyond chance: they stay as the file has them. A finding whose interval then holds zero by far, and without which as
-    /// little is left, is none.
+    /// beyond chance: they stay as the file has them. A finding whose interval then holds zero is none: where as little is
+    /// left without it, nothing is there; otherwise something is, but not this effect of this size.
     pub(crate) fn of(stack: &Stack<'_>, machine: &Machine, answer: &mut Answer) -> Self {
         let mut fitted = Self::once(stack, machine, answer);
-        for place in fitted.doubtful() {
+        let mut sizeless = Vec::new();
+        for place in (0..fitted.found).rev() {
+            // One of two that stand for each other is certain once the other is gone.
+            let Some(doubt) = doubt(&fitted.found()[place]) else { continue };
             let finding = answer.findings.remove(place);
             let without = Self::once(stack, machine, answer);
             let [with, left] = [&fitted, &without].map(|f| rms(&fit::residual(stack, &f.terms)).max(1e-12));
-            if stack.n as f64 * (left / with).ln() < NEEDED {
-                fitted = without;
-            } else {
+            let needed = stack.n as f64 * (left / with).ln() >= NEEDED;
+            if needed && doubt == Doubt::OfEach {
                 answer.findings.insert(place, finding);
+                continue;
             }
+            if needed {
+                let manner = format!("as {} of a size that is not told", finding.effect.name());
+                sizeless.extend(Shape::like(stack, &finding.effect, manner));
+            }
+            fitted = without;
         }
+        fitted.sizeless = sizeless;
         fitted
     }
 
@@ -60,20 +71,20 @@ impl Fitted {
             *term = Term::fixed(effect.clone());
         }
         fit::fit(stack, &mut terms, answer.phi, STEPS, None);
-        let mut fitted = Self { terms, file, moved, found: answer.findings.len() };
+        let mut fitted = Self { terms, file, moved, found: answer.findings.len(), sizeless: Vec::new() };
         fitted.widen(stack, answer);
         fitted
     }
 
     /// A value that was left out is no estimate of nothing: how large it may be, and how far the others are off for it,
-    /// a fit with it shows.
+    /// a fit with it shows. It is the lesser part of its effect, or it would have been found.
     fn widen(&mut self, stack: &Stack<'_>, answer: &Answer) {
         let mut whole = self.terms.clone();
         let mut widened = Vec::new();
         for (i, f) in answer.findings.iter().enumerate() {
             let at = self.file.len() + i;
             if !f.held.is_empty() && !whole[at].ways.is_empty() {
-                whole[at] = Term::new(stack, whole[at].effect.clone(), &[]);
+                whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, LEFT_OUT);
                 widened.push(at);
             }
         }
@@ -88,19 +99,6 @@ impl Fitted {
                 *half = half.max((a - b).abs() + h);
             }
         }
-    }
-
-    /// Findings whose size is little beside its interval, the last first. Where another value of the same effect is as
-    /// uncertain (a time constant, a phase) that alone says nothing.
-    fn doubtful(&self) -> Vec<usize> {
-        let little = |t: &Term| {
-            let law = t.effect.description();
-            let size = [Search::Linear, Search::Amplitude].into_iter().find_map(|s| law.place(s));
-            let Some(at) = size.filter(|_| t.effect.width() == 1) else { return false };
-            let alone = law.parameters.iter().filter(|p| p.search == law.parameters[at].search).count() == 1;
-            alone && t.half[at] > 0.0 && t.effect.scalar(at).abs() < BY_FAR * t.half[at]
-        };
-        (0..self.found).rev().filter(|i| little(&self.found()[*i])).collect()
     }
 
     /// What was found.
@@ -150,6 +148,29 @@ impl Fitted {
         (*model, self.terms) = (machine, all);
         Some(laws)
     }
+}
+
+/// Why an effect may be nothing.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Doubt {
+    /// The interval of its one size holds zero.
+    OfAll,
+    /// The interval of each of its sizes holds zero: together they may be certain.
+    OfEach,
+}
+
+/// Whether the intervals of an effect's size hold zero.
+fn doubt(term: &Term) -> Option<Doubt> {
+    let law = term.effect.description();
+    let kind = [Search::Linear, Search::Amplitude].into_iter().find(|s| law.place(*s).is_some())?;
+    if term.effect.width() > 1 {
+        return None;
+    }
+    let sizes = (0..law.parameters.len()).filter(|i| law.parameters[*i].search == kind);
+    let free: Vec<usize> = sizes.filter(|i| term.half[*i] > 0.0).collect();
+    let zero = |i: &usize| term.effect.scalar(*i).abs() < term.half[*i];
+    let all = if free.len() == 1 { Doubt::OfAll } else { Doubt::OfEach };
+    (!free.is_empty() && free.iter().all(zero)).then_some(all)
 }
 
 /// The model's own effects as terms, each held to the file's values as far as they are trusted.

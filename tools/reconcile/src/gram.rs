@@ -270,6 +270,11 @@ impl Bank {
         self.segments[covers.start].start..self.segments[covers.end - 1].end
     }
 
+    /// The rows outside which a column is zero.
+    pub(crate) fn covered(&self, column: usize) -> Range<usize> {
+        self.rows(&self.places[column].covers)
+    }
+
     /// The stored column over the rows of some segments that hold all of it.
     fn read(&self, column: usize, over: &Range<usize>, out: &mut [f64]) {
         let place = &self.places[column];

@@ -8,6 +8,7 @@ use crate::problem::Stack;
 use crate::waves::Wave;
 use rtec_model::effect::{self, Description, Dictionary, Difference, Effect, Point, Quantity};
 use rtec_model::record::Role;
+use std::ops::Range;
 
 /// An explanation with its columns.
 #[derive(Debug, Clone)]
@@ -115,6 +116,25 @@ impl Hypotheses {
         }
         all.square();
         (all, waves)
+    }
+
+    /// Per hypothesis: the responses that it acts on, each with its share of all their rows.
+    pub(crate) fn acts_on(&self, stack: &Stack<'_>, waves: &[Wave]) -> Vec<Vec<(usize, f64)>> {
+        let mut rows: Vec<Vec<Range<usize>>> = vec![Vec::new(); self.list.len()];
+        for a in &self.atoms {
+            rows[a.hypothesis].extend(a.columns.iter().map(|c| self.bank.covered(*c)));
+        }
+        for w in waves {
+            rows[w.hypothesis].extend(w.also.iter().map(|(rows, ..)| rows).chain([&w.rows]).cloned());
+        }
+        let of = |rows: Vec<Range<usize>>| {
+            let shown = |own: &Range<usize>| rows.iter().any(|r| r.start < own.end && own.start < r.end);
+            let on = (0..stack.responses.len()).map(|j| (j, stack.rows(j))).filter(|(_, own)| shown(own));
+            let on: Vec<(usize, f64)> = on.map(|(j, own)| (j, own.len() as f64)).collect();
+            let all: f64 = on.iter().map(|(_, n)| n).sum();
+            on.into_iter().map(|(j, n)| (j, n / all)).collect()
+        };
+        rows.into_iter().map(of).collect()
     }
 
     fn hypothesis(&mut self, effect: &Effect) -> usize {

@@ -4,7 +4,7 @@ use crate::cause::Shape;
 use crate::chance::Chance;
 use crate::problem::rms;
 use crate::search::{Member, Search, Set};
-use rtec_model::effect::{Effect, Need};
+use rtec_model::effect::Effect;
 
 /// Log odds by which a shape without a name must beat the best named explanation.
 const SHAPE_DECISIVE: f64 = 5.0;
@@ -84,21 +84,7 @@ pub(crate) fn beyond_bounds(
         return Vec::new();
     }
     let effects = search.effects(full).into_iter().flatten();
-    effects.filter(|e| !e.is_physical()).filter_map(|e| shape_of(search, &e)).collect()
-}
-
-/// What an effect that is none looks like.
-fn shape_of(search: &Search<'_, '_>, effect: &Effect) -> Option<Shape> {
-    let acts = search.stack.records.iter().find_map(|r| effect.acts_on(r).into_iter().next())?;
-    let role = |n: &Need| match n {
-        Need::Delta => effect.delta.as_ref().map(|d| format!("temperature.{}", d.sensor)),
-        Need::Channel => effect.channel().map(|c| format!("channel.{c}")),
-        other => Some(other.role(effect.axes()).to_string()),
-    };
-    let mut against: Vec<String> = effect.description().needs.iter().filter_map(role).collect();
-    if against.is_empty() {
-        against.push("time".to_owned());
-    }
-    let manner = format!("as {} beyond what a machine can have", effect.name());
-    Some(Shape { response: acts.0.to_string(), against, manner })
+    let like =
+        |e: Effect| Shape::like(search.stack, &e, format!("as {} beyond what a machine can have", e.name()));
+    effects.filter(|e| !e.is_physical()).filter_map(like).collect()
 }

@@ -27,6 +27,7 @@ pub(crate) fn retune(
         let others = now.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, x)| x);
         let mut missing = stack.missing(others.chain(beside));
         stack.weigh(&mut missing);
+        stack.without_zeros(&mut missing);
         let others: Vec<Known> =
             known(stack, noise, anchor, now).into_iter().filter(|k| k.effect != Some(e)).collect();
         let (none, waves) = Hypotheses::periods(stack, &now[e]);
@@ -34,7 +35,7 @@ pub(crate) fn retune(
         search.begin(noise, others, missing);
         let empty = search.empty();
         let Some(best) = search.scan(&empty, true).into_iter().next() else { continue };
-        let same = search.score_of(&empty, &now[e]);
+        let same = search.score_of(&empty, best.hypothesis, &now[e]);
         if best.score > same + 6.0 {
             let set = search.take(&empty, &best);
             let beta = search.coefficients(&set);

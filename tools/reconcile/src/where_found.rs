@@ -87,7 +87,7 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
         // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
         let role = stack.responses[response].to_string();
         let of = |(against, x): (String, Vec<f64>)| {
-            let alone = place(&role, &against, &x, &residual, sigma)?;
+            let alone = place(&role, &against, &x, &residual, sigma, 1.0)?;
             Some((x, alone))
         };
         let mut alone: Vec<(Vec<f64>, Place)> =
@@ -97,7 +97,10 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
         for (x, mut found) in alone {
             // What runs along with a stronger one (cycles with the time) is looked at without taking that out, too.
             for left in left.iter().skip(1).rev().take(BESIDE) {
-                if let Some(beside) = place(&role, &found.against, &x, left, sigma) {
+                if found.p_value <= LEAST_P {
+                    break;
+                }
+                if let Some(beside) = place(&role, &found.against, &x, left, sigma, found.p_value) {
                     found.p_value = found.p_value.min(beside.p_value);
                 }
             }
@@ -179,8 +182,16 @@ fn channels(stack: &Stack<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)>
     channels
 }
 
-/// Structure of a residual against one channel; none for a constant one.
-fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
+/// Structure of a residual against one channel; none for a constant one. Permutations end once the p-value can no longer be
+/// below `known`.
+fn place(
+    response: &str,
+    against: &str,
+    x: &[f64],
+    residual: &[f64],
+    sigma: f64,
+    known: f64,
+) -> Option<Place> {
     let (response, against) = (response.to_owned(), against.to_owned());
     let bins = stretches(x)?;
     let mut bin = vec![0u8; x.len()];
@@ -202,7 +213,8 @@ fn place(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64)
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let (mut tried, mut larger) = (0, 0);
     let mut order: Vec<usize> = (0..n.div_ceil(length)).collect();
-    while tried < PERMUTATIONS && larger < ENOUGH {
+    let enough = ENOUGH.min((known / LEAST_P) as usize);
+    while tried < PERMUTATIONS && larger < enough {
         for i in (1..order.len()).rev() {
             order.swap(i, below(&mut rng, i + 1));
         }

@@ -119,6 +119,7 @@ pub fn reconcile(
         held = doubts.holdouts(&better.model).0;
         (traces_of, gap) = work.figures(&better, &answer, &held);
     }
+    answer.unexplained.append(&mut better.sizeless);
     if let Some(note) = doubt_the_worse(&mut gap) {
         why = Some(why.map_or_else(|| note.to_owned(), |w| format!("{w}; {note}")));
     }
@@ -203,6 +204,8 @@ struct Better {
     refined: Vec<Refined>,
     effects: Vec<(Finding, Vec<f64>)>,
     curve: Option<(Effect, String)>,
+    /// What is there, of a size that is not told.
+    sizeless: Vec<Shape>,
 }
 
 impl Work<'_> {
@@ -211,8 +214,9 @@ impl Work<'_> {
         let Self { stack, train, machine, options, .. } = *self;
         let mut fitted = Fitted::of(stack, machine, answer);
         let mut model = machine.clone();
-        let shape = answer.unexplained.first().filter(|_| options.unexplained && learn);
-        let laws = shape.and_then(|shape| fitted.stand_in(stack, shape, train, &mut model, answer.phi));
+        let shape = answer.unexplained.iter().chain(&fitted.sizeless).next().cloned();
+        let shape = shape.filter(|_| options.unexplained && learn);
+        let laws = shape.and_then(|shape| fitted.stand_in(stack, &shape, train, &mut model, answer.phi));
         for (f, t) in answer.findings.iter_mut().zip(fitted.found()) {
             f.effect = whole_counts(&t.effect, train, &t.half);
         }
@@ -228,7 +232,7 @@ impl Work<'_> {
         }
         let curve = fitted.curve().filter(|t| write.add(&mut model, &t.effect, &t.half, ": unexplained"));
         let curve = curve.map(|t| t.effect.clone()).zip(laws);
-        Better { terms: fitted.terms, model, refined, effects, curve }
+        Better { terms: fitted.terms, model, refined, effects, curve, sizeless: fitted.sizeless }
     }
 
     /// Takes out what makes rows worse that it was not learned from, that is no explanation: one finding after the other,

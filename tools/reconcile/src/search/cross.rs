@@ -1,7 +1,7 @@
 //! What further columns add to a set, from products alone: no fit is made anew.
 
-use super::Search;
-use super::sets::{Member, Set};
+use super::sets::Set;
+use super::{MOST_COEFFICIENTS, Search};
 use crate::gram::{self, Products, covered, dot, products};
 use std::ops::Range;
 
@@ -14,9 +14,9 @@ pub(super) struct Cross {
 }
 
 impl Search<'_, '_> {
-    pub(super) fn price(&self, set: &Set, cost: f64, columns: usize) -> f64 {
-        let own: usize = set.members.iter().map(Member::columns).sum();
-        let crowd = self.crowding_cost(own + columns) - self.crowding_cost(own);
+    /// What a set costs with so many columns of a hypothesis beside it.
+    pub(super) fn price(&self, set: &Set, hypothesis: usize, cost: f64, columns: usize) -> f64 {
+        let crowd = self.crowding_cost(set, hypothesis, columns);
         set.loglik - set.score + cost + self.dimension_cost(columns) + crowd
     }
 
@@ -49,18 +49,20 @@ impl Search<'_, '_> {
     /// The best over the noise coefficient: from log likelihoods at the set's best fit and those beside it.
     pub(super) fn over_noise(&self, set: &Set, mut at_fit: impl FnMut(usize) -> f64) -> f64 {
         let Range { mut start, mut end } = set.near();
-        let mut values = Vec::with_capacity(set.fits.len());
-        values.extend((start..end).map(&mut at_fit));
-        // What explains much leaves noise of another memory than the set had: on to where the best is inside.
-        while start > 0 && values[0] > values[1] {
-            start -= 1;
-            values.insert(0, at_fit(start));
+        let mut values = [0.0; MOST_COEFFICIENTS];
+        for (i, value) in values.iter_mut().enumerate().take(end).skip(start) {
+            *value = at_fit(i);
         }
-        while end < set.fits.len() && values[values.len() - 1] > values[values.len() - 2] {
-            values.push(at_fit(end));
+        // What explains much leaves noise of another memory than the set had: on to where the best is inside.
+        while start > 0 && values[start] > values[start + 1] {
+            start -= 1;
+            values[start] = at_fit(start);
+        }
+        while end < set.fits.len() && values[end - 1] > values[end - 2] {
+            values[end] = at_fit(end);
             end += 1;
         }
-        self.best_phi(&values, start).0
+        self.best_phi(&values[start..end], start).0
     }
 
     pub(super) fn made_cross(&self, set: &Set, columns: &[Vec<f64>]) -> Cross {

@@ -47,6 +47,9 @@ const NOISE_GRID: std::ops::RangeInclusive<i32> = -1..=3;
 /// The same where a name is judged: what only wanders slowly is structure, but no ground for a name.
 const WANDERING: std::ops::RangeInclusive<i32> = -1..=8;
 
+/// As many as the longest grid has.
+const MOST_COEFFICIENTS: usize = (*WANDERING.end() - *WANDERING.start() + 1) as usize;
+
 fn coefficients_of(grid: std::ops::RangeInclusive<i32>) -> Vec<f64> {
     grid.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect()
 }
@@ -85,6 +88,10 @@ pub(crate) struct Search<'p, 'r> {
     room: Cell<usize>,
     /// Rankings that were asked for, by what the set's vectors and hypotheses are.
     rankings: RefCell<HashMap<Vec<usize>, Rc<[Ranked]>>>,
+    /// Rows of each response.
+    rows_of: Vec<usize>,
+    /// Per hypothesis: the responses that it acts on, each with the share of its coefficients that counts there.
+    acts_on: Vec<Vec<(usize, f64)>>,
     /// How each atom's columns lie in the bank.
     lie: Vec<Lie>,
     /// What sets left of the bank's columns.
@@ -116,6 +123,8 @@ impl<'p, 'r> Search<'p, 'r> {
             seen: RefCell::new(HashMap::new()),
             room: Cell::new(ROOM),
             rankings: RefCell::default(),
+            rows_of: (0..stack.responses.len()).map(|j| stack.rows(j).len()).collect(),
+            acts_on: all.acts_on(stack, waves),
             lie: all.atoms.iter().map(Lie::of).collect(),
             left: RefCell::default(),
         }

@@ -51,7 +51,7 @@ impl Search<'_, '_> {
         let own = |i: usize| self.all.atoms[i].hypothesis == hypothesis;
         self.with_atoms(set, own, |i, loglik| {
             let atom = &self.all.atoms[i];
-            let score = loglik - self.price(set, atom.cost, atom.columns.len());
+            let score = loglik - self.price(set, atom.hypothesis, atom.cost, atom.columns.len());
             if best.is_none_or(|b| score >= b.1) {
                 best = Some((i, score));
             }
@@ -80,7 +80,7 @@ impl Search<'_, '_> {
             |_| true,
             |i, loglik| {
                 let atom = &self.all.atoms[i];
-                let score = loglik - self.price(set, atom.cost, atom.columns.len());
+                let score = loglik - self.price(set, atom.hypothesis, atom.cost, atom.columns.len());
                 let place = &mut best[atom.hypothesis];
                 *place = Some(match *place {
                     None => (score, i, score),

@@ -228,7 +228,7 @@ impl Search<'_, '_> {
     fn tops(&self, set: &Set, wave: &Wave, peaks: &[f64], cost: f64) -> Vec<(f64, f64)> {
         let span = wave.span();
         // What a wave that explains nothing scores.
-        let nothing = set.loglik - self.price(set, cost, 2);
+        let nothing = set.loglik - self.price(set, wave.hypothesis, cost, 2);
         let mut best = f64::NEG_INFINITY;
         let mut tops: Vec<(f64, f64)> = Vec::new();
         let mut refined = |f0: &f64, tops: &mut Vec<(f64, f64)>| {

@@ -10,10 +10,10 @@ use rtec_model::effect::{Effect, Refine};
 
 impl Search<'_, '_> {
     /// Score of a set with an effect added at its own non-linear parameters, search unpaid.
-    pub(crate) fn score_of(&self, set: &Set, effect: &Effect) -> f64 {
+    pub(crate) fn score_of(&self, set: &Set, hypothesis: usize, effect: &Effect) -> f64 {
         let free: Vec<usize> = (0..effect.coefficient_count()).collect();
         let columns = self.columns(effect, &free, false);
-        self.extended(set, &self.made_cross(set, &columns)) - self.price(set, 0.0, columns.len())
+        self.extended(set, &self.made_cross(set, &columns)) - self.price(set, hypothesis, 0.0, columns.len())
     }
 
     /// Refines the non-linear parameters of an offer to a set.
@@ -34,7 +34,7 @@ impl Search<'_, '_> {
             climb.over_moments(*parameter);
         }
         climb.over_steps(&refined);
-        climb.end(offer.hypothesis, offer.evidence)
+        climb.end(offer.evidence)
     }
 
     /// Turns and phase to the row: the last tooth tells the turns, all of them the phase.
@@ -49,8 +49,8 @@ impl Search<'_, '_> {
                 let mut column = next.column(self.stack);
                 self.stack.weigh(&mut column);
                 let columns = vec![column];
-                let score =
-                    self.extended(set, &self.made_cross(set, &columns)) - self.price(set, offer.cost, 1);
+                let score = self.extended(set, &self.made_cross(set, &columns))
+                    - self.price(set, offer.hypothesis, offer.cost, 1);
                 if score > best.1 {
                     best = (next, score, Some(columns));
                 }
@@ -116,6 +116,7 @@ struct Climb<'s, 'p, 'r> {
     set: &'s Set,
     free: Vec<usize>,
     reference: bool,
+    hypothesis: usize,
     cost: f64,
     effect: Effect,
     score: f64,
@@ -128,8 +129,8 @@ impl<'s, 'p, 'r> Climb<'s, 'p, 'r> {
             Cause::Effect { free, reference, .. } => (free.clone(), *reference),
             Cause::Sum(_) | Cause::Shape(_) | Cause::Teeth(..) => (Vec::new(), false),
         };
-        let (score, columns, cost) = (0.0, Vec::new(), offer.cost);
-        let mut climb = Self { search, set, free, reference, cost, effect, score, columns };
+        let (score, columns, hypothesis, cost) = (0.0, Vec::new(), offer.hypothesis, offer.cost);
+        let mut climb = Self { search, set, free, reference, hypothesis, cost, effect, score, columns };
         (climb.score, climb.columns) = climb.eval(&climb.effect);
         climb
     }
@@ -138,7 +139,7 @@ impl<'s, 'p, 'r> Climb<'s, 'p, 'r> {
         let (search, set) = (self.search, self.set);
         let columns = search.columns(effect, &self.free, self.reference);
         let score = search.extended(set, &search.made_cross(set, &columns))
-            - search.price(set, self.cost, columns.len());
+            - search.price(set, self.hypothesis, self.cost, columns.len());
         (score, columns)
     }
 
@@ -193,8 +194,8 @@ impl<'s, 'p, 'r> Climb<'s, 'p, 'r> {
     }
 
     /// The offer of where it is now.
-    fn end(self, hypothesis: usize, evidence: f64) -> Offer {
-        let Self { free, reference, cost, effect, score, columns, .. } = self;
+    fn end(self, evidence: f64) -> Offer {
+        let Self { free, reference, hypothesis, cost, effect, score, columns, .. } = self;
         let cause = Cause::Effect { effect, free, reference };
         let (evidence, columns) = (evidence.max(score), Source::Made(columns));
         Offer { cause, hypothesis, cost, score, evidence, columns }

@@ -12,8 +12,10 @@ use std::ops::Range;
 /// Autocorrelation from row to row beyond which rows say the same thing over and over.
 const CLOSE: f64 = 0.8;
 
-/// Coefficients beside the rows: no fit of more says anything.
-const MOST_CROWDED: f64 = 0.95;
+/// Coefficients beside a response's rows: no fit of more says anything, as what is left of the rows is chosen for it.
+const MOST_CROWDED: f64 = 0.6;
+/// What more of them cost, nats: more than rows could ever say.
+const TOO_CROWDED: f64 = 1e6;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -50,6 +52,8 @@ pub(crate) struct Set {
     pub(crate) loglik: f64,
     pub(crate) fits: Vec<AtPhi>,
     pub(crate) ids: Vec<usize>,
+    /// Per response: how many coefficients it has there.
+    crowd: Vec<f64>,
     /// Which of its fits is the best.
     top: usize,
 }
@@ -124,11 +128,29 @@ impl Search<'_, '_> {
         0.5 * k * (1.0 + self.stack.n as f64 / k.max(1.0)).ln()
     }
 
-    /// What so many coefficients of all explanations together cost beyond that: where they are not few beside the rows,
-    /// columns of noise shrink what is left by more than half a nat each.
-    pub(crate) fn crowding_cost(&self, columns: usize) -> f64 {
-        let share = (columns as f64 / self.nu.max(1.0)).min(MOST_CROWDED);
-        -0.5 * self.nu * ((1.0 - share).ln() + share)
+    /// A set's coefficients beside the rows of a response, as a share of these.
+    pub(crate) fn crowd(&self, set: &Set, response: usize) -> f64 {
+        (set.crowd[response] / self.rows_of[response].max(1) as f64).min(MOST_CROWDED)
+    }
+
+    /// What so many coefficients of all explanations together cost in a response beyond that: where they are not few beside
+    /// its rows, columns of noise shrink what is left of it by more than half a nat each.
+    fn crowding(&self, response: usize, columns: f64) -> f64 {
+        let nu = self.nu * self.rows_of[response] as f64 / self.stack.n as f64;
+        let share = columns / nu.max(1.0);
+        if share > MOST_CROWDED {
+            return TOO_CROWDED * share;
+        }
+        -0.5 * nu * ((1.0 - share).ln() + share)
+    }
+
+    /// The same for so many more of a hypothesis, beside those that a set has.
+    pub(crate) fn crowding_cost(&self, set: &Set, hypothesis: usize, columns: usize) -> f64 {
+        let of = |(response, share): &(usize, f64)| {
+            let own = set.crowd[*response];
+            self.crowding(*response, own + share * columns as f64) - self.crowding(*response, own)
+        };
+        self.acts_on[hypothesis].iter().map(of).sum()
     }
 
     pub(super) fn set(&self, members: Vec<Member>) -> Set {
@@ -138,10 +160,16 @@ impl Search<'_, '_> {
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
         let (loglik, _) = self.best_phi(&values, 0);
         let top = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
-        let all: usize = members.iter().map(Member::columns).sum();
+        let mut crowd = vec![0.0; self.rows_of.len()];
+        for m in &members {
+            for (response, share) in &self.acts_on[m.hypothesis] {
+                crowd[*response] += share * m.columns() as f64;
+            }
+        }
         let each = members.iter().map(|m| m.cost + self.dimension_cost(m.columns()));
-        let price = each.sum::<f64>() + self.crowding_cost(all);
-        Set { members, score: loglik - price, loglik, fits, ids, top }
+        let crowded = crowd.iter().enumerate().map(|(j, columns)| self.crowding(j, *columns));
+        let price = each.sum::<f64>() + crowded.sum::<f64>();
+        Set { members, score: loglik - price, loglik, fits, ids, crowd, top }
     }
 
     pub(crate) fn empty(&self) -> Set {

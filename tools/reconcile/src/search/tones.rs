@@ -15,8 +15,8 @@ pub(super) struct Seen {
     columns: Option<Vec<Vec<f64>>>,
     /// Of the sine with itself, of the cosine with the sine, of the cosine with itself.
     own: [Products; 3],
-    /// Products with vectors, those that were asked for.
-    with: Vec<Option<[Products; 2]>>,
+    /// Products with vectors, those that were asked for: by the vector's number, in rising order.
+    with: Vec<(usize, [Products; 2])>,
     /// Per noise coefficient: against the set that was the last.
     solved: Vec<Solved>,
 }
@@ -69,17 +69,18 @@ impl Search<'_, '_> {
         let first = || self.first_seen(wave, f, ranges);
         let Seen { columns, own, with, solved } =
             all.entry((wave.hypothesis, f.to_bits())).or_insert_with(first);
-        with.resize(self.vectors.len(), None);
         let mut made = None;
         let mut with = |id: usize| -> [Products; 2] {
-            *with[id].get_or_insert_with(|| {
+            let at = with.partition_point(|(known, _)| *known < id);
+            if with.get(at).is_none_or(|(known, _)| *known != id) {
                 let c = match columns {
                     Some(kept) => &*kept,
                     None => made.get_or_insert_with(|| self.wave_columns(wave, f)),
                 };
                 let v = &self.vectors[id];
-                [v.products(&c[0], ranges), v.products(&c[1], ranges)]
-            })
+                with.insert(at, (id, [v.products(&c[0], ranges), v.products(&c[1], ranges)]));
+            }
+            with[at].1
         };
         let with_y = with(self.y);
         if solved.len() < set.fits.len() {
@@ -105,7 +106,7 @@ impl Search<'_, '_> {
             gram::reduce(&mut m, &mut g);
             self.loglik(fit, dot(&g, &g))
         });
-        loglik - self.price(set, cost, 2)
+        loglik - self.price(set, wave.hypothesis, cost, 2)
     }
 
     fn first_seen(&self, wave: &Wave, f: f64, ranges: &[Range<usize>]) -> Seen {

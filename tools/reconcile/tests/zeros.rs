@@ -1,0 +1,88 @@
+//! What is of no size is no finding: an effect whose interval holds zero, and the constant of a session of its own.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+mod noise;
+
+use noise::noise;
+use rtec_model::effect::Search;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use std::path::Path;
+
+/// Rows 10 s apart along x from a moment on, with an error by time and position.
+fn run(name: &str, from_s: f64, rows: usize, error: impl FnMut(f64, f64) -> f64) -> Record {
+    let axis = Axis::new("x").unwrap();
+    let t: Vec<f64> = (0..rows).map(|i| from_s + 10.0 * i as f64).collect();
+    let p: Vec<f64> = (0..rows).map(|i| 12.0 * (20.0 - (i as f64 % 40.0 - 20.0).abs())).collect();
+    let mut error = error;
+    let e = t.iter().zip(&p).map(|(t, p)| error(*t, *p)).collect();
+    let columns = vec![
+        Column::new("t", Role::Time, t),
+        Column::new("x", Role::Position(axis.clone()), p),
+        Column::new("e", Role::Error(axis), e),
+    ];
+    Record::new(Path::new(&format!("{name}.run.toml")), Kind::Positioning, columns).unwrap()
+}
+
+fn answer(train: &[Record]) -> Reconciliation {
+    reconcile(train, &[], &Machine::ideal("m"), &Options::default()).unwrap()
+}
+
+/// What is named with an interval that holds zero, of all sizes that the effect has.
+fn sizeless(r: &Reconciliation) -> Vec<String> {
+    let zero = |(v, half): (&f64, &f64)| *half == 0.0 || v.abs() < *half;
+    let of = |(f, half): &(rtec_reconcile::Finding, Vec<f64>)| {
+        let law = f.effect.description();
+        let size = |i: &usize| matches!(law.parameters[*i].search, Search::Linear | Search::Amplitude);
+        let sizes = (0..law.parameters.len()).filter(size);
+        let all = sizes.into_iter().all(|i| zero((&f.effect.values()[i], &half[i])));
+        all.then(|| format!("{} {:?} ± {half:?}", f.effect.name(), f.effect.values()))
+    };
+    r.effects.iter().filter_map(of).collect()
+}
+
+/// A bug once: a straight drift was named `warm_up` of any size: 43 ± 5316 µm.
+#[test]
+fn what_is_of_no_size_is_not_named() {
+    for seed in 40..46 {
+        let mut dice = noise(seed);
+        let r = answer(&[run("drift", 0.0, 160, |t, _| 2.0 * t / 1600.0 + 0.3 * dice())]);
+        assert_eq!(sizeless(&r), [""; 0], "{seed}");
+        // Something is there all the same.
+        assert_ne!(r.verdict, Verdict::NothingMissing, "{seed}");
+    }
+}
+
+/// A bug once: at one speed and at rest 1.0 ± 155 µm/krpm, for a square that nothing speaks for.
+#[test]
+fn a_value_that_is_left_out_does_not_undo_the_others() {
+    let mut dice = noise(5);
+    let krpm = |t: f64| if (t / 400.0) as u32 % 2 == 1 { 3.0 } else { 0.0 };
+    let mut spun = run("spun", 0.0, 200, |t, _| 1.0 * krpm(t) + 0.1 * dice());
+    let rpm = spun.columns[0].data.iter().map(|t| 1000.0 * krpm(*t)).collect();
+    spun.columns.push(Column::new("rpm", Role::SpindleSpeed, rpm));
+    let r = answer(&[spun]);
+    let (found, half) = &r.effects[0];
+    assert_eq!(found.effect.name(), "spindle_speed.x");
+    let (value, half) = (found.effect.scalar(0), half[0]);
+    assert!((value - 1.0).abs() < half && half < value, "{value} ± {half}");
+}
+
+/// Each of three sessions has a zero of its own: how far they are apart is nothing of the machine's, however far.
+#[test]
+fn the_constant_of_a_session_is_no_finding() {
+    for apart in [3.0, 300.0, 3e6] {
+        let mut dice = noise(7);
+        let session = |k: u32| {
+            let constant = apart * (f64::from(k) - 0.7);
+            let mut r =
+                run(&format!("session{k}"), 4000.0 * f64::from(k), 120, |_, _| constant + 0.3 * dice());
+            r.zero = Some(format!("session {k}"));
+            r
+        };
+        let r = answer(&(0..3).map(session).collect::<Vec<_>>());
+        assert_eq!(r.verdict, Verdict::NothingMissing, "{apart}: {}", r.to_json());
+    }
+}
