@@ -20,7 +20,7 @@ const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
 const READS: &str = "0 done; 2 bad input or usage";
 
 /// Verb, door, example, exit codes.
-const VERBS: [(&str, usize, &str, &str); 36] = [
+const VERBS: [(&str, usize, &str, &str); 37] = [
     ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
     ("top", 0, "rtecctl top", SHOWS),
     ("home", 0, "rtecctl home x", ASKS),
@@ -79,6 +79,7 @@ const VERBS: [(&str, usize, &str, &str); 36] = [
         "0 done; 1 refused; 2 bad input or usage; 3 no daemon; 4 a fault is latched",
     ),
     ("demo", 4, "rtecctl demo --duration 10s", JUDGES),
+    ("example", 4, "rtecctl example lathe lathe", READS),
     ("simulate", 4, "rtecctl simulate --list", READS),
     (
         "replay",
