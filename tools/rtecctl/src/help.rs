@@ -117,6 +117,13 @@ pub(crate) fn command() -> Command {
         .after_help(list)
 }
 
+/// Doors: name, who comes through it, its verbs.
+#[cfg(test)]
+pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
+    let verbs = |n: usize| VERBS.iter().filter(|v| v.1 == n).map(|v| v.0).collect();
+    DOORS.iter().enumerate().map(|(n, (door, who))| (*door, *who, verbs(n))).collect()
+}
+
 /// A description beside its verb, in lines of 80 columns.
 fn wrapped(about: &str) -> String {
     let (mut text, mut column) = (String::new(), 16);

@@ -30,6 +30,8 @@ mod daemon;
 mod figures;
 mod help;
 mod http;
+#[cfg(test)]
+mod reference;
 mod terminal;
 mod verbs;
 
