@@ -95,6 +95,28 @@ const VERBS: [(&str, usize, &str, &str); 37] = [
     ("help", 4, "rtecctl help status", READS),
 ];
 
+/// Where somebody begins who has never been here: what he wants, and its command.
+const BEGIN: [(&str, &str); 8] = [
+    ("see a machine corrected, ten seconds, no hardware", "rtecctl demo"),
+    ("have a machine to try everything on", "rtecctl example mill mill"),
+    ("see whether mine is corrected, and if not, why not", "rtecctl status"),
+    ("see what this computer lacks for it", "rtecctl platform"),
+    ("write its configuration", "rtecctl config default"),
+    ("plan its measurements", "rtecctl characterise plan --axes x=500,y=400"),
+    ("go through a part on a simulated lathe", "rtecctl part run"),
+    ("see all verbs, or one", "rtecctl help"),
+];
+
+/// What `rtecctl` alone prints.
+pub(crate) fn begin() -> String {
+    let mut text = "Where to begin:\n".to_owned();
+    for (want, command) in BEGIN {
+        // Writing to a String does not fail.
+        let _ = writeln!(text, "  {want:<51}  {command}");
+    }
+    text + "The guide: /usr/share/doc/rtec/guide of the package, tools/guide of the source.\n"
+}
+
 /// The command line with its help.
 pub(crate) fn command() -> Command {
     let mut command = crate::with_negative_values(Cli::command());
@@ -160,6 +182,18 @@ mod tests {
                 panic!("{example}: {error}");
             }
         }
+    }
+
+    #[test]
+    fn where_to_begin_every_command_is_one() {
+        for (_, line) in BEGIN {
+            let asked = super::command().try_get_matches_from(line.split(' '));
+            assert!(
+                asked.as_ref().is_ok_and(|m| m.subcommand().is_some()) || line == "rtecctl help",
+                "{line}: {asked:?}"
+            );
+        }
+        assert!(begin().lines().all(|l| l.chars().count() <= 100), "{}", begin());
     }
 
     #[test]

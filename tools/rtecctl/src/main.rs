@@ -42,10 +42,10 @@ use std::process::ExitCode;
 
 /// Real-time error corrector: correct a machine tool's repeatable errors in its position feedback.
 #[derive(Debug, Parser)]
-#[command(name = "rtecctl", version, arg_required_else_help = true, propagate_version = true)]
+#[command(name = "rtecctl", version, propagate_version = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
-    verb: Verb,
+    verb: Option<Verb>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -132,7 +132,11 @@ fn main() -> ExitCode {
             return ExitCode::SUCCESS;
         }
     };
-    let done = match cli.verb {
+    let Some(verb) = cli.verb else {
+        say(&help::begin());
+        return ExitCode::SUCCESS;
+    };
+    let done = match verb {
         Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Bugreport(args) => verbs::bugreport::run(&args),
         Verb::Card(args) => verbs::card::run(&args),

@@ -66,6 +66,16 @@ fn the_same_files_each_time_and_never_over_somebody_elses() {
 }
 
 #[test]
+fn without_a_verb_it_says_where_to_begin() {
+    let said = rtecctl(Path::new("."), "");
+    let text = String::from_utf8(said.stdout).unwrap();
+    assert!(said.status.success() && said.stderr.is_empty());
+    assert!(text.starts_with("Where to begin:\n") && text.contains("rtecctl example mill mill"), "{text}");
+    // A verb that is none stays bad usage.
+    assert_eq!(rtecctl(Path::new("."), "begin").status.code(), Some(2));
+}
+
+#[test]
 fn its_configuration_has_no_findings_and_the_effect_that_the_lathe_lacks_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
