@@ -27,6 +27,8 @@
 //!
 //! What must not live here: what a part looks like (`rtec-part`), what a machine does wrong (`rtec-model`), a control law
 //! of its own (`rtec-correct`), the daemon.
+//!
+//! At work: `cargo run -p rtec-sim --example corrected_move`, which the tests run too.
 
 pub mod attended;
 pub mod axis;
