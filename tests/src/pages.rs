@@ -41,8 +41,7 @@ pub fn run(page: &str, programs: &Path, at: &Path) -> Result<(String, usize), St
     let mut text = String::new();
     let mut lines = page.lines().enumerate().peekable();
     while let Some((n, line)) = lines.next() {
-        text += line;
-        text.push('\n');
+        push_line(&mut text, line);
         let Some(language) = line.strip_prefix("```") else { continue };
         // What the book's own index pages have.
         let directive = language == "{toctree}";
@@ -58,7 +57,9 @@ pub fn run(page: &str, programs: &Path, at: &Path) -> Result<(String, usize), St
             }
         }
         if language != "console" {
-            block.iter().for_each(|line| text += &format!("{line}\n"));
+            for line in block {
+                push_line(&mut text, line);
+            }
             text += "```\n";
             continue;
         }
@@ -72,12 +73,13 @@ pub fn run(page: &str, programs: &Path, at: &Path) -> Result<(String, usize), St
             };
             let (mut command, mut shown) = (first.to_owned(), format!("{line}\n"));
             while let Some(more) = rest.next_if(|l| l.starts_with("> ")) {
-                command += &format!("\n{}", &more[2..]);
-                shown += &format!("{more}\n");
+                command.push('\n');
+                command += &more[2..];
+                push_line(&mut shown, more);
             }
             let mut expected = String::new();
             while let Some(line) = rest.next_if(|l| !l.starts_with("$ ")) {
-                expected += &format!("{line}\n");
+                push_line(&mut expected, line);
             }
             let shell = match &mut shell {
                 Some(shell) => shell,
@@ -92,6 +94,11 @@ pub fn run(page: &str, programs: &Path, at: &Path) -> Result<(String, usize), St
         text += "```\n";
     }
     Ok((text, commands))
+}
+
+fn push_line(text: &mut String, line: &str) {
+    text.push_str(line);
+    text.push('\n');
 }
 
 /// Judges a page by what [`run`] made of it; `GUIDE=overwrite` writes the page anew.
