@@ -144,8 +144,11 @@ mod tests {
             let (known, truth) =
                 (example.machine("machine.toml").unwrap(), example.machine("true.toml").unwrap());
             // What is known is less than what there is.
-            let laws =
-                |m: &Machine| m.effects().map(|e| e.identity()).collect::<std::collections::BTreeSet<_>>();
+            let laws = |m: &Machine| {
+                m.effects()
+                    .map(rtec_model::effect::Effect::identity)
+                    .collect::<std::collections::BTreeSet<_>>()
+            };
             assert!(
                 laws(&known).is_subset(&laws(&truth)) && laws(&known) != laws(&truth),
                 "{}",
