@@ -180,7 +180,7 @@ mod tests {
             for (column, (name, um)) in record.responses().zip(&said.columns) {
                 let off = column.data.iter().zip(um).fold(0.0_f64, |w, (e, p)| w.max((e - p).abs()));
                 let most = um.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
-                assert!(off < 3.0 && most > 5.0, "{name}: {off} µm off, {most} µm at most");
+                assert!(off < 0.8 && most > 2.0, "{name}: {off} µm off, {most} µm at most");
             }
         }
         assert_eq!(once, example.records(Path::new("s")).unwrap());
