@@ -16,6 +16,8 @@
 //!
 //! No file format is read here: profiles and traces come as data. Never known here: what an axis should be corrected
 //! by, or when: no insertion, no gate, no ledger, no thread.
+//!
+//! At work: `cargo run -p rtec-driver --example count_edges`, which the tests run too.
 
 pub mod card;
 pub mod clock;

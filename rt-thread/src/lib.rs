@@ -15,6 +15,8 @@
 //!
 //! Never known here: why an axis should have a total (models, temperatures, parts), any file format, and whether the
 //! card is a machine, a recording or a simulation.
+//!
+//! At work: `cargo run -p rtec-rt --example mock_card`, which the tests run too.
 
 pub mod axis;
 pub mod engine;

@@ -5,6 +5,7 @@
 //! | [`clients`] | who reads a daemon: clients that ask all the time, a scraper of its metrics |
 //! | [`daemon`] | a real `rtecd`, a user with `rtecctl`, and a machine at the end of a shared-memory card |
 //! | [`disk`] | a disk that is soon full |
+//! | [`pages`] | the commands of README and guide, run as a reader would |
 //! | [`gpio_sim`] | the kernel's simulated GPIO lines, from outside |
 //! | [`judge`] | LinuxCNC's `encoder` component and sigrok's graycode decoder as counters of a trace |
 //! | [`ledger`] | what a corrected trace must count, from the scale's trace and the order of the inversions |
@@ -23,6 +24,7 @@ pub mod gpio_sim;
 pub mod judge;
 pub mod ledger;
 pub mod machine;
+pub mod pages;
 pub mod planted;
 pub mod sensors;
 pub mod supervisor;

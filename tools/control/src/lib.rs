@@ -17,6 +17,8 @@
 //!
 //! What must not live here: decisions of the control law (`rtec-correct`), anything of a simulated machine (`rtec-sim`),
 //! the daemon's own state.
+//!
+//! At work: `cargo run -p rtec-control --example check_config`, which the tests run too.
 
 pub mod audit;
 pub mod card;

@@ -448,7 +448,7 @@ mod tests {
     /// What the document for other programs shows is what is taken.
     #[test]
     fn the_document_s_requests_are_taken() {
-        let text = include_str!("../PROTOCOL.md");
+        let text = include_str!("../../guide/reference/protocol.md");
         assert!(text.starts_with(&format!("# The control protocol, version {PROTOCOL}\n")));
         let requests: Vec<_> = text.lines().filter(|l| l.starts_with("{\"do\"")).collect();
         assert_eq!(requests.len(), 14);

@@ -260,7 +260,7 @@ fn a_name_without_end_and_a_broken_line_are_one_finding() {
 /// Every key that is read stands in the document, in the table of its section.
 #[test]
 fn the_document_names_every_key() {
-    let text = include_str!("../CONFIG.md");
+    let text = include_str!("../../guide/reference/rtec-toml.md");
     let table = |section: &str| {
         let head = format!("| `{section}` | meaning |");
         let from = text.find(&head).unwrap_or_else(|| panic!("no table of {section}"));

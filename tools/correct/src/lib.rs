@@ -15,6 +15,8 @@
 //! | [`rehearse`] | a recorded shift run through the law with another model |
 //!
 //! What must not live here: sockets, devices, the reading of sensors, anything of a simulated machine.
+//!
+//! At work: `cargo run -p rtec-correct --example totals`, which the tests run too.
 
 pub mod corrector;
 pub mod explain;

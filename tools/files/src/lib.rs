@@ -16,6 +16,8 @@
 //!
 //! What must not live here: the formats of the crates above (records, models, configurations), only what they are made
 //! of; engine, machine and law are unknown.
+//!
+//! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
 
 pub mod csv;
 pub mod input;

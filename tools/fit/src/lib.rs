@@ -10,6 +10,8 @@
 //! | [`chain`] | a chain's polynomials, fitted component by component |
 //!
 //! What must not live here: which effect is missing altogether (`rtec-reconcile`).
+//!
+//! At work: `cargo run -p rtec-fit --example fit_growth`, which the tests run too.
 
 pub mod chain;
 pub mod least;

@@ -13,6 +13,8 @@
 //! | [`report`] | an evaluation for a person, as text and as one page |
 //!
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
+//!
+//! At work: `cargo run -p rtec-measure --example evaluate_axis`, which the tests run too.
 
 pub mod ballbar;
 pub mod derive;

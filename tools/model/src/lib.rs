@@ -14,6 +14,8 @@
 //!
 //! What must not live here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`), counts, ramps
 //! and limits (`rtec-correct`).
+//!
+//! At work: `cargo run -p rtec-model --example evaluate`, which the tests run too.
 
 pub mod chain;
 pub mod circle;

@@ -11,6 +11,8 @@
 //! figure in the text: what the paper says, what came out, and why it is not the same. What cannot be compared is a row too.
 //!
 //! What must not live here: a machine, an experiment (`rtec-sim`), a fit (`rtec-fit`).
+//!
+//! At work: `cargo run -p rtec-papers --example compare`, which the tests run too.
 
 pub mod cmti;
 pub mod nistir4832;

@@ -16,6 +16,8 @@
 //! What must not live here: a machine that moves (`rtec-sim`), the engine, the control law, a server: geometry only.
 //!
 //! All lengths are in mm, all errors in µm. `z` runs along the part's axis, `x` is the distance from it (a radius).
+//!
+//! At work: `cargo run -p rtec-part --example fit_nose`, which the tests run too.
 
 pub mod batch;
 pub mod contour;

@@ -7,6 +7,8 @@
 //! | `far` | the far side of the self-test's wires: gives the edges, times the insertions, is the MTC |
 //!
 //! What must not live here: a machine's errors, its corrections or parts; anything that runs while a machine is corrected.
+//!
+//! At work: `cargo run -p rtec-platform --example latency`, which the tests run too.
 
 pub mod access;
 mod far;

@@ -22,6 +22,8 @@
 //!
 //! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
 //! description in `rtec-model`; no module matches a law by its name. Nothing here knows a machine, a simulator or time.
+//!
+//! At work: `cargo run -p rtec-reconcile --example name_what_is_missing`, which the tests run too.
 
 mod advice;
 mod analysis;

@@ -20,7 +20,7 @@ const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
 const READS: &str = "0 done; 2 bad input or usage";
 
 /// Verb, door, example, exit codes.
-const VERBS: [(&str, usize, &str, &str); 36] = [
+const VERBS: [(&str, usize, &str, &str); 37] = [
     ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
     ("top", 0, "rtecctl top", SHOWS),
     ("home", 0, "rtecctl home x", ASKS),
@@ -79,6 +79,7 @@ const VERBS: [(&str, usize, &str, &str); 36] = [
         "0 done; 1 refused; 2 bad input or usage; 3 no daemon; 4 a fault is latched",
     ),
     ("demo", 4, "rtecctl demo --duration 10s", JUDGES),
+    ("example", 4, "rtecctl example lathe lathe", READS),
     ("simulate", 4, "rtecctl simulate --list", READS),
     (
         "replay",
@@ -93,6 +94,28 @@ const VERBS: [(&str, usize, &str, &str); 36] = [
     ("man", 4, "rtecctl man target/man", READS),
     ("help", 4, "rtecctl help status", READS),
 ];
+
+/// Where somebody begins who has never been here: what he wants, and its command.
+const BEGIN: [(&str, &str); 8] = [
+    ("see a machine corrected, ten seconds, no hardware", "rtecctl demo"),
+    ("have a machine to try everything on", "rtecctl example mill mill"),
+    ("see whether mine is corrected, and if not, why not", "rtecctl status"),
+    ("see what this computer lacks for it", "rtecctl platform"),
+    ("write its configuration", "rtecctl config default"),
+    ("plan its measurements", "rtecctl characterise plan --axes x=500,y=400"),
+    ("go through a part on a simulated lathe", "rtecctl part run"),
+    ("see all verbs, or one", "rtecctl help"),
+];
+
+/// What `rtecctl` alone prints.
+pub(crate) fn begin() -> String {
+    let mut text = "Where to begin:\n".to_owned();
+    for (want, command) in BEGIN {
+        // Writing to a String does not fail.
+        let _ = writeln!(text, "  {want:<51}  {command}");
+    }
+    text + "The guide: /usr/share/doc/rtec/guide of the package, tools/guide of the source.\n"
+}
 
 /// The command line with its help.
 pub(crate) fn command() -> Command {
@@ -114,6 +137,13 @@ pub(crate) fn command() -> Command {
     command
         .help_template("{about}\n\n{usage-heading} {usage}{after-help}\nOptions:\n{options}")
         .after_help(list)
+}
+
+/// Doors: name, who comes through it, its verbs.
+#[cfg(test)]
+pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
+    let verbs = |n: usize| VERBS.iter().filter(|v| v.1 == n).map(|v| v.0).collect();
+    DOORS.iter().enumerate().map(|(n, (door, who))| (*door, *who, verbs(n))).collect()
 }
 
 /// A description beside its verb, in lines of 80 columns.
@@ -152,6 +182,18 @@ mod tests {
                 panic!("{example}: {error}");
             }
         }
+    }
+
+    #[test]
+    fn where_to_begin_every_command_is_one() {
+        for (_, line) in BEGIN {
+            let asked = super::command().try_get_matches_from(line.split(' '));
+            assert!(
+                asked.as_ref().is_ok_and(|m| m.subcommand().is_some()) || line == "rtecctl help",
+                "{line}: {asked:?}"
+            );
+        }
+        assert!(begin().lines().all(|l| l.chars().count() <= 100), "{}", begin());
     }
 
     #[test]

@@ -30,6 +30,8 @@ mod daemon;
 mod figures;
 mod help;
 mod http;
+#[cfg(test)]
+mod reference;
 mod terminal;
 mod verbs;
 
@@ -40,10 +42,10 @@ use std::process::ExitCode;
 
 /// Real-time error corrector: correct a machine tool's repeatable errors in its position feedback.
 #[derive(Debug, Parser)]
-#[command(name = "rtecctl", version, arg_required_else_help = true, propagate_version = true)]
+#[command(name = "rtecctl", version, propagate_version = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
-    verb: Verb,
+    verb: Option<Verb>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -63,6 +65,7 @@ enum Verb {
     Get(verbs::get::Args),
     Home(verbs::home::Args),
     Enable(verbs::enable::Args),
+    Example(verbs::example::Args),
     Explain(verbs::explain::Args),
     Disable(verbs::disable::Args),
     Shadow(verbs::shadow::Args),
@@ -129,7 +132,11 @@ fn main() -> ExitCode {
             return ExitCode::SUCCESS;
         }
     };
-    let done = match cli.verb {
+    let Some(verb) = cli.verb else {
+        say(&help::begin());
+        return ExitCode::SUCCESS;
+    };
+    let done = match verb {
         Verb::Demo(args) => verbs::demo::run(&args),
         Verb::Bugreport(args) => verbs::bugreport::run(&args),
         Verb::Card(args) => verbs::card::run(&args),
@@ -145,6 +152,7 @@ fn main() -> ExitCode {
         Verb::Get(args) => verbs::get::run(&args),
         Verb::Home(args) => verbs::home::run(&args),
         Verb::Enable(args) => verbs::enable::run(&args),
+        Verb::Example(args) => verbs::example::run(&args),
         Verb::Explain(args) => verbs::explain::run(&args),
         Verb::Disable(args) => verbs::disable::run(&args),
         Verb::Shadow(args) => verbs::shadow::run(&args),

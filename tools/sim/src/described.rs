@@ -16,9 +16,14 @@ pub const FILES: [(&str, &str); 9] = [
     ("4854-chain.toml", include_str!("../papers/4854-chain.toml")),
     ("cmti.toml", include_str!("../papers/cmti.toml")),
     ("wo97.toml", include_str!("../papers/wo97.toml")),
-    ("wo97-machine.toml", include_str!("../papers/wo97-machine.toml")),
-    ("wo97-chain.toml", include_str!("../papers/wo97-chain.toml")),
+    ("wo97-machine.toml", WO97_MACHINE),
+    ("wo97-chain.toml", WO97_CHAIN),
 ];
+
+/// The machining centre of WO 97/43703.
+pub(crate) const WO97_MACHINE: &str = include_str!("../papers/wo97-machine.toml");
+/// The tilt of its spindle, which its model names.
+pub(crate) const WO97_CHAIN: &str = include_str!("../papers/wo97-chain.toml");
 
 /// Where descriptions are read from.
 #[derive(Debug, Clone, Default)]

@@ -18,7 +18,7 @@ mod runs;
 pub use insertion::{one_metre, over_a_part};
 
 use crate::described::Described;
-use crate::sim::SimError;
+use crate::sim::{SimError, Spec};
 use crate::turning::TurningError;
 use heat::{drift, drilling, production, tool_change};
 use insertion::{linear_error, rapid_catch_up};
@@ -33,10 +33,12 @@ use std::path::Path;
 /// What an experiment is run with.
 #[derive(Debug, Clone, Copy)]
 pub struct Setting<'a> {
+    /// The machine as it is built. Experiments whose machine is fixed, and the nose, build their own.
+    pub spec: &'a Spec,
     /// The machine as it really is.
     pub truth: &'a Machine,
-    /// What the corrector knows of it.
-    pub known: &'a Machine,
+    /// What the corrector knows of it; without it there is no run with compensation.
+    pub known: Option<&'a Machine>,
     /// Seed of all noise.
     pub seed: u64,
     /// Folder that records are to be written to.
@@ -125,7 +127,7 @@ impl Experiment {
         match self.own {
             Some(own) if own.fixed => {
                 let machine = Described::default().machine(own.file)?;
-                (self.run)(&Setting { truth: &machine, known: &machine, ..*setting })
+                (self.run)(&Setting { truth: &machine, known: Some(&machine), ..*setting })
             }
             _ => (self.run)(setting),
         }

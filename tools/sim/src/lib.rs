@@ -20,12 +20,15 @@
 //! | [`wires`], [`strokes`], [`duty`] | machines at a mock card's wires in real time: axes to and fro, the lathe's duty |
 //! | [`workpiece`], [`lathe`], [`job`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
+//! | [`example`] | example machines: models, runs, hold-outs, configuration, drawings |
 //! | [`experiment`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
 //! | `control`, `errors` | the control side over the engine; the true machine's errors and friction, acting |
 //!
 //! What must not live here: what a part looks like (`rtec-part`), what a machine does wrong (`rtec-model`), a control law
 //! of its own (`rtec-correct`), the daemon.
+//!
+//! At work: `cargo run -p rtec-sim --example corrected_move`, which the tests run too.
 
 pub mod attended;
 pub mod axis;
@@ -38,6 +41,7 @@ pub mod duty;
 pub mod ecc;
 pub mod ecc_board;
 mod errors;
+pub mod example;
 pub mod experiment;
 pub mod gcode;
 pub mod heat;

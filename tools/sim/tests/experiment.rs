@@ -19,7 +19,8 @@ fn effect(name: &str, rest: &str) -> String {
 }
 
 fn run(name: &str, truth: &Machine, known: &Machine, seed: u64) -> Findings {
-    let setting = Setting { truth, known, seed, out: Path::new("out") };
+    let spec = Spec::machining_centre();
+    let setting = Setting { spec: &spec, truth, known: Some(known), seed, out: Path::new("out") };
     Experiment::find(name).unwrap().run(&setting).unwrap()
 }
 

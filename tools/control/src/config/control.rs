@@ -115,16 +115,19 @@ pub fn derived(socket: &Path, role: Role) -> PathBuf {
     socket.with_file_name(name)
 }
 
-/// Directory of sockets and state file unless the configuration names others: `/run/rtec` where it exists (an installed
+/// Directory of sockets and state file unless the configuration names others: the one of `RTEC_RUN_DIR`; `/run/rtec` where it exists (an installed
 /// daemon's) and for root; else the user's run-time directory, else the user's state directory. Never one that others
 /// can write to.
 #[must_use]
 pub fn default_directory() -> PathBuf {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    if let Some(directory) = absolute("RTEC_RUN_DIR") {
+        return directory;
+    }
     let installed = Path::new(INSTALLED_RUN);
     if installed.is_dir() || Uid::effective().is_root() {
         return installed.to_owned();
     }
-    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     if let Some(directory) = absolute("XDG_RUNTIME_DIR") {
         return directory.join("rtec");
     }

@@ -13,7 +13,7 @@ use rtec_sim::computer::Computer;
 use rtec_sim::described::Described;
 use rtec_sim::experiment::{Setting, one_metre, over_a_part};
 use rtec_sim::gcode::Block;
-use rtec_sim::sim::Sim;
+use rtec_sim::sim::{Sim, Spec};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -108,7 +108,8 @@ fn introduction(rows: &mut Rows, bench: &Bench) {
 /// 240 µm over one metre, one correction every 16 700 µm, fifteen over a quarter of the travel.
 fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Result<(), PaperError> {
     let place = "The \"Original RTEC\"";
-    let setting = Setting { truth: machine, known: machine, seed, out: Path::new("") };
+    let spec = Spec::machining_centre();
+    let setting = Setting { spec: &spec, truth: machine, known: Some(machine), seed, out: Path::new("") };
     let spec = one_metre(bench.count_um, bench.travel_mm);
     let length_mm = bench.part_share * bench.travel_mm;
     let found = over_a_part(&setting, &spec, length_mm, bench.cutting_mm_min)?;

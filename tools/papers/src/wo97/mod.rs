@@ -15,6 +15,7 @@ use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use rtec_sim::described::Described;
 use rtec_sim::experiment::{Experiment, Findings, Setting};
+use rtec_sim::sim::Spec;
 use serde::Deserialize;
 use std::path::Path;
 
@@ -99,7 +100,9 @@ struct Run<'a> {
 
 impl Run<'_> {
     fn experiment(&self, name: &str, known: &Machine) -> Result<Findings, PaperError> {
-        let setting = Setting { truth: self.truth, known, seed: self.seed, out: Path::new("") };
+        let spec = Spec::machining_centre();
+        let out = Path::new("");
+        let setting = Setting { spec: &spec, truth: self.truth, known: Some(known), seed: self.seed, out };
         let experiment =
             Experiment::find(name).ok_or_else(|| PaperError::Cannot(format!("no experiment {name}")))?;
         Ok(experiment.run(&setting)?)

@@ -12,6 +12,7 @@ pub(crate) mod demo;
 pub(crate) mod designs;
 pub(crate) mod disable;
 pub(crate) mod enable;
+pub(crate) mod example;
 pub(crate) mod explain;
 pub(crate) mod get;
 pub(crate) mod hold;

@@ -6,7 +6,7 @@ use rtec_model::machine::Machine;
 use rtec_model::record::Kind;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::job::RunError;
-use rtec_sim::sim::SimError;
+use rtec_sim::sim::{SimError, Spec};
 use rtec_sim::turning::TurningError;
 use serde_json::{Map, Value};
 use std::fmt::Write as _;
@@ -84,7 +84,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
     eprintln!("rtecctl: simulating {}, without and with compensation", experiment.name);
-    let setting = Setting { truth: &truth, known: &known, seed: args.seed, out };
+    let spec = Spec::machining_centre();
+    let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: args.seed, out };
     let mut findings = experiment.run(&setting).map_err(|e| explain(e, &truth.path))?;
     for record in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {
         // What an experiment measures and the machine does not do wrong is the instrument's noise: better said than shown.

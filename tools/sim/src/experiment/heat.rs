@@ -1,13 +1,13 @@
 //! What heat does to a machine: spindle cycles, tool changes, drilling.
 
-use super::runs::{Log, Row, both, digits, feed, nothing};
+use super::runs::{Log, Row, both, digits, feed, nothing, places};
 use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, Setting};
 use crate::errors::NAMES;
 use crate::gcode::Block;
 use crate::heat::{FIGURE_9, SENSORS};
 use crate::noise::Noise;
 use crate::path::AXES;
-use crate::sim::{Sim, SimError, Spec};
+use crate::sim::{Sim, SimError};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
 use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
@@ -71,10 +71,16 @@ fn difference(degc: &[f64], of: &Difference) -> f64 {
 pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
-        let runs =
-            both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| soak(sim, log, FIGURE_9, coolant))?;
+        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| soak(sim, log, FIGURE_9, coolant))?;
         let x = |r: &Row| r.now.t_s / 60.0;
-        runs.publish(setting, name, Kind::Drift, (&[0, 1, 2], 0.1), ("time, min", &x), &mut findings)?;
+        runs.publish(
+            setting,
+            name,
+            Kind::Drift,
+            (&places(setting.spec), 0.1),
+            ("time, min", &x),
+            &mut findings,
+        )?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time, min", "temperature, °C");
         for sensor in ["T8", "T9", "T13", "T18", "T20"] {
             let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
@@ -109,10 +115,9 @@ const PRODUCTION: &[(f64, f64)] = &[
 
 pub(super) fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let runs =
-        both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| soak(sim, log, PRODUCTION, true))?;
+    let runs = both(setting, setting.spec, [0.0; 3], |sim, log| soak(sim, log, PRODUCTION, true))?;
     let x = |r: &Row| r.now.t_s / 60.0;
-    let axes = &[0, 1, 2][..];
+    let axes = &places(setting.spec)[..];
     runs.publish(setting, "production-cycle", Kind::Drift, (axes, 0.1), ("time, min", &x), &mut findings)?;
     Ok(findings)
 }
@@ -121,7 +126,7 @@ pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentE
     let mut findings = nothing();
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
-    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| {
+    let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
         let mut moves = Noise::new(setting.seed, 0x7001);
         let reference = [50.0, 20.0, -100.0];
         for cycle in 1..=10 {
@@ -166,7 +171,7 @@ pub(super) fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, Ex
         let x = if left { -11.0 } else { 9.0 } + cycle as f64;
         [x * inch, if low { -3.0 * inch } else { 3.0 * inch }, 0.0]
     };
-    let runs = both(setting, &Spec::machining_centre(), [0.0, 0.0, 100.0], |sim, log| {
+    let runs = both(setting, setting.spec, [0.0, 0.0, 100.0], |sim, log| {
         sim.machine.load([Block::Coolant { on: true }]);
         if warm {
             soak(sim, 180.0)?;

@@ -94,7 +94,7 @@ pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, Experime
         &mut findings,
     )?;
     let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
-    let worst = runs.logs[1].rows.iter().map(pending).fold(0.0, f64::max);
+    let worst = runs.logs.iter().flat_map(|l| &l.rows).map(pending).fold(0.0, f64::max);
     let in_part = entering.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
     findings.summary.insert("edges_waited_for_gate".to_owned(), json!(waited));
     findings.summary.insert("largest_backlog_um".to_owned(), json!(digits(worst, 1e3)));

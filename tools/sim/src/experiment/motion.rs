@@ -1,18 +1,16 @@
 //! What a machine does in motion: displacement and circles, the plate, feeds, drive forces.
 
-use super::runs::{Row, along, both, feed, nothing};
+use super::runs::{Row, along, both, feed, nothing, places};
 use super::{ExperimentError, Findings, Setting};
 use crate::errors::NAMES;
 use crate::gcode::Block;
 use crate::noise::Noise;
 use crate::path::AXES;
-use crate::sim::Spec;
 use rtec_model::record::Kind;
 
 pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let spec = Spec::machining_centre();
-    for (p, axis) in spec.axes.iter().enumerate() {
+    for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
         // ISO 230-2: targets over the travel, each off an even pitch by a random amount so that no period hides.
         let [lo, hi] = axis.travel_mm.map(|t| t * 0.95);
         let pitch = (hi - lo) / 12.0;
@@ -23,7 +21,7 @@ pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, Exp
         // WO 97/43703, text before table 2: 64 in/min.
         let mm_min = 64.0 * 25.4;
         let over = 4.0;
-        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
             sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
             for cycle in 0..5 {
                 for up in [true, false] {
@@ -51,14 +49,15 @@ pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, Exp
 
 pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let spec = Spec::machining_centre();
     let radius = 150.0;
-    for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+    let there = places(setting.spec);
+    let planes = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|(i, j)| there.contains(i) && there.contains(j));
+    for (i, j) in planes {
         for inches in [10.0, 50.0, 100.0] {
             let feed_mm_s = inches * 25.4 / 60.0;
             let mut start = [0.0; AXES];
             start[i] = radius;
-            let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+            let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
                 sim.run([Block::Rapid { to: start }])?;
                 for clockwise in [false, true] {
                     let arc =
@@ -96,7 +95,7 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
 
 pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let runs = both(setting, &Spec::machining_centre(), [0.0; 3], |sim, log| {
+    let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
                 let column = if row % 2 == 0 { k } else { 8 - k };
@@ -115,9 +114,8 @@ pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
 
 pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let spec = Spec::machining_centre();
-    for (p, axis) in spec.axes.iter().enumerate() {
-        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+    for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
+        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
             let half = 60.0;
             sim.run([Block::Rapid { to: along(p, -half) }])?;
             for (n, mm_min) in
@@ -147,9 +145,8 @@ pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
 
 pub(super) fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let spec = Spec::machining_centre();
-    for (p, axis) in spec.axes.iter().enumerate() {
-        let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+    for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
+        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
             for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
                 for way in [40.0 + 10.0 * n as f64, -40.0] {
                     sim.machine.load([feed(along(p, way), mm_min)]);

@@ -44,12 +44,9 @@ pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
         ..Setup::default()
     };
     let (mut records, mut figures) = (Vec::new(), Map::new());
-    for (suffix, label) in SUFFIXES.into_iter().zip(["without", "with"]) {
-        let setup = if suffix.is_empty() {
-            setup.clone()
-        } else {
-            Setup { model: Some(setting.known.clone()), ..setup.clone() }
-        };
+    let knows = std::iter::once(None).chain(setting.known.map(Some));
+    for ((suffix, label), known) in SUFFIXES.into_iter().zip(["without", "with"]).zip(knows) {
+        let setup = Setup { model: known.cloned(), ..setup.clone() };
         let turned = setup.turn_nose(!suffix.is_empty())?;
         let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
         // A session whose trips are all there has a record.

@@ -131,9 +131,9 @@ impl Log {
     }
 }
 
-/// Both runs of an experiment: without and with compensation.
+/// Both runs of an experiment: without and, where something is known of the machine, with compensation.
 pub(super) struct Both {
-    pub(super) logs: [Log; 2],
+    pub(super) logs: Vec<Log>,
     pub(super) channels: Vec<String>,
 }
 
@@ -143,10 +143,12 @@ pub(super) fn both(
     at_mm: [f64; AXES],
     mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
 ) -> Result<Both, ExperimentError> {
-    let mut done = Both { logs: [Log::default(), Log::default()], channels: Vec::new() };
-    for (n, log) in done.logs.iter_mut().enumerate() {
-        let mut sim = Sim::new(spec, setting.truth, (n == 1).then_some(setting.known), at_mm, setting.seed)?;
-        run(&mut sim, log)?;
+    let mut done = Both { logs: Vec::new(), channels: Vec::new() };
+    for known in std::iter::once(None).chain(setting.known.map(Some)) {
+        let mut sim = Sim::new(spec, setting.truth, known, at_mm, setting.seed)?;
+        let mut log = Log::default();
+        run(&mut sim, &mut log)?;
+        done.logs.push(log);
         done.channels = sim.channel_names().to_vec();
     }
     Ok(done)
@@ -216,6 +218,11 @@ impl Findings {
 
 pub(super) fn nothing() -> Findings {
     Findings { records: Vec::new(), plots: Vec::new(), gauges: Vec::new(), summary: Map::new() }
+}
+
+/// The controller's axis (0 X, 1 Y, 2 Z) of each axis that a machine has.
+pub(super) fn places(spec: &Spec) -> Vec<usize> {
+    spec.axes.iter().filter_map(|a| NAMES.iter().position(|n| *n == a.name)).collect()
 }
 
 pub(super) fn along(axis: usize, p: f64) -> [f64; AXES] {

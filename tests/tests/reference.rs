@@ -1,0 +1,199 @@
+//! The guide's hand-written reference: what the code reads and writes stands on its page. `verbs.md` and `effects.md` are made
+//! from the code (`rtecctl`, `rtec-model`), `rtec-toml.md` and `protocol.md` are held against it in `rtec-control`.
+
+#![allow(clippy::unwrap_used)]
+
+use rtec_measure::plausible::What;
+use rtec_model::record::{Axis, Kind, Role};
+use rtec_tests::daemon::program;
+use rtec_tests::root;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::process::Command;
+
+fn page(name: &str) -> String {
+    std::fs::read_to_string(root().join("tools/guide/reference").join(name)).unwrap()
+}
+
+fn source(path: &str) -> String {
+    std::fs::read_to_string(root().join(path)).unwrap()
+}
+
+/// The words that a page shows as code, in its blocks and between backticks.
+fn shown(page: &str) -> BTreeSet<String> {
+    let mut words = BTreeSet::new();
+    for (n, part) in page.split("```").enumerate() {
+        let mut add = |code: &str| {
+            words.extend(code.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').map(str::to_owned));
+        };
+        if n % 2 == 1 { add(part) } else { part.split('`').skip(1).step_by(2).for_each(add) }
+    }
+    words
+}
+
+/// Every word in quotes within the lists of keys that a reader knows: `….only(&["…", …])`.
+fn keys_read(source: &str) -> Vec<&str> {
+    let lists = source.split(".only(&[").skip(1).map(|rest| rest.split(']').next().unwrap());
+    lists.flat_map(|list| list.split('"').skip(1).step_by(2)).collect()
+}
+
+/// The fields of a struct that is read from a file.
+fn fields<'s>(source: &'s str, name: &str) -> Vec<&'s str> {
+    let body = source.split(&format!("pub struct {name} {{\n")).nth(1).unwrap().split("\n}").next().unwrap();
+    body.lines().filter_map(|l| l.trim().strip_prefix("pub ")?.split_once(':').map(|f| f.0)).collect()
+}
+
+#[track_caller]
+fn all_stand(page_name: &str, words: &[&str], least: usize) {
+    let shown = shown(&page(page_name));
+    let missing: Vec<_> = words.iter().filter(|w| !shown.contains(**w)).collect();
+    assert!(missing.is_empty(), "not in {page_name}: {missing:?}");
+    assert!(words.len() >= least, "{words:?}");
+}
+
+#[test]
+fn the_words_of_a_page_are_those_it_shows_as_code() {
+    let shown = shown("plain `one` and `two.three`\n```toml\nfour = \"five\"\n```\nsix\n");
+    for (word, is) in
+        [("one", true), ("three", true), ("four", true), ("five", true), ("plain", false), ("six", false)]
+    {
+        assert_eq!(shown.contains(word), is, "{word}");
+    }
+    assert_eq!(
+        keys_read("t.only(&[\"a\", \"b\"])?; u.only(&known); v.only(&[\n \"c\",\n])"),
+        ["a", "b", "c"]
+    );
+    assert_eq!(
+        fields("pub struct S {\n    /// x\n    pub a: u8,\n    pub b_mm: f64,\n}\npub c: u8", "S"),
+        ["a", "b_mm"]
+    );
+}
+
+#[test]
+fn keys_of_the_files_stand_on_their_pages() {
+    for (page, file, least) in [
+        ("machine-toml.md", "tools/model/src/machine/read.rs", 20),
+        ("machine-toml.md", "tools/model/src/effect/own.rs", 12),
+        ("chain.md", "tools/model/src/chain.rs", 15),
+        ("records.md", "tools/measure/src/record.rs", 11),
+        ("records.md", "tools/measure/src/import/own.rs", 8),
+        ("records.md", "tools/measure/src/export/own.rs", 13),
+        ("records.md", "tools/measure/src/iso230/conditions.rs", 2),
+    ] {
+        all_stand(page, &keys_read(&source(file)), least);
+    }
+    let own = source("tools/model/src/effect/own.rs");
+    let quantities = own.split("const QUANTITIES").nth(1).unwrap().split("];").next().unwrap();
+    all_stand(
+        "machine-toml.md",
+        &quantities.split("(\"").skip(1).map(|q| q.split('"').next().unwrap()).collect::<Vec<_>>(),
+        13,
+    );
+    all_stand("part-files.md", &fields(&source("tools/part/src/program.rs"), "Dialect"), 13);
+    all_stand("part-files.md", &fields(&source("tools/sim/src/lathe.rs"), "Bench"), 13);
+    all_stand("part-files.md", &rtec_part::program::PARAMETERS.map(|p| p.name), 22);
+}
+
+#[test]
+fn kinds_and_roles_stand_among_the_records() {
+    all_stand("records.md", &Kind::ALL.map(|k| k.0), 8);
+    let text = page("records.md");
+    let code = source("tools/model/src/role.rs");
+    let body = code.split("pub enum Role {").nth(1).unwrap().split("\n}").next().unwrap();
+    let roles: Vec<_> = body.lines().map(str::trim).filter(|l| l.starts_with(char::is_uppercase)).collect();
+    assert_eq!(roles.len(), 15, "{roles:?}");
+    for role in roles {
+        // TimeOfDay(Axis) → time_of_day.A
+        let name = role.split(['(', ',']).next().unwrap();
+        let snake = name.char_indices().fold(String::new(), |word, (n, c)| {
+            word + if n > 0 && c.is_uppercase() { "_" } else { "" } + &c.to_lowercase().to_string()
+        });
+        let axes = ["", ".A", ".A.b"][role.matches("Axis").count()];
+        let row = text.lines().find(|l| l.starts_with(&format!("| `{snake}{axes}` |")));
+        let row = row.unwrap_or_else(|| panic!("no row of `{snake}{axes}`"));
+        let parsed = Role::parse(&format!("{snake}{}", axes.replace('A', "x"))).unwrap();
+        if let Some(unit) = parsed.unit() {
+            assert!(row.split('|').nth(2).unwrap().contains(unit), "{row}");
+        }
+        assert_eq!(parsed.axis().is_some(), axes == ".A", "{row}");
+    }
+    assert_eq!(Axis::new("x").unwrap().as_str(), "x");
+}
+
+#[test]
+fn every_field_of_a_verdict_stands_on_its_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let run = |words: &[&str]| Command::new(program("rtecctl")).current_dir(at).args(words).output().unwrap();
+    assert!(run(&["example", "lathe", "l"]).status.success());
+    let linear = "l/records/linear-displacement-z.run.toml";
+    let said = run(&[
+        "reconcile",
+        linear,
+        "--model",
+        "l/machine.toml",
+        "--holdout",
+        "l/holdout/linear-displacement-z.run.toml",
+        "--json",
+    ]);
+    let verdict: Value = serde_json::from_slice(&said.stdout).unwrap();
+    let mut keys = BTreeSet::new();
+    collect(&verdict, &mut keys);
+    // Parameters are the effects' own, and so is what tells sensors apart.
+    let effects = source("tools/guide/reference/effects.md");
+    let keys: Vec<&str> =
+        keys.iter().map(String::as_str).filter(|k| !effects.contains(&format!("| `{k}` |"))).collect();
+    all_stand("verdict.md", &keys, 25);
+    let names = [
+        "unit",
+        "sign",
+        "direction",
+        "stuck",
+        "unplugged",
+        "range",
+        "jump",
+        "doubled",
+        "swapped",
+        "outliers",
+        "other_machine",
+    ];
+    assert_eq!(What::OtherMachine.name(), names[10]);
+    let code = source("tools/measure/src/plausible/mod.rs");
+    let body = code.split("pub fn name(self)").nth(1).unwrap().split("impl").next().unwrap();
+    all_stand("verdict.md", &body.split('"').skip(1).step_by(2).collect::<Vec<_>>(), names.len());
+    all_stand("verdict.md", &["named", "nothing_missing", "unknown_effect", "not_separable"], 4);
+}
+
+fn collect(value: &Value, keys: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(map) => {
+            for (key, inner) in map {
+                keys.insert(key.clone());
+                collect(inner, keys);
+            }
+        }
+        Value::Array(all) => all.iter().for_each(|inner| collect(inner, keys)),
+        _ => {}
+    }
+}
+
+#[test]
+fn every_field_of_a_replay_stands_among_the_traces() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("t.csv"), "t_ns,a,b\n0,0,0\n100000,1,0\n200000,1,1\n").unwrap();
+    std::fs::write(folder.path().join("r.csv"), "t_ns,requested\n0,2\n").unwrap();
+    let words = ["replay", "--trace", "t.csv", "--requests", "r.csv", "--json"];
+    let said = Command::new(program("rtecctl")).current_dir(&folder).args(words).output().unwrap();
+    let document: Value = serde_json::from_slice(&said.stdout).unwrap();
+    let keys: Vec<&str> = document.as_object().unwrap().keys().map(String::as_str).collect();
+    all_stand("traces.md", &keys, 11);
+    all_stand("traces.md", &["t_ns", "a", "b", "requested"], 4);
+}
+
+#[test]
+fn every_family_of_metrics_stands_on_its_page() {
+    let code = source("tools/control/src/metrics.rs");
+    let code = code.split("#[cfg(test)]").next().unwrap();
+    let names: Vec<&str> = code.split('"').skip(1).step_by(2).filter(|t| t.starts_with("rtec_")).collect();
+    all_stand("metrics.md", &names, 30);
+}

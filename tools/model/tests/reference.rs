@@ -1,0 +1,173 @@
+//! The guide's page of effects, made from the dictionary; `RTEC_BLESS=1` writes it anew.
+
+#![allow(clippy::unwrap_used)]
+
+use rtec_model::effect::{
+    Description, Dictionary, Heat, Mechanism, Naming, Need, Owner, Parameter, Probing, Quantity,
+};
+use std::fmt::Write as _;
+use std::path::Path;
+
+const HEAD: &str = "# Effects\n\n\
+    What a machine may do wrong, as [`machine.toml`](machine-toml.md) names it. The measured error is the sum of the effects: e in µm, p in\n\
+    mm, ΔT in K, t in s, v in mm/s, a in mm/s², dir = ±1. A, B, C are axes. Outside its bounds no value is read, loaded or fitted; outside\n\
+    what is plausible a value is warned of. What shows an effect is the run that tells it from its neighbours.\n\n";
+
+#[test]
+fn the_page_of_effects_is_what_the_dictionary_says() {
+    let dictionary = Dictionary::default();
+    let mut page = HEAD.to_owned();
+    page += "| effect | law | parameters |\n|---|---|---|\n";
+    for law in dictionary.laws().map(rtec_model::effect::Law::describe) {
+        let parameters = law.parameters.iter().map(|p| p.name.as_str()).collect::<Vec<_>>().join(", ");
+        let sensors = if law.needs.contains(&Need::Delta) { "sensor, minus or reference_degC, " } else { "" };
+        let _ = writeln!(page, "| [`{}`](#{}) | {} | {sensors}{parameters} |", name(law), law.name, law.law);
+    }
+    let mut laws = 0;
+    for law in dictionary.laws() {
+        describe(&mut page, law.describe());
+        laws += 1;
+    }
+    assert_eq!(laws, 30);
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../guide/reference/effects.md");
+    if std::env::var_os("RTEC_BLESS").is_some() {
+        std::fs::write(&file, &page).unwrap();
+    }
+    let written = std::fs::read_to_string(&file).unwrap_or_default();
+    for (n, (made, there)) in page.lines().zip(written.lines()).enumerate() {
+        assert_eq!(made, there, "{}:{}: RTEC_BLESS=1 writes the page anew", file.display(), n + 1);
+    }
+    assert_eq!(page, written, "{}: RTEC_BLESS=1 writes the page anew", file.display());
+}
+
+fn name(law: &Description) -> String {
+    let rest = match law.naming {
+        Naming::Plain => "",
+        Naming::One => ".A",
+        Naming::Two | Naming::Pair => ".A.B",
+        Naming::Three => ".A.B.C",
+        Naming::Channel => ".A.NAME",
+    };
+    format!("{}{rest}", law.name)
+}
+
+fn describe(page: &mut String, law: &Description) {
+    let _ = write!(page, "\n## {}\n\n| | |\n|---|---|\n", law.name);
+    let mut row = |what: &str, text: &str| {
+        if !text.is_empty() {
+            let _ = writeln!(page, "| {what} | {} |", text.replace('|', "\\|"));
+        }
+    };
+    row("name", &format!("`{}`", name(law)));
+    row("law", &law.law);
+    let on = match (law.quantity, law.naming) {
+        (Quantity::Force, _) => "the drive force of A, N",
+        (Quantity::Error, Naming::Plain) => "the radial error (`error.r`), or the record's only error, µm",
+        (Quantity::Error, Naming::Pair) => "the errors of A and of B, µm",
+        (Quantity::Error, _) => "the error of A, µm",
+    };
+    row("acts on", on);
+    row("reads", &law.needs.iter().map(|n| need(*n)).collect::<Vec<_>>().join(", "));
+    row("cause", &law.cause);
+    row("shown by", &law.experiment);
+    let mut notes = Vec::new();
+    match law.owner {
+        Owner::Machine => {}
+        Owner::Probe => notes.push("of the probe: in what is probed, not in the part"),
+        Owner::Part => notes.push("of the part's own form"),
+    }
+    match law.probing {
+        Probing::Alike => {}
+        Probing::Only => notes.push("in records of kind `probing` only"),
+        Probing::Displaced => notes.push("in records of kind `probing` another effect takes its place"),
+    }
+    match law.heat {
+        Heat::FromStart => notes.push("grows with the time since the start, with no logged cause"),
+        Heat::Growth | Heat::Expansion => notes.push("a temperature difference drives it"),
+        Heat::None | Heat::StandsIn => {}
+    }
+    if law.whole_counts {
+        notes.push("a multiple of the record's `count_um`");
+    }
+    if law.symmetric {
+        notes.push("the axes behind the first may change places: written alphabetically");
+    }
+    if law.naming == Naming::Pair {
+        notes.push("one effect for both orders of its axes: written alphabetically");
+    }
+    if law.searched.repeats {
+        notes.push("several may stand in one model");
+    }
+    match law.mechanism {
+        Some(Mechanism::ProbeDelay) => notes.push("a simulated probe is built with it"),
+        Some(_) => notes.push("a simulated axis is built with it"),
+        None => {}
+    }
+    row("note", &notes.join("; "));
+    page.push_str("\n| parameter | unit | plausible | bounds | default | where the bounds come from |\n|---|---|---|---|---|---|\n");
+    for p in &law.parameters {
+        let default = p.default.map(number).unwrap_or_default();
+        let array = if p.array { ", one per knot" } else { "" };
+        let _ = writeln!(
+            page,
+            "| `{}` | {}{array} | {} | {} | {default} | {} |",
+            p.name,
+            p.unit,
+            range(p.plausible),
+            bounds(p),
+            p.source.replace('|', "\\|")
+        );
+    }
+    if law.needs.contains(&Need::Delta) {
+        page.push_str(
+            "| `sensor` | name | | | | its temperature is the first of the difference ΔT |\n\
+             | `minus` | name | | | | ΔT = sensor − minus; not together with `reference_degC` |\n\
+             | `reference_degC` | °C | | | 20 | ΔT = sensor − this |\n\
+             | `range_K` | [K, K] | | | | the range of ΔT that it was fitted on; beyond it, it stays as at its end |\n",
+        );
+    }
+    if law.lag.is_some() {
+        page.push_str("| `start_K` | K | | 0 to 1000 | | how far ΔT may have been from equilibrium at the start of the runs |\n");
+    }
+}
+
+fn need(need: Need) -> &'static str {
+    match need {
+        Need::Time => "time",
+        Need::Position(0) => "the position of A",
+        Need::Position(1) => "the position of B",
+        Need::Position(_) => "the position of C",
+        Need::Direction => "the direction of A, or the sign of its velocity",
+        Need::Velocity => "the velocity of A",
+        Need::Acceleration => "the acceleration of A",
+        Need::Load => "the load of A",
+        Need::Delta => "a temperature difference",
+        Need::SpindleSpeed => "spindle speed",
+        Need::Coolant => "coolant",
+        Need::Angle => "angle",
+        Need::Channel => "the channel NAME",
+    }
+}
+
+fn bounds(p: &Parameter) -> String {
+    if p.bounds.iter().all(|b| b.is_infinite()) { "none".to_owned() } else { range(p.bounds) }
+}
+
+fn range([low, high]: [f64; 2]) -> String {
+    #[allow(clippy::float_cmp)] // the same number written twice
+    if low == -high && high.is_finite() {
+        format!("±{}", number(high))
+    } else {
+        format!("{} to {}", number(low), number(high))
+    }
+}
+
+/// Short: powers of ten where the digits would be many.
+fn number(v: f64) -> String {
+    let plain = format!("{}", (v * 1e9).round() / 1e9);
+    if v == 0.0 || (plain != "0" && plain.len() < 9) {
+        plain
+    } else {
+        format!("{v:.3e}").replace(".000e", "e")
+    }
+}

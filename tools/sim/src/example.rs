@@ -1,0 +1,188 @@
+//! Example machines, each ready for a first day with it: what is known of it, runs that characterise it, later runs that
+//! judge a model, configuration, drawings. Texts are in `machines/`, the runs are simulated, from fixed seeds.
+
+use crate::axis::AxisSpec;
+use crate::described;
+use crate::experiment::{Experiment, ExperimentError, Setting};
+use crate::sim::Spec;
+use rtec_model::effect::Dictionary;
+use rtec_model::machine::Machine;
+use rtec_model::record::Record;
+use std::path::Path;
+
+/// Seed of the characterisation, and of the runs that are held out.
+const SEEDS: [u64; 2] = [1, 2];
+
+/// An example machine.
+#[derive(Debug, Clone, Copy)]
+pub struct Example {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// What it is, in one line.
+    pub what: &'static str,
+    /// Files as they stand: path below the example's folder, and text. `true.toml` is among them.
+    pub files: &'static [(&'static str, &'static str)],
+    spec: fn() -> Spec,
+    /// Experiments that characterise it, and those that are held out.
+    runs: [&'static [&'static str]; 2],
+}
+
+/// Every example machine.
+pub const EXAMPLES: [Example; 4] = [
+    Example {
+        name: "lathe",
+        what: "X and Z, circles, spindle cycles, a part to be probed; its model lacks two effects and its growth",
+        files: &[
+            ("README.md", include_str!("../machines/lathe/README.md")),
+            ("machine.toml", include_str!("../machines/lathe/machine.toml")),
+            ("true.toml", include_str!("../machines/lathe/true.toml")),
+            ("rtec.toml", include_str!("../machines/lathe/rtec.toml")),
+            ("drawings/nose.dxf", include_str!("../machines/lathe/nose.dxf")),
+        ],
+        spec: Spec::turning_centre,
+        runs: [&["linear-displacement", "ballbar", "drift"], &["linear-displacement", "production-cycle"]],
+    },
+    Example {
+        name: "mill",
+        what: "X, Y and Z, a plate, circles in three planes, spindle cycles; its model lacks two effects and its growth",
+        files: &[
+            ("README.md", include_str!("../machines/mill/README.md")),
+            ("machine.toml", include_str!("../machines/mill/machine.toml")),
+            ("true.toml", include_str!("../machines/mill/true.toml")),
+            ("rtec.toml", include_str!("../machines/mill/rtec.toml")),
+        ],
+        spec: || {
+            let axes = [("x", 600.0), ("y", 600.0), ("z", 500.0)];
+            Spec::new(axes.into_iter().map(|(name, travel_mm)| AxisSpec::new(name, travel_mm)).collect())
+        },
+        runs: [
+            &["linear-displacement", "plate", "ballbar", "drift"],
+            &["linear-displacement", "plate", "production-cycle"],
+        ],
+    },
+    Example {
+        name: "wo97",
+        what: "the machining centre of WO 97/43703: its characterisation, its growth to be fitted",
+        files: &[
+            ("README.md", include_str!("../machines/wo97/README.md")),
+            ("machine.toml", include_str!("../machines/wo97/machine.toml")),
+            ("true.toml", described::WO97_MACHINE),
+            ("wo97-chain.toml", described::WO97_CHAIN),
+            ("rtec.toml", include_str!("../machines/wo97/rtec.toml")),
+        ],
+        spec: Spec::machining_centre,
+        runs: [
+            &["linear-displacement", "ballbar", "drift", "tool-change-repeatability"],
+            &["linear-displacement", "production-cycle"],
+        ],
+    },
+    Example {
+        name: "spindle",
+        what: "a spindle that grows, dry and wet: sensors to be chosen, a first model to be fitted",
+        files: &[
+            ("README.md", include_str!("../machines/spindle/README.md")),
+            ("machine.toml", include_str!("../machines/spindle/machine.toml")),
+            ("true.toml", include_str!("../machines/spindle/true.toml")),
+            ("rtec.toml", include_str!("../machines/spindle/rtec.toml")),
+        ],
+        spec: || {
+            let axes = [("x", 600.0), ("y", 600.0), ("z", 500.0)];
+            Spec::new(axes.into_iter().map(|(name, travel_mm)| AxisSpec::new(name, travel_mm)).collect())
+        },
+        runs: [&["drift"], &["production-cycle"]],
+    },
+];
+
+/// Folders of the runs, in the order of [`SEEDS`].
+const FOLDERS: [&str; 2] = ["records", "holdout"];
+
+impl Example {
+    /// The example of this name.
+    #[must_use]
+    pub fn find(name: &str) -> Option<&'static Self> {
+        EXAMPLES.iter().find(|e| e.name == name)
+    }
+
+    /// One of its files as a machine model, with the files beside it.
+    ///
+    /// # Errors
+    /// Never: the files are within the program, and a test reads them.
+    pub fn machine(&self, file: &str) -> Result<Machine, rtec_files::InputError> {
+        let text = |path: &Path| {
+            let found = self.files.iter().find(|f| Path::new(f.0) == path).map(|f| f.1.to_owned());
+            found.ok_or_else(|| rtec_files::InputError::whole(path, "no such file", "a file of this example"))
+        };
+        let path = Path::new(file);
+        Machine::parse_from(path, &text(path)?, Dictionary::default(), &text)
+    }
+
+    /// Its run records, with the paths below `folder` that they are to be written to; none is written yet.
+    ///
+    /// # Errors
+    /// As [`Experiment::run`].
+    pub fn records(&self, folder: &Path) -> Result<Vec<Record>, ExperimentError> {
+        let (truth, spec) = (self.machine("true.toml")?, (self.spec)());
+        let mut records = Vec::new();
+        for ((runs, seed), name) in self.runs.into_iter().zip(SEEDS).zip(FOLDERS) {
+            let out = folder.join(name);
+            let setting = Setting { spec: &spec, truth: &truth, known: None, seed, out: &out };
+            for experiment in runs.iter().filter_map(|name| Experiment::find(name)) {
+                records.append(&mut experiment.run(&setting)?.records);
+            }
+        }
+        Ok(records)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_model_can_be_read_and_every_run_is_an_experiment() {
+        for example in EXAMPLES {
+            let (known, truth) =
+                (example.machine("machine.toml").unwrap(), example.machine("true.toml").unwrap());
+            // What is known is less than what there is.
+            let laws = |m: &Machine| {
+                m.effects()
+                    .map(rtec_model::effect::Effect::identity)
+                    .collect::<std::collections::BTreeSet<_>>()
+            };
+            assert!(
+                laws(&known).is_subset(&laws(&truth)) && laws(&known) != laws(&truth),
+                "{}",
+                example.name
+            );
+            for run in example.runs.into_iter().flatten() {
+                let experiment = Experiment::find(run).unwrap_or_else(|| panic!("{run}"));
+                assert!(experiment.own.is_none_or(|own| !own.fixed), "{run} has a machine of its own");
+            }
+        }
+    }
+
+    #[test]
+    fn its_runs_show_what_the_true_machine_does_and_are_the_same_each_time() {
+        let example = Example::find("spindle").unwrap();
+        let once = example.records(Path::new("s")).unwrap();
+        let paths: Vec<_> = once.iter().map(|r| r.path.display().to_string()).collect();
+        assert_eq!(
+            paths,
+            [
+                "s/records/drift-dry.run.toml",
+                "s/records/drift-wet.run.toml",
+                "s/holdout/production-cycle.run.toml"
+            ]
+        );
+        let truth = example.machine("true.toml").unwrap();
+        for record in &once {
+            let said = truth.predict(record).unwrap();
+            for (column, (name, um)) in record.responses().zip(&said.columns) {
+                let off = column.data.iter().zip(um).fold(0.0_f64, |w, (e, p)| w.max((e - p).abs()));
+                let most = um.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
+                assert!(off < 0.8 && most > 2.0, "{name}: {off} µm off, {most} µm at most");
+            }
+        }
+        assert_eq!(once, example.records(Path::new("s")).unwrap());
+    }
+}
