@@ -192,9 +192,14 @@ fn fit_response(
         let rows = Rows::new(&problem, &terms, train, response)?;
         let coefficients = rows.solve(&|_| true).ok_or_else(nothing)?;
         let intervals = jackknife(&problem, &terms, train, response, &coefficients)?;
-        match intervals.idle_square(&mut problem, &terms, train, response, &all)? {
-            Some(k) => drop(terms.remove(k)),
-            None => break (terms, rows, coefficients, intervals),
+        if let Some(k) = intervals.idle_square(&mut problem, &terms, train, response, &all)? {
+            terms.remove(k);
+            continue;
+        }
+        // Without its square a difference may be said by the environment after all.
+        match problem.judge(&terms, &all).map(|j| problem.to_environment(j, &all).terms) {
+            Some(other) if other != terms => terms = other,
+            _ => break (terms, rows, coefficients, intervals),
         }
     };
     intervals.allow_for_squares(&mut problem, &terms, train, response)?;

@@ -121,14 +121,14 @@ impl Problem {
         let mut candidates: Vec<Pair> = kept.iter().filter_map(|j| pair_of(j.terms[0])).collect();
         candidates.extend(&self.pairs);
         let mean = self.judge(&[], folds)?;
-        let begun = |first: Judged, choices: usize| {
-            let rounds = self.refit(first, &mean, &candidates, choices, folds);
+        let begun = |first: Judged, choices: usize, unearned: usize| {
+            let rounds = self.refit(first, &mean, &candidates, (choices, unearned), folds);
             (!rounds.is_empty()).then(|| self.built(rounds, &candidates, folds))
         };
-        let by_environment = begun(first.clone(), LAG_CHOICES * self.offered.len());
+        let by_environment = begun(first.clone(), LAG_CHOICES * self.offered.len(), 0);
         // The environment may have been taken wrongly, or not matter: begun with any pair, is it simpler or better?
         let pair = self.best_pair(&candidates, folds).filter(|_| !self.explicit);
-        let by_pair = pair.and_then(|p| begun(p, LAG_CHOICES * candidates.len()));
+        let by_pair = pair.clone().and_then(|p| begun(p, LAG_CHOICES * candidates.len(), 0));
         let differences = |j: &Judged| j.terms.iter().filter(|t| squared(**t).is_some()).count();
         let mut both = None;
         let chosen = match (by_environment, by_pair) {
@@ -144,6 +144,9 @@ impl Problem {
             }
             (own, other) => own.or(other),
         };
+        // Where no difference says enough alone, several may together.
+        let chosen = chosen.or_else(|| begun(first.clone(), LAG_CHOICES * self.offered.len(), UNEARNED));
+        let chosen = chosen.or_else(|| begun(pair?, LAG_CHOICES * candidates.len(), UNEARNED));
         // Temperatures that explain no more than chance does: nothing is added, the sensors are ranked all the same.
         let Some((rounds, structure, swaps)) = chosen else {
             let none = Vec::new;
@@ -185,7 +188,7 @@ impl Problem {
 
     /// The same sums by differences to the environment where they can be: beside T1−T0 a T1−T2 says what T2−T0 says, and
     /// that one's gain is the body's own.
-    fn to_environment(&self, mut now: Judged, folds: &[usize]) -> Judged {
+    pub(super) fn to_environment(&self, mut now: Judged, folds: &[usize]) -> Judged {
         for k in 0..now.terms.len() {
             let Term::Thermal { sensor, minus: Some(minus), lag, square: false } = now.terms[k] else {
                 continue;
@@ -269,19 +272,20 @@ impl Problem {
     /// says more than the mean does.
     ///
     /// Where two bodies drive the growth, either alone leaves the other's share, which is slow and so worth few independent
-    /// values: neither earns its place by itself, both together do. So a term may come in unearned, and stands once what
-    /// came with it has earned the place of all of them.
+    /// values: neither earns its place by itself, both together do. So the first terms, as many as may be `unearned`, come in
+    /// without, and stand once what came with them has earned the place of all.
     fn refit(
         &self,
         first: Judged,
         mean: &Judged,
         candidates: &[Pair],
-        choices_of_first: usize,
+        (choices_of_first, unearned): (usize, usize),
         folds: &[usize],
     ) -> Vec<Judged> {
         let mut standing = usize::from(first.beyond_chance(mean, choices_of_first));
         let mut rounds = vec![first];
-        while rounds.len() < ROUNDS && rounds.len() - standing <= if standing == 0 { UNEARNED } else { 1 } {
+        // Once something stands, every term earns its place by itself.
+        while rounds.len() < ROUNDS && rounds.len() - standing <= if standing == 0 { unearned } else { 0 } {
             let now = &rounds[rounds.len() - 1];
             // Twice the same difference only makes up for a lag that was not exact.
             let new = |p: &Pair| now.terms.iter().all(|t| pair_of(*t) != Some(*p));
@@ -317,7 +321,7 @@ impl Problem {
                     standing = rounds.len() + 1;
                     earned.iter().find(|j| bent(j)).filter(|b| !best.beats(b)).unwrap_or(best)
                 }
-                None => match next.iter().find(|j| j.rms() < now.rms() && !bent(j)) {
+                None => match next.iter().find(|j| standing == 0 && j.rms() < now.rms() && !bent(j)) {
                     Some(tried) => tried,
                     None => break,
                 },
