@@ -304,7 +304,7 @@ fn an_interval_that_other_states_may_break_is_said() {
         let (mut first, mut second) = (0.0, 0.0);
         let mut c: [Vec<f64>; 5] = Default::default();
         for i in 0..n {
-            let on = |period: usize| f64::from(u8::from((i / period) % 2 == 0));
+            let on = |period: usize| f64::from(u8::from((i / period).is_multiple_of(2)));
             first += (8.0 * on(40) - first) / 12.0;
             second += (8.0 * on(50) - second) / 15.0;
             let mut with = |v: f64| v + 0.02 * noise.normal();
@@ -349,7 +349,7 @@ fn bodies_that_say_little_alone_are_found_together() {
         let mut c: Vec<Vec<f64>> = vec![Vec::new(); gains.len() + 3];
         for i in 0..n {
             for (k, b) in bodies.iter_mut().enumerate() {
-                let on = f64::from(u8::from((i / (37 + 9 * k)) % 2 == 0));
+                let on = f64::from(u8::from((i / (37 + 9 * k)).is_multiple_of(2)));
                 *b += (8.0 * on - *b) / (12.0 + 3.0 * k as f64);
             }
             let mut with = |v: f64| v + 0.02 * noise.normal();

@@ -169,7 +169,8 @@ fn doubt(term: &Term) -> Option<Doubt> {
     let sizes = (0..law.parameters.len()).filter(|i| law.parameters[*i].search == kind);
     let free: Vec<usize> = sizes.filter(|i| term.half[*i] > 0.0).collect();
     let zero = |i: &usize| term.effect.scalar(*i).abs() < term.half[*i];
-    let all = if free.len() == 1 { Doubt::OfAll } else { Doubt::OfEach };
+    // A wave's amplitude and phase are one size: at two places to a period neither is told alone, and the wave is there.
+    let all = if free.len() == 1 && kind == Search::Linear { Doubt::OfAll } else { Doubt::OfEach };
     (!free.is_empty() && free.iter().all(zero)).then_some(all)
 }
 

@@ -92,7 +92,7 @@ pub fn straightness(record: &Record) -> Result<Vec<Straightness>, InputError> {
         let expected = "one moving position.AXIS and the error across it, as position.x with error.y";
         return Err(lacks(record, "no error across an axis that moves", expected));
     }
-    pairs.into_iter().map(|(axis, across)| of(record, &axis, across)).collect()
+    pairs.iter().map(|(axis, across)| of(record, axis, across)).collect()
 }
 
 /// Least squares: offset and slope per mm.
@@ -111,7 +111,7 @@ fn off_line_um(points: &[(f64, f64)]) -> Option<f64> {
     range(points.iter().map(|(p, e)| e - offset - slope * p).map(|v| (v, v)))
 }
 
-fn of(record: &Record, axis: &Axis, across: Axis) -> Result<Straightness, InputError> {
+fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, InputError> {
     let empty: &[f64] = &[];
     let position = record.data(&Role::Position(axis.clone())).unwrap_or(empty);
     let error = record.data(&Role::Error(across.clone())).unwrap_or(empty);
