@@ -5,7 +5,7 @@ use crate::answer::Answer;
 use crate::hypotheses::Hypotheses;
 use crate::naming;
 use crate::problem::{Known, Stack, known, rms};
-use crate::search::{Found, Search, Set};
+use crate::search::{Found, Search};
 use crate::tuning::{bend, is_wave, moved, retune};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -108,7 +108,7 @@ impl Model {
         let mut moved = moved(&self.now, parameters, &beta);
         let bent = bend(stack, &self.now, &moved, parameters, &beta) / self.noise;
         let (residual, _) = search.residual(&found.any);
-        let change = self.change(search, &found.any, &residual);
+        let change = self.change(stack, &residual);
         let alone = stack.responses.len() == 1;
         let off = change.iter().any(|c| !SIZED.contains(c));
         if alone && off {
@@ -120,16 +120,11 @@ impl Model {
         (!last && (weigh || bent > STRAIGHT || tuned)).then_some(Pass { moved, change })
     }
 
-    /// Per response: by how much the noise is larger than was thought. Where several are weighed by it, what was fitted to a
-    /// response's rows would make it look certain, and more would be fitted to it the next time.
-    fn change(&self, search: &Search<'_, '_>, set: &Set, residual: &[f64]) -> Vec<f64> {
-        let stack = search.stack;
-        let alone = stack.responses.len() == 1;
+    fn change(&self, stack: &Stack<'_>, residual: &[f64]) -> Vec<f64> {
         let of = |j: usize| {
             let segments = stack.segments.iter().filter(|s| s.response == j);
             let rows: Vec<f64> = segments.flat_map(|s| &residual[s.rows.clone()]).copied().collect();
-            let free = if alone { 1.0 } else { 1.0 - search.crowd(set, j) };
-            (rms(&rows) / free.sqrt() / self.noise).clamp(0.02, 50.0)
+            (rms(&rows) / self.noise).clamp(0.02, 50.0)
         };
         (0..stack.responses.len()).map(of).collect()
     }

@@ -12,10 +12,8 @@ use std::ops::Range;
 /// Autocorrelation from row to row beyond which rows say the same thing over and over.
 const CLOSE: f64 = 0.8;
 
-/// Coefficients beside a response's rows: no fit of more says anything, as what is left of the rows is chosen for it.
-const MOST_CROWDED: f64 = 0.6;
-/// What more of them cost, nats: more than rows could ever say.
-const TOO_CROWDED: f64 = 1e6;
+/// Coefficients beside the rows: no fit of as many says anything.
+const MOST_CROWDED: f64 = 1.0 - 1e-12;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -53,7 +51,7 @@ pub(crate) struct Set {
     pub(crate) fits: Vec<AtPhi>,
     pub(crate) ids: Vec<usize>,
     /// Per response: how many coefficients it has there.
-    crowd: Vec<f64>,
+    pub(super) crowd: Vec<f64>,
     /// Which of its fits is the best.
     top: usize,
 }
@@ -128,19 +126,11 @@ impl Search<'_, '_> {
         0.5 * k * (1.0 + self.stack.n as f64 / k.max(1.0)).ln()
     }
 
-    /// A set's coefficients beside the rows of a response, as a share of these.
-    pub(crate) fn crowd(&self, set: &Set, response: usize) -> f64 {
-        (set.crowd[response] / self.rows_of[response].max(1) as f64).min(MOST_CROWDED)
-    }
-
     /// What so many coefficients of all explanations together cost in a response beyond that: where they are not few beside
     /// its rows, columns of noise shrink what is left of it by more than half a nat each.
     fn crowding(&self, response: usize, columns: f64) -> f64 {
         let nu = self.nu * self.rows_of[response] as f64 / self.stack.n as f64;
-        let share = columns / nu.max(1.0);
-        if share > MOST_CROWDED {
-            return TOO_CROWDED * share;
-        }
+        let share = (columns / nu.max(1.0)).min(MOST_CROWDED);
         -0.5 * nu * ((1.0 - share).ln() + share)
     }
 
