@@ -247,8 +247,10 @@ impl Probed {
     #[must_use]
     pub fn outside_um(&self, report: &ErrorReport, expected: &[Zx]) -> Option<f64> {
         let FittedShape::Line { normal, .. } = report.outline else { return None };
+        // What the errors leave of each point's distance: the line that they are from, not the mean of all, which a bump pulls.
         let off = self.tip_centre.iter().zip(expected).map(|(p, e)| (*p - *e).dot(normal) * 1e3);
-        Some(off.sum::<f64>() / self.tip_centre.len().min(expected.len()).max(1) as f64)
+        let line = off.zip(&report.errors).map(|(off, e)| off - e.error_um);
+        Some(line.sum::<f64>() / self.tip_centre.len().min(expected.len()).max(1) as f64)
     }
 
     /// Part errors of a feature probed with a tip of radius `tip_mm`.

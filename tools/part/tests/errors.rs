@@ -231,3 +231,23 @@ fn the_size_by_the_robust_fit_stands_beside() {
     let report = probed.errors(larger, 0.0).unwrap();
     assert!((report.robust.size_error_um.unwrap() - 10.0).abs() < 0.1, "{:?}", report.robust.size_error_um);
 }
+
+/// A cylinder 6 µm large with a bump on it: the size is what the bump's neighbours have, and size and error together are
+/// each point's distance from its expected place.
+#[test]
+fn size_and_errors_of_a_straight_feature_make_the_distance() {
+    let files = Files::new();
+    let bump = |k: i32| [12.0, 15.0, 12.0].get((k - 4) as usize).copied().unwrap_or(0.0);
+    let text = (0..12).fold("z_mm,x_mm,approach_z,approach_x\n".to_owned(), |mut text, k| {
+        let _ = writeln!(text, "{:.6},{:.6},0,-1", 10.0 + 5.0 * f64::from(k), 27.5 + (6.0 + bump(k)) * 1e-3);
+        text
+    });
+    let probed = Probed::read(&files.with("cy.csv", &text)).unwrap();
+    let expected: Vec<Zx> = (0..12).map(|k| Zx::new(10.0 + 5.0 * f64::from(k), 27.5)).collect();
+    let report = probed.errors(Nominal::Line { taper_deg: None }, 2.5).unwrap();
+    let size = probed.outside_um(&report, &expected).unwrap();
+    assert!((size - 6.0).abs() < 0.01, "{size}");
+    for (k, e) in report.errors.iter().enumerate() {
+        assert!((e.error_um + size - 6.0 - bump(k as i32)).abs() < 0.01, "point {k}: {e:?}");
+    }
+}

@@ -54,7 +54,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         before.sd_before_um,
         after.sd_before_um
     )];
-    let limit = args.limit_um.map(|limit_um| (limit_um, largest(&after) <= limit_um));
+    // A part of the right form and the wrong size is not the part.
+    let from_nominal = |r: &ErrorReport| {
+        let size_um = r.size_error_um.unwrap_or(0.0);
+        r.errors.iter().map(|e| (e.error_um + size_um).abs()).fold(0.0, f64::max)
+    };
+    if let Some(size_um) = after.size_error_um {
+        decisions.push(format!(
+            "size {size_um:+.2} µm; farthest from nominal, size and form together, {:.2} µm",
+            from_nominal(&after)
+        ));
+    }
+    let limit = args.limit_um.map(|limit_um| (limit_um, from_nominal(&after) <= limit_um));
     if let Some((limit_um, kept)) = limit {
         decisions.push(format!(
             "limit of {limit_um} µm {}",
@@ -73,7 +84,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     match limit {
         Some((limit_um, false)) => {
-            Err(Outcome::No(format!("{:.2} µm, more than {limit_um} µm", largest(&after))).into())
+            Err(Outcome::No(format!("{:.2} µm from nominal, more than {limit_um} µm", from_nominal(&after)))
+                .into())
         }
         _ => Ok(()),
     }

@@ -148,6 +148,7 @@ impl CountArgs {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let axes = args.counts.axes()?;
+    let (nose_mm, origin) = args.cut.tool()?;
     let feed_mm_s = positive("--feed-mm-min", args.feed_mm_min)? / 60.0;
     if !(args.lead_ms.is_finite() && args.lead_ms >= 0.0) {
         return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 or more"));
@@ -156,7 +157,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let off_mm = args.g01_um.map(|um| positive("--g01-um", um)).transpose()?.map(|um| um * 1e-3);
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
         FeatureErrors::Line(errors) => {
-            let (nose_mm, origin) = args.cut.tool()?;
             let table = LineTable { errors, axes, nose_mm, origin };
             let rows = table.rows(usize::from(args.between));
             let text = table.csv(&rows, lead_mm, args.backwards);
