@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 /// The daemon's exit code and what it said, where it is not to start.
@@ -78,7 +78,7 @@ fn from_start_to_correction_and_through_every_refusal() {
     daemon.expect(0, &["correct", "x", "-40"]);
     assert!(daemon.expect(1, &["correct", "x", "1001"]).contains("beyond max_correction_counts"));
     // Once outside the window: not believed; back inside: all is well.
-    assert!(daemon.expect(1, &["correct", "x", "500"]).contains("I don't believe you"));
+    assert!(daemon.expect(1, &["correct", "x", "500"]).contains("larger than window_counts"));
     daemon.expect(0, &["correct", "x", "-30"]);
     daemon.expect(0, &["correct", "x", "300", "--large"]);
     completed(&daemon, 300);
@@ -87,7 +87,7 @@ fn from_start_to_correction_and_through_every_refusal() {
     for _ in 0..2 {
         daemon.expect(1, &["correct", "x", "900"]);
     }
-    assert!(daemon.expect(4, &["correct", "x", "900"]).contains("I still don't believe you"));
+    assert!(daemon.expect(4, &["correct", "x", "900"]).contains("outside the belief window"));
     let text = daemon.expect(4, &["status"]);
     assert!(text.contains("mode FAULT") && text.contains("rtecctl clear"), "{text}");
     assert!(daemon.expect(4, &["correct", "x", "301"]).contains("a fault is latched"));
@@ -457,4 +457,79 @@ fn without_privileges_it_runs_and_says_what_is_missing() {
     daemon.expect(0, &["enable"]);
     daemon.expect(0, &["correct", "x", "2"]);
     completed(&daemon, 2);
+}
+
+/// Where there is nothing to correct with, to show or to wait for, the answer says so, and what to do.
+#[test]
+fn what_is_not_there_is_said_with_the_next_step() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(&directory.path().join("s"), None);
+    daemon.expect(0, &["home"]);
+    let enabled = daemon.user(&["enable"]);
+    let said = String::from_utf8(enabled.stderr).unwrap();
+    assert!(said.contains("no model is loaded") && said.contains("`rtecctl model load FILE`"), "{said}");
+    for (name, next) in [
+        ("model", "`rtecctl model load FILE`"),
+        ("model.name", "`rtecctl model load FILE`"),
+        ("table", "`rtecctl part load`"),
+        ("sensors", "`[[sensor]]`"),
+    ] {
+        let answer = daemon.expect(1, &["get", name]);
+        assert!(answer.contains("no ") && answer.contains(next) && !answer.contains("expected"), "{answer}");
+    }
+    daemon.expect(2, &["get", "modell"]);
+
+    // Whole insertions only: seven counts are six and one.
+    let seven = daemon.user(&["correct", "x", "7"]);
+    let said = String::from_utf8(seven.stderr).unwrap();
+    assert!(said.contains("+6 of +7 counts will be in effect, +1 is left"), "{said}");
+    completed(&daemon, 6);
+    let status = daemon.expect(0, &["status"]);
+    assert!(status.contains("x +6 of +7 (+1 left, less than one insertion)"), "{status}");
+    assert!(daemon.user(&["correct", "x", "8"]).stderr.is_empty());
+    completed(&daemon, 8);
+
+    // The list of captures ends with probing, whoever ends it.
+    for (captures, code) in [(None, 0), (Some("1000000"), 1)] {
+        let mut list = Command::new(program("rtecctl"));
+        list.args(["probe", "on", "--socket"]).arg(directory.path().join("s"));
+        list.args(captures.map(|n| ["--captures", n]).into_iter().flatten());
+        let list = list.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        until("probing", || daemon.status()["mode"] == "probe");
+        daemon.expect(0, &["probe", "off"]);
+        let list = list.wait_with_output().unwrap();
+        let said = String::from_utf8(list.stderr).unwrap();
+        assert_eq!(list.status.code(), Some(code), "{said}");
+        assert!(said.contains("probing has ended (mode run)"), "{said}");
+    }
+
+    // A record without a source of its own is the daemon's, found as every verb finds it.
+    let record = |socket: &[&str]| {
+        let mut record = Command::new(program("rtecctl"));
+        record.args([
+            "characterise",
+            "record",
+            "--out",
+            "r.run.toml",
+            "--duration",
+            "0.1",
+            "--period",
+            "0.05",
+        ]);
+        record.args(socket).env("RTEC_RUN_DIR", directory.path()).current_dir(directory.path());
+        let out = record.output().unwrap();
+        (out.status.code(), String::from_utf8(out.stderr).unwrap())
+    };
+    for socket in [&[][..], &["--socket"]] {
+        let (code, said) = record(socket);
+        assert!(code == Some(3) && said.contains("control"), "{code:?} {said}");
+    }
+    drop(daemon);
+    let daemon = Daemon::start(&directory.path().join("control.sock"), None);
+    daemon.expect(0, &["home"]);
+    for socket in [&[][..], &["--socket"]] {
+        let (code, said) = record(socket);
+        assert_eq!(code, Some(0), "{said}");
+    }
 }

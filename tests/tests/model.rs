@@ -53,13 +53,13 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
     daemon.expect(0, &["home"]);
     daemon.expect(0, &["enable"]);
     let text = daemon.expect(0, &["status"]);
-    assert!(text.contains("not correcting: the model") && text.contains("has not been taken yet"), "{text}");
+    assert!(text.contains("not correcting: the model") && text.contains("has not been loaded yet"), "{text}");
     until("both sensors", || daemon.expect(0, &["status"]).contains("sensors: 2 of 2 good"));
 
     // Shown, and not taken without a yes; a file that is none is an input error; nothing has moved.
     let text = daemon.expect(1, &["model", "load"]);
     assert!(
-        text.contains("not taken")
+        text.contains("nothing is loaded")
             && text.contains("z                 0        0.000          30       30.000"),
         "{text}"
     );
@@ -178,7 +178,7 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     std::fs::write(&path, changed).unwrap();
     let daemon = Daemon::start(&socket, Some(&file));
     let text = daemon.expect(0, &["status"]);
-    assert!(text.contains("is not the one that was taken (its hash is another)"), "{text}");
+    assert!(text.contains("is not the one that was loaded last (its hash is another)"), "{text}");
     assert!(daemon.status()["model"].is_null());
     ready(&daemon);
     daemon.expect(0, &["model", "load", "--yes"]);

@@ -91,7 +91,7 @@ fn one_value_and_a_document_a_line() {
     assert_eq!(get("protocol"), "1\n");
     assert!(get("rt.poll_gap_ns.p9999").trim().parse::<u64>().unwrap() > 0);
     assert!(daemon.expect(2, &["get", "axes.w.completed"]).contains("expected one of axes's x, y, z"));
-    assert!(daemon.expect(1, &["get", "model.sha256"]).contains("found"));
+    assert!(daemon.expect(1, &["get", "model.sha256"]).contains("no model is loaded"));
     let socket = directory.path().join("s");
     let mut watch = Command::new(program("rtecctl"))
         .args(["status", "--watch", "--json", "--every", "20ms", "--socket"])
@@ -175,7 +175,12 @@ fn refusals_say_their_figures_and_clear_what_it_released() {
     let _alone = alone();
     let (_directory, daemon) = corrected();
     let said = daemon.expect(1, &["correct", "x", "900"]);
-    assert!(said.contains("axis x: asked +900, now +20 counts, window 50: I don't believe you"), "{said}");
+    assert!(
+        said.contains(
+            "axis x: asked +900, now +20 counts, window 50: the change is larger than window_counts"
+        ),
+        "{said}"
+    );
     let said = daemon.expect(1, &["correct", "x", "1002"]);
     assert!(said.contains("at most 1000 either way"), "{said}");
     assert_eq!(daemon.expect(0, &["clear"]), "nothing was latched\n");
@@ -190,7 +195,7 @@ fn refusals_say_their_figures_and_clear_what_it_released() {
     for wanted in [
         "axis x homed\n",
         "Z mode run\n",
-        "axis x fault: still_not_believed: I still don't believe you",
+        "axis x fault: still_not_believed: three requests in a row were outside the belief window",
         "Z mode fault\n",
         "clear: done: latched before: axis x: still_not_believed",
         " home: done",

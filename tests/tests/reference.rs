@@ -3,8 +3,10 @@
 
 #![allow(clippy::unwrap_used)]
 
+use rtec_control::protocol::word;
 use rtec_measure::plausible::What;
 use rtec_model::record::{Axis, Kind, Role};
+use rtec_rt::event::Fault;
 use rtec_tests::daemon::program;
 use rtec_tests::root;
 use serde_json::Value;
@@ -196,4 +198,88 @@ fn every_family_of_metrics_stands_on_its_page() {
     let code = code.split("#[cfg(test)]").next().unwrap();
     let names: Vec<&str> = code.split('"').skip(1).step_by(2).filter(|t| t.starts_with("rtec_")).collect();
     all_stand("metrics.md", &names, 30);
+}
+
+/// The string literals of a source without its comments, joined over line ends, without backticks.
+fn literals(source: &str) -> Vec<String> {
+    let lines = source.lines().filter(|l| !l.trim_start().starts_with("//"));
+    let code = lines.collect::<Vec<_>>().join("\n").replace("\\\"", "”");
+    let inside = code.split('"').skip(1).step_by(2);
+    inside
+        .map(|text| {
+            let joined = text.split("\\\n").map(str::trim_start).collect::<String>();
+            joined.replace('`', "").replace('”', "\"")
+        })
+        .collect()
+}
+
+/// The parts of a text between its figures and names, which are `…` in the table.
+fn parts(text: &str) -> impl Iterator<Item = &str> {
+    text.split(['…', ':']).map(|p| p.trim_matches([' ', ';', ',', '.'])).filter(|p| p.len() > 5)
+}
+
+/// What the daemon refuses or reports, and the operator's chapter: every text of one is in the other.
+#[test]
+fn the_table_of_alarms_is_what_the_code_can_say() {
+    let page = source("tools/guide/operator/alarms.md");
+    let section =
+        |name: &str| page.split(&format!("\n## {name}")).nth(1).unwrap().split("\n## ").next().unwrap();
+    // The first cells of a section's rows, as code.
+    let first_cells = |name: &str| -> Vec<String> {
+        let rows = section(name).lines().filter_map(|l| l.strip_prefix("| `"));
+        let cells = rows.map(|row| format!("`{}", row.split(" | ").next().unwrap()));
+        cells.flat_map(|c| c.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>()).collect()
+    };
+    let faults: BTreeSet<String> = first_cells("Faults").into_iter().collect();
+    assert_eq!(faults, Fault::ALL.map(word).into(), "faults of the table and of the code");
+
+    let all = |files: &[&str]| files.iter().flat_map(|f| literals(&source(f))).collect::<Vec<_>>();
+    let words = source("tools/control/src/protocol/words.rs");
+    let refusals =
+        words.split("fn explain_refusal").nth(1).unwrap().split("fn explain_fault").next().unwrap();
+    let session = ["orders", "loads", "report"].map(|f| format!("tools/rtecd/src/session/{f}.rs"));
+    let mut said = all(&session.each_ref().map(String::as_str));
+    said.extend(literals(refusals));
+    // What is no refusal and no alarm: parts of others, logs, and requests that are wrong in themselves.
+    let other = [
+        "{",
+        "machine model",
+        "part table ",
+        "no machine model",
+        "found ",
+        "a restart ",
+        "rtecctl model validate it",
+        "there is no such axis",
+        "although expired",
+        "axis {}: asked",
+        "axis {}",
+        "no model is loaded: {why}",
+        "the model {file}",
+    ];
+    let rows: Vec<String> =
+        ["Reasons *not correcting*", "Sensors", "Refusals"].iter().flat_map(|s| first_cells(s)).collect();
+    let in_table = |text: &str| {
+        rows.iter().any(|row| {
+            let mut parts = parts(row).peekable();
+            parts.peek().is_some() && parts.all(|p| text.contains(p))
+        })
+    };
+    let lacking: Vec<&String> = (said.iter())
+        .filter(|text| text.contains(' ') && text.len() > 15 && !other.iter().any(|o| text.starts_with(o)))
+        .filter(|text| !in_table(text))
+        .collect();
+    assert!(lacking.is_empty(), "not in the table of alarms: {lacking:#?}");
+
+    said.extend(all(&[
+        "tools/rtecd/src/server.rs",
+        "tools/correct/src/corrector.rs",
+        "tools/correct/src/part_table.rs",
+        "tools/correct/src/sensors.rs",
+        "tools/correct/src/source.rs",
+        "tools/correct/src/total.rs",
+        "tools/model/src/machine/check.rs",
+    ]));
+    let never: Vec<&String> =
+        rows.iter().filter(|row| !parts(row).all(|p| said.iter().any(|text| text.contains(p)))).collect();
+    assert!(never.is_empty(), "in the table of alarms, but never said: {never:#?}");
 }

@@ -374,7 +374,7 @@ fn what_a_full_disk_does_not_remember_is_said_and_never_comes_back() {
     disk.fill();
     let said = daemon.expect(0, &["model", "load", "--yes"]);
     assert!(
-        said.contains("taken\n") && said.contains("a restart will not know which model was taken"),
+        said.contains("loaded\n") && said.contains("a restart will not know which model was loaded"),
         "{said}"
     );
     disk.free();

@@ -44,6 +44,24 @@ pub fn shared(file: &str) -> Option<PathBuf> {
     None
 }
 
+/// Compares what was made with the file that it should be; `RTEC_BLESS=1` writes the file anew.
+///
+/// # Panics
+/// At the first line that differs; the file cannot be written.
+#[track_caller]
+pub fn golden(file: &Path, made: &str) {
+    if std::env::var_os("RTEC_BLESS").is_some() {
+        let written =
+            file.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| std::fs::write(file, made));
+        assert!(written.is_ok(), "{}: {written:?}", file.display());
+    }
+    let there = std::fs::read_to_string(file).unwrap_or_default();
+    for (n, (made, there)) in made.lines().zip(there.lines()).enumerate() {
+        assert_eq!(made, there, "{}:{}: RTEC_BLESS=1 writes it anew", file.display(), n + 1);
+    }
+    assert_eq!(made, there, "{}: RTEC_BLESS=1 writes it anew", file.display());
+}
+
 /// Whether a program of a Debian package is there; where it is not, that is noted.
 #[must_use]
 pub fn installed(program: &str, package: &str) -> bool {

@@ -59,7 +59,7 @@ use rtec_driver::pci::PciId;
 use rtec_driver::profile::Profile;
 use rtec_files::toml::{At, Document, Section, SourceFile};
 use rtec_files::{InputError, nearest};
-use rtec_model::told::FileKind;
+use rtec_model::file_kind::FileKind;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::event::MAX_AXES;
 use std::fmt;

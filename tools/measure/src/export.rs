@@ -296,7 +296,8 @@ impl<'m> Errors<'m> {
                 Need::Coolant => Some("dry"),
                 Need::Angle | Need::Channel => Some("its channel at 0"),
             };
-            if let Some(cause) = part.effect.description().needs.iter().find_map(cause) {
+            let turned = part.effect.description().after_turn.then_some("far from where the axis turned");
+            if let Some(cause) = part.effect.description().needs.iter().find_map(cause).or(turned) {
                 doubts.push(format!("{} is in the table as it is {cause}", part.effect.name()));
             }
             if part.outside_k > 0.0 {

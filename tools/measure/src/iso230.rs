@@ -30,6 +30,40 @@ const ALIKE: f64 = 1e-4;
 /// Where it scatters by more, targets are told apart by distances so many times larger than those within one.
 const APART: f64 = 10.0;
 
+/// A place of a run, with the errors read there by the side that it was approached from.
+pub(crate) struct Place {
+    pub(crate) position_mm: f64,
+    pub(crate) up: Vec<f64>,
+    pub(crate) down: Vec<f64>,
+}
+
+/// The places of a run, in order; where no direction is known all is called upwards.
+pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64]) -> Vec<Place> {
+    let of = |rows: Vec<usize>| {
+        let side = |up: bool| -> Vec<f64> {
+            let on = |r: &&usize| direction.map_or(up, |d| if up { d[**r] > 0.0 } else { d[**r] < 0.0 });
+            rows.iter().filter(on).map(|r| error[*r]).collect()
+        };
+        let position_mm = rows.iter().map(|r| position[*r]).sum::<f64>() / rows.len() as f64;
+        Place { position_mm, up: side(true), down: side(false) }
+    };
+    targets(position).into_iter().map(of).collect()
+}
+
+/// A straight line y = a + b·x by least squares, with the standard deviation of what is left; none where x stands still.
+pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
+    let n = x.len() as f64;
+    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let xx: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
+    if x.len() < 3 || xx <= 0.0 {
+        return None;
+    }
+    let xy: f64 = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
+    let (b, a) = (xy / xx, my - xy / xx * mx);
+    let left: f64 = x.iter().zip(y).map(|(x, y)| (y - a - b * x).powi(2)).sum();
+    Some((a, b, (left / (n - 2.0)).sqrt()))
+}
+
 /// Rows of equal target, in order of position.
 pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
     let alike = alike(position, ALIKE);

@@ -77,6 +77,11 @@ impl Report {
         self.warnings.insert(at, if rows { format!("{text}; {KEPT}") } else { text.to_owned() });
     }
 
+    /// Adds a warning after the others.
+    pub fn warn(&mut self, text: &str) {
+        self.warnings.push(text.to_owned());
+    }
+
     fn new(title: &str, records: &[Record], conditions: &Conditions) -> Self {
         let mut facts = Vec::new();
         for r in records {

@@ -135,6 +135,11 @@ fn linuxcnc_files_of_both_types_mean_the_same_errors() {
     let trims = read("0 0 0\n10 -0.004 0.002 ; trim\n", true, Unit::Mm).unwrap();
     assert_eq!(data(&positions, "error.x"), [0.0, 4.0, -2.0, 0.0]);
     assert_eq!(data(&trims, "error.x")[1..3], [4.0, -2.0]);
+    // One type read as the other makes errors as large as the travel.
+    for (text, trims) in [("0 0 0\n10 10.004 9.998\n", true), ("0 0 0\n10 -0.004 0.002\n", false)] {
+        let e = read(text, trims, Unit::Mm).unwrap_err();
+        assert!(e.expected.contains("choose the other type"), "{e}");
+    }
     let inches = read("0 0 0\n1 1.0001 0.9999\n", false, Unit::Inch).unwrap();
     assert_eq!(data(&inches, "error.x"), [0.0, 2.54, -2.54, 0.0]);
     assert_eq!(data(&inches, "position.x"), [0.0, 25.4, 25.4, 0.0]);

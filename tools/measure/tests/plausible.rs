@@ -856,6 +856,43 @@ fn inches_on_a_circle_are_said() {
     assert_eq!(said(record(1.0 / 25.4)), [(What::Unit, "x".to_owned()), (What::Unit, "y".to_owned())]);
 }
 
+/// An angle in degrees whatever its steps are, and one that is not that of the positions.
+#[test]
+fn another_angle_on_a_circle_is_said() {
+    let record = |rows: u32, turns: f64, of: fn(f64) -> f64, positions: bool| {
+        let truth: Vec<f64> =
+            (0..rows).map(|i| TAU * turns * (f64::from(i) + 0.3) / f64::from(rows)).collect();
+        let place = |f: fn(f64) -> f64| truth.iter().map(|a| 150.0 * f(*a)).collect::<Vec<_>>();
+        let mut columns = vec![
+            column("a", "angle", truth.iter().map(|a| of(*a)).collect()),
+            column("e", "error.r", truth.iter().map(|a| 2.0 * (2.0 * a).sin() + (a * 97.0).sin()).collect()),
+        ];
+        if positions {
+            columns.push(column("x", "position.x", place(f64::cos)));
+            columns.push(column("y", "position.y", place(f64::sin)));
+        }
+        let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
+        let circle = rtec_model::circle::Circle { radius_mm: 150.0, plane };
+        record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
+    };
+    let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
+    let is = |what: What| vec![(what, "a".to_owned())];
+    for rows in [500, 777, 7200] {
+        for turns in [0.5, 1.0, 2.0] {
+            for positions in [false, turns > 0.9] {
+                assert_eq!(said(record(rows, turns, |a| a, positions)), [], "{rows} {turns}");
+                let degrees = record(rows, turns, f64::to_degrees, positions);
+                assert_eq!(said(degrees), is(What::Unit), "{rows} {turns} {positions}");
+            }
+        }
+    }
+    // From another axis, the other way round; late by a third of a degree is none.
+    assert_eq!(said(record(720, 2.0, |a| a + 0.005, true)), []);
+    assert_eq!(said(record(720, 2.0, |a| a + TAU, true)), []);
+    assert!(said(record(720, 2.0, |a| a + TAU / 4.0, true)).contains(&is(What::Swapped)[0]));
+    assert!(said(record(720, 2.0, |a| -a, true)).contains(&is(What::Swapped)[0]));
+}
+
 /// A gauge that stands for a stretch, and two sensors in each other's place, in one of two records or on the way: most are said, and
 /// their clean twins are not.
 #[test]

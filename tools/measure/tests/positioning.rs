@@ -283,6 +283,65 @@ fn body_diagonals_give_squareness() {
     }
 }
 
+/// A device that counts from the diagonal's other end: its direction says so, or what is assumed is said.
+#[test]
+fn a_diagonal_may_be_logged_from_its_other_end() {
+    let (size, xy) = ([400.0_f64, 300.0], 25.0);
+    let d = size[0].hypot(size[1]);
+    // Along x = ±y; the device counts up from share 0, where y is low or high.
+    let one = |x_way: f64, y_way: f64, said: &str| {
+        let rows = cycles(&uneven(1.0, 9).into_iter().map(|s| s.min(1.0)).collect::<Vec<_>>(), 5);
+        let of = |f: &dyn Fn((f64, f64)) -> f64| rows.iter().copied().map(f).collect::<Vec<f64>>();
+        let at = |way: f64, s: f64, size: f64| size * if way > 0.0 { s } else { 1.0 - s };
+        // e_x = xy·y, from the place where the device starts; 1 µm of reversal along the device.
+        let error = |(s, dir): (f64, f64)| {
+            let y = at(y_way, s, size[1]) - at(y_way, 0.0, size[1]);
+            xy * y / 1000.0 * x_way * size[0] / d + dir
+        };
+        let mut columns = vec![
+            column("x", "position.x", of(&|r| at(x_way, r.0, size[0]))),
+            column("y", "position.y", of(&|r| at(y_way, r.0, size[1]))),
+            column("e", "error.r", of(&error)),
+        ];
+        let way = if said == "direction.r" { 1.0 } else { y_way };
+        columns.push(column("d", said, of(&|r| r.1 * way)));
+        Record::new(Path::new("d.run.toml"), Kind::Positioning, columns).unwrap()
+    };
+    for [a, b] in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
+        // The diagonal where both rise together, and the other one.
+        let records = [one(a, a, "direction.r"), one(b, -b, "direction.r")];
+        let found = diagonals(&records, &Options::default()).unwrap();
+        let got = found.squareness_urad["x.y"];
+        assert!((got - xy).abs() < 0.01, "{a} {b}: {got}");
+        assert!((found.b_d.unwrap().abs() - 2.0).abs() < 1e-9, "{:?}", found.b_d);
+        assert!(!found.warnings.iter().any(|w| w.contains("taken as positive")), "{:?}", found.warnings);
+    }
+    // Sorted by target, the rows do not say how the device counts.
+    let sorted = |way: f64| {
+        let mut r = one(1.0, way, "direction.r");
+        let mut order: Vec<usize> = (0..r.rows()).collect();
+        let (y, dir) = (r.columns[1].data.clone(), r.columns[3].data.clone());
+        order.sort_by(|a, b| (y[*a], dir[*a] * way).partial_cmp(&(y[*b], dir[*b] * way)).unwrap());
+        for c in &mut r.columns {
+            let turned = if way < 0.0 && ["e", "d"].contains(&c.name.as_str()) { -1.0 } else { 1.0 };
+            c.data = order.iter().map(|k| turned * c.data[*k]).collect();
+        }
+        Record::new(Path::new("d.run.toml"), Kind::Positioning, r.columns).unwrap()
+    };
+    let found = diagonals(&[sorted(1.0), sorted(-1.0)], &Options::default()).unwrap();
+    assert!((found.squareness_urad["x.y"] - xy).abs() < 0.01, "{:?}", found.squareness_urad);
+    // An axis across the diagonal is not along it.
+    let mut across = one(1.0, 1.0, "direction.y");
+    across.columns[2].role = Role::parse("error.z").unwrap();
+    let e = diagonals(&[across], &Options::default()).unwrap_err();
+    assert!(e.found.contains("no error along the diagonal"), "{e}");
+    let assumed = |y_way: f64| {
+        let found = diagonals(&[one(y_way, y_way, "direction.y")], &Options::default()).unwrap();
+        found.warnings.iter().any(|w| w.contains("error.r is taken as positive with y"))
+    };
+    assert!(assumed(-1.0) && !assumed(1.0));
+}
+
 #[test]
 fn what_is_no_diagonal_is_refused() {
     let e = diagonals(&[noisy(&cycles(&uneven(800.0, 9), 5))], &Options::default()).unwrap_err();

@@ -10,7 +10,7 @@
 //! | `role` | what a column is: its role and axis |
 //! | [`circle`] | a circular run measured by a bar: what its angle says of the two axes |
 //! | [`date`] | calendar days |
-//! | [`told`] | which of the program's files a text is, where another one was asked for |
+//! | [`file_kind`] | which of the program's files a text is, where another one was asked for |
 //!
 //! What must not live here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`), counts, ramps
 //! and limits (`rtec-correct`).
@@ -21,9 +21,9 @@ pub mod chain;
 pub mod circle;
 pub mod date;
 pub mod effect;
+pub mod file_kind;
 pub mod limits;
 pub mod live;
 pub mod machine;
 pub mod record;
 mod role;
-pub mod told;

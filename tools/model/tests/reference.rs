@@ -30,14 +30,7 @@ fn the_page_of_effects_is_what_the_dictionary_says() {
     }
     assert_eq!(laws, 30);
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../guide/reference/effects.md");
-    if std::env::var_os("RTEC_BLESS").is_some() {
-        std::fs::write(&file, &page).unwrap();
-    }
-    let written = std::fs::read_to_string(&file).unwrap_or_default();
-    for (n, (made, there)) in page.lines().zip(written.lines()).enumerate() {
-        assert_eq!(made, there, "{}:{}: RTEC_BLESS=1 writes the page anew", file.display(), n + 1);
-    }
-    assert_eq!(page, written, "{}: RTEC_BLESS=1 writes the page anew", file.display());
+    test_needs::golden(&file, &page);
 }
 
 fn name(law: &Description) -> String {
@@ -123,7 +116,7 @@ fn describe(page: &mut String, law: &Description) {
             "| `sensor` | name | | | | its temperature is the first of the difference ΔT |\n\
              | `minus` | name | | | | ΔT = sensor − minus; not together with `reference_degC` |\n\
              | `reference_degC` | °C | | | 20 | ΔT = sensor − this |\n\
-             | `range_K` | [K, K] | | | | the range of ΔT that it was fitted on; beyond it, it stays as at its end |\n",
+             | `range_K` | [K, K] | | | | the range of ΔT that it was fitted on; beyond it, ΔT counts as at its end, and live the effect fades out as well |\n",
         );
     }
     if law.lag.is_some() {

@@ -1,7 +1,7 @@
 //! The post-process loop: a batch measured on a coordinate measuring machine against nominal. What is systematic is
 //! offered as a change, with its statistics; nothing is applied (NISTIR 4854, section 1).
 
-use crate::cor::{MOST_RAD, MOST_UM, PointError};
+use crate::cor::{MOST_RAD, MOST_UM, PointError, turned_near};
 use rtec_files::InputError;
 use rtec_files::Sheet;
 use serde::Serialize;
@@ -69,13 +69,23 @@ pub struct Judgement {
     pub least_um: f64,
 }
 
+/// A change of one feature's table.
+#[derive(Debug, Clone, Serialize)]
+pub struct Offered {
+    /// Name of the feature, as the file has it.
+    pub feature: String,
+    /// The error to add at an angle.
+    #[serde(flatten)]
+    pub error: PointError,
+}
+
 /// A batch of parts, judged place by place.
 #[derive(Debug, Clone, Serialize)]
 pub struct Batch {
     /// Every place, features and angles ascending.
     pub places: Vec<PlaceStatistics>,
     /// Systematic errors by angle: to be added to the table's errors, if the user decides so.
-    pub offer_table: Vec<PointError>,
+    pub offer_table: Vec<Offered>,
     /// What is offered and to whom, in words.
     pub offers: Vec<String>,
 }
@@ -84,7 +94,8 @@ pub struct Batch {
 /// errors that probing on the machine found on the same feature.
 ///
 /// # Errors
-/// A bad file; a place measured twice on one part; fewer than three parts at a place.
+/// A bad file; a place measured twice on one part; fewer than three parts at a place; several features beside the one
+/// that was `seen`.
 pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
     evaluate_text(file, &rtec_files::text::read(file)?, seen, judgement)
 }
@@ -100,7 +111,21 @@ pub fn evaluate_text(
     judgement: Judgement,
 ) -> Result<Batch, InputError> {
     let series = read(file, text)?;
+    if let (Some(_), Some(other)) = (seen, series.iter().find(|s| s.feature != series[0].feature)) {
+        let found = format!("the features {} and {}", series[0].feature, other.feature);
+        return Err(InputError::whole(file, found, "the one that was inspected: its rows alone"));
+    }
     let mut places: Vec<PlaceStatistics> = series.iter().map(|s| statistics(s, seen)).collect();
+    if seen.is_some() && places.iter().all(|p| p.seen_on_machine_um.is_none()) {
+        let ends = |angles: &mut dyn Iterator<Item = f64>| {
+            let (low, high) = angles.fold((f64::MAX, f64::MIN), |(l, h), a| (l.min(a), h.max(a)));
+            if low > high { "no angle".to_owned() } else { format!("angle_rad {low:.3} to {high:.3}") }
+        };
+        let found = ends(&mut places.iter().filter_map(|p| p.angle_rad));
+        let inspected = ends(&mut seen.into_iter().flatten().map(|e| e.angle_rad));
+        let expected = format!("places that were inspected, {inspected}, within 0.05 rad");
+        return Err(InputError::whole(file, found, expected));
+    }
     let means: Vec<f64> = places.iter().map(|p| p.p_value).collect();
     let trends: Vec<f64> = places.iter().map(|p| p.trend_p_value).collect();
     let (means, trends) = (holm(&means), holm(&trends));
@@ -119,10 +144,13 @@ pub fn evaluate_text(
             BatchFinding::Nothing
         };
     }
-    let offer_table: Vec<PointError> = places
+    let offer_table = places
         .iter()
         .filter(|p| p.finding == BatchFinding::Systematic)
-        .filter_map(|p| Some(PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None }))
+        .filter_map(|p| {
+            let error = PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None };
+            Some(Offered { feature: p.feature.clone(), error })
+        })
         .collect();
     let offers = places.iter().filter_map(offer).collect();
     Ok(Batch { places, offer_table, offers })
@@ -133,18 +161,40 @@ fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
     let sheet = Sheet::parse(file, text, &known, |_| false)?;
     let (parts, features) = (sheet.words("part")?, sheet.words("feature")?);
     let angles = sheet.optional("angle_rad")?;
-    let errors = if let Some(errors) = sheet.optional("error_um")? {
-        errors
-    } else {
-        let nominal = sheet.numbers("nominal_mm")?;
-        sheet.numbers("measured_mm")?.iter().zip(nominal).map(|(m, n)| (m - n) * 1e3).collect()
+    let given = sheet.optional("error_um")?;
+    let worked_out = |nominal: Vec<f64>| -> Result<Vec<f64>, InputError> {
+        Ok(sheet.numbers("measured_mm")?.iter().zip(nominal).map(|(m, n)| (m - n) * 1e3).collect())
     };
-    for (name, column, most, unit) in
-        [("error", Some(&errors), MOST_UM, "µm"), ("angle", angles.as_ref(), MOST_RAD, "rad")]
-    {
-        if let Some(row) = column.and_then(|c| c.iter().position(|v| v.abs() > most)) {
-            let expected = format!("{name}s within ±{most} {unit}: more is another part");
-            return Err(sheet.finding(row, format!("a larger {name}"), expected));
+    let errors = match (given, sheet.optional("nominal_mm")?) {
+        (Some(given), Some(nominal)) if sheet.names().iter().any(|n| n == "measured_mm") => {
+            let errors = worked_out(nominal)?;
+            if let Some(row) = (0..given.len()).find(|&k| (given[k] - errors[k]).abs() > ROUNDING_UM) {
+                let found = format!(
+                    "an error_um of {} beside measured minus nominal of {:.3} µm",
+                    given[row], errors[row]
+                );
+                return Err(sheet.finding(
+                    row,
+                    found,
+                    "the same error, measured minus nominal; or one of the two alone",
+                ));
+            }
+            given
+        }
+        (Some(given), _) => given,
+        (None, _) => worked_out(sheet.numbers("nominal_mm")?)?,
+    };
+    for (name, column, most, expected) in [
+        ("error", Some(&errors), MOST_UM, format!("errors within ±{MOST_UM} µm: more is another part")),
+        (
+            "angle",
+            angles.as_ref(),
+            MOST_RAD,
+            format!("angles in rad, within ±{MOST_RAD}; are these degrees?"),
+        ),
+    ] {
+        if let Some((row, v)) = column.and_then(|c| c.iter().enumerate().find(|(_, v)| v.abs() > most)) {
+            return Err(sheet.finding(row, format!("a larger {name}, {v}"), expected));
         }
     }
     // Angles are keys by their micro-radians: what a file repeats is the same place.
@@ -172,6 +222,9 @@ fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
     Ok(groups.into_values().map(|(s, _)| s).collect())
 }
 
+/// Nominal, measured and error, each rounded to a micrometre, differ by no more.
+const ROUNDING_UM: f64 = 1.6;
+
 /// Two-sided probability of a t this large by chance.
 fn two_sided(t: f64, freedom: usize) -> f64 {
     match StudentsT::new(0.0, 1.0, freedom as f64) {
@@ -193,7 +246,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let rest: f64 = e.iter().enumerate().map(|(k, v)| (v - mean - slope * (k as f64 - middle)).powi(2)).sum();
     let slope_error = (rest / (n.saturating_sub(2).max(1)) as f64 / square).sqrt();
     let seen_on_machine_um = series.angle_rad.zip(seen).and_then(|(angle, seen)| {
-        let at = |e: &&PointError| (e.angle_rad - angle).abs();
+        let at = |e: &&PointError| (e.angle_rad - turned_near(angle, e.angle_rad)).abs();
         seen.iter().min_by(|a, b| at(a).total_cmp(&at(b))).filter(|e| at(e) < 0.05).map(|e| e.error_um)
     });
     PlaceStatistics {

@@ -3,13 +3,14 @@
 use crate::fit::Zx;
 use rtec_files::InputError;
 use serde::Serialize;
+use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
 use std::path::Path;
 
 /// The error of one point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PointError {
-    /// Direction of the surface normal from the part's +Z axis, in rad.
+    /// Direction of the surface normal from the part's +Z axis, in rad; along an arc it goes on past ±π.
     pub angle_rad: f64,
     /// Deviation along that normal, in µm; positive: too much material outside.
     pub error_um: f64,
@@ -20,12 +21,21 @@ pub struct PointError {
 
 /// A part's error is no larger, µm: a form that is 10 mm off is another part (as the bounds of `form_bump` have it).
 pub(crate) const MOST_UM: f64 = 10_000.0;
-/// Angles of a part are within some turns.
-pub(crate) const MOST_RAD: f64 = 1e3;
+/// A whole turn, rounded up: larger angles are degrees.
+pub(crate) const MOST_RAD: f64 = 6.3;
 /// A kilometre: the bounds of every position, mm.
 pub(crate) const MOST_MM: f64 = 1e6;
 /// So far may a straight feature's places be off the line that its normal says, as a share of its length.
 const ASKEW: f64 = 0.01;
+
+/// A gap between two points' angles that no arc has: its ends, out of order.
+const NO_ARC_RAD: f64 = PI;
+
+/// The same direction, at most half a turn from another.
+pub(crate) fn turned_near(angle_rad: f64, to_rad: f64) -> f64 {
+    let off = angle_rad - to_rad;
+    if off.abs() <= PI { angle_rad } else { to_rad + (off + PI).rem_euclid(TAU) - PI }
+}
 
 /// A feature's errors as an `error.cor` holds them.
 #[derive(Debug, Clone, PartialEq)]
@@ -115,7 +125,7 @@ impl Row<'_> {
             return Ok(());
         }
         let expected = format!(
-            "an angle within ±{MOST_RAD} rad and an error within ±{MOST_UM} µm: more is another part"
+            "an angle in rad, within ±{MOST_RAD} (are these degrees?), and an error within ±{MOST_UM} µm"
         );
         Err(InputError::at(file, self.line, 1, self.text(), expected))
     }
@@ -137,6 +147,11 @@ fn arc_of(file: &Path, rows: &[Row]) -> Result<Vec<PointError>, InputError> {
         if errors.last().is_some_and(|e| e.angle_rad >= angle_rad) {
             let found = format!("angle {angle_rad} after a larger or equal one");
             return Err(InputError::at(file, row.line, 1, found, "ascending angles"));
+        }
+        if let Some(before) = errors.last().filter(|e| angle_rad - e.angle_rad > NO_ARC_RAD) {
+            let found = format!("angle {angle_rad} after {}, more than half a turn", before.angle_rad);
+            let expected = "angles that go on along the arc, past 3.1416 where it does";
+            return Err(InputError::at(file, row.line, 1, found, expected));
         }
         errors.push(PointError { angle_rad, error_um, along_mm: None });
     }

@@ -85,12 +85,15 @@ impl ErrorReport {
     }
 }
 
-/// Read a drawing's contour and the unit its coordinates are in.
+/// The unit that a drawing's header names.
 ///
 /// # Errors
-/// No DXF, unknown units, an entity that is no part of a contour (or without length, or below the axis, or out of the
-/// plane), an entity that is there twice, a contour with a gap, a branch or in several pieces.
-pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
+/// No DXF.
+pub fn header_unit(file: &Path) -> Result<Option<Unit>, InputError> {
+    Ok(unit_of_header(load(file)?.1.header.default_drawing_units))
+}
+
+fn load(file: &Path) -> Result<(Vec<u8>, Drawing), InputError> {
     let bytes = rtec_files::text::bytes(file).map_err(|e| {
         InputError::whole(file, format!("an unreadable file ({})", e.found), "a readable DXF file")
     })?;
@@ -99,6 +102,16 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
         let line = found.rsplit("line/offset ").next().and_then(|n| n.trim().parse().ok()).unwrap_or(0);
         InputError::at(file, line, 0, found, "a DXF drawing")
     })?;
+    Ok((bytes, drawing))
+}
+
+/// Read a drawing's contour and the unit its coordinates are in.
+///
+/// # Errors
+/// No DXF, unknown units, an entity that is no part of a contour (or without length, or below the axis, or out of the
+/// plane), an entity that is there twice, a contour with a gap, a branch or in several pieces.
+pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
+    let (bytes, drawing) = load(file)?;
     let unit =
         options.unit.or_else(|| unit_of_header(drawing.header.default_drawing_units)).ok_or_else(|| {
             let found = format!("unknown units ($INSUNITS: {:?})", drawing.header.default_drawing_units);

@@ -1,15 +1,18 @@
 //! Part errors from probed points: probe tip, geometric-thermal correction, fit, `error.cor` and whiskers
 //! (NISTIR 4854, section 3).
 
-use crate::cor::{PointError, error_cor};
+use crate::cor::{PointError, error_cor, turned_near};
 use crate::fit::{self, FitError, FitShape, FittedShape, Zx, sequence};
+use crate::path::{PathPoint, touches};
 use crate::svg::Svg;
 use rtec_files::InputError;
 use rtec_files::Sheet;
+use rtec_model::effect::{Effect, Need};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
 use serde::Serialize;
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -98,6 +101,9 @@ pub struct ErrorReport {
     pub robust: RobustSummary,
     /// Errors of all points about the second fit, in the order of the rows.
     pub errors: Vec<PointError>,
+    /// Touched from inside: a fillet or a groove, whose nose runs inside it.
+    #[serde(skip)]
+    pub hollow: bool,
     #[serde(skip)]
     outline: FittedShape,
 }
@@ -124,6 +130,14 @@ impl Probed {
         };
         let tip_centre = pair("z_mm", "x_mm")?;
         let has = |name: &str| sheet.names().iter().any(|n| n == name);
+        if has("feature") {
+            // One call has one radius, one tip and one side.
+            let names = sheet.words("feature")?;
+            if let Some(row) = names.iter().position(|n| *n != names[0]) {
+                let found = format!("a point of {} among those of {}", names[row], names[0]);
+                return Err(sheet.finding(row, found, "the points of one feature: a file for each"));
+            }
+        }
         let approach = if has("approach_z") || has("approach_x") {
             let mut unit = Vec::with_capacity(sheet.len());
             for (row, d) in pair("approach_z", "approach_x")?.into_iter().enumerate() {
@@ -181,10 +195,24 @@ impl Probed {
         Ok(())
     }
 
+    /// Effects of a model that read what the points do not record, which counts as none (of the time: the row's number).
+    #[must_use]
+    pub fn read_blind(&self, machine: &Machine) -> Vec<String> {
+        let timed = self.sheet.names().iter().any(|n| n == "t_s");
+        let blind = |need: &Need| match need {
+            Need::Position(_) | Need::Delta | Need::Channel => false,
+            Need::Direction => self.approach.is_none(),
+            Need::Time => !timed,
+            _ => true,
+        };
+        machine.effects().filter(|e| e.description().needs.iter().any(blind)).map(Effect::name).collect()
+    }
+
     /// Is each trip where it was expected? `expected` are the tip's centres at the nominal part.
     ///
     /// # Errors
-    /// A missing or surplus point, or the first trip further than `window_mm` from its place; both name the point.
+    /// A missing or surplus point, or the first trip further than `window_mm` from its place; both name the point. Where the
+    /// trips would be in their places read otherwise, it says how.
     pub fn check_expected(&self, expected: &[Zx], window_mm: f64) -> Result<(), InputError> {
         if self.tip_centre.len() != expected.len() {
             let away = self.tip_centre.iter().zip(expected).position(|(p, e)| (*p - *e).norm() > window_mm);
@@ -200,10 +228,30 @@ impl Probed {
             let off_mm = (p - e).norm();
             if off_mm > window_mm {
                 let found = format!("point {} tripped {off_mm:.3} mm from its expected place", row + 1);
-                return Err(self.sheet.finding(row, found, format!("a trip within {window_mm} mm")));
+                let hint = self.otherwise(expected, window_mm).map_or_else(String::new, |h| format!(": {h}"));
+                return Err(self.sheet.finding(row, found, format!("a trip within {window_mm} mm{hint}")));
             }
         }
         Ok(())
+    }
+
+    /// The slip that puts every trip into its place, and what it would be.
+    fn otherwise(&self, expected: &[Zx], window_mm: f64) -> Option<&'static str> {
+        const INCH: f64 = 25.4;
+        type Slip = fn(Zx) -> Zx;
+        let slips: [(&str, Slip); 4] = [
+            ("with z_mm and x_mm exchanged every trip is", |p| Zx::new(p.x, p.z)),
+            ("with half of x_mm every trip is; are these diameters?", |p| Zx::new(p.z, p.x / 2.0)),
+            (
+                "with 25.4 times the places expected every trip is; are they in inches (--path-units inch)?",
+                |p| p * (1.0 / INCH),
+            ),
+            ("with 25.4 times the points every trip is; are they in inches?", |p| p * INCH),
+        ];
+        let fits = |slip: Slip| {
+            self.tip_centre.iter().zip(expected).all(|(p, e)| (slip(*p) - *e).norm() <= window_mm)
+        };
+        slips.into_iter().find(|(_, slip)| fits(*slip)).map(|(said, _)| said)
     }
 
     /// Do the points lie on a straight line rather than on an arc? A circle that explains them hardly better than a line is
@@ -270,22 +318,19 @@ impl Probed {
         };
         let points = &self.tip_centre;
         let mut two = fit::two_step(shape, points).map_err(as_input)?;
-        let robust = fit::robust(shape, points).map_err(as_input)?;
+        let mut robust = fit::robust(shape, points).map_err(as_input)?;
         let side = self.side(&two.fitted)?;
-        if shape == FitShape::Line && side < 0.0 {
-            // A straight feature faces the probe.
-            two.fitted = two.fitted.turned();
-            two.errors_um.iter_mut().for_each(|e| *e = -*e);
+        if let FittedShape::Line { normal, .. } = two.fitted {
+            // A straight feature faces the probe, by both fits: a face's normal may come out of either one either way.
+            let outward = normal * side;
+            face(outward, &mut two.fitted, &mut two.errors_um);
+            face(outward, &mut robust.fitted, &mut robust.errors_um);
         }
         let tip = if shape == FitShape::Line { tip_mm } else { side * tip_mm };
         let surface = moved(&two.fitted, -tip);
         let (centre_mm, radius_mm) = place(&surface);
-        let robust_surface = moved(
-            &if shape == FitShape::Line && side < 0.0 { robust.fitted.turned() } else { robust.fitted },
-            -tip,
-        );
-        let sign = if shape == FitShape::Line { side } else { 1.0 };
-        let errors: Vec<PointError> = points
+        let robust_surface = moved(&robust.fitted, -tip);
+        let mut errors: Vec<PointError> = points
             .iter()
             .zip(&two.errors_um)
             .map(|(&p, &error_um)| {
@@ -300,6 +345,19 @@ impl Probed {
                 }
             })
             .collect();
+        if shape == FitShape::Circle {
+            // A fillet's angles may cross ±π: they go on along the arc, from its one end to the other.
+            let order = sequence(&two.fitted, points);
+            for pair in order.windows(2) {
+                let turns = ((errors[pair[0]].angle_rad - errors[pair[1]].angle_rad) / TAU).ceil();
+                errors[pair[1]].angle_rad += turns * TAU;
+            }
+            let middle = f64::midpoint(errors[order[0]].angle_rad, errors[order[order.len() - 1]].angle_rad);
+            let back = turned_near(middle, 0.0) - middle;
+            for e in &mut errors {
+                e.angle_rad += back;
+            }
+        }
         let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
         let inclination_deg = match surface {
             FittedShape::Line { normal, .. } => {
@@ -344,16 +402,68 @@ impl Probed {
                 },
                 scale_um: robust.scale_um,
                 down_weighted: (0..points.len()).filter(|&i| robust.weights[i] < 0.5).collect(),
-                errors_um: robust.errors_um.iter().map(|e| e * sign).collect(),
+                errors_um: robust.errors_um,
             },
             errors,
+            hollow: shape == FitShape::Circle && side < 0.0,
             outline: surface,
         })
     }
 
-    /// +1: probed from outside (against the normal), −1: from inside.
+    /// Take the directions of motion at the trips from the probe's path, for points recorded without them.
+    ///
+    /// # Errors
+    /// Another number of touches than of points; a direction that is not the recorded one.
+    pub fn touched_by(&mut self, path: &[Zx]) -> Result<(), InputError> {
+        if path.len() != self.tip_centre.len() {
+            let found = format!("{} points for a path of {} touches", self.tip_centre.len(), path.len());
+            return Err(InputError::whole(self.sheet.file(), found, "one point for each touch"));
+        }
+        let recorded = self.approach.get_or_insert_with(|| path.to_vec());
+        if let Some(row) = recorded.iter().zip(path).position(|(own, path)| own.dot(*path) < ALONG) {
+            let expected = "the direction of the probe's path: is it the path of these points?";
+            return Err(self.sheet.finding(row, "an approach in another direction", expected));
+        }
+        Ok(())
+    }
+
+    /// Checks that each point lies on the way of its touch.
+    ///
+    /// # Errors
+    /// A point beside the way of its touch or behind its end: of another path, another side or another unit.
+    pub fn met_on(&self, path: &[PathPoint]) -> Result<(), InputError> {
+        for (row, ([start, end], p)) in touches(path).zip(&self.tip_centre).enumerate() {
+            let whole = end - start;
+            let Some(unit) = whole.unit() else { continue };
+            let along = (*p - start).dot(unit);
+            let beside = (*p - start - unit * along).norm();
+            if beside > OFF_WAY_MM || along < -OFF_WAY_MM || along > whole.norm() + PAST_MM {
+                let found = format!(
+                    "a point {beside:.1} mm beside the way of its touch, {:.1} mm before its end",
+                    whole.norm() - along
+                );
+                let expected =
+                    "a trip on the way: is it the path of these points, in the unit of --path-units?";
+                return Err(self.sheet.finding(row, found, expected));
+            }
+        }
+        Ok(())
+    }
+
+    /// +1: probed from outside (against the normal), −1: from inside. Without approaches from outside, which of a face
+    /// nobody can tell: its normal's sign would be that of its tilt.
     fn side(&self, fitted: &FittedShape) -> Result<f64, InputError> {
-        let Some(approach) = &self.approach else { return Ok(1.0) };
+        let Some(approach) = &self.approach else {
+            return match *fitted {
+                FittedShape::Line { normal, .. } if normal.x.abs() < FACE => {
+                    let found = "the points of a face without the direction of the touches: which side of it is the part's \
+                                 cannot be told";
+                    let expected = "columns approach_z,approach_x, or the probe's path (--path PATHFIN.CDL)";
+                    Err(InputError::whole(self.sheet.file(), found, expected))
+                }
+                _ => Ok(1.0),
+            };
+        };
         let mut side = 0.0;
         for (row, (&d, &p)) in approach.iter().zip(&self.tip_centre).enumerate() {
             let against = -d.dot(fitted.normal_at(p));
@@ -367,6 +477,24 @@ impl Probed {
             side = against.signum();
         }
         Ok(side)
+    }
+}
+
+/// A part stands no further from where its path expects it, mm; and no trip comes later than a touch's end by more.
+const OFF_WAY_MM: f64 = 5.0;
+const PAST_MM: f64 = 1.0;
+/// A straight feature whose normal has less than this across the part's axis is a face: within 10° of square to it.
+const FACE: f64 = 0.17;
+/// Directions within 26° are one: a path's numbers are rounded, a recorded direction may be the nominal one.
+const ALONG: f64 = 0.9;
+
+/// Turn a line's normal, and the deviations along it, to the side that is outward.
+fn face(outward: Zx, fitted: &mut FittedShape, errors_um: &mut [f64]) {
+    if matches!(*fitted, FittedShape::Line { normal, .. } if normal.dot(outward) < 0.0) {
+        *fitted = fitted.turned();
+        for e in errors_um {
+            *e = -*e;
+        }
     }
 }
 

@@ -180,7 +180,14 @@ impl Plan {
                 Some(place) if (place.at - p).norm() <= off_mm => self.add(place),
                 _ => {
                     let found = format!("({z}, {x}), which is not on the contour");
-                    return Err(sheet.finding(row, found, format!("a point within {off_mm} mm of it")));
+                    let exchanged = Zx::new(x, z);
+                    let near = |q: SurfacePlace| (q.at - exchanged).norm() <= off_mm;
+                    let hint = if contour.nearest(exchanged).is_some_and(near) {
+                        ": with z_mm and x_mm exchanged it is"
+                    } else {
+                        ""
+                    };
+                    return Err(sheet.finding(row, found, format!("a point within {off_mm} mm of it{hint}")));
                 }
             }
         }
@@ -394,6 +401,18 @@ pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputErro
         }
     }
     Ok(records.into_iter().map(|(_, r)| r).collect())
+}
+
+/// Direction of motion of each touch of a path.
+#[must_use]
+pub fn approaches(records: &[PathPoint]) -> Vec<Zx> {
+    touches(records).filter_map(|[from, to]| (to - from).unit()).collect()
+}
+
+/// Where each touch of a path begins and where it ends at the latest.
+pub(crate) fn touches(records: &[PathPoint]) -> impl Iterator<Item = [Zx; 2]> {
+    let to_touch = records.windows(2).filter(|w| matches!(w[1].role, PathRole::Touch(_)));
+    to_touch.map(|w| [w[0].at, w[1].at])
 }
 
 /// The records and the lines that they stand in.

@@ -67,19 +67,96 @@ impl Svg {
     #[must_use]
     pub fn finish(&self, title: &str) -> String {
         let (low, high) = self.frame();
-        let margin = (0.08 * (high - low).norm()).max(1.0);
+        let size = (0.025 * (high - low).norm()).max(0.3);
+        let margin = 4.0 * size;
+        let (left, top) = (low.z - margin, -(high.x + margin));
         let (width, height) = (high.z - low.z + 2.0 * margin, high.x - low.x + 2.0 * margin);
+        // The colours of Okabe and Ito, as all plots; what is dropped is hollow, for a print in grey. White below, for a dark page.
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"{:.4} {:.4} {width:.4} {height:.4}\" width=\"900\">\n\
-             <title>{}</title>\n<style>polyline{{fill:none;stroke-width:1;vector-effect:non-scaling-stroke}}\
-             .outline{{stroke:#222;stroke-width:1.6}}.axis{{stroke:#999;stroke-dasharray:8 3 2 3}}\
-             .whisker{{stroke:#c00;stroke-width:1.6}}.kept{{fill:#06c}}.dropped{{fill:#c00}}.move{{stroke:#06c}}\
-             .bypass{{stroke:#393;stroke-dasharray:4 3}}.hit{{stroke:#f00;stroke-width:3}}\
-             text{{font-family:sans-serif}}</style>\n{}</svg>\n",
-            low.z - margin,
-            -(high.x + margin),
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"{left:.4} {top:.4} {width:.4} {height:.4}\" width=\"900\">\n\
+             <title>{}</title>\n<style>polyline,circle{{stroke-width:1;vector-effect:non-scaling-stroke}}polyline{{fill:none}}\
+             .outline{{stroke:#000;stroke-width:1.6}}.axis{{stroke:#505050;stroke-dasharray:8 3 2 3}}.tick{{stroke:#505050}}\
+             .whisker{{stroke:#d55e00;stroke-width:1.6}}.kept{{fill:#0072b2}}\
+             .dropped{{fill:#fff;stroke:#d55e00;stroke-width:1.6}}.move{{stroke:#0072b2}}\
+             .bypass{{stroke:#009e73;stroke-dasharray:4 3}}.hit{{stroke:#d55e00;stroke-width:3}}\
+             text{{font-family:sans-serif;fill:#000}}</style>\n\
+             <rect x=\"{left:.4}\" y=\"{top:.4}\" width=\"{width:.4}\" height=\"{height:.4}\" fill=\"#fff\"/>\n{}{}</svg>\n",
             escaped(title),
+            ticks(low, high, size),
             self.body
         )
+    }
+}
+
+/// The scales: Z below, X on the left, in mm.
+fn ticks(low: Zx, high: Zx, size: f64) -> String {
+    let (bottom, left) = (-low.x + size, low.z - size);
+    let mut text = String::new();
+    let mut line = |x: f64, y: f64, dx: f64, dy: f64| {
+        let (x2, y2) = (x + dx, y + dy);
+        let _ = writeln!(text, "<polyline class=\"tick\" points=\"{x:.4},{y:.4} {x2:.4},{y2:.4}\"/>");
+    };
+    line(low.z, bottom, high.z - low.z, 0.0);
+    line(left, -low.x, 0.0, low.x - high.x);
+    let across: Vec<f64> = steps(low.z, high.z).collect();
+    let up: Vec<f64> = steps(low.x, high.x).collect();
+    for z in &across {
+        line(*z, bottom, 0.0, 0.4 * size);
+    }
+    for x in &up {
+        line(left, -x, -0.4 * size, 0.0);
+    }
+    let mut word = |x: f64, y: f64, anchor: &str, words: &str| {
+        let size = 0.9 * size;
+        let _ = writeln!(
+            text,
+            "<text x=\"{x:.4}\" y=\"{y:.4}\" font-size=\"{size:.3}\" text-anchor=\"{anchor}\">{words}</text>"
+        );
+    };
+    for z in &across {
+        word(*z, bottom + 1.4 * size, "middle", &z.to_string());
+    }
+    for x in &up {
+        word(left - 0.6 * size, 0.3 * size - x, "end", &x.to_string());
+    }
+    word(f64::midpoint(low.z, high.z), bottom + 2.6 * size, "middle", "Z, mm");
+    word(left, -high.x - 1.2 * size, "middle", "X, mm");
+    text
+}
+
+/// Round places within a span, some five of them.
+fn steps(low: f64, high: f64) -> impl Iterator<Item = f64> {
+    let rough = ((high - low) / 5.0).max(1e-3);
+    let ten = 10_f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|n| n * ten).into_iter().find(|s| *s >= rough).unwrap_or(rough);
+    let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
+    // Rounded: 3 · 0.1 is written 0.3.
+    (first..=last).map(move |n| (n as f64 * step * 1e6).round() / 1e6)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The palette of all plots, on white, with the scales' unit.
+    #[test]
+    fn a_drawing_has_the_style_of_all_plots() {
+        let mut svg = Svg::default();
+        svg.polyline(&[Zx::new(-40.0, 0.0), Zx::new(38.1, 38.1)], "outline");
+        let text = svg.finish("a <b>");
+        let style = text.split("<style>").nth(1).unwrap().split("</style>").next().unwrap();
+        let colours = style.split('#').skip(1).map(|c| c.split([';', '}']).next().unwrap());
+        for colour in colours {
+            assert!(["000", "fff", "505050", "0072b2", "d55e00", "009e73"].contains(&colour), "{colour}");
+        }
+        assert!(
+            text.contains(">Z, mm<") && text.contains(">X, mm<") && text.contains("fill=\"#fff\"/>"),
+            "{text}"
+        );
+        assert!(text.contains("<title>a &lt;b&gt;</title>"), "{text}");
+        assert_eq!(steps(-40.0, 38.1).collect::<Vec<_>>(), [-40.0, -20.0, 0.0, 20.0]);
+        assert_eq!(steps(0.0, 0.45).collect::<Vec<_>>(), [0.0, 0.1, 0.2, 0.3, 0.4]);
+        // A drawing of nothing is a drawing all the same.
+        assert!(Svg::default().finish("").ends_with("</svg>\n"));
     }
 }

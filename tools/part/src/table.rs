@@ -1,6 +1,6 @@
 //! The finish cut's corrections: errors by angle become requested counts by machine position (NISTIR 4854, section 5).
 
-use crate::cor::PointError;
+use crate::cor::{PointError, turned_near};
 use crate::fit::Zx;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -44,7 +44,7 @@ pub struct FinishCut {
     pub centre: Zx,
     /// Radius of the finished surface.
     pub radius_mm: f64,
-    /// Radius of the tool's nose: its centre runs on the larger arc.
+    /// Radius of the tool's nose: its centre runs on the larger arc. Negative in a hollow arc, where it runs inside.
     pub nose_mm: f64,
     /// Machine position at which the nose's centre is at the part's origin: work offset and tool dimensions.
     pub origin: Zx,
@@ -122,6 +122,9 @@ impl FinishTable {
     /// where the tool enters.
     #[must_use]
     pub fn error_um(&self, angle_rad: f64) -> f64 {
+        let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return 0.0 };
+        // Asked by a direction, an arc across ±π is on either side of the turn.
+        let angle_rad = turned_near(angle_rad, f64::midpoint(first.angle_rad, last.angle_rad));
         let next = self.errors.partition_point(|e| e.angle_rad <= angle_rad);
         match (next.checked_sub(1).and_then(|i| self.errors.get(i)), self.errors.get(next)) {
             (Some(a), Some(b)) => {

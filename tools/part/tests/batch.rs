@@ -111,7 +111,7 @@ fn a_lobe_that_tool_and_probe_trace_alike_is_not_observable() {
     }
     assert!(batch.offers.iter().any(|o| o.contains("not observable")));
     assert!(
-        batch.offer_table.iter().all(|e| bump(e.angle_rad) > 0.0),
+        batch.offer_table.iter().all(|o| bump(o.error.angle_rad) > 0.0),
         "only what is observable is offered to the table"
     );
 }
@@ -134,12 +134,59 @@ fn bad_batches_are_named() {
 #[test]
 fn errors_and_angles_of_no_part_are_refused() {
     for (rows, found) in [
-        ("1,d,1.7e308,0\n2,d,1.7e308,0\n3,d,1.7e308,0\n", "a larger error"),
-        ("1,d,1,0\n2,d,2,1e300\n3,d,1,0\n", "a larger angle"),
+        ("1,d,1.7e308,0\n2,d,1.7e308,0\n3,d,1.7e308,0\n", "a larger error, 17"),
+        ("1,d,1,0\n2,d,2,1e300\n3,d,1,0\n", "a larger angle, 1"),
     ] {
         let e = judged(&format!("part,feature,error_um,angle_rad\n{rows}"), None).unwrap_err();
-        assert!(e.found == found && e.line > 1, "{e}");
+        assert!(e.found.starts_with(found) && e.line > 1, "{e}");
     }
     let e = judged("part,feature,nominal_mm,measured_mm\n1,d,0,1e6\n", None).unwrap_err();
-    assert_eq!((e.found.as_str(), e.line), ("a larger error", 2));
+    assert_eq!((e.found.as_str(), e.line), ("a larger error, 1000000000", 2));
+}
+
+/// Degrees for radians, an error that its own columns contradict, an inspection of other places.
+#[test]
+fn columns_that_cannot_be_meant_so_are_refused() {
+    let batch = |head: &str, row: &dyn Fn(i32, f64) -> String| {
+        (0..5).fold(format!("part,feature,{head}\n"), |text, part| {
+            (0..4).fold(text, |text, k| text + &format!("{part},nose,{}\n", row(part, 0.3 * f64::from(k))))
+        })
+    };
+    let degrees = batch("angle_rad,error_um", &|p, a| format!("{:.3},{}", a.to_degrees(), 5 + p));
+    let e = judged(&degrees, None).unwrap_err();
+    assert!(e.line == 3 && e.found == "a larger angle, 17.189" && e.expected.contains("degrees"), "{e}");
+
+    let both = |sign: f64, off_um: f64| {
+        batch("angle_rad,nominal_mm,measured_mm,error_um", &|p, a| {
+            let e = 5.0 + 0.3 * f64::from(p);
+            format!("{a},40,{:.3},{:.3}", 40.0 + e * 1e-3, sign * e + off_um)
+        })
+    };
+    assert!(judged(&both(1.0, 0.4), None).is_ok(), "rounded to a micrometre");
+    for wrong in [both(-1.0, 0.0), both(1.0, 5.0), both(0.001, 0.0)] {
+        let e = judged(&wrong, None).unwrap_err();
+        assert!(e.line == 2 && e.found.contains("beside measured minus nominal of 5.000 µm"), "{e}");
+    }
+
+    let radians = batch("angle_rad,error_um", &|p, a| format!("{a:.3},{}", 5 + p));
+    let seen = |angle_rad| [PointError { angle_rad, error_um: 5.0, along_mm: None }];
+    assert!(judged(&radians, Some(&seen(0.31))).is_ok());
+    let e = judged(&radians, Some(&seen(1.5))).unwrap_err();
+    assert!(e.found == "angle_rad 0.000 to 0.900" && e.expected.contains("1.500 to 1.500"), "{e}");
+    assert!(judged("part,feature,error_um\n1,d,4\n2,d,5\n3,d,4\n", Some(&seen(0.3))).is_err());
+}
+
+/// What was inspected is one feature: it says nothing of another one's errors at the same angles.
+#[test]
+fn an_inspection_is_held_against_its_own_feature_only() {
+    let text = (0..5).fold("part,feature,angle_rad,error_um\n".to_owned(), |text, p| {
+        let e = 0.1 * f64::from(p);
+        text + &format!("{p},nose,0.3,{}\n{p},fillet,0.3,{}\n", 8.0 + e, -8.0 - e)
+    });
+    let seen = [PointError { angle_rad: 0.3, error_um: 8.0, along_mm: None }];
+    let e = judged(&text, Some(&seen)).unwrap_err();
+    assert!(e.found.contains("fillet and nose"), "{e}");
+    let batch = judged(&text, None).unwrap();
+    let offered: Vec<_> = batch.offer_table.iter().map(|o| (o.feature.as_str(), o.error.error_um)).collect();
+    assert_eq!(offered, [("fillet", -8.2), ("nose", 8.2)]);
 }

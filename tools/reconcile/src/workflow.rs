@@ -29,6 +29,8 @@ const FAR: f64 = 8.0;
 const PASSES: usize = 2;
 /// So few rows tell no effect from chance.
 const FEWEST_TO_LEARN: usize = 8;
+/// Fewer rows show large effects only.
+const FEW: usize = 30;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
 
@@ -144,14 +146,8 @@ pub fn reconcile(
     );
     said.extend(wild);
     said.extend(strangers.into_iter().map(|(_, s)| s));
-    let far = gap.iter().find(|g| g.train[1] > FAR * g.floor);
-    if let Some(g) = far.filter(|_| better.effects.is_empty() && answer.unexplained.is_empty()) {
-        // Nothing was found, and far more is left than the noise: that is no model without a gap.
-        let manner =
-            format!("{:.0} times as large as the noise, along nothing in particular", g.train[1] / g.floor);
-        answer.unexplained.push(along_nothing(&stack, g, &manner));
-    } else if let (true, Some(g)) = (rows == 0, gap.first()) {
-        answer.unexplained.push(along_nothing(&stack, g, "not looked at, as every record is doubted"));
+    if better.effects.is_empty() && answer.unexplained.is_empty() {
+        answer.unexplained.extend(not_told(&stack, &gap, rows));
     }
     let Better { model, refined, effects, curve, .. } = better;
     // What was withdrawn on the way is not accepted.
@@ -265,6 +261,12 @@ impl Work<'_> {
 
     /// What to do next, and where a fit of growth reads other temperatures.
     fn advice(&self, verdict: Verdict, effects: &[(Finding, Vec<f64>)], shapes: &[Shape]) -> String {
+        let rows: usize = self.train.iter().map(Record::rows).sum();
+        if verdict == Verdict::NothingMissing && rows < FEW {
+            return format!(
+                "{rows} rows show only what is several times their noise; more rows or other runs would tell"
+            );
+        }
         let next = advice(verdict, effects, shapes, self.train, self.machine.dictionary());
         let other = self.options.figures.then(|| room::other_sensors(effects, self.train, self.machine));
         let said = [Some(next).filter(|n| !n.is_empty()), other.flatten()];
@@ -277,6 +279,23 @@ impl Work<'_> {
         let gap = gaps(self.stack, self.used, &traces, &better.terms, answer);
         (traces, gap)
     }
+}
+
+/// Where nothing was found, why that is no model without a gap: far more is left than the noise, or so few rows tell nothing.
+fn not_told(stack: &Stack<'_>, gap: &[Gap], rows: usize) -> Option<Shape> {
+    if let Some(g) = gap.iter().find(|g| g.train[1] > FAR * g.floor) {
+        let times = g.train[1] / g.floor;
+        // Beside no noise at all a number says nothing.
+        let times = if times < 1e4 { format!("{times:.0}") } else { "over 10000".to_owned() };
+        let manner = format!("{times} times as large as the noise, along nothing in particular");
+        return Some(along_nothing(stack, g, &manner));
+    }
+    let manner = match rows {
+        0 => "not looked at, as every record is doubted",
+        n if n < FEWEST_TO_LEARN => "not told from chance in so few rows",
+        _ => return None,
+    };
+    Some(along_nothing(stack, gap.first()?, manner))
 }
 
 /// Structure of a unit's responses that is said to be there and is given no cause.

@@ -222,12 +222,10 @@ pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
 #[cfg(test)]
 #[track_caller]
 pub(crate) fn golden(name: &str, text: &str) {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
-    if std::env::var_os("RTEC_BLESS").is_some() {
-        std::fs::create_dir_all(path.parent().unwrap_or(&path)).unwrap();
-        std::fs::write(&path, text).unwrap();
-    }
-    assert_eq!(text, std::fs::read_to_string(&path).unwrap_or_default(), "{}", path.display());
+    test_needs::golden(
+        &std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name),
+        text,
+    );
 }
 
 #[cfg(test)]

@@ -29,14 +29,7 @@ fn the_page_of_verbs_is_what_the_program_takes() {
     }
     assert_eq!(verbs, root.get_subcommands().filter(|c| c.get_name() != "help").count());
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../guide/reference/verbs.md");
-    if std::env::var_os("RTEC_BLESS").is_some() {
-        std::fs::write(&file, &page).unwrap();
-    }
-    let written = std::fs::read_to_string(&file).unwrap_or_default();
-    for (n, (made, there)) in page.lines().zip(written.lines()).enumerate() {
-        assert_eq!(made, there, "{}:{}: RTEC_BLESS=1 writes the page anew", file.display(), n + 1);
-    }
-    assert_eq!(page, written, "{}: RTEC_BLESS=1 writes the page anew", file.display());
+    test_needs::golden(&file, &page);
 }
 
 fn describe(page: &mut String, verb: &Command, path: &str, depth: usize) {

@@ -21,11 +21,7 @@ fn text(bytes: &[u8]) -> String {
 
 #[track_caller]
 fn golden(name: &str, text: &str) {
-    let path = Path::new(HERE).join(name);
-    if std::env::var_os("RTEC_BLESS").is_some() {
-        std::fs::write(&path, text).expect("a golden file");
-    }
-    assert_eq!(text, std::fs::read_to_string(&path).unwrap_or_default(), "{}", path.display());
+    test_needs::golden(&Path::new(HERE).join(name), text);
 }
 
 /// A file of registers and a configuration that names it.

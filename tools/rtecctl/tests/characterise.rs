@@ -351,6 +351,7 @@ fn reports_are_pages_of_their_own() {
     faces(folder);
     tilt(folder);
     std::fs::write(folder.join("conditions.toml"), CONDITIONS).unwrap();
+    std::fs::write(folder.join("uncertainty.toml"), "[uncertainty]\ndevice_um_per_m = 0.8\n").unwrap();
     let reports = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/reports");
     std::fs::create_dir_all(&reports).unwrap();
     // Page, standard and its words, what stands on it.
@@ -375,14 +376,29 @@ fn reports_are_pages_of_their_own() {
         ),
         (
             "iso230-3",
-            &["iso230-3", "drift.run.toml"],
-            &["environment (ETVE)", "4000 rpm", "at rest after heat", "K/h", "bearing"],
+            &["iso230-3", "drift.run.toml", "--conditions", "uncertainty.toml"],
+            &[
+                "does not use [uncertainty]: no figure has one",
+                "environment (ETVE)",
+                "4000 rpm",
+                "at rest after heat",
+                "K/h",
+                "bearing",
+            ],
         ),
         ("plate", &["plate", "plate.run.toml"], &["quadrupole", "ppm", "this arrow is", "times enlarged"]),
         (
             "iso230-6",
-            &["iso230-6", "d0.run.toml", "d1.run.toml", "d2.run.toml", "d3.run.toml"],
-            &["PPP", "NNP", "squareness.x.y", "distance along it (mm)"],
+            &[
+                "iso230-6",
+                "d0.run.toml",
+                "d1.run.toml",
+                "d2.run.toml",
+                "d3.run.toml",
+                "--conditions",
+                "uncertainty.toml",
+            ],
+            &["U, k = 2 (µm)", "PPP", "NNP", "squareness.x.y", "distance along it (mm)"],
         ),
         (
             "faces",

@@ -75,6 +75,20 @@ fn the_temperatures_that_a_table_holds_at_are_said() {
     );
 }
 
+/// A table knows the place and the direction, not the travel since the axis turned.
+#[test]
+fn what_a_table_cannot_hold_is_said() {
+    let dir = folder();
+    let spike = "{ name = \"reversal_spike.x\", um = 8.0, length_mm = 1.0 },\n]";
+    std::fs::write(dir.path().join("m.toml"), MACHINE.replace("\n]", &format!("\n{spike}"))).unwrap();
+    let (document, _) = export(dir.path(), "--axis x --from 0 --to 300 --format csv --out t.csv");
+    let warnings = document["warnings"].to_string();
+    assert!(
+        warnings.contains("reversal_spike.x is in the table as it is far from where the axis turned"),
+        "{warnings}"
+    );
+}
+
 const FORMATS: [(&str, &str); 6] = [
     ("linuxcnc0", "--format linuxcnc"),
     ("linuxcnc1", "--format linuxcnc-type1"),

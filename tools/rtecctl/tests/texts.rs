@@ -46,6 +46,16 @@ fn figures_are_for_people_and_json_for_programs() {
     readable(&text);
     assert!(text.contains("ppm: 12.346 -> 13.1\n"), "{text}");
     assert!(text.contains("left by 1st") && text.contains("\nerror.x "), "{text}");
+    write(
+        "c.toml",
+        "name = \"c\"\neffect = [{ name = \"thermal_lag.x\", sensor = \"T1\", um_per_K = 1.0, tau_s = 1234.567890123456 }]\n",
+    );
+    let (text, _) = rtecctl(dir.path(), "model compare b.toml c.toml");
+    readable(&text);
+    assert!(text.contains("thermal_lag.x T1 tau_s=1234.6 "), "{text}");
+    let (text, _) =
+        rtecctl(dir.path(), "model validate --machine a.toml --record sim/linear-displacement-x.run.toml");
+    assert!(text.contains("the model states no interval\n"), "{text}");
     for words in [
         "simulate linear-displacement --machine a.toml --out sim --json",
         "model compare a.toml b.toml --record sim/linear-displacement-x.run.toml --json",

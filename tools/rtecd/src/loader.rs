@@ -249,7 +249,7 @@ mod tests {
         assert!(refused(&long).contains("more than 2097152 bytes"), "{}", refused(&long));
         let many = directory.path().join("many");
         let rows: String =
-            (0..=POINTS).map(|n| format!("{:.4} 1", n as f64 * 1e-3)).collect::<Vec<_>>().join("\n");
+            (0..=POINTS).map(|n| format!("{:.4} 1", n as f64 * 1e-4)).collect::<Vec<_>>().join("\n");
         std::fs::write(&many, rows).unwrap();
         assert!(refused(&many).contains("20001 points"), "{}", refused(&many));
     }

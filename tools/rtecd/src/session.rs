@@ -324,7 +324,7 @@ impl Session {
                 if let Some(refusal) = self.forbidden(&status, &jumps, *accept_jump) {
                     return Answer::Now(refusal);
                 }
-                (Request::Enable, Response::Done { jumps, warnings: Vec::new() })
+                (Request::Enable, Response::Done { jumps, warnings: self.no_model().into_iter().collect() })
             }
             ClientRequest::Shadow {} => {
                 if let Some(refusal) = orders::held(control.status().mode) {

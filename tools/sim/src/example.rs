@@ -51,10 +51,7 @@ pub const EXAMPLES: [Example; 4] = [
             ("true.toml", include_str!("../machines/mill/true.toml")),
             ("rtec.toml", include_str!("../machines/mill/rtec.toml")),
         ],
-        spec: || {
-            let axes = [("x", 600.0), ("y", 600.0), ("z", 500.0)];
-            Spec::new(axes.into_iter().map(|(name, travel_mm)| AxisSpec::new(name, travel_mm)).collect())
-        },
+        spec: three_axes,
         runs: [
             &["linear-displacement", "plate", "ballbar", "drift"],
             &["linear-displacement", "plate", "production-cycle"],
@@ -85,13 +82,15 @@ pub const EXAMPLES: [Example; 4] = [
             ("true.toml", include_str!("../machines/spindle/true.toml")),
             ("rtec.toml", include_str!("../machines/spindle/rtec.toml")),
         ],
-        spec: || {
-            let axes = [("x", 600.0), ("y", 600.0), ("z", 500.0)];
-            Spec::new(axes.into_iter().map(|(name, travel_mm)| AxisSpec::new(name, travel_mm)).collect())
-        },
+        spec: three_axes,
         runs: [&["drift"], &["production-cycle"]],
     },
 ];
+
+fn three_axes() -> Spec {
+    let axes = [("x", 600.0), ("y", 600.0), ("z", 500.0)];
+    Spec::new(axes.into_iter().map(|(name, travel_mm)| AxisSpec::new(name, travel_mm)).collect())
+}
 
 /// Folders of the runs, in the order of [`SEEDS`].
 const FOLDERS: [&str; 2] = ["records", "holdout"];

@@ -23,14 +23,13 @@ pub const fn explain_refusal(why: Refusal) -> &'static str {
         }
         Refusal::NotHomed => "not homed: move to the home position, then `rtecctl home`",
         Refusal::Disabled => {
-            "corrections are disabled: `rtecctl enable` first; only a total of 0 is taken now"
+            "corrections are disabled: `rtecctl enable` first; only a total of 0 is accepted now"
         }
         Refusal::DisableSwitch => "the hardware disable switch is on",
         Refusal::Probing => "probing mode is on: `rtecctl probe off` first",
         Refusal::AboveMaximum => "beyond max_correction_counts of this axis; nothing is changed",
         Refusal::NotBelieved => {
-            "I don't believe you: the change is larger than window_counts of this axis. Nothing is changed; --large if it \
-             is meant"
+            "the change is larger than window_counts of this axis. Nothing is changed; --large if it is meant"
         }
         Refusal::NotArmable => {
             "the real-time set-up or the measured latency is missing and the card drives a real machine: see \
@@ -63,7 +62,7 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
              to what the axis does, clear, home again"
         }
         Fault::StillNotBelieved => {
-            "I still don't believe you: three requests in a row outside the belief window; clear"
+            "three requests in a row were outside the belief window (window_counts): see `rtecctl explain`, then clear"
         }
         Fault::ErrorLimit => "a request reached error_counts of this axis; clear",
         Fault::ReadBackMismatch => {
@@ -128,7 +127,7 @@ impl Happened {
             EventKind::ControlStale(true) => {
                 ("control_stale", "the control side is silent: corrections freeze".to_owned())
             }
-            EventKind::ControlStale(false) => ("control_stale", "the control side is heard again".to_owned()),
+            EventKind::ControlStale(false) => ("control_stale", "the control side answers again".to_owned()),
             EventKind::Trip(capture) => {
                 let (position_counts, uncertainty_counts) = capture.position_counts();
                 let count_um = axis.map_or(0.0, |(_, um)| um);

@@ -48,10 +48,8 @@ pub fn prediction_chart(
         .with(Series::new("measured", Style::Dots, over_time(&mut response.data.iter().copied())))
         .with(Series::new("predicted", Style::Line, over_time(&mut predicted.iter().copied())));
     if let Some(widths) = half_widths_um {
-        for (name, sign) in [("95 %, low", -1.0), ("95 %, high", 1.0)] {
-            let bound = &mut predicted.iter().zip(widths).map(|(p, w)| p + sign * w);
-            chart = chart.with(Series::new(name, Style::Line, over_time(bound)));
-        }
+        let edge = |sign: f64| predicted.iter().zip(widths).map(|(p, w)| p + sign * w).collect::<Vec<_>>();
+        chart = chart.with(Series::band("95 % interval", &x, &edge(-1.0), &edge(1.0)));
     }
     chart
 }

@@ -285,7 +285,7 @@ impl Problem {
         let mut standing = usize::from(first.beyond_chance(mean, choices_of_first));
         let mut rounds = vec![first];
         // Once something stands, every term earns its place by itself.
-        while rounds.len() < ROUNDS && rounds.len() - standing <= if standing == 0 { unearned } else { 0 } {
+        while rounds.len() < ROUNDS && (standing > 0 || rounds.len() <= unearned) {
             let now = &rounds[rounds.len() - 1];
             // Twice the same difference only makes up for a lag that was not exact.
             let new = |p: &Pair| now.terms.iter().all(|t| pair_of(*t) != Some(*p));
@@ -311,8 +311,8 @@ impl Problem {
             let bent = |j: &Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
             let stands = |j: &Judged| match standing {
                 0 => j.beyond_chance(mean, choices.max(choices_of_first)),
-                n if n == rounds.len() && bent(j) => j.is_bent(now),
-                n => j.earns(&rounds[n - 1], choices),
+                _ if bent(j) => j.is_bent(now),
+                _ => j.earns(now, choices),
             };
             let earned: Vec<&Judged> = next.iter().filter(|j| stands(j)).collect();
             let added = match earned.first() {
@@ -321,7 +321,8 @@ impl Problem {
                     standing = rounds.len() + 1;
                     earned.iter().find(|j| bent(j)).filter(|b| !best.beats(b)).unwrap_or(best)
                 }
-                None => match next.iter().find(|j| standing == 0 && j.rms() < now.rms() && !bent(j)) {
+                None if standing > 0 => break,
+                None => match next.iter().find(|j| j.rms() < now.rms() && !bent(j)) {
                     Some(tried) => tried,
                     None => break,
                 },

@@ -62,6 +62,23 @@ pub fn linuxcnc_comp(
         ));
     }
     let error = |nominal: f64, v: f64| 1000.0 * if trims { -v } else { v - nominal };
+    // An error along with the position at one to one: positions read as trims, or trims as positions.
+    let ends = [rows[0], rows[rows.len() - 1]];
+    let [first, last] = ends.map(|r| error(r[0], r[1]) / 1000.0);
+    let slope = (last - first) / (ends[1][0] - ends[0][0]);
+    if slope.abs() > 0.5 {
+        let (is, other) = if trims {
+            ("trims", "positions reached (type 0)")
+        } else {
+            ("positions reached", "trims (type 1)")
+        };
+        let found = format!("{is} that make errors of {slope:.2} mm per mm");
+        return Err(InputError::whole(
+            from,
+            found,
+            format!("{is}; the file looks like {other}: choose the other type"),
+        ));
+    }
     let up = rows.iter().map(|r| (r[0], 1.0, error(r[0], r[1])));
     let down = rows.iter().rev().map(|r| (r[0], -1.0, error(r[0], r[2])));
     let all: Vec<(f64, f64, f64)> = up.chain(down).collect();

@@ -68,6 +68,14 @@ const KEYS: [(&str, &str); 13] = [
     ("set_up_um", "the set-up, k = 2"),
 ];
 
+/// Keys that say something only together: a coefficient and what it is multiplied by.
+const PAIRS: [(&str, &str); 4] = [
+    ("machine_temperature_K", "machine_ppm_per_K"),
+    ("machine_off_20_K", "machine_expansion_ppm_per_K"),
+    ("device_temperature_K", "device_ppm_per_K"),
+    ("device_off_20_K", "device_expansion_ppm_per_K"),
+];
+
 impl Conditions {
     /// Reads a file of conditions.
     ///
@@ -104,7 +112,20 @@ impl Conditions {
                         if v < 0.0 {
                             return Err(e.mismatch(format!("{meaning}: not below zero")));
                         }
+                        // No device and no solid is so good: a number of another unit.
+                        if key.contains("_per_") && v != 0.0 && !(1e-3..=100.0).contains(&v) {
+                            return Err(
+                                e.mismatch(format!("{meaning}: 0.001 to 100, in the key's unit, or 0"))
+                            );
+                        }
                         found.stated.insert(key.to_owned(), v);
+                    }
+                    for (one, other) in PAIRS.into_iter().flat_map(|(a, b)| [(a, b), (b, a)]) {
+                        if let (Some(e), None) = (t.get(one), t.get(other)) {
+                            return Err(e.mismatch(format!(
+                                "{other} beside it: the contributor is the product of both (0 where there is none)"
+                            )));
+                        }
                     }
                 }
                 (_, Some(_)) => {
@@ -302,6 +323,10 @@ mod tests {
             ("ppm_per_K = 8.5", "ppm_per_K = 8500.0", 8, "ppm_per_K = 8500"),
             ("ppm_per_K = 8.5", "ppm_per_K = 8.5e-6", 8, "ppm_per_K = "),
             ("sensor = \"T3\"", "sensor = 3", 8, "sensor = 3"),
+            ("machine_ppm_per_K = 11.0", "machine_ppm_per_K = 11e-6", 13, "machine_ppm_per_K = "),
+            ("device_um_per_m = 0.8", "device_um_per_m = 0.8e-6", 10, "device_um_per_m = "),
+            ("machine_ppm_per_K = 11.0\n", "", 13, "machine_temperature_K = 0.5"),
+            ("machine_temperature_K = 0.5", "device_off_20_K = 3.0", 13, "machine_ppm_per_K = 11"),
         ] {
             let e = Conditions::parse(Path::new("c.toml"), &FILE.replacen(from, to, 1)).unwrap_err();
             assert!(e.line == line && e.found.contains(found), "{e}");

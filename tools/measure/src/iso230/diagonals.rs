@@ -20,6 +20,9 @@ pub struct Diagonal {
     pub box_mm: Vec<f64>,
     /// Change of the mean error from end to end by the straight line through it, µm.
     pub slope_um: f64,
+    /// What is assumed of the error's sign.
+    #[serde(skip)]
+    pub assumed: Option<String>,
     /// The figures along it.
     #[serde(flatten)]
     pub along: Positioning,
@@ -50,7 +53,7 @@ pub struct Diagonals {
 }
 
 /// Evaluates the diagonals of a box or of one face or several, a record each: positions of the axes that move, and the error
-/// along the diagonal (`error.d`, or any axis without a position) or the errors of all its axes.
+/// along the diagonal (`error.d`, or any other name but x, y and z without a position) or the errors of all its axes.
 ///
 /// # Errors
 /// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals mixed; what
@@ -72,6 +75,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
     }
     let scales: Vec<f64> = all.iter().map(|d| d.slope_um / d.along.travel_mm * 1000.0).collect();
     for d in &all {
+        warnings.extend(d.assumed.iter().map(|a| format!("{}: {a}", d.sense)));
         for w in &d.along.warnings {
             // What holds for all is said once.
             let common = all.iter().all(|o| o.along.warnings.contains(w));
@@ -132,9 +136,23 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     }
     let along: Vec<f64> = (0..record.rows()).map(|r| share(r) * length_mm).collect();
     let errors = error_axes(record);
-    let own = errors.iter().find(|(a, _)| !moving.iter().any(|m| m.0 == *a));
+    // A machine's axis that stands still is across the diagonal, not along it.
+    let across = |a: &Axis| {
+        ["x", "y", "z"].contains(&a.as_str()) || record.column(&Role::Position(a.clone())).is_some()
+    };
+    let own = errors.iter().find(|(a, _)| !across(a));
+    // A device on the diagonal has its own positive sense: as its position or direction says, or else unsaid.
+    let sense = own.and_then(|(a, _)| sense(record, a, &along));
+    let from_far = along.iter().find(|s| (**s - length_mm / 2.0).abs() > length_mm / 4.0);
+    let assumed = own.filter(|_| sense.is_none() && from_far.is_some_and(|s| *s > length_mm / 2.0)).map(|(a, _)| {
+        let axis = moving[moving.len() - 1].0;
+        format!(
+            "error.{a} is taken as positive with {axis}, although the run begins at its other end; where the device counts from \
+             there, give direction.{a}"
+        )
+    });
     let error: Vec<f64> = if let Some((_, e)) = own {
-        e.to_vec()
+        e.iter().map(|v| v * sense.unwrap_or(1.0)).collect()
     } else {
         let of = |a: &Axis| errors.iter().find(|(b, _)| *b == a).map(|(_, e)| *e);
         let all: Option<Vec<&[f64]>> = moving.iter().map(|m| of(m.0)).collect();
@@ -147,9 +165,14 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
         })?;
         (0..record.rows()).map(|r| all.iter().zip(&unit).map(|(e, u)| e[r] * u).sum()).collect()
     };
-    let direction = direction(record, own.map(|o| o.0), &moving, &unit).ok_or_else(|| {
-        lacks(record, "no direction of approach", "a column direction.d, or the direction of one of its axes")
-    })?;
+    let direction =
+        direction(record, own.map(|o| (o.0, sense.unwrap_or(1.0))), &moving, &unit).ok_or_else(|| {
+            lacks(
+                record,
+                "no direction of approach",
+                "a column direction.d, or the direction of one of its axes",
+            )
+        })?;
     let d =
         own.map(|o| o.0.clone()).or_else(|| Axis::new("d")).ok_or_else(|| lacks(record, "no axis", "one"))?;
     let mut columns = vec![
@@ -161,21 +184,41 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     let line = Record::of_checked(&record.path, Kind::Positioning, columns);
     let along_it = positioning_with(&line, options)?;
     let along_it = along_it.into_iter().next().ok_or_else(|| lacks(record, "no error", "an error"))?;
-    let sense = unit.iter().map(|u| if *u > 0.0 { 'P' } else { 'N' }).collect();
+    let signs = unit.iter().map(|u| if *u > 0.0 { 'P' } else { 'N' }).collect();
     Ok(Diagonal {
         record: record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
         axes: moving.iter().map(|m| m.0.to_string()).collect(),
-        sense,
+        sense: signs,
+        assumed,
         box_mm: moving.iter().map(|m| m.2).collect(),
         slope_um: slope(&along_it) * along_it.travel_mm,
         along: along_it,
     })
 }
 
-/// Direction along the diagonal, from its own column or that of an axis that moves along it.
+/// +1: the device along the diagonal counts up as the last axis rises, −1: as it falls; nothing where it has no direction,
+/// or where the order of the rows is not that of the movement: that moves both ways, each under its own direction.
+fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
+    let roles = [Role::Direction(own.clone()), Role::Velocity(own.clone())];
+    let way = roles.iter().find_map(|r| record.data(r))?;
+    let step = |i: usize| along[i] - along[i - 1];
+    let mean = |rising: bool| -> Option<f64> {
+        let rows: Vec<usize> =
+            (1..along.len()).filter(|i| if rising { step(*i) > 1e-3 } else { step(*i) < -1e-3 }).collect();
+        let sum: f64 = rows.iter().map(|i| rtec_model::effect::sign(way[*i])).sum();
+        (!rows.is_empty()).then(|| sum / rows.len() as f64)
+    };
+    let (up, down) = (mean(true)?, mean(false)?);
+    (up.abs().min(down.abs()) > ORDERLY && up * down < 0.0).then(|| up.signum())
+}
+
+/// At least this share more of the rows that move one way have one direction than the other.
+const ORDERLY: f64 = 0.8;
+
+/// Direction along the diagonal, from its own column (with the device's sense) or that of an axis that moves along it.
 fn direction(
     record: &Record,
-    own: Option<&Axis>,
+    own: Option<(&Axis, f64)>,
     moving: &[(&Axis, &[f64], f64)],
     unit: &[f64],
 ) -> Option<Vec<f64>> {
@@ -185,7 +228,11 @@ fn direction(
             .find_map(|r| record.data(r))
             .map(|d| d.iter().map(|v| rtec_model::effect::sign(*v)).collect())
     };
-    own.and_then(read).or_else(|| {
+    let turned = |(a, sense): (&Axis, f64)| -> Option<Vec<f64>> {
+        let d: Vec<f64> = read(a)?;
+        Some(d.iter().map(|v| v * sense).collect())
+    };
+    own.and_then(turned).or_else(|| {
         let of = |((a, ..), u): (&(&Axis, &[f64], f64), &f64)| {
             let d: Vec<f64> = read(a)?;
             Some(d.iter().map(|v| v * u.signum()).collect())

@@ -1,7 +1,10 @@
 //! Accuracy and repeatability of positioning, ISO 230-2:2014.
 
 use super::conditions::REFERENCE_DEGC;
-use super::{ALIKE, Conditions, Expansion, Uncertainty, alike, lacks, largest, mean_and_s, range, targets};
+use super::{
+    ALIKE, Conditions, Expansion, Place, Uncertainty, alike, lacks, largest, mean_and_s, places, range,
+    targets,
+};
 use crate::plot::{Chart, Colour, Series, Style};
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Column, Record, Role};
@@ -217,14 +220,7 @@ impl Run<'_> {
     }
 
     fn list(&self) -> Vec<Target> {
-        let of = |rows: Vec<usize>| {
-            let side = |up: bool| -> Vec<f64> {
-                let on_side = |r: &&usize| {
-                    if up { self.direction[**r] > 0.0 } else { self.direction[**r] < 0.0 }
-                };
-                rows.iter().filter(on_side).map(|r| self.error[*r]).collect()
-            };
-            let (up, down) = (side(true), side(false));
+        let of = |Place { position_mm, up, down }: Place| {
             let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
             let (mean_up, mean_down) = (mean(&up), mean(&down));
             let [s_up, s_down] = [&up, &down].map(|v| mean_and_s(v).map(|m| m.1));
@@ -234,7 +230,7 @@ impl Run<'_> {
                 .zip(s_down)
                 .map(|((b, su), sd)| (2.0 * su + 2.0 * sd + b.abs()).max(4.0 * su).max(4.0 * sd));
             Target {
-                position_mm: rows.iter().map(|r| self.position[*r]).sum::<f64>() / rows.len() as f64,
+                position_mm,
                 mean_up,
                 mean_down,
                 s_up,
@@ -244,7 +240,7 @@ impl Run<'_> {
                 approaches: [up.len(), down.len()],
             }
         };
-        targets(self.position).into_iter().map(of).collect()
+        places(self.position, Some(self.direction), &self.error).into_iter().map(of).collect()
     }
 
     fn evaluate(mut self, options: &Options) -> Result<Positioning, InputError> {

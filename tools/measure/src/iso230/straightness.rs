@@ -1,6 +1,6 @@
 //! Straightness of an axis's motion: the error across it, less a least-squares line over the travel (ISO 230-1:2012; its text was not at hand).
 
-use super::{lacks, range, targets};
+use super::{Place, lacks, line, range};
 use crate::plot::{Chart, Colour, Series, Style};
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Record, Role};
@@ -57,7 +57,7 @@ const FEWEST_PLACES: usize = 5;
 fn pairs(record: &Record) -> Vec<(Axis, Axis)> {
     let moves = |a: &Axis| {
         let p = record.data(&Role::Position(a.clone()));
-        p.is_some_and(|p| range(p.iter().map(|v| (*v, *v))).is_some_and(|r| r > 0.0))
+        p.and_then(spread).is_some_and(|r| r > 0.0)
     };
     let positions: Vec<Axis> = record
         .columns
@@ -95,20 +95,16 @@ pub fn straightness(record: &Record) -> Result<Vec<Straightness>, InputError> {
     pairs.iter().map(|(axis, across)| of(record, axis, across)).collect()
 }
 
-/// Least squares: offset and slope per mm.
-fn line(points: &[(f64, f64)]) -> (f64, f64) {
-    let n = points.len() as f64;
-    let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
-    let sxx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
-    let sxy: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
-    let slope = sxy / sxx;
-    (my - slope * mx, slope)
+/// Points off their own least-squares line, with its slope per mm; none of too few.
+fn off_line(points: &[(f64, f64)]) -> Option<(Vec<f64>, f64)> {
+    let (p, e): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+    let (offset, slope, _) = (points.len() >= FEWEST_PLACES).then(|| line(&p, &e))??;
+    Some((points.iter().map(|(p, e)| e - offset - slope * p).collect(), slope))
 }
 
-/// Range of deviations from the points' own line.
-fn off_line_um(points: &[(f64, f64)]) -> Option<f64> {
-    let (offset, slope) = (points.len() >= FEWEST_PLACES).then(|| line(points))?;
-    range(points.iter().map(|(p, e)| e - offset - slope * p).map(|v| (v, v)))
+/// Largest minus smallest.
+fn spread(values: &[f64]) -> Option<f64> {
+    range(values.iter().map(|v| (*v, *v)))
 }
 
 fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, InputError> {
@@ -119,41 +115,29 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
         record.data(&Role::Direction(axis.clone())).or_else(|| record.data(&Role::Velocity(axis.clone())));
     let mut places = Vec::new();
     let mut spreads: Vec<f64> = Vec::new();
-    for rows in targets(position) {
-        let side = |up: bool| -> Vec<f64> {
-            let on = |r: &&usize| direction.map_or(up, |d| if up { d[**r] > 0.0 } else { d[**r] < 0.0 });
-            rows.iter().filter(on).map(|r| error[*r]).collect()
-        };
-        let (up, down) = (side(true), side(false));
-        spreads.extend(
-            [&up, &down]
-                .into_iter()
-                .filter(|v| v.len() > 1)
-                .filter_map(|v| range(v.iter().map(|e| (*e, *e)))),
-        );
+    for Place { position_mm, up, down } in super::places(position, direction, error) {
+        spreads.extend([&up, &down].into_iter().filter(|v| v.len() > 1).filter_map(|v| spread(v)));
         let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
         let (up_um, down_um) = (mean(&up), mean(&down));
         let Some(mean_um) = up_um.zip(down_um).map(|(u, d)| f64::midpoint(u, d)).or(up_um).or(down_um) else {
             continue;
         };
-        let position_mm = rows.iter().map(|r| position[*r]).sum::<f64>() / rows.len() as f64;
         places.push(StraightPlace { position_mm, up_um, down_um, mean_um, readings: up.len() + down.len() });
     }
-    if places.len() < FEWEST_PLACES {
+    let side = |of: fn(&StraightPlace) -> Option<f64>| -> Vec<(f64, f64)> {
+        places.iter().filter_map(|p| Some((p.position_mm, of(p)?))).collect()
+    };
+    let Some((off, slope)) = off_line(&side(|p| Some(p.mean_um))) else {
         let found = format!("{} places along {axis}", places.len());
         return Err(lacks(
             record,
             &found,
             "five places at least: through fewer a line goes whatever the axis does",
         ));
-    }
-    let side = |of: fn(&StraightPlace) -> Option<f64>| -> Vec<(f64, f64)> {
-        places.iter().filter_map(|p| Some((p.position_mm, of(p)?))).collect()
     };
-    let (ups, downs) = (side(|p| p.up_um), side(|p| p.down_um));
-    let both: Vec<(f64, f64)> = places.iter().map(|p| (p.position_mm, p.mean_um)).collect();
-    let (offset, slope) = line(&both);
-    let travel_mm = both[both.len() - 1].0 - both[0].0;
+    let one_side = |of| off_line(&side(of)).and_then(|(off, _)| spread(&off));
+    let (straightness_up_um, straightness_down_um) = (one_side(|p| p.up_um), one_side(|p| p.down_um));
+    let travel_mm = places[places.len() - 1].position_mm - places[0].position_mm;
     let reversals: Vec<f64> = places.iter().filter_map(|p| Some(p.up_um? - p.down_um?)).collect();
     let one_sided = places.iter().filter(|p| p.up_um.is_none() || p.down_um.is_none()).count();
     let mut warnings = vec![
@@ -165,11 +149,9 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
             "{one_sided} places from one side only: half of the reversal is in the form there"
         ));
     }
-    let (straightness_up_um, straightness_down_um) = (off_line_um(&ups), off_line_um(&downs));
-    let off = |p: f64| offset + slope * p;
-    for p in &mut places {
-        let line_um = off(p.position_mm);
-        p.mean_um -= line_um;
+    for (p, off) in places.iter_mut().zip(off) {
+        let line_um = p.mean_um - off;
+        p.mean_um = off;
         p.up_um = p.up_um.map(|v| v - line_um);
         p.down_um = p.down_um.map(|v| v - line_um);
     }
@@ -177,7 +159,7 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
         symbol: format!("E{}{}", across.to_string().to_uppercase(), axis.to_string().to_uppercase()),
         axis: axis.to_string(),
         across: across.to_string(),
-        straightness_um: range(places.iter().map(|p| (p.mean_um, p.mean_um))).unwrap_or(0.0),
+        straightness_um: spread(&places.iter().map(|p| p.mean_um).collect::<Vec<_>>()).unwrap_or(0.0),
         straightness_up_um: straightness_up_um.filter(|_| direction.is_some()),
         straightness_down_um,
         slope_urad: slope * 1000.0,
@@ -193,20 +175,21 @@ impl Straightness {
     /// Deviation from the line along the travel.
     #[must_use]
     pub fn chart(&self) -> Chart {
+        type Of = fn(&StraightPlace) -> Option<f64>;
         let title = format!("Straightness {}: {} while {} moves", self.symbol, self.across, self.axis);
         let mut chart =
             Chart::new(&title, &format!("position {} (mm)", self.axis), "deviation from the line (µm)");
-        let mut side = |label: &str, colour: Colour, of: fn(&StraightPlace) -> Option<f64>| {
+        let sides: [(&str, Colour, Of); 2] =
+            [("up ↑", Colour::Up, |p| p.up_um), ("down ↓", Colour::Down, |p| p.down_um)];
+        for (label, colour, of) in sides {
             let points: Vec<(f64, f64)> =
                 self.places.iter().filter_map(|p| Some((p.position_mm, of(p)?))).collect();
             if !points.is_empty() {
                 let line = Series::new(label, Style::Line, points.clone()).coloured(colour);
                 let dots = Series::new("", Style::Dots, points).coloured(colour);
-                chart = chart.clone().with(line).with(dots);
+                chart = chart.with(line).with(dots);
             }
-        };
-        side("up ↑", Colour::Up, |p| p.up_um);
-        side("down ↓", Colour::Down, |p| p.down_um);
+        }
         chart
     }
 }

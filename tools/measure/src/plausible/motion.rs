@@ -1,8 +1,8 @@
 //! Positions, directions, speeds, times and errors of a run beside one another.
 
-use super::stats::{distinct, line, median, middle_range, quantum, range, span, steps};
+use super::stats::{distinct, median, middle_range, quantum, range, span, steps};
 use super::{Suspicion, What};
-use crate::iso230::correlation;
+use crate::iso230::{correlation, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// The longest axes of machine tools, mm.
@@ -64,14 +64,58 @@ const DAY_S: f64 = 86_400.0;
 /// A machine may stand over a long weekend between two rows of one run.
 const LONGEST_PAUSE_S: f64 = 5.0 * DAY_S;
 
-/// Degrees called radians: large, and in whole steps of a degree or half a one.
+/// Degrees called radians: a dozen turns and more, in quarters of a degree, in steps that no circle is read in, or over
+/// a whole number of half turns in degrees. And an angle that is not that of the positions.
 fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(a) = record.column(&Role::Angle) else { return };
     let [lo, hi] = span(&a.data);
     let nice = a.data.iter().filter(|v| ((**v * 4.0) - (**v * 4.0).round()).abs() < 1e-6).count();
-    if range(&a.data) > 80.0 && lo >= -361.0 && hi <= 3601.0 && nice * 10 >= a.data.len() * 9 {
-        let text = format!("from {lo} to {hi} rad, in steps that look like degrees");
+    let coarse = median(steps(&a.data).iter().map(|d| d.abs()).collect()) > 0.2;
+    let halves = range(&a.data) / 180.0;
+    let whole = halves > 0.9 && (halves - halves.round()).abs() < 0.01;
+    if range(&a.data) > 80.0
+        && lo >= -3601.0
+        && hi <= 3601.0
+        && (nice * 10 >= a.data.len() * 9 || coarse || whole)
+    {
+        let text = format!("from {lo} to {hi} rad, which looks like degrees");
         out.push(Suspicion::new(record, &a.name, What::Unit, &[], text));
+    } else {
+        beside_positions(record, a, out);
+    }
+}
+
+/// An angle off that of the positions by more than this is another one, rad: 1°, some rows late on a quick circle.
+const OTHER_ANGLE_RAD: f64 = 0.0175;
+
+fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
+    let Some(circle) = record.circle() else { return };
+    let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.data(&Role::Position(a.clone()))) else {
+        return;
+    };
+    let centre = |v: &[f64]| f64::midpoint(span(v)[0], span(v)[1]);
+    let (cx, cy) = (centre(x), centre(y));
+    let radii: Vec<f64> = x.iter().zip(y).map(|(x, y)| (x - cx).hypot(y - cy)).collect();
+    // The middle is the centre of a whole circle only.
+    if range(&radii) > 0.01 * span(&radii)[1] {
+        return;
+    }
+    let places = x.iter().zip(y).map(|(x, y)| (y - cy).atan2(x - cx));
+    let off = |sign: f64| {
+        let of = |(p, a): (f64, &f64)| {
+            ((p - sign * a + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI)
+                .abs()
+        };
+        median(places.clone().zip(&angle.data).map(of).collect())
+    };
+    if off(1.0) > OTHER_ANGLE_RAD {
+        let [a, b] = &circle.plane;
+        let how = if off(-1.0) < OTHER_ANGLE_RAD { ": it runs the other way round" } else { "" };
+        let text = format!(
+            "is not the angle of the positions from {a} towards {b}: off by {:.3} rad in the middle{how}",
+            off(1.0)
+        );
+        out.push(Suspicion::new(record, &angle.name, What::Swapped, &[], text));
     }
 }
 

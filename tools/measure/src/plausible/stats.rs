@@ -52,20 +52,6 @@ pub(super) fn distinct(v: &[f64]) -> usize {
     v.len()
 }
 
-/// A straight line y = a + b·x by least squares, with the standard deviation of what is left; none where x stands still.
-pub(super) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
-    let n = x.len() as f64;
-    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
-    let xx: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
-    if x.len() < 3 || xx <= 0.0 {
-        return None;
-    }
-    let xy: f64 = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
-    let (b, a) = (xy / xx, my - xy / xx * mx);
-    let left: f64 = x.iter().zip(y).map(|(x, y)| (y - a - b * x).powi(2)).sum();
-    Some((a, b, (left / (n - 2.0)).sqrt()))
-}
-
 /// The differences of neighbours.
 pub(super) fn steps(v: &[f64]) -> Vec<f64> {
     v.windows(2).map(|w| w[1] - w[0]).collect()

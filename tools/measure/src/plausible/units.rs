@@ -1,7 +1,8 @@
 //! Minutes or hours called seconds, inches called millimetres: only where the record shows it by itself.
 
-use super::stats::{distinct, line, median, range};
+use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
+use crate::iso230::line;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// No part of a machine tool warms through half of what it warms at all in less, s.

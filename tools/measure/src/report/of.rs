@@ -357,13 +357,24 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
     let title = format!("Positioning on {} diagonals (ISO 230-6)", d.kind);
     let mut report = Report::new(&title, records, conditions);
     report.warnings.clone_from(&d.warnings);
-    let mut table = Table::new("The diagonals together", &["figure", "#value", "unit"]);
-    table.row(["largest systematic deviation E of a diagonal".to_owned(), um(d.e_d), "µm".to_owned()]);
-    table.row(["largest accuracy A of a diagonal".to_owned(), um(d.a_d), "µm".to_owned()]);
-    table.row(["largest reversal B of a diagonal".to_owned(), um(d.b_d), "µm".to_owned()]);
-    table.row(["mean scale along the diagonals".to_owned(), format!("{:.1}", d.scale_ppm), "ppm".to_owned()]);
+    let stated: Vec<_> = d.diagonals.iter().filter_map(|x| x.along.uncertainty.as_ref()).collect();
+    let head = ["figure", "#value", "unit", "#U, k = 2 (µm)"];
+    let columns = if stated.is_empty() { 3 } else { 4 };
+    let mut table = Table::new("The diagonals together", &head[..columns]);
+    for (words, value, symbol) in [
+        ("largest systematic deviation E of a diagonal", d.e_d, "E"),
+        ("largest accuracy A of a diagonal", d.a_d, "A"),
+        ("largest reversal B of a diagonal", d.b_d, "B"),
+    ] {
+        let u = um(stated.iter().filter_map(|u| u.of(symbol)).reduce(f64::max));
+        table.row([words.to_owned(), um(value), "µm".to_owned(), u].into_iter().take(columns));
+    }
+    let scale = [format!("{:.1}", d.scale_ppm), "ppm".to_owned(), String::new()];
+    let scale = std::iter::once("mean scale along the diagonals".to_owned()).chain(scale);
+    table.row(scale.take(columns));
     for (pair, v) in &d.squareness_urad {
-        table.row([format!("squareness.{pair}"), format!("{v:.1}"), "µrad".to_owned()]);
+        let row = [format!("squareness.{pair}"), format!("{v:.1}"), "µrad".to_owned(), String::new()];
+        table.row(row.into_iter().take(columns));
     }
     report.table(table);
     let head = ["diagonal", "axes", "#length (mm)", "#A", "#E", "#M", "#R", "#B", "#mean B", "#end to end"];

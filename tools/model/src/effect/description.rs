@@ -323,6 +323,7 @@ impl Default for Searched {
 
 /// The description of a law. What a law leaves at its default holds for most.
 #[derive(Debug, Clone, PartialEq, Default)]
+#[allow(clippy::struct_excessive_bools)] // facts that do not depend on each other
 pub struct Description {
     /// First part of the effect's name.
     pub name: String,
@@ -354,6 +355,8 @@ pub struct Description {
     pub lag: Option<usize>,
     /// It is the same at all times and places: the zero of its axis.
     pub constant: bool,
+    /// It dies out with the travel since the axis turned.
+    pub after_turn: bool,
     /// Its first parameter is a whole number of counts.
     pub whole_counts: bool,
     /// The axes behind the first may change places: written alphabetically.

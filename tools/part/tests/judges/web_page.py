@@ -41,7 +41,8 @@ drawing.saveas(folder / "nose.dxf")
 server = subprocess.Popen(
     [rtecctl, "part", "points", folder / "nose.dxf", "--feature", "F1:20", "--tip-mm", "2.5", "--web",
      "--out", folder / "out"], stderr=subprocess.PIPE, text=True)
-url = re.search(r"http://127\.0\.0\.1:\d+/[0-9a-f]{32}/", server.stderr.readline()).group()
+# What the verb has to say of the drawing comes before its address.
+url = next(found.group() for line in server.stderr if (found := re.search(r"http://127\.0\.0\.1:\d+/[0-9a-f]{32}/", line)))
 
 bare = re.match(r"http://[^/]+/", url).group()
 for secretless in [bare, bare + "plan", bare + "0" * 32 + "/plan"]:

@@ -17,8 +17,13 @@ pub(crate) struct Args {
     daemon: Daemon,
 }
 
-/// Values that a status has only sometimes.
-const SOMETIMES: [&str; 4] = ["model", "table", "table_now", "sensors"];
+/// Values that a status has only sometimes, and what to do where it has none.
+const SOMETIMES: [(&str, &str); 4] = [
+    ("model", "no model is loaded: `rtecctl model load FILE`"),
+    ("table", "no part table is loaded: `rtecctl part load`"),
+    ("table_now", "no part table is loaded: `rtecctl part load`"),
+    ("sensors", "no sensors are configured: `[[sensor]]` in the daemon's rtec.toml"),
+];
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let seen = observe(&mut args.daemon.view()?, NO_EVENTS)?;
@@ -32,10 +37,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match find(&status, name) {
         Ok(Value::String(text)) if !args.daemon.json => println!("{text}"),
         Ok(value) => println!("{value}"),
-        Err(text) if name.split('.').next().is_some_and(|first| SOMETIMES.contains(&first)) => {
-            return Err(Outcome::No(text).into());
+        Err(text) => {
+            let first = name.split('.').next().unwrap_or_default();
+            return Err(match SOMETIMES.iter().find(|(of, _)| *of == first) {
+                Some((_, none)) if status.get(first).is_none() => Outcome::No((*none).to_owned()),
+                Some(_) => Outcome::No(text),
+                None => Outcome::Bad(text),
+            }
+            .into());
         }
-        Err(text) => return Err(Outcome::Bad(text).into()),
     }
     Ok(())
 }

@@ -1,13 +1,14 @@
 //! `rtecctl probe`: positions at the probe's trip.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, check, unreachable};
+use crate::daemon::{Daemon, NO_EVENTS, check, observe, unreachable};
 use clap::ValueEnum;
 use rtec_control::protocol::{ClientRequest, Happened, Response};
 
 /// Switch probing on and print every captured position, or switch it off
 ///
-/// While probing is on no corrections are made. `on` prints until interrupted; probing then stays on.
+/// While probing is on no corrections are made. `on` prints until probing is switched off; interrupted by Ctrl-C it leaves
+/// probing on.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// On or off
@@ -44,8 +45,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: true }).map_err(unreachable)?)?;
     let mut captured = Vec::new();
     match args.captures {
-        None => eprintln!("probing; Ctrl-C ends this list, probing stays on until `rtecctl probe off`"),
-        Some(n) => eprintln!("probing; it ends after {n} captures; after Ctrl-C with `rtecctl probe off`"),
+        None => eprintln!(
+            "probing: every capture is printed; `rtecctl probe off` elsewhere ends it, Ctrl-C ends this list alone; \
+             `--captures 0` returns at once"
+        ),
+        Some(n) => eprintln!(
+            "probing: {n} captures awaited; `rtecctl probe off` elsewhere ends it, Ctrl-C this list alone"
+        ),
     }
     if !args.daemon.json {
         println!(
@@ -53,7 +59,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "t/ns", "axis", "position/mm", "counts", "±", "by model/mm"
         );
     }
-    while args.captures.is_none_or(|n| (captured.len() as u64) < n) {
+    let mut number = 0;
+    while args.captures.is_none_or(|n| number < n) {
         let Response::Event(happened) = check(watch.answer().map_err(unreachable)?)? else { continue };
         if happened.trip.is_none() {
             if happened.kind != "mode" {
@@ -62,8 +69,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                     happened.axis.map(|a| format!("axis {a}: ")).unwrap_or_default(),
                     happened.text
                 );
+            } else if observe(&mut args.daemon.view()?, NO_EVENTS)?.status.mode != "probe" {
+                // Somebody else has switched it off, or a fault has: no capture comes any more.
+                let text = format!("probing has ended ({}) after {number} captures", happened.text);
+                if args.captures.is_some() {
+                    return Err(Outcome::No(text).into());
+                }
+                eprintln!("{text}");
+                return Ok(());
             }
             continue;
+        }
+        number += 1;
+        if let (Some(n), true) = (args.captures, args.daemon.json) {
+            eprintln!("capture {number} of {n}");
         }
         show(&happened, args.daemon.json);
         if args.captures.is_some() {

@@ -221,6 +221,12 @@ fn correcting(s: &DaemonStatus) -> String {
             let gate = a.gate.replace('_', " ");
             if a.in_effect == a.requested {
                 format!("{} {:+}", a.name, a.in_effect)
+            } else if a.gate == "done" {
+                let left = a.requested - a.in_effect;
+                format!(
+                    "{} {:+} of {:+} ({left:+} left, less than one insertion)",
+                    a.name, a.in_effect, a.requested
+                )
             } else {
                 format!("{} {:+} of {:+} ({gate})", a.name, a.in_effect, a.requested)
             }

@@ -77,10 +77,13 @@ impl Session {
                         return log.say(Level::Notice, &format!("machine model {}", file.display()));
                     }
                     _ if sha256.is_empty() => {
-                        format!("the model {} has not been taken yet: `rtecctl model load`", file.display())
+                        format!(
+                            "the model {} has not been loaded yet: `rtecctl model load` shows what it changes",
+                            file.display()
+                        )
                     }
                     _ => format!(
-                        "the model {} is not the one that was taken (its hash is another): `rtecctl model load` shows \
+                        "the model {} is not the one that was loaded last (its hash is another): `rtecctl model load` shows \
                          what it changes",
                         file.display()
                     ),
@@ -89,6 +92,18 @@ impl Session {
         };
         log.say(Level::Warning, &format!("no machine model: {why}"));
         self.model_refused = Some(why);
+    }
+
+    /// No model runs: why, and what to load; nothing to say where a part table was loaded without one.
+    pub(super) fn no_model(&self) -> Option<String> {
+        if self.corrector.shown().is_some() {
+            return None;
+        }
+        let none = "no model is loaded and no part table: only `rtecctl correct` moves an axis; `rtecctl model load FILE` loads one";
+        match &self.model_refused {
+            Some(why) => Some(format!("no model is loaded: {why}")),
+            None => self.corrector.table_shown().is_none().then(|| none.to_owned()),
+        }
     }
 
     /// Why a model is not to be used any more: nobody has looked at it since its validity ended.
@@ -177,7 +192,7 @@ impl Session {
         if let Some(ticket) = self.loader.overdue()
             && self.wish.take().is_some()
         {
-            let text = format!("loading took longer than {} s: nothing is taken", PATIENCE.as_secs());
+            let text = format!("loading took longer than {} s: nothing is loaded", PATIENCE.as_secs());
             let refused = Response::Refused { why: "too_long".to_owned(), text, jumps: Vec::new() };
             return Some((ticket, refused, None));
         }
@@ -222,7 +237,10 @@ impl Session {
         if *shown != sha256 {
             return refused(
                 "changed",
-                format!("{} has changed since it was shown: nothing is taken", file.display()),
+                format!(
+                    "{} has changed since it was shown: nothing is loaded; `rtecctl model load` again",
+                    file.display()
+                ),
             );
         }
         let ended = self.ended(machine);
@@ -233,7 +251,7 @@ impl Session {
         self.model_refused = None;
         let meant = ended.map_or(String::new(), |_| format!("{MEANT}\n"));
         let warnings = self.remember(&format!("{sha256}\n{}\n{meant}", file.display()), files, log);
-        let text = format!("machine model {} taken, SHA-256 {sha256}", file.display());
+        let text = format!("machine model {} loaded, SHA-256 {sha256}", file.display());
         log.record(Level::Notice, "model_loaded", &text, &[("RTEC_MODEL_SHA256", &sha256)]);
         Response::Done { jumps: Vec::new(), warnings }
     }
@@ -245,7 +263,7 @@ impl Session {
         let kept = serde_json::to_vec(&named).unwrap_or_default();
         let written = [(KEPT, kept.as_slice()), (TAKEN, text.as_bytes())]
             .map(|(name, content)| (name, rtec_files::write::whole(&self.directory().join(name), content)));
-        self.failed(written, "a restart will not know which model was taken", log)
+        self.failed(written, "a restart will not know which model was loaded", log)
     }
 
     /// A restart is to take up none. Removing needs no room on a disk, as writing would.
@@ -270,7 +288,7 @@ impl Session {
     pub(super) fn model_unload(&mut self, log: &mut Log) -> Response {
         // One that was refused at the start is given up, too.
         if !self.corrector.unload() && self.model_refused.take().is_none() {
-            let text = "no model is loaded".to_owned();
+            let text = "no model is loaded: there is nothing to unload".to_owned();
             return Response::Refused { why: "no_model".to_owned(), text, jumps: Vec::new() };
         }
         let warnings = self.forget(log);
@@ -307,7 +325,7 @@ impl Session {
 
     pub(super) fn table_unload(&mut self, log: &mut Log) -> Response {
         if !self.corrector.unload_table() {
-            let text = "no part table is loaded".to_owned();
+            let text = "no part table is loaded: there is nothing to unload".to_owned();
             return Response::Refused { why: "no_table".to_owned(), text, jumps: Vec::new() };
         }
         log.record(Level::Notice, "table_unloaded", "part table unloaded", &[]);

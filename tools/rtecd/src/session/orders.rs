@@ -35,7 +35,8 @@ impl Session {
             text: text.to_owned(),
             jumps: Vec::new(),
         };
-        let silent = "the real-time thread does not answer: is its CPU taken?";
+        let silent =
+            "the real-time thread does not answer: see `rtecctl platform` for what else runs on its CPU";
         // It has not looked at the card since a request was last left unanswered: nobody waits for it again.
         let stuck = self.unanswered == Some(control.status().polls);
         let deadline = self.time.now() + self.patience;
@@ -185,14 +186,15 @@ impl Session {
             // The corrector's own requests are told apart by their total.
             EventKind::Warning { total_counts: of } if event.axis == Some(n as u8) && of == total_counts => {
                 Some(format!(
-                    "{}, warning from {} on (warn_counts): it is taken; is so much meant?",
+                    "{}, warning from {} on (warn_counts): it is carried out; check that so much is meant",
                     asked(config, of, before),
                     config.engine.warn_counts
                 ))
             }
             _ => None,
         });
-        Ok(Response::Done { jumps: Vec::new(), warnings: warnings.take(1).collect() })
+        let warnings = warnings.take(1).chain(rest(config, total_counts, control.status().axes[n].in_effect));
+        Ok(Response::Done { jumps: Vec::new(), warnings: warnings.collect() })
     }
 
     /// Jogs a simulated axis, and reports what display and indicator show.
@@ -293,6 +295,19 @@ impl Session {
             jumps: jumps.to_vec(),
         })
     }
+}
+
+/// What a request leaves undone, where it is no whole number of insertions away.
+fn rest(axis: &ConfiguredAxis, total_counts: i64, in_effect: i64) -> Option<String> {
+    let increment = axis.engine.design.increment_counts();
+    let left = (total_counts - in_effect) % increment;
+    (left != 0).then(|| {
+        format!(
+            "axis {}: {:+} of {total_counts:+} counts will be in effect, {left:+} is left: an insertion is {increment} counts",
+            axis.name,
+            total_counts - left
+        )
+    })
 }
 
 /// The figures of a request for a total.

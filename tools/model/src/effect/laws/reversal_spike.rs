@@ -30,7 +30,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment:
             "ballbar (ISO 230-4), read at the quadrants; short strokes with dense readings after reversal"
                 .into(),
-
+        after_turn: true,
         ..Description::default()
     }))
 }

@@ -73,7 +73,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Some(s) => s,
         None => by_kind(&records[0])?,
     };
+    let unused = unused(standard, &conditions);
     let (mut found, mut report) = evaluate(args, &records, standard, conditions)?;
+    if let Some(unused) = unused {
+        report.warn(&unused);
+    }
     for doubt in &doubts {
         report.doubt(&doubt.to_string(), matches!(doubt.what, What::Outliers | What::Doubled));
     }
@@ -116,6 +120,20 @@ fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputE
         return Err(InputError::whole(Path::new(&doubt.record), found, expected));
     }
     Ok(())
+}
+
+/// What the conditions state and this evaluation has no use for.
+fn unused(standard: Standard, conditions: &Conditions) -> Option<String> {
+    if matches!(standard, Standard::Iso230_2 | Standard::Iso230_6) {
+        return None;
+    }
+    let thermal = conditions.scale.is_some() || conditions.workpiece.is_some();
+    let parts = [
+        thermal.then_some("[thermal]: nothing is reduced to 20 °C"),
+        (!conditions.stated.is_empty()).then_some("[uncertainty]: no figure has one"),
+    ];
+    let said: Vec<&str> = parts.into_iter().flatten().collect();
+    (!said.is_empty()).then(|| format!("of the conditions this evaluation does not use {}", said.join(", ")))
 }
 
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {

@@ -1,6 +1,6 @@
 //! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
 
-use crate::daemon::{self, unreachable};
+use crate::daemon::{self, Daemon, unreachable};
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_control::client::Client;
@@ -33,10 +33,12 @@ pub(crate) struct Recorder {
     /// File of `[[sensor]]` tables
     #[arg(long, value_name = "FILE")]
     sensors: Option<PathBuf>,
-    /// The daemon's control socket: positions of its axes and its sensors are recorded too, and the correction in effect
-    /// is added back to each error, so that the record shows the machine without it
+    /// The daemon's positions and sensors are recorded too, and the correction in effect is added back to each error, so
+    /// that the record shows the machine without it; without a path, or without --sensors and --feed, by the
+    /// configuration's socket
     #[arg(long, value_name = "PATH")]
-    socket: Option<PathBuf>,
+    #[allow(clippy::option_option)] // a path, the configuration's, or none of it
+    socket: Option<Option<PathBuf>>,
     /// Gauges and positions: lines NAME VALUE from host:port or a serial device
     #[arg(long, value_name = "host:port|/dev/tty…")]
     feed: Option<String>,
@@ -70,6 +72,12 @@ impl Recorder {
             (self.duration.is_some(), "--duration"),
         ];
         given.into_iter().find_map(|(is, name)| is.then_some(name))
+    }
+
+    /// The daemon, where it is asked for or there is no other source; it has no response.
+    fn corrector(&self, with_response: bool) -> anyhow::Result<Option<DaemonTotals>> {
+        let alone = !with_response && self.sensors.is_none() && self.feed.is_none();
+        self.socket.clone().or(alone.then_some(None)).map(DaemonTotals::connect).transpose()
     }
 
     /// What a record asks of its columns is asked before the run, not after it.
@@ -121,7 +129,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let mut bank = Bank::new(sensors, &args.root, rtec_measure::record::read_log)?;
     columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
     let own = columns.len();
-    let mut corrector = args.socket.as_deref().map(DaemonTotals::connect).transpose()?;
+    let mut corrector = args.corrector(with_response)?;
     if let Some(c) = &corrector {
         columns.extend(c.columns(&columns)?);
     }
@@ -198,7 +206,8 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     }
     if taken == 0 {
         std::fs::remove_file(&part).ok();
-        let found = nothing(feed.as_ref(), &columns[gauges..], duration, left_out);
+        let quiet = silent(&bank, duration, &last[own..], &columns[own..]);
+        let found = nothing(feed.as_ref(), &columns[gauges..], &quiet, duration, left_out);
         return Err(crate::Outcome::Unreachable(found).into());
     }
     if left_out > 0 {
@@ -250,10 +259,16 @@ fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>
 }
 
 /// Why not a single row was recorded.
-fn nothing(feed: Option<&Feed>, gauges: &[Column], duration_s: f64, left_out: u64) -> String {
+fn nothing(
+    feed: Option<&Feed>,
+    gauges: &[Column],
+    quiet: &[String],
+    duration_s: f64,
+    left_out: u64,
+) -> String {
     let trouble =
         |f: &Feed| gauges.iter().find_map(|c| f.value(&c.name).err().map(str::to_owned)).unwrap_or_default();
-    let what = feed.map_or("no sensor and no feed".to_owned(), trouble);
+    let what = feed.map_or_else(|| quiet.join(", "), trouble);
     let faulty =
         if left_out > 0 { format!(", {left_out} with a reading that is none") } else { String::new() };
     format!("no complete row in {duration_s:.0} s ({what}{faulty})")
@@ -292,8 +307,8 @@ struct DaemonTotals {
 }
 
 impl DaemonTotals {
-    fn connect(socket: &Path) -> anyhow::Result<Self> {
-        let mut client = Client::connect(socket).map_err(unreachable)?;
+    fn connect(socket: Option<PathBuf>) -> anyhow::Result<Self> {
+        let mut client = Daemon::at(socket).view()?;
         let status = status(&mut client)?;
         let count_um = vec![None; status.axes.len()];
         Ok(Self { client, status, count_um })

@@ -132,6 +132,11 @@ fn format(args: &Args) -> Result<Box<dyn rtec_measure::export::Format>, InputErr
     })
 }
 
+/// A position in mm to the nanometre: 203.2, not 203.200 000 000 000 02.
+fn short(mm: f64) -> f64 {
+    (mm * 1e6).round() / 1e6
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let at = |p: &Path| p.canonicalize().ok();
@@ -176,7 +181,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if table.end_mm() > args.to + 1e-9 {
         warnings.push(format!(
             "its last position, {} mm, is past --to {} mm: equal steps of {:.4} mm do not end there",
-            table.end_mm(),
+            short(table.end_mm()),
             args.to,
             table.step_mm
         ));
@@ -197,8 +202,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         args.out.display(),
         table.axis,
         table.step_mm,
-        table.points[0].position_mm,
-        table.end_mm()
+        short(table.points[0].position_mm),
+        short(table.end_mm())
     );
     eprintln!(
         "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS",

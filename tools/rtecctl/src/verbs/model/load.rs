@@ -52,11 +52,11 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     }
     let refused = !preview.expired.is_empty() && !args.expired;
     if !refused && !args.yes && !agreed()? {
-        return Err(Outcome::No("not taken; the daemon goes on as before".to_owned()).into());
+        return Err(Outcome::No("nothing is loaded; the daemon goes on as before".to_owned()).into());
     }
     check(client.ask_with(&take, &open()?).map_err(unreachable)?)?;
     if !args.daemon.json {
-        println!("taken");
+        println!("loaded");
     }
     Ok(())
 }
@@ -88,7 +88,7 @@ pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
 /// Asks the person; nobody there is a no.
 fn agreed() -> anyhow::Result<bool> {
     if !std::io::stdin().is_terminal() {
-        eprintln!("nobody to ask: --yes takes it");
+        eprintln!("no terminal to ask at: `--yes` loads it");
         return Ok(false);
     }
     eprint!("take it? [y/N] ");

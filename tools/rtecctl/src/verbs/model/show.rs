@@ -264,7 +264,9 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
             (a, b) => format!(": {} -> {}", figures(a), figures(b)),
         };
         let what = r["parameter"].as_str().or(r["change"].as_str()).unwrap_or_default();
-        println!("{:40} {what}{values}", r["effect"].as_str().unwrap_or_default());
+        let id = r["effect"].as_str().unwrap_or_default();
+        let name = left.get(id).or_else(|| right.get(id)).map_or_else(String::new, named);
+        println!("{name:40} {what}{values}");
     }
     if let Some(record) = args.record.as_ref().filter(|_| !predictions.is_empty()) {
         println!("on {}, RMS in the response's unit:", record.display());
@@ -280,6 +282,15 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
         println!("{response:16} {first:12.3} {second:12.3} {apart:12.3} {most:12.3}");
     }
     Ok(())
+}
+
+/// An effect's identity, as a person reads it: what tells it apart with few digits.
+fn named(effect: &Effect) -> String {
+    let apart = effect.description().parameters.iter().enumerate().filter(|(_, p)| p.tells_apart);
+    apart.fold(effect.identity(), |id, (i, p)| {
+        let values: Vec<String> = effect.get(i).iter().map(|v| short(*v)).collect();
+        id.replace(&format!("{}={:?}", p.name, effect.get(i)), &format!("{}={}", p.name, values.join(" ")))
+    })
 }
 
 /// Numbers as a person reads them.

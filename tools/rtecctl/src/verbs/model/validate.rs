@@ -126,31 +126,41 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&json!({ "responses": found, "no_better": worse }))?);
     } else {
         for v in &found {
-            let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
-            println!(
-                "{} {}: {} left of {} (SD {}), mean {}, largest {}; interval ±{} (mean) holds {}, {} about the mean left{}",
-                v["record"].as_str().unwrap_or_default(),
-                v["response"].as_str().unwrap_or_default(),
-                f("rms"),
-                f("rms_without_model"),
-                f("sd"),
-                f("mean_left"),
-                f("largest_left"),
-                f("mean_half_width_um"),
-                f("coverage"),
-                f("coverage_about_mean"),
-                if v["fitted_on_this_record"] == true {
-                    "; NOT unseen: the model was fitted on it"
-                } else {
-                    ""
-                },
-            );
+            print_judged(v);
         }
     }
     if worse.is_empty() {
         return Ok(());
     }
     Err(Outcome::No(format!("no better than without the model: {}", worse.join(", "))).into())
+}
+
+/// One response, in a line.
+fn print_judged(v: &Value) {
+    let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
+    let interval = if v["coverage"].is_null() {
+        "the model states no interval".to_owned()
+    } else {
+        let percent = |key: &str| 100.0 * v[key].as_f64().unwrap_or_default();
+        format!(
+            "95 % interval ±{} (mean): {:.1} % of the rows within it, {:.1} % about the mean left",
+            f("mean_half_width_um"),
+            percent("coverage"),
+            percent("coverage_about_mean")
+        )
+    };
+    let unseen =
+        if v["fitted_on_this_record"] == true { "; NOT unseen: the model was fitted on it" } else { "" };
+    println!(
+        "{} {}: {} left of {} (SD {}), mean {}, largest {}; {interval}{unseen}",
+        v["record"].as_str().unwrap_or_default(),
+        v["response"].as_str().unwrap_or_default(),
+        f("rms"),
+        f("rms_without_model"),
+        f("sd"),
+        f("mean_left"),
+        f("largest_left"),
+    );
 }
 
 pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {

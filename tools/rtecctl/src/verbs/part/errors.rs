@@ -3,10 +3,11 @@
 use super::features::Units;
 use super::points::positive;
 use super::{print, usage, write_all};
+use rtec_model::effect::{Effect, Need};
 use rtec_model::machine::Machine;
 use rtec_part::errors::{ErrorReport, Nominal, Probed};
 use rtec_part::fit::Zx;
-use rtec_part::path::read_expected;
+use rtec_part::path::{approaches, read_expected, read_pathfin};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -37,7 +38,10 @@ pub(crate) struct Args {
     /// The expected trips: every point must be near its own
     #[arg(long, value_name = "PROBPATH.CDL")]
     expected: Option<PathBuf>,
-    /// Unit of the expected trips
+    /// The probe's path, where the points have no approach: from which side each was touched
+    #[arg(long, value_name = "PATHFIN.CDL")]
+    path: Option<PathBuf>,
+    /// Unit of the expected trips and of the path
     #[arg(long, value_enum, default_value_t = Units::Mm)]
     path_units: Units,
     /// How near a trip must be to its expected place, in mm
@@ -58,6 +62,8 @@ pub(crate) struct Args {
 const OTHER_SIZE: f64 = 1.3;
 /// A larger error of size is a wrong number, of radius or tip.
 const NO_SIZE_ERROR_UM: f64 = 500.0;
+/// A taper that is off by more was cut as another one, or asked for as another.
+const OTHER_TAPER_DEG: f64 = 1.0;
 /// An error of this size is no finish cut's.
 const FALSE_TRIP_UM: f64 = 200.0;
 
@@ -100,6 +106,53 @@ fn nominal(args: &Args, probed: &Probed) -> anyhow::Result<Nominal> {
     }
 }
 
+/// The points, from which side and where they were expected, and without what the machine's model says.
+fn read(args: &Args) -> anyhow::Result<(Probed, Option<Vec<Zx>>)> {
+    let mut probed = Probed::read(&args.points)?;
+    if let Some(file) = &args.path {
+        let path = read_pathfin(file, args.path_units.unit())?;
+        probed.touched_by(&approaches(&path))?;
+        probed.met_on(&path)?;
+    }
+    let mut places = None;
+    if let Some(file) = &args.expected {
+        let expected = read_expected(file, args.path_units.unit())?;
+        probed.check_expected(&expected, positive("--trip-window-mm", args.trip_window_mm)?)?;
+        places = Some(expected);
+    }
+    if let Some(file) = &args.machine {
+        let machine = Machine::read(file)?;
+        let origin = match args.origin_mm.as_deref() {
+            Some(&[z, x]) if z.is_finite() && x.is_finite() => Zx::new(z, x),
+            Some(other) => {
+                let found = other.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+                return Err(usage("--origin-mm", found, "Z,X: two numbers in mm, as 300,100"));
+            }
+            None => {
+                let placed =
+                    |e: &&Effect| e.description().needs.iter().any(|n| matches!(n, Need::Position(_)));
+                if let Some(effect) = machine.effects().find(placed) {
+                    eprintln!(
+                        "warning: no --origin-mm: the part's zero is taken as the machine's zero, and {} reads the machine's position",
+                        effect.name()
+                    );
+                }
+                Zx::new(0.0, 0.0)
+            }
+        };
+        let blind = probed.read_blind(&machine);
+        if !blind.is_empty() {
+            eprintln!(
+                "warning: {} of the model: the points do not record what is read (approach_z,approach_x or --path for a direction, t_s \
+                 for the time, no column for others); it counts as none, of the time as the row's number",
+                blind.join(", ")
+            );
+        }
+        probed.correct_geometric_thermal(&machine, origin)?;
+    }
+    Ok((probed, places))
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
         return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
@@ -111,21 +164,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.radius_mm.is_some_and(|r| !(r.is_finite() && r > 0.0)) {
         return Err(usage("--radius-mm", "no positive radius", "the arc's nominal radius in mm"));
     }
-    let mut probed = Probed::read(&args.points)?;
-    let mut places = None;
-    if let Some(file) = &args.expected {
-        let expected = read_expected(file, args.path_units.unit())?;
-        probed.check_expected(&expected, positive("--trip-window-mm", args.trip_window_mm)?)?;
-        places = Some(expected);
-    }
-    if let Some(file) = &args.machine {
-        let origin = match args.origin_mm.as_deref() {
-            Some(&[z, x]) => Zx::new(z, x),
-            _ => Zx::new(0.0, 0.0),
-        };
-        probed.correct_geometric_thermal(&Machine::read(file)?, origin)?;
-    }
+    let (probed, places) = read(args)?;
     let mut report = probed.errors(nominal(args, &probed)?, tip_mm)?;
+    if report.hollow {
+        eprintln!(
+            "rtecctl: touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow"
+        );
+    }
+    if let Some((off, hint)) = taper_slip(args, &report) {
+        eprintln!("warning: {off:+.3}° from --taper-deg{hint}");
+    }
+    if report.feature == "line" && probed.approach.is_none() {
+        eprintln!(
+            "rtecctl: no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
+             errors would come out with the other sign"
+        );
+    }
     if args.tip_mm.is_none() {
         eprintln!(
             "rtecctl: no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
@@ -200,6 +254,23 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         print(&text(&report, args.with_size))
     }
+}
+
+/// A taper so far from nominal is another one, and what may have been meant.
+fn taper_slip(args: &Args, r: &ErrorReport) -> Option<(f64, &'static str)> {
+    let (asked, found) = args.taper_deg.zip(r.inclination_deg)?;
+    let off = r.inclination_error_deg.filter(|off| off.abs() > OTHER_TAPER_DEG)?;
+    let is = |meant: f64| ((found - meant + 90.0).rem_euclid(180.0) - 90.0).abs() <= OTHER_TAPER_DEG;
+    let hint = if is(-asked) {
+        ": as much as the angle of the other sign; positive is X rising with Z"
+    } else if is(asked / 2.0) || is(-asked / 2.0) {
+        ": half of it is there; is that the cone's whole angle? The taper is to the part's axis"
+    } else if is(90.0 - asked) || is(asked - 90.0) {
+        ": the rest to 90° is there; the taper is to the part's axis, not to the face"
+    } else {
+        ": more than a cut part is off; look at --taper-deg and at the order of z_mm and x_mm"
+    };
+    Some((off, hint))
 }
 
 /// The size by both fits, where they differ by more than what the points scatter by.

@@ -60,7 +60,18 @@ impl How {
     pub(crate) fn read(&self, drawing: &Path) -> anyhow::Result<(Contour, Unit)> {
         let unit = self.units.map(Units::unit);
         let options = Options { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };
-        Ok(drawing::read(drawing, &options)?)
+        let read = drawing::read(drawing, &options)?;
+        if let (Some(asked), Some(header)) = (unit, drawing::header_unit(drawing)?)
+            && asked != header
+        {
+            eprintln!(
+                "warning: {}: its header ($INSUNITS) says 1 unit = {} mm, --units says {} mm: --units is taken",
+                drawing.display(),
+                header.0,
+                asked.0
+            );
+        }
+        Ok(read)
     }
 }
 

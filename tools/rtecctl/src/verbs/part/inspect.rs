@@ -22,9 +22,9 @@ pub(crate) struct Args {
     /// Nominal radius of the finish cut, in mm
     #[arg(long)]
     radius_mm: f64,
-    /// Radius of the probe's tip, in mm
-    #[arg(long, default_value_t = 0.0)]
-    tip_mm: f64,
+    /// Radius of the probe's tip, in mm [default: 0, and it is said]
+    #[arg(long)]
+    tip_mm: Option<f64>,
     /// The largest error that may be left, in µm
     #[arg(long)]
     limit_um: Option<f64>,
@@ -36,16 +36,42 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// The part of an arc that was probed before and not after, where it is more than a tenth.
+fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
+    let ends = |r: &ErrorReport| {
+        r.errors.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], e| {
+            [lo.min(e.angle_rad), hi.max(e.angle_rad)]
+        })
+    };
+    let ([lo, hi], [from, to]) = (ends(before), ends(after));
+    let slack = 0.1 * (hi - lo);
+    (from > lo + slack || to < hi - slack)
+        .then(|| format!("points from {from:.2} to {to:.2} rad, before from {lo:.2} to {hi:.2} rad"))
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if !(args.tip_mm.is_finite() && args.tip_mm >= 0.0) {
-        return Err(usage("--tip-mm", args.tip_mm.to_string(), "a radius in mm, 0 or more"));
+    let tip_mm = args.tip_mm.unwrap_or(0.0);
+    if !(tip_mm.is_finite() && tip_mm >= 0.0) {
+        return Err(usage("--tip-mm", tip_mm.to_string(), "a radius in mm, 0 or more"));
+    }
+    if args.tip_mm.is_none() {
+        eprintln!(
+            "rtecctl: no --tip-mm: the points are taken as on the part's surface; a tip's radius would be in the size"
+        );
     }
     let read = |file: &Path, name: &str, radius_mm: f64| -> anyhow::Result<ErrorReport> {
         let radius_mm = positive(name, radius_mm)?;
-        Ok(Probed::read(file)?.errors(Nominal::Circle { radius_mm }, args.tip_mm)?)
+        Ok(Probed::read(file)?.errors(Nominal::Circle { radius_mm }, tip_mm)?)
     };
     let before = read(&args.before, "--before-radius-mm", args.before_radius_mm)?;
     let after = read(&args.after, "--radius-mm", args.radius_mm)?;
+    if let Some(um) = after.size_error_um.filter(|um| um.abs() > 100.0 * args.radius_mm) {
+        let found = format!("{}: a size off by {:.1} mm", args.after.display(), um / 1000.0);
+        return Err(usage("--after", found, "the points of the arc of --radius-mm"));
+    }
+    if let (true, Some(rest)) = (args.limit_um.is_some(), not_looked_at(&before, &after)) {
+        return Err(usage("--after", rest, "points over the whole of what was probed before"));
+    }
     let largest = |r: &ErrorReport| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
     let mut decisions = vec![format!(
         "largest error {:.2} -> {:.2} µm, SD {:.2} -> {:.2} µm",
@@ -55,17 +81,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         after.sd_before_um
     )];
     // A part of the right form and the wrong size is not the part.
-    let from_nominal = |r: &ErrorReport| {
-        let size_um = r.size_error_um.unwrap_or(0.0);
-        r.errors.iter().map(|e| (e.error_um + size_um).abs()).fold(0.0, f64::max)
-    };
+    let size_um = after.size_error_um.unwrap_or(0.0);
+    let farthest_um = after.errors.iter().map(|e| (e.error_um + size_um).abs()).fold(0.0, f64::max);
     if let Some(size_um) = after.size_error_um {
         decisions.push(format!(
-            "size {size_um:+.2} µm; farthest from nominal, size and form together, {:.2} µm",
-            from_nominal(&after)
+            "size {size_um:+.2} µm; farthest from nominal, size and form together, {farthest_um:.2} µm"
         ));
     }
-    let limit = args.limit_um.map(|limit_um| (limit_um, from_nominal(&after) <= limit_um));
+    // A bump draws the size to itself, so that both together may hide it: the form is judged by itself too.
+    let judged_um = farthest_um.max(largest(&after));
+    let limit = args.limit_um.map(|limit_um| (limit_um, judged_um <= limit_um));
     if let Some((limit_um, kept)) = limit {
         decisions.push(format!(
             "limit of {limit_um} µm {}",
@@ -84,8 +109,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     match limit {
         Some((limit_um, false)) => {
-            Err(Outcome::No(format!("{:.2} µm from nominal, more than {limit_um} µm", from_nominal(&after)))
-                .into())
+            Err(Outcome::No(format!("{judged_um:.2} µm from nominal, more than {limit_um} µm")).into())
         }
         _ => Ok(()),
     }

@@ -5,6 +5,7 @@ use super::web::{Page, PlanEditor};
 use super::{print, usage, write_all};
 use crate::Outcome;
 use rtec_part::path::{Hit, Plan, Probe, ProbingMotion, Stem};
+use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -55,7 +56,7 @@ pub(crate) struct Args {
     /// Port of the page; 0 takes a free one
     #[arg(long, default_value_t = 0, requires = "web")]
     port: u16,
-    /// Folder for pathfin.cdl, probpath.cdl and points.svg
+    /// Folder for pathfin.cdl, probpath.cdl (in inches of a drawing in inches, else in mm) and points.svg
     #[arg(long)]
     out: PathBuf,
     /// Print one JSON document
@@ -131,7 +132,14 @@ impl FromStr for Choice {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let (contour, unit) = args.drawing.read()?;
+    let (contour, drawn) = args.drawing.read()?;
+    // A path file does not name its unit, and the steps that read it know mm and inch.
+    let unit = if drawn == Unit::INCH { drawn } else { Unit::MM };
+    if unit == Unit::INCH {
+        eprintln!(
+            "rtecctl: pathfin.cdl and probpath.cdl are in inches, as the drawing: the steps that read them want --path-units inch"
+        );
+    }
     let motion = args.motion.motion()?;
     let stem = match args.stem.as_deref() {
         None => None,
@@ -160,6 +168,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let names: Vec<&str> = contour.features.iter().map(|f| f.name.as_str()).collect();
             usage("--feature", choice.feature.clone(), format!("one of {}", names.join(", ")))
         })?;
+        let length_mm = contour.features[feature].segment.length_mm();
+        if 2.0 * args.margin_mm >= length_mm {
+            let found = format!("{} at each end of {}", args.margin_mm, choice.feature);
+            let expected = format!("less than half of its {length_mm:.4} mm, below {:.4}", length_mm / 2.0);
+            return Err(usage("--margin-mm", found, expected));
+        }
         match choice.by {
             By::Number(n) => plan.add_number(&contour, feature, n, args.margin_mm),
             By::SpacingMm(mm) => plan.add_spacing(&contour, feature, mm, args.margin_mm),

@@ -39,8 +39,21 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let seen = args.inspected.as_deref().map(read_arc).transpose()?;
     let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
     let batch = evaluate(&args.batch, seen.as_deref(), judgement)?;
+    let unseen = batch.places.iter().filter(|p| p.seen_on_machine_um.is_none()).count();
+    if seen.is_some() && unseen > 0 {
+        eprintln!(
+            "rtecctl: {unseen} of {} places have no inspected point within 0.05 rad: judged as without an inspection",
+            batch.places.len()
+        );
+    }
     if let Some(folder) = &args.out {
-        write_all(folder, &[("offer.cor", error_cor(&batch.offer_table).as_bytes())])?;
+        let offered = &batch.offer_table;
+        if let Some(other) = offered.iter().find(|o| o.feature != offered[0].feature) {
+            let found = format!("changes of {} and of {}", offered[0].feature, other.feature);
+            return Err(usage("--out", found, "one feature: offer.cor is one table; a batch file for each"));
+        }
+        let errors: Vec<_> = offered.iter().map(|o| o.error).collect();
+        write_all(folder, &[("offer.cor", error_cor(&errors).as_bytes())])?;
     }
     if args.json {
         return print(&(serde_json::to_string_pretty(&batch)? + "\n"));

@@ -12,7 +12,7 @@ use rtec_control::protocol::{self, ClientRequest, Response};
 use rtec_measure::record::{to_csv, to_sidecar};
 use rtec_model::record::Record;
 use rtec_part::fit::Zx;
-use rtec_part::path::{PathRole, read_expected, read_pathfin};
+use rtec_part::path::{approaches, read_expected, read_pathfin};
 use rtec_part::probe::{Captured, Trip, TripFault, assign, probed_csv, run_record};
 use rtec_sim::workpiece::Workpiece;
 use std::fmt::Write as _;
@@ -81,11 +81,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let unit = args.path_units.unit();
     let records = read_pathfin(&args.path, unit)?;
     let expected = read_expected(&args.expected, unit)?;
-    let approach: Vec<_> = records
-        .windows(2)
-        .filter(|w| matches!(w[1].role, PathRole::Touch(_)))
-        .filter_map(|w| (w[1].at - w[0].at).unit())
-        .collect();
+    let approach = approaches(&records);
     if approach.len() != expected.len() {
         let found = format!("{} touches for {} expected trips", approach.len(), expected.len());
         return Err(usage("--expected", found, "the two files of one plan"));

@@ -28,6 +28,9 @@ pub(crate) struct Args {
     /// Send each correction this long before the tool is there, in ms
     #[arg(long, default_value_t = 50.0)]
     lead_ms: f64,
+    /// The arc is hollow, a fillet or a groove: the nose's centre runs inside it
+    #[arg(long)]
+    hollow: bool,
     /// The cut runs towards smaller angles
     #[arg(long)]
     backwards: bool,
@@ -156,6 +159,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let lead_mm = feed_mm_s * args.lead_ms * 1e-3;
     let off_mm = args.g01_um.map(|um| positive("--g01-um", um)).transpose()?.map(|um| um * 1e-3);
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
+        FeatureErrors::Line(_) if args.hollow => {
+            return Err(usage("--hollow", "errors of a straight feature", "those of an arc"));
+        }
         FeatureErrors::Line(errors) => {
             let table = LineTable { errors, axes, nose_mm, origin };
             let rows = table.rows(usize::from(args.between));
@@ -163,7 +169,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             (rows, text, off_mm.map(|_| table.straight_moves()))
         }
         FeatureErrors::Arc(errors) => {
-            let table = FinishTable::new(args.cut.cut()?, axes, errors);
+            let mut cut = args.cut.cut()?;
+            if args.hollow {
+                if cut.nose_mm >= cut.radius_mm {
+                    let expected = format!("a nose that fits into the arc, below {} mm", cut.radius_mm);
+                    return Err(usage("--nose-mm", cut.nose_mm.to_string(), expected));
+                }
+                cut.nose_mm = -cut.nose_mm;
+            }
+            let table = FinishTable::new(cut, axes, errors);
             let rows = table.rows(usize::from(args.between));
             let text = csv(&table, &rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))
