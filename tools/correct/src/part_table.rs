@@ -31,6 +31,9 @@ pub struct PartTable {
     pub radius_mm: Option<f64>,
     /// Radius of the tool's nose.
     pub nose_mm: f64,
+    /// The arc is hollow, a fillet or a groove: the nose's centre runs inside it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub hollow: bool,
     /// Machine position at which the nose's centre is at the part's origin.
     pub origin_mm: [f64; 2],
     /// Totals are asked this long before the tool is there.
@@ -108,8 +111,8 @@ impl PartErrors {
         let (nose_mm, origin) = (shown.nose_mm, Zx::new(oz, ox));
         let table = match errors {
             FeatureErrors::Line(errors) => {
-                if shown.radius_mm.is_some() || shown.centre_mm.is_some() {
-                    return Err("found a radius or a centre for the errors of a straight feature, expected none: the \
+                if shown.radius_mm.is_some() || shown.centre_mm.is_some() || shown.hollow {
+                    return Err("found a radius, a centre or a hollow arc for the errors of a straight feature, expected none: the \
                                 errors bring their places"
                         .to_owned());
                 }
@@ -123,6 +126,12 @@ impl PartErrors {
                                 radius_mm"
                         .to_owned());
                 };
+                if shown.hollow && nose_mm >= radius_mm {
+                    return Err(format!(
+                        "found a nose of {nose_mm} mm for a hollow arc of {radius_mm} mm, expected one that fits into it"
+                    ));
+                }
+                let nose_mm = if shown.hollow { -nose_mm } else { nose_mm };
                 let cut = FinishCut { centre: Zx::new(cz, cx), radius_mm, nose_mm, origin };
                 Table::Arc(FinishTable::new(cut, counts, errors))
             }

@@ -178,6 +178,7 @@ fn part(axes: [&str; 2]) -> PartTable {
         centre_mm: Some([0.0; 2]),
         radius_mm: Some(39.0),
         nose_mm: 1.0,
+        hollow: false,
         origin_mm: [0.0; 2],
         lead_ms: 0.0,
     }
@@ -228,6 +229,20 @@ fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
     assert_eq!(bench.corrector.table_now(&bench.status), None);
 }
 
+/// In a hollow arc the nose's centre runs inside: on 41 mm less 1 mm. As a convex one the same table would act 2 mm beside it.
+#[test]
+fn a_hollow_arcs_table_acts_where_the_nose_runs_inside() {
+    let hollow = PartTable { radius_mm: Some(41.0), hollow: true, ..part(["z", "x"]) };
+    let mut bench = Bench::new();
+    bench.corrector.load_table(hollow.clone(), part_errors()).unwrap();
+    bench.status.axes[2].position_counts = 40_000;
+    bench.run(0.5, 2, |_| None);
+    let now = bench.corrector.table_now(&bench.status).unwrap();
+    assert!((now.state.as_str(), now.um) == ("in_force", [10.0, 0.0]) && now.off_mm < 1e-9, "{now:?}");
+    let said = bench.corrector.load_table(PartTable { nose_mm: 41.0, ..hollow }, part_errors()).unwrap_err();
+    assert!(said.contains("expected one that fits into it"), "{said}");
+}
+
 /// A taper of 30° from Z 100, X 20 on, 40 mm long, probed every 10 mm. Its corrections by hand: n = (−sin 30°, cos 30°) in Z and X,
 /// the nose's centre 1 mm outside.
 #[test]
@@ -274,8 +289,9 @@ fn a_straight_features_table_acts_along_it_and_fades_beyond_its_ends() {
     }
     assert_eq!(seen(80.0, 0.0).state, "ready");
     for (wrong, said) in [
-        (part(["z", "x"]), "found a radius or a centre"),
+        (part(["z", "x"]), "found a radius, a centre"),
         (PartTable { nose_mm: -1.0, ..wanted.clone() }, "nose_mm of 0 to 1000"),
+        (PartTable { hollow: true, ..wanted.clone() }, "a hollow arc for the errors of a straight feature"),
     ] {
         let text = bench.corrector.load_table(wrong, errors()).unwrap_err();
         assert!(text.contains(said), "{text}");

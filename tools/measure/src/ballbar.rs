@@ -11,7 +11,7 @@
 //! The diagnosis fits the laws of the model's own effects (scale, squareness, reversal, spike, following error, screw) to
 //! the radial errors of all records of a plane together; each record has a centre and a mean radius of its own.
 
-use crate::iso230::{error_axes, lacks};
+use crate::iso230::{Round, error_axes, lacks};
 use rtec_files::InputError;
 use rtec_model::circle::{Circle, rates};
 use rtec_model::effect::Dictionary;
@@ -126,6 +126,11 @@ const MISSING_DEG: f64 = 2.0;
 /// A mean radius further off than by any scale: µm per mm of radius.
 const FAR_OFF: f64 = 0.5;
 
+/// Radii that are one.
+fn alike(a: f64, b: f64) -> bool {
+    (a / b - 1.0).abs() < 0.01
+}
+
 fn same_plane(a: &str, b: &str) -> bool {
     a == b || a.split_once('-').is_some_and(|(x, y)| format!("{y}-{x}") == b)
 }
@@ -146,22 +151,27 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
             "a contour of less than a full circle, {turned:.0}°: its deviations are those of the arc"
         ));
     }
-    let off = mean_radius
-        .iter()
-        .copied()
-        .find(|um| traces[0].record.circle().is_some_and(|c| um.abs() > FAR_OFF * c.radius_mm));
-    let one_way = contours
-        .iter()
-        .map(|c| c.radius_um)
-        .find(|um| traces[0].record.circle().is_some_and(|c| um.abs() > FAR_OFF * c.radius_mm));
-    if let Some(um) = off.or(one_way) {
+    let radii: Vec<f64> = traces.iter().filter_map(|t| t.record.circle().map(|c| c.radius_mm)).collect();
+    let mixed = radii.iter().any(|r| !alike(*r, radii[0]));
+    if mixed {
+        let list: Vec<String> = radii.iter().map(|r| format!("{r}")).collect();
+        warnings.push(format!(
+            "circles of different radii ({} mm): each figure is the largest of any; evaluate them one by one for the figures of each",
+            list.join(", ")
+        ));
+    }
+    let off = |t: &Trace| {
+        let mm = t.record.circle()?.radius_mm;
+        t.evaluate().into_iter().map(|c| c.radius_um).find(|um| um.abs() > FAR_OFF * mm)
+    };
+    if let Some(um) = traces.iter().find_map(off) {
         warnings.push(format!(
             "the mean radius is {um:.0} µm off the nominal one: radius_mm is not the bar's, or its zero is not set; F and D say nothing else"
         ));
     }
     let diagnosis = diagnosis::diagnose(traces, &mut warnings)?;
     Ok(Ballbar {
-        radius_mm: traces[0].record.circle().map(|c| c.radius_mm),
+        radius_mm: radii.first().copied().filter(|_| !mixed),
         g_ccw: largest(&way("ccw")),
         g_cw: largest(&way("cw")),
         g_b: of_both(|b| range_about(&pairs(b))),
@@ -179,8 +189,7 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
 /// A row: angle, radial error, sense of turning.
 type Row = (f64, f64, f64);
 
-/// Rows of each record that goes both ways; of all together, where none does and their feeds
-/// are alike.
+/// Rows of each record that goes both ways; of all of one radius together, where none does.
 fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
     let rows = |t: &Trace, centred: bool| -> Vec<Row> {
         let of = |(rows, turn): &(Range<usize>, f64)| {
@@ -194,8 +203,14 @@ fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
     let goes_both = |rows: &[Row]| rows.iter().any(|r| r.2 > 0.0) && rows.iter().any(|r| r.2 < 0.0);
     let mut found: Vec<_> = traces.iter().map(|t| rows(t, false)).filter(|r| goes_both(r)).collect();
     if found.is_empty() {
-        let all: Vec<_> = traces.iter().flat_map(|t| rows(t, true)).collect();
-        found.extend(Some(all).filter(|r| goes_both(r)));
+        let radius = |t: &Trace| t.record.circle().map_or(1.0, |c| c.radius_mm);
+        let mut left: Vec<&Trace> = traces.iter().collect();
+        while let Some(first) = left.first().map(|t| radius(t)) {
+            let (own, others): (Vec<&Trace>, _) = left.into_iter().partition(|t| alike(radius(t), first));
+            let all: Vec<_> = own.into_iter().flat_map(|t| rows(t, true)).collect();
+            found.extend(Some(all).filter(|r| goes_both(r)));
+            left = others;
+        }
     }
     found
 }
@@ -402,8 +417,8 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
                 "columns error.r and angle (with radius_mm and plane), or two axes with position and error";
             return Err(lacks(record, "no circular contour", expected));
         };
-        let (cx, cy) = (middle(px), middle(py));
-        let angle: Vec<f64> = px.iter().zip(*py).map(|(x, y)| (y - cy).atan2(x - cx)).collect();
+        let round = met(record, px, py)?;
+        let angle: Vec<f64> = px.iter().zip(*py).map(|(x, y)| round.angle(*x, *y)).collect();
         let r = angle.iter().zip(ex.iter().zip(*ey)).map(|(a, (x, y))| x * a.cos() + y * a.sin()).collect();
         columns.retain(|c| !c.role.is_response() && c.role != Role::Angle);
         columns.push(Column::new("angle of the contour", Role::Angle, angle.clone()));
@@ -411,15 +426,7 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
         ([(*ax).clone(), (*ay).clone()], angle)
     };
     let of = |a: &Axis| record.data(&Role::Position(a.clone())).unwrap_or_default();
-    let (px, py) = (of(&plane[0]), of(&plane[1]));
-    let (cx, cy) = (middle(px), middle(py));
-    let radii: Vec<f64> = px.iter().zip(py).map(|(x, y)| (x - cx).hypot(y - cy)).collect();
-    let radius_mm = radii.iter().sum::<f64>() / radii.len() as f64;
-    // The centre is the middle of the positions: that holds for a whole circle only.
-    if radii.iter().any(|r| (r - radius_mm).abs() > 0.01 * radius_mm) {
-        let expected = "a circle about its centre, all the way round";
-        return Err(lacks(record, "positions that are no full circle", expected));
-    }
+    let radius_mm = met(record, of(&plane[0]), of(&plane[1]))?.radius;
     debug_assert_eq!(angle.len(), record.rows());
     let mut circle = Record::of_checked(&record.path, Kind::Ballbar, columns);
     circle.file.clone_from(&record.file);
@@ -429,9 +436,11 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
     Ok((circle, plane))
 }
 
-fn middle(p: &[f64]) -> f64 {
-    let lo = p.iter().copied().fold(f64::INFINITY, f64::min);
-    f64::midpoint(lo, p.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+/// The circle that the positions run on.
+fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<Round, InputError> {
+    Round::through(x, y).filter(Round::is_met).ok_or_else(|| {
+        lacks(record, "positions that are on no circle", "positions of both axes on one circle")
+    })
 }
 
 /// The dictionary's effect of this name at zero; the names are the built-in ones.

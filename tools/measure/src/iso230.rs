@@ -64,6 +64,51 @@ pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     Some((a, b, (left / (n - 2.0)).sqrt()))
 }
 
+/// The circle through places, by least squares of what their squared distances from its centre differ by (Kåsa).
+pub(crate) struct Round {
+    centre: [f64; 2],
+    /// Unit of the places.
+    pub(crate) radius: f64,
+    /// From the circle to the place farthest off it.
+    pub(crate) off: f64,
+}
+
+impl Round {
+    /// `None` where the places show none: fewer than three, or on a line.
+    pub(crate) fn through(x: &[f64], y: &[f64]) -> Option<Self> {
+        let n = x.len() as f64;
+        let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+        let size = x.iter().zip(y).map(|(x, y)| (x - mx).hypot(y - my)).fold(0.0, f64::max);
+        let place = |i: usize| [(x[i] - mx) / size, (y[i] - my) / size];
+        let a = nalgebra::DMatrix::from_fn(x.len(), 3, |i, j| if j < 2 { place(i)[j] } else { 1.0 });
+        let squares = nalgebra::DVector::from_fn(x.len(), |i, _| place(i).iter().map(|v| v * v).sum());
+        let square = a.tr_mul(&a);
+        let fit = square.clone().cholesky()?.solve(&a.tr_mul(&squares));
+        // Of places on a line the third direction is rounding.
+        let least = square.symmetric_eigenvalues().min();
+        if !(size > 0.0 && least > 1e-9 * n && fit.iter().all(|v| v.is_finite())) {
+            return None;
+        }
+        let [a, b] = [fit[0] / 2.0, fit[1] / 2.0];
+        let radius = (fit[2] + a * a + b * b).sqrt() * size;
+        let mut found = Self { centre: [mx + a * size, my + b * size], radius, off: 0.0 };
+        let [cx, cy] = found.centre;
+        let off = x.iter().zip(y).map(|(x, y)| ((x - cx).hypot(y - cy) - radius).abs());
+        found.off = off.fold(0.0, f64::max);
+        Some(found)
+    }
+
+    /// Angle of a place about the centre, rad.
+    pub(crate) fn angle(&self, x: f64, y: f64) -> f64 {
+        (y - self.centre[1]).atan2(x - self.centre[0])
+    }
+
+    /// No place is further off it than by a hundredth of its radius.
+    pub(crate) fn is_met(&self) -> bool {
+        self.off <= 0.01 * self.radius
+    }
+}
+
 /// Rows of equal target, in order of position.
 pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
     let alike = alike(position, ALIKE);

@@ -179,6 +179,46 @@ fn two_axes_with_their_errors_are_a_circle_too() {
     assert!(found.warnings.iter().any(|w| w.contains("no time")), "{:?}", found.warnings);
 }
 
+/// The same machine by three quarters of a circle: the middle of its positions is not the centre.
+#[test]
+fn an_arc_by_its_positions_has_its_own_centre() {
+    let rows: Vec<[f64; 2]> = (0..900)
+        .map(|i| {
+            let (way, k) = if i < 450 { (1.0, i) } else { (-1.0, 899 - i) };
+            [0.75 * TAU * f64::from(k) / 449.0, way]
+        })
+        .collect();
+    let by = |of: &dyn Fn(f64, f64) -> f64| rows.iter().map(|r| of(r[0], r[1])).collect::<Vec<_>>();
+    let columns = vec![
+        column("x", "position.x", by(&|a, _| 300.0 + 100.0 * a.cos())),
+        column("y", "position.y", by(&|a, _| -50.0 + 100.0 * a.sin())),
+        column("ex", "error.x", by(&|a, w| 0.030 * 100.0 * a.sin() - 2.0 * w * a.sin().signum())),
+        column("ey", "error.y", by(&|a, _| 0.010 * 100.0 * a.sin())),
+    ];
+    let found = one(&[Record::new(Path::new("arc.run.toml"), Kind::Ballbar, columns).unwrap()]);
+    near(found.radius_mm, 100.0, 1e-6);
+    near(found.diagnosis.squareness_urad, 30.0, 0.05);
+    near(found.diagnosis.scale_mismatch_ppm, -10.0, 0.05);
+}
+
+/// One way each on circles of two radii are not one contour both ways: a scale of 50 ppm on both, and no play, gave a
+/// hysteresis of the difference of their radii.
+#[test]
+fn circles_of_two_radii_share_no_figure() {
+    let run = |radius_mm: f64, turn: f64| Run { circles: vec![(turn, 8.0)], ..Run::both(radius_mm, 8.0) };
+    let oval = |r: f64| move |[_, a, _]: [f64; 3]| 0.05 * r * a.cos().powi(2);
+    let pair = |a: f64, b: f64| {
+        [run(a, 1.0).record("a.run.toml", oval(a)), run(b, -1.0).record("b.run.toml", oval(b))]
+    };
+    let same = one(&pair(150.0, 150.0));
+    near(same.h, 0.0, 0.1);
+    near(same.radius_mm, 150.0, 1e-9);
+    let two = one(&pair(50.0, 150.0));
+    assert_eq!((two.g_b, two.h, two.d, two.radius_mm), (None, None, None, None));
+    assert!(two.warnings.iter().any(|w| w.contains("different radii (50, 150 mm)")), "{:?}", two.warnings);
+    near(two.diagnosis.scale_mismatch_ppm, 50.0, 0.05);
+}
+
 #[test]
 fn without_plane_and_radius_there_are_deviations_only() {
     let rows = Run::both(100.0, 20.0).rows();

@@ -838,8 +838,8 @@ fn unusable_rows_and_sensors_are_left_out() {
 /// A ballbar's positions in inches beside a radius in millimetres; in millimetres nothing is said.
 #[test]
 fn inches_on_a_circle_are_said() {
-    let record = |per_mm: f64| {
-        let angles: Vec<f64> = (0..720).map(|i| TAU * f64::from(i) / 360.0).collect();
+    let record = |per_mm: f64, radius_mm: f64, turn: f64| {
+        let angles: Vec<f64> = (0..720).map(|i| turn * f64::from(i) / 360.0).collect();
         let of = |f: fn(f64) -> f64| angles.iter().map(|a| 150.0 * f(*a) * per_mm).collect::<Vec<_>>();
         let columns = vec![
             column("a", "angle", angles.clone()),
@@ -848,12 +848,91 @@ fn inches_on_a_circle_are_said() {
             column("e", "error.r", angles.iter().map(|a| 2.0 * (2.0 * a).sin()).collect()),
         ];
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
-        let circle = rtec_model::circle::Circle { radius_mm: 150.0, plane };
+        let circle = rtec_model::circle::Circle { radius_mm, plane };
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
-    assert_eq!(said(record(1.0)), []);
-    assert_eq!(said(record(1.0 / 25.4)), [(What::Unit, "x".to_owned()), (What::Unit, "y".to_owned())]);
+    let both = [(What::Unit, "x".to_owned()), (What::Unit, "y".to_owned())];
+    for turn in [TAU, 0.35 * TAU] {
+        assert_eq!(said(record(1.0, 150.0, turn)), []);
+        assert_eq!(said(record(1.0 / 25.4, 150.0, turn)), both);
+        // A radius typed wrong beside the positions, larger or smaller; the bar's diameter.
+        for (radius_mm, hint) in
+            [(75.0, "radius_mm is 75"), (160.0, "radius_mm is 160"), (300.0, "looks like the diameter")]
+        {
+            let found = suspicions(&[record(1.0, radius_mm, turn)]);
+            assert!(found.len() == 2 && found[0].text.contains(hint), "{radius_mm}: {found:?}");
+        }
+    }
+}
+
+/// A plate's holes in inches: round in millimetres once they are converted, or a scale that no machine has.
+#[test]
+fn a_plate_in_inches_is_said() {
+    let plate = |per_mm: f64, pitch_mm: f64| {
+        let mut d = Dice::new(11);
+        let (mut x, mut y, mut ex, mut ey) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for i in 0..25 {
+            let (px, py) = (pitch_mm * f64::from(i % 5), pitch_mm * f64::from(i / 5));
+            x.push(px * per_mm);
+            y.push(py * per_mm);
+            ex.push(0.03 * px - 0.01 * py + 0.3 * d.normal());
+            ey.push(0.025 * py + 0.02 * px + 0.3 * d.normal());
+        }
+        let columns = vec![
+            column("x", "position.x", x),
+            column("y", "position.y", y),
+            column("ex", "error.x", ex),
+            column("ey", "error.y", ey),
+        ];
+        suspicions(&[record("p", Kind::Plate, columns)])
+    };
+    for pitch_mm in [25.0, 40.0, 33.3] {
+        assert_eq!(plate(1.0, pitch_mm), [], "{pitch_mm}");
+        let said = plate(1.0 / 25.4, pitch_mm);
+        assert!(
+            said.iter().any(|s| s.what == What::Unit && s.text.contains("inches")),
+            "{pitch_mm}: {said:?}"
+        );
+    }
+}
+
+/// Rows sorted by position, − before + at each; a gauge read by hand every hour: nothing is wrong with either.
+#[test]
+fn a_sorted_run_and_hourly_readings_are_not_doubted() {
+    let mut d = Dice::new(3);
+    let (mut x, mut way, mut e) = (Vec::new(), Vec::new(), Vec::new());
+    for i in 0..33 {
+        for w in [-1.0, 1.0] {
+            x.push(20.0 * f64::from(i / 3));
+            way.push(w);
+            e.push(0.4 * f64::from(i / 3) + 1.5 * w + 0.2 * d.normal());
+        }
+    }
+    let columns = |x: Vec<f64>, way: Vec<f64>, e: Vec<f64>| {
+        vec![column("x", "position.x", x), column("d", "direction.x", way), column("e", "error.x", e)]
+    };
+    assert_eq!(suspicions(&[record("s", Kind::Positioning, columns(x.clone(), way.clone(), e.clone()))]), []);
+    let back = |v: &[f64]| v.iter().rev().copied().collect::<Vec<_>>();
+    assert_eq!(suspicions(&[record("s", Kind::Positioning, columns(back(&x), back(&way), back(&e)))]), []);
+    let drift = |step: f64| {
+        let t: Vec<f64> = (0..24).map(|i| step * f64::from(i)).collect();
+        let warm = |k: f64| move |i: i32| 20.0 + k * (1.0 - (-f64::from(i) / 5.0).exp());
+        let columns = vec![
+            column("t", "time", t),
+            column("T1", "temperature", (0..24).map(warm(6.0)).collect()),
+            column(
+                "e",
+                "error.z",
+                (0..24).map(|i| 3.0 * (warm(6.0)(i) - 20.0) + 0.2 * f64::from(i % 3)).collect(),
+            ),
+        ];
+        suspicions(&[record("h", Kind::Drift, columns)])
+    };
+    for step in [900.0, 3600.0, 7200.0] {
+        assert_eq!(drift(step), [], "{step}");
+    }
+    assert!(drift(10_000.0).iter().any(|s| s.text.contains("milliseconds")), "a row each ten seconds, in ms");
 }
 
 /// An angle in degrees whatever its steps are, and one that is not that of the positions.

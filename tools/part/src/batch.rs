@@ -115,6 +115,11 @@ pub fn evaluate_text(
         let found = format!("the features {} and {}", series[0].feature, other.feature);
         return Err(InputError::whole(file, found, "the one that was inspected: its rows alone"));
     }
+    let largest_seen = seen.into_iter().flatten().map(|e| e.error_um.abs()).fold(0.0, f64::max);
+    if is_other_unit(largest_seen) {
+        let found = format!("inspected errors of {largest_seen} µm at most beside it");
+        return Err(InputError::whole(file, found, OTHER_UNIT));
+    }
     let mut places: Vec<PlaceStatistics> = series.iter().map(|s| statistics(s, seen)).collect();
     if seen.is_some() && places.iter().all(|p| p.seen_on_machine_um.is_none()) {
         let ends = |angles: &mut dyn Iterator<Item = f64>| {
@@ -197,6 +202,22 @@ fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
             return Err(sheet.finding(row, format!("a larger {name}, {v}"), expected));
         }
     }
+    let largest = errors.iter().map(|e| e.abs()).fold(0.0, f64::max);
+    if is_other_unit(largest) {
+        let found = format!("errors of {largest} µm at most");
+        return Err(InputError::whole(file, found, OTHER_UNIT));
+    }
+    // One name in two spellings would be two features, each with its part of the rows.
+    let mut spelled: BTreeMap<String, &str> = BTreeMap::new();
+    for (row, name) in features.iter().enumerate() {
+        if let Some(other) = spelled.insert(name.trim().to_lowercase(), name).filter(|other| other != name) {
+            return Err(sheet.finding(
+                row,
+                format!("the feature {name:?} beside {other:?}"),
+                "one spelling of one feature",
+            ));
+        }
+    }
     // Angles are keys by their micro-radians: what a file repeats is the same place.
     let mut groups: BTreeMap<(String, i64), (Series, Vec<String>)> = BTreeMap::new();
     for row in 0..sheet.len() {
@@ -220,6 +241,16 @@ fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
         return Err(InputError::whole(file, "no measurement", "a batch of at least 3 parts"));
     }
     Ok(groups.into_values().map(|(s, _)| s).collect())
+}
+
+/// No measuring machine and no probe tells less, µm.
+const LEAST_TOLD_UM: f64 = 0.05;
+const OTHER_UNIT: &str =
+    "errors in µm, of which no measurement tells less than 0.05: are these mm or inches?";
+
+/// A whole file of errors, the largest of which is less than any measurement tells, is in another unit.
+fn is_other_unit(largest: f64) -> bool {
+    largest > 0.0 && largest < LEAST_TOLD_UM
 }
 
 /// Nominal, measured and error, each rounded to a micrometre, differ by no more.

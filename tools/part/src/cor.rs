@@ -12,7 +12,8 @@ use std::path::Path;
 pub struct PointError {
     /// Direction of the surface normal from the part's +Z axis, in rad; along an arc it goes on past ±π.
     pub angle_rad: f64,
-    /// Deviation along that normal, in µm; positive: too much material outside.
+    /// Deviation along that normal, in µm. Positive: the surface is further out than nominal, too much material; in a hollow arc,
+    /// whose normal points into the part, too little.
     pub error_um: f64,
     /// Place along a straight feature, in mm from the points' centroid.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -51,7 +52,8 @@ pub enum FeatureErrors {
 pub struct LineError {
     /// Direction of the surface normal from the part's +Z axis, in rad.
     pub angle_rad: f64,
-    /// Deviation along that normal, in µm; positive: too much material outside.
+    /// Deviation along that normal, in µm. Positive: the surface is further out than nominal, too much material; in a hollow arc,
+    /// whose normal points into the part, too little.
     pub error_um: f64,
     /// Place along the feature, in mm from the points' centroid.
     pub along_mm: f64,

@@ -195,6 +195,17 @@ impl Probed {
         Ok(())
     }
 
+    /// Where the points ask a model beyond the stretch that its values were stated on.
+    #[must_use]
+    pub fn beyond_stated(&self, machine: &Machine, origin: Zx) -> Vec<String> {
+        let places = |of: fn(&Zx) -> f64| Some(self.tip_centre.iter().map(|p| of(&(*p + origin))).collect());
+        machine.beyond_stated(|axis| match axis.as_str() {
+            "z" => places(|p| p.z),
+            "x" => places(|p| p.x),
+            _ => None,
+        })
+    }
+
     /// Effects of a model that read what the points do not record, which counts as none (of the time: the row's number).
     #[must_use]
     pub fn read_blind(&self, machine: &Machine) -> Vec<String> {

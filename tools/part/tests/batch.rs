@@ -190,3 +190,27 @@ fn an_inspection_is_held_against_its_own_feature_only() {
     let offered: Vec<_> = batch.offer_table.iter().map(|o| (o.feature.as_str(), o.error.error_um)).collect();
     assert_eq!(offered, [("fillet", -8.2), ("nose", 8.2)]);
 }
+
+/// Millimetres under µm, of the batch or of what was inspected; one feature in two spellings.
+#[test]
+fn a_batch_in_millimetres_or_in_two_spellings_is_refused() {
+    let batch = |per_um: f64, name: &dyn Fn(i32) -> String| {
+        (0..5).fold("part,feature,angle_rad,error_um\n".to_owned(), |text, p| {
+            text + &format!("{p},{},0.3,{}\n", name(p), (6.0 + 0.1 * f64::from(p)) * per_um)
+        })
+    };
+    let plain = |_: i32| "F1".to_owned();
+    let seen = |um: f64| [PointError { angle_rad: 0.3, error_um: um, along_mm: None }];
+    assert!(judged(&batch(1.0, &plain), Some(&seen(6.0))).is_ok());
+    for (per_um, inspected) in [(1e-3, 6.0), (1e-3 / 25.4, 6.0), (1.0, 6e-3)] {
+        let e = judged(&batch(per_um, &plain), Some(&seen(inspected))).unwrap_err();
+        assert!(e.expected.contains("are these mm or inches?"), "{e}");
+    }
+    // A part without any error, to the last digit, is one.
+    assert!(judged(&batch(0.0, &plain), None).is_ok());
+    for other in ["f1", "F1 ", " f1"] {
+        let e = judged(&batch(1.0, &|p| if p == 3 { format!("\"{other}\"") } else { plain(p) }), None)
+            .unwrap_err();
+        assert!(e.found.contains("the feature") && e.expected == "one spelling of one feature", "{e}");
+    }
+}

@@ -27,7 +27,7 @@ pub struct Gap {
     pub blocked: Option<[f64; 2]>,
     /// Repeatability of the data.
     pub floor: f64,
-    /// The hold-out is doubted: how much of its gap is closed says nothing.
+    /// The hold-out is doubted, or so few rows taught nothing: how much of the gap is closed says nothing.
     pub doubted: bool,
 }
 

@@ -104,6 +104,9 @@ fn a_row_alone_tells_nothing() {
     assert!(r.effects.is_empty() && r.refined.is_empty(), "{}", r.to_json());
     assert_eq!(r.verdict, Verdict::UnknownEffect);
     assert!(r.advice.contains("tell nothing apart"), "{}", r.advice);
+    // Six rows: what was left of them is no share closed.
+    let r = answer(&[run("a", 9, 6)], &[]);
+    assert!(r.gap.iter().all(|g| g.closed().is_none()), "{}", r.to_json());
     // Ten rows of a machine that the model holds: nothing is seen to be missing, and that says little.
     let mut ten = run("a", 9, 10);
     spoil(&mut ten, "e", |i, _| 0.3 * ((i * 7919 % 13) as f64 - 6.0) / 6.0);

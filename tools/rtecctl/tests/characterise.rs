@@ -285,6 +285,31 @@ fn tilt(folder: &Path) {
     write(folder, "tilt", "kind = \"positioning\"", &columns, &rows);
 }
 
+/// A workpiece reduced to 20 °C beside a scale that is not; conditions of lengths for a tilt.
+#[test]
+fn conditions_of_which_half_is_used_are_said() {
+    let dir = tempfile::tempdir().unwrap();
+    positioning(dir.path(), "y", 800.0, |w| w);
+    tilt(dir.path());
+    let said = |record: &str, thermal: &str| {
+        let text = format!("[thermal]\n{thermal}\n[uncertainty]\ndevice_um_per_m = 0.8\n");
+        std::fs::write(dir.path().join("c.toml"), text).unwrap();
+        let (code, _, err) = said(&rtecctl(dir.path(), &["evaluate", record, "--conditions", "c.toml"]));
+        assert_eq!(code, Some(0), "{err}");
+        err
+    };
+    let [scale, workpiece] =
+        ["scale", "workpiece"].map(|b| format!("{b} = {{ sensor = \"T3\", ppm_per_K = 8.5 }}"));
+    assert!(said("y.run.toml", &workpiece).contains("the scale is taken to be at 20 °C"));
+    for thermal in [scale.clone(), format!("{scale}\n{workpiece}")] {
+        assert!(!said("y.run.toml", &thermal).contains("taken to be"), "{thermal}");
+    }
+    assert!(
+        said("tilt.run.toml", &scale)
+            .contains("does not use [thermal]: nothing is reduced to 20 °C, [uncertainty]")
+    );
+}
+
 /// A sensor of the conditions that reads 999.9 would carry it into every figure.
 #[test]
 fn lengths_are_not_reduced_by_a_sensor_that_reads_nonsense() {

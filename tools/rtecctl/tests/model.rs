@@ -325,3 +325,49 @@ fn a_run_s_own_zero_is_said_and_in_no_interval() {
     let said = String::from_utf8_lossy(&said.stderr).into_owned();
     assert!(said.contains("the run's own zero"), "{said}");
 }
+
+/// A record that a model is judged by is looked at as one that it is fitted to: a temperature in °F, the other sign, an axis that
+/// the model says nothing of.
+#[test]
+fn a_model_is_not_judged_by_a_mistaken_record_in_silence() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    std::fs::write(
+        dir.join("m.toml"),
+        "name = \"m\"\n[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T1\"\num_per_K = 4.0\n",
+    )
+    .unwrap();
+    let warm = |i: i32| 20.0 + 8.0 * (1.0 - (-f64::from(i) / 20.0).exp());
+    let judge = |name: &str, axis: &str, sign: f64, of: fn(f64) -> f64| {
+        let rows = (0..80).fold("t_s,T0,T1,e\n".to_owned(), |text, i| {
+            let e = sign * (4.0 * (warm(i) - 20.0) + 0.3 * f64::from(i * 7 % 5 - 2));
+            text + &format!(
+                "{},{:.3},{:.3},{e:.3}\n",
+                60 * i,
+                of(20.0 + 0.01 * f64::from(i % 7)),
+                of(warm(i))
+            )
+        });
+        std::fs::write(dir.join(format!("{name}.csv")), rows).unwrap();
+        let sidecar = format!(
+            "kind = \"drift\"\nfile = \"{name}.csv\"\n[columns]\nt_s = {{ role = \"time\", unit = \"s\" }}\n\
+             T0 = {{ role = \"temperature\", unit = \"degC\" }}\nT1 = {{ role = \"temperature\", unit = \"degC\" }}\n\
+             e = {{ role = \"error.{axis}\", unit = \"um\" }}\n"
+        );
+        std::fs::write(dir.join(format!("{name}.run.toml")), sidecar).unwrap();
+        let words = format!("model validate --machine m.toml --record {name}.run.toml");
+        let out = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .current_dir(dir)
+            .args(words.split(' '))
+            .output()
+            .unwrap();
+        (out.status.code(), String::from_utf8(out.stderr).unwrap())
+    };
+    assert_eq!(judge("clean", "z", 1.0, |t| t).1, "");
+    let (_, said) = judge("fahrenheit", "z", 1.0, |t| t * 1.8 + 32.0);
+    assert!(said.contains("looks like degrees Fahrenheit"), "{said}");
+    let (code, said) = judge("sign", "z", -1.0, |t| t);
+    assert!(code == Some(1) && said.contains("with the other sign"), "{said}");
+    let (code, said) = judge("axis", "x", 1.0, |t| t);
+    assert!(code == Some(1) && said.contains("the model has no effect on it"), "{said}");
+}

@@ -224,6 +224,7 @@ mod tests {
             centre_mm: Some([0.0, 0.0]),
             radius_mm: Some(10.0),
             nose_mm: 0.5,
+            hollow: false,
             origin_mm: [0.0, 0.0],
             lead_ms: 0.0,
         }

@@ -102,7 +102,8 @@ fn control(
             axes: ["z", "x"].map(str::to_owned),
             centre_mm: Some([cut.centre.z, cut.centre.x]),
             radius_mm: Some(cut.radius_mm),
-            nose_mm: cut.nose_mm,
+            nose_mm: cut.nose_mm.abs(),
+            hollow: cut.nose_mm < 0.0,
             origin_mm: [cut.origin.z, cut.origin.x],
             lead_ms: lead_s * 1e3,
         };

@@ -558,8 +558,22 @@ impl<'t> Fit<'t> {
             let quantile = StudentsT::new(0.0, 1.0, effective).map_or(1.96, |t| t.inverse_cdf(0.975));
             quantile * all.sqrt() / scaled[at]
         };
-        let halves = (0..j.ncols()).map(half).collect();
-        Shown { halves, resolved: resolution.iter().map(|r| *r > RESOLVED).collect(), beside: told_beside }
+        let halves: Vec<f64> = (0..j.ncols()).map(half).collect();
+        // What may be anything that a machine can have is not told either.
+        let told = |(half, widest): (&f64, f64)| *half < widest;
+        let within: Vec<bool> = halves.iter().zip(self.widest()).map(told).collect();
+        let resolved = resolution.iter().zip(within).map(|(r, within)| *r > RESOLVED && within).collect();
+        Shown { halves, resolved, beside: told_beside }
+    }
+
+    /// The physical range of each free value.
+    fn widest(&self) -> impl Iterator<Item = f64> {
+        let of = |t: &Term| -> Vec<f64> {
+            let parameters = t.parts.first().map(|(e, _)| &e.description().parameters);
+            let width = |i: &usize| parameters.map_or(f64::INFINITY, |p| p[*i].bounds[1] - p[*i].bounds[0]);
+            t.free.iter().map(width).collect()
+        };
+        self.terms.iter().flat_map(of)
     }
 
     /// The least that the causes found can leave, RMS in µm: what stands beside them takes nothing.

@@ -2,7 +2,7 @@
 
 use super::stats::{distinct, median, middle_range, quantum, range, span, steps};
 use super::{Suspicion, What};
-use crate::iso230::{correlation, line};
+use crate::iso230::{Round, correlation, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// The longest axes of machine tools, mm.
@@ -47,7 +47,9 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let whole = t.data.iter().all(|t| t.fract() == 0.0);
     let long = usual * t.data.len() as f64 > 20.0 * DAY_S && whole && usual % 60.0 != 0.0;
     let epoch_ms = t.data[0] > 5e11;
-    if usual >= limit || long || epoch_ms {
+    // A row every quarter of an hour or so many of them, to four hours, is how people read gauges by hand.
+    let by_hand = record.kind == Kind::Drift && usual % 900.0 == 0.0 && usual <= 14_400.0;
+    if usual >= limit && !by_hand || long || epoch_ms {
         let text = format!("rows are {usual} s apart, which looks like milliseconds");
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
         return;
@@ -93,14 +95,8 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.data(&Role::Position(a.clone()))) else {
         return;
     };
-    let centre = |v: &[f64]| f64::midpoint(span(v)[0], span(v)[1]);
-    let (cx, cy) = (centre(x), centre(y));
-    let radii: Vec<f64> = x.iter().zip(y).map(|(x, y)| (x - cx).hypot(y - cy)).collect();
-    // The middle is the centre of a whole circle only.
-    if range(&radii) > 0.01 * span(&radii)[1] {
-        return;
-    }
-    let places = x.iter().zip(y).map(|(x, y)| (y - cy).atan2(x - cx));
+    let Some(round) = Round::through(x, y).filter(Round::is_met) else { return };
+    let places = x.iter().zip(y).map(|(x, y)| round.angle(*x, *y));
     let off = |sign: f64| {
         let of = |(p, a): (f64, &f64)| {
             ((p - sign * a + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI)
@@ -261,6 +257,8 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
             && ups >= 0.3 * moved
             && downs >= 0.3 * moved
             && moved >= 10.0;
+    // Rows put into the order of their positions say nothing of how each was approached.
+    let is_sorted = p.data.is_sorted() || p.data.iter().rev().is_sorted();
     let text = if share(&|v| v == 0.0) >= 0.25
         && share(&|v| v == 0.0) < 1.0
         && (share(&|v| v > 0.0) == 0.0 || share(&|v| v < 0.0) == 0.0)
@@ -271,7 +269,7 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
         "is 0 while the axis moves: it looks like 0 and 1 for -1 and +1".to_owned()
     } else if distinct(&d.data) == 1 && one_sided {
         format!("is {} in every row, yet {} moves both ways", d.data[0], p.name)
-    } else if asked >= 10 && agree <= 0.12 {
+    } else if asked >= 10 && agree <= 0.12 && !is_sorted {
         "is opposite to the movement into each row".to_owned()
     } else {
         return;

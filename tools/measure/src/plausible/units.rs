@@ -2,7 +2,7 @@
 
 use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
-use crate::iso230::line;
+use crate::iso230::{Round, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// No part of a machine tool warms through half of what it warms at all in less, s.
@@ -45,7 +45,13 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let Some(p) = record.column(&Role::Position(axis.clone())) else { return };
     let known = |s: &Suspicion| s.column == p.name && s.record == record.path.display().to_string();
     let travel = range(&p.data);
-    if record.kind != Kind::Positioning || travel < 5.0 || distinct(&p.data) < 5 || out.iter().any(known) {
+    // Over a plate the other axis's squareness and rotation are in what a line leaves.
+    let (fewest, left_share, shortest_mm) = match record.kind {
+        Kind::Positioning => (5, 0.1, 5.0),
+        Kind::Plate => (3, 0.3, 3.0),
+        _ => return,
+    };
+    if travel < shortest_mm || distinct(&p.data) < fewest || out.iter().any(known) {
         return;
     }
     let whole = |per: f64| {
@@ -54,8 +60,9 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     };
     let steep =
         record.column(&Role::Error(axis.clone())).and_then(|e| line(&p.data, &e.data).map(|l| (e, l)));
-    let steep = steep
-        .filter(|(e, (_, slope, left))| slope.abs() * 1000.0 > STEEPEST_PPM && *left < 0.1 * range(&e.data));
+    let steep = steep.filter(|(e, (_, slope, left))| {
+        slope.abs() * 1000.0 > STEEPEST_PPM && *left < left_share * range(&e.data)
+    });
     let text = if whole(MM_PER_INCH) < 0.004 && whole(1.0) > 0.1 {
         format!("{travel:.3} mm of travel, whole millimetres if it were inches")
     } else if let Some((e, (_, slope, _))) = steep {
@@ -137,26 +144,35 @@ fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
     shortest.is_finite().then_some(shortest)
 }
 
-/// Positions on a circle beside the radius that the sidecar states.
+/// The circle that the positions run on beside the radius that the sidecar states.
 fn circle(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return };
-    for axis in &circle.plane {
-        let Some(c) = record.column(&Role::Position(axis.clone())) else { continue };
-        let times = 2.0 * circle.radius_mm / range(&c.data).max(1e-12);
-        let looks = if (times / MM_PER_INCH - 1.0).abs() < 0.03 {
-            "looks like inches"
-        } else if (times * MM_PER_INCH - 1.0).abs() < 0.03 {
-            "looks like inches in radius_mm"
-        } else if times < 0.97 {
-            "is larger than radius_mm says"
-        } else {
-            continue;
-        };
-        let text = format!(
-            "covers {:.3} of a circle of {} mm radius, which {looks}",
-            range(&c.data),
-            circle.radius_mm
-        );
-        out.push(Suspicion::new(record, &c.name, What::Unit, &[], text));
+    let [Some(a), Some(b)] = circle.plane.each_ref().map(|axis| record.column(&Role::Position(axis.clone())))
+    else {
+        return;
+    };
+    let Some(round) = Round::through(&a.data, &b.data).filter(Round::is_met) else { return };
+    let times = circle.radius_mm / round.radius;
+    let is = |of: f64| (times / of - 1.0).abs() < OTHER_RADIUS;
+    let looks = if is(1.0) {
+        return;
+    } else if is(MM_PER_INCH) {
+        ": the positions look like inches"
+    } else if is(1.0 / MM_PER_INCH) {
+        ": radius_mm looks like inches"
+    } else if is(2.0) {
+        ": radius_mm looks like the diameter"
+    } else {
+        ""
+    };
+    let text = format!(
+        "runs on a circle of {:.3} mm radius, and radius_mm is {}{looks}",
+        round.radius, circle.radius_mm
+    );
+    for column in [a, b] {
+        out.push(Suspicion::new(record, &column.name, What::Unit, &[], text.clone()));
     }
 }
+
+/// A radius stated so far off that of the positions is of another circle.
+const OTHER_RADIUS: f64 = 0.03;

@@ -39,6 +39,11 @@ impl Law for BrokenLine {
         self.basis(effect, now, component, state, &mut out[n * UM..]);
     }
 
+    fn stretch_mm(&self, effect: &Effect) -> Option<(usize, [f64; 2])> {
+        let knots = effect.get(KNOTS);
+        Some((self.along, [*knots.first()?, *knots.last()?]))
+    }
+
     /// What a constant and a straight line over the knots explain is left to offset, scale and squareness.
     fn constraints(&self, effect: &Effect) -> Vec<Vec<f64>> {
         let knots = effect.get(KNOTS);

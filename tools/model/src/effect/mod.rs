@@ -138,6 +138,11 @@ pub trait Law: fmt::Debug + Send + Sync {
         self.describe().parameters.iter().filter(|p| p.search == Search::Linear).count() * n
     }
 
+    /// The stretch of an axis (its place in the name) that the effect's values were stated on, mm; its end values stand beyond.
+    fn stretch_mm(&self, _effect: &Effect) -> Option<(usize, [f64; 2])> {
+        None
+    }
+
     /// Combinations of the coefficients that a fit must hold at zero because other effects explain them (the
     /// constant and the straight line of a position map). One row of weights each.
     fn constraints(&self, _effect: &Effect) -> Vec<Vec<f64>> {
@@ -379,6 +384,12 @@ impl Effect {
     #[must_use]
     pub fn coefficient_count(&self) -> usize {
         self.law.coefficient_count(self.width())
+    }
+
+    /// The stretch of an axis (its place in the name) that its values were stated on, mm; its end values stand beyond.
+    #[must_use]
+    pub fn stretch_mm(&self) -> Option<(usize, [f64; 2])> {
+        self.law.stretch_mm(self)
     }
 
     /// Combinations of the coefficients that a fit must hold at zero.

@@ -5,9 +5,12 @@ use super::evaluate::differences;
 use super::places::folder_of;
 use super::{FitNote, Machine, Validity};
 use crate::date;
-use crate::effect::Difference;
-use crate::record::{Record, hex};
+use crate::effect::{Difference, Effect};
+use crate::record::{Axis, Record, Role, hex};
 use sha2::{Digest, Sha256};
+
+/// A run goes beyond the last knot by as much without a word, of the knots' stretch.
+const OVER_TRAVEL: f64 = 0.02;
 
 impl Machine {
     /// What to know before trusting it on a day (days since 1970-01-01): parameters outside what a sound machine
@@ -95,7 +98,33 @@ impl Machine {
             }
         }
         found.extend(self.fits().iter().filter_map(|fit| self.unseen(fit, record)));
+        found.extend(
+            self.beyond_stated(|axis| record.data(&Role::Position(axis.clone())).map(<[f64]>::to_vec)),
+        );
         found
+    }
+
+    /// Effects that are asked beyond the stretch of an axis that their values were stated on: their end values stand there,
+    /// whatever the machine does. `places_mm` gives the machine positions along an axis, where they are known.
+    #[must_use]
+    pub fn beyond_stated(&self, places_mm: impl Fn(&Axis) -> Option<Vec<f64>>) -> Vec<String> {
+        let beyond = |effect: &Effect| {
+            let (along, [lo, hi]) = effect.stretch_mm()?;
+            let axis = effect.axes().get(along)?;
+            let places = places_mm(axis)?;
+            let slack = OVER_TRAVEL * (hi - lo);
+            let outside = places.iter().filter(|p| **p < lo - slack || **p > hi + slack).count();
+            let (from, to) = places.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(*p), h.max(*p)));
+            (outside > 0).then(|| {
+                format!(
+                    "{} has values from {lo} to {hi} mm of {axis}, and {:.1} % of the rows are beyond ({from:.1} to {to:.1} mm): its end values \
+                     stand there",
+                    effect.name(),
+                    100.0 * outside as f64 / places.len() as f64
+                )
+            })
+        };
+        self.effects().filter_map(beyond).collect()
     }
 
     /// The difference that leaves most what a fit saw of it, where no effect of the fit's response reads it: what grows with it
@@ -128,7 +157,7 @@ impl Machine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{Kind, Role};
+    use crate::record::Kind;
     use rtec_files::InputError;
     use std::path::Path;
 
@@ -154,6 +183,24 @@ mod tests {
         let e = fit("\"2026-05-01\"", "\"soon\"").unwrap_err();
         assert_eq!((e.line, e.found.as_str(), e.expected.as_str()), (5, "`soon`", "a day as YYYY-MM-DD"));
         assert!(fit("\"1. Mai 2026\"", "\"2027-05-01\"").is_err());
+    }
+
+    /// A map from 0 to 300 mm, asked at 640 mm: its last value stands there, and that is said.
+    #[test]
+    fn beyond_the_knots_is_said() {
+        let m = parse(
+            "name = \"m\"\n[[effect]]\nname = \"position_map.x\"\nknots_mm = [0, 150, 300]\num = [0, 4, -9]\n\
+             [[effect]]\nname = \"straightness.y.x\"\nknots_mm = [0, 700]\num = [0, 4]\n",
+        )
+        .unwrap();
+        let at = |places: &[f64]| m.beyond_stated(|axis| (axis.as_str() == "x").then(|| places.to_vec()));
+        assert_eq!(at(&[0.0, 300.0, 305.0]), [""; 0], "a hair beyond is the run's over-travel");
+        let said = at(&[0.0, 100.0, 200.0, 640.0]);
+        assert!(
+            said.len() == 1
+                && said[0].starts_with("position_map.x has values from 0 to 300 mm of x, and 25.0 %"),
+            "{said:?}"
+        );
     }
 
     /// A model that has no effect of a difference, asked where that one is by far what the fit saw of it.

@@ -7,7 +7,7 @@ use rtec_measure::iso230::{self, Conditions, Options};
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_measure::report::{self, Report};
 use rtec_measure::{ballbar, plate};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Kind, Record, Role};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -73,7 +73,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Some(s) => s,
         None => by_kind(&records[0])?,
     };
-    let unused = unused(standard, &conditions);
+    let unused = unused(standard, &conditions, &records);
     let (mut found, mut report) = evaluate(args, &records, standard, conditions)?;
     if let Some(unused) = unused {
         report.warn(&unused);
@@ -123,9 +123,13 @@ fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputE
 }
 
 /// What the conditions state and this evaluation has no use for.
-fn unused(standard: Standard, conditions: &Conditions) -> Option<String> {
-    if matches!(standard, Standard::Iso230_2 | Standard::Iso230_6) {
-        return None;
+fn unused(standard: Standard, conditions: &Conditions, records: &[Record]) -> Option<String> {
+    let lengths = records.iter().flat_map(Record::responses).any(|c| matches!(c.role, Role::Error(_)));
+    if matches!(standard, Standard::Iso230_2 | Standard::Iso230_6) && lengths {
+        // The scale alone is right beside an interferometer; a workpiece is compared with a scale, and both grow.
+        let one = conditions.workpiece.is_some() && conditions.scale.is_none();
+        let said = "[thermal] has a sensor of the workpiece alone: the scale is taken to be at 20 °C";
+        return one.then(|| said.to_owned());
     }
     let thermal = conditions.scale.is_some() || conditions.workpiece.is_some();
     let parts = [

@@ -1,6 +1,7 @@
 //! `rtecctl model validate` and `rehearse`: a model on data it has not seen, and on a shift before it is loaded.
 
 use crate::Outcome;
+use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
@@ -8,7 +9,7 @@ use rtec_fit::thermal;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
 use rtec_model::machine::Machine;
-use rtec_model::record::Role;
+use rtec_model::record::{Column, Role};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -59,9 +60,11 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let mut found: Vec<Value> = Vec::new();
     let mut worse: Vec<String> = Vec::new();
-    for path in &args.records {
-        let record = rtec_measure::record::read(path)?;
-        let prediction = machine.predict(&record)?;
+    let records =
+        args.records.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let doubts = suspicions::warn(&records);
+    for (path, record) in args.records.iter().zip(&records) {
+        let prediction = machine.predict(record)?;
         let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
             let n = column.data.len() as f64;
@@ -70,7 +73,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
             let left: Vec<f64> = column.data.iter().zip(predicted).map(|(m, p)| m - p).collect();
             let (before, after) = (rms(&mut column.data.iter().copied()), rms(&mut left.iter().copied()));
             let response = column.role.to_string();
-            let widths = machine.half_widths_um(&record, &column.role);
+            let widths = machine.half_widths_um(record, &column.role);
             let inside = widths
                 .as_ref()
                 .map(|w| left.iter().zip(w).filter(|(v, w)| v.abs() <= **w).count() as f64 / n);
@@ -86,8 +89,8 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
                 } else {
                     path.with_extension(format!("{}.svg", found.len() + 1))
                 };
-                let svg = thermal::prediction_chart(&record, column, predicted, widths.as_deref())
-                    .svg(1000, 520)?;
+                let svg =
+                    thermal::prediction_chart(record, column, predicted, widths.as_deref()).svg(1000, 520)?;
                 rtec_files::write::whole(&path, svg.as_bytes())
                     .with_context(|| format!("writing {}", path.display()))?;
             }
@@ -104,6 +107,9 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
             }
             if after >= before && before > 0.0 {
                 worse.push(format!("{}: {response}", path.display()));
+                if let Some(why) = why_worse(column, predicted) {
+                    eprintln!("warning: {}: {response}: {why}", path.display());
+                }
             }
             found.push(json!({
                 "record": path, "response": response, "rms": after, "rms_without_model": before,
@@ -115,7 +121,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         for (effect, role) in &prediction.taken_as_zero {
             eprintln!("warning: {}: no {role}, taken as zero for {effect}", path.display());
         }
-        for warning in machine.out_of_range(&record) {
+        for warning in machine.out_of_range(record) {
             eprintln!("warning: {}: {warning}", path.display());
         }
     }
@@ -123,7 +129,9 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&json!({ "responses": found, "no_better": worse }))?);
+        let mut document = json!({ "responses": found, "no_better": worse });
+        suspicions::enter(&mut document, &doubts);
+        println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         for v in &found {
             print_judged(v);
@@ -133,6 +141,19 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     Err(Outcome::No(format!("no better than without the model: {}", worse.join(", "))).into())
+}
+
+/// What a prediction that helps nothing looks like.
+fn why_worse(measured: &Column, predicted: &[f64]) -> Option<&'static str> {
+    let square = |v: &[f64]| v.iter().map(|p| p * p).sum::<f64>();
+    let both = square(predicted);
+    if both == 0.0 {
+        return Some("the model has no effect on it");
+    }
+    let along = measured.data.iter().zip(predicted).map(|(m, p)| m * p).sum::<f64>();
+    let (share, alike) = (along / both, along / (both * square(&measured.data)).sqrt());
+    (alike < -0.8 && (-2.0..-0.5).contains(&share))
+        .then_some("what is measured is the prediction with the other sign; error = actual minus nominal")
 }
 
 /// One response, in a line.

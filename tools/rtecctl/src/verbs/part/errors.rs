@@ -148,6 +148,9 @@ fn read(args: &Args) -> anyhow::Result<(Probed, Option<Vec<Zx>>)> {
                 blind.join(", ")
             );
         }
+        for beyond in probed.beyond_stated(&machine, origin) {
+            eprintln!("warning: {beyond}; is --origin-mm Z,X, the machine's position at the part's zero?");
+        }
         probed.correct_geometric_thermal(&machine, origin)?;
     }
     Ok((probed, places))

@@ -36,6 +36,9 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// A finish cut leaves an arc's centre where it was, but for allowances that differ in Z and X.
+const OTHER_PLACE_MM: f64 = 1.0;
+
 /// The part of an arc that was probed before and not after, where it is more than a tenth.
 fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
     let ends = |r: &ErrorReport| {
@@ -71,6 +74,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if let (true, Some(rest)) = (args.limit_um.is_some(), not_looked_at(&before, &after)) {
         return Err(usage("--after", rest, "points over the whole of what was probed before"));
+    }
+    let off_mm = (before.centre_mm[0] - after.centre_mm[0]).hypot(before.centre_mm[1] - after.centre_mm[1]);
+    if off_mm > OTHER_PLACE_MM {
+        let found = format!("{}: an arc {off_mm:.2} mm from where it was before", args.after.display());
+        return Err(usage(
+            "--after",
+            found,
+            "the points of the same arc of the same part, in the same clamping",
+        ));
     }
     let largest = |r: &ErrorReport| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
     let mut decisions = vec![format!(

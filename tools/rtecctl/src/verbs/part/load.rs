@@ -40,11 +40,10 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let points = errors.len();
     let arc = match errors {
         FeatureErrors::Arc(_) => Some(args.cut.cut()?),
-        FeatureErrors::Line(_) if args.cut.is_arc() => {
-            let expected = "neither: a straight feature's errors bring their places";
-            return Err(usage("--radius-mm, --centre-z-mm", "an arc's place", expected));
+        FeatureErrors::Line(_) => {
+            args.cut.is_of_no_arc()?;
+            None
         }
-        FeatureErrors::Line(_) => None,
     };
     let (nose_mm, origin) = args.cut.tool()?;
     let table = PartTable {
@@ -53,6 +52,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
         centre_mm: arc.map(|cut| [cut.centre.z, cut.centre.x]),
         radius_mm: arc.map(|cut| cut.radius_mm),
         nose_mm,
+        hollow: args.cut.hollow,
         origin_mm: [origin.z, origin.x],
         lead_ms: args.lead_ms,
     };

@@ -96,6 +96,9 @@ impl MotionArgs {
     }
 }
 
+/// Points nearer than this share of the tip's radius show one place.
+const SAME_PLACE: f64 = 0.1;
+
 pub(crate) fn positive(name: &str, value: f64) -> anyhow::Result<f64> {
     if value.is_finite() && value > 0.0 {
         Ok(value)
@@ -163,6 +166,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         stem,
     };
     let mut plan = Plan::new(probe);
+    let twice = |(k, c): &(usize, &Choice)| args.features[..*k].iter().any(|o| o.feature == c.feature);
+    if let Some((_, choice)) = args.features.iter().enumerate().find(twice) {
+        return Err(usage("--feature", format!("{} twice", choice.feature), "each feature once"));
+    }
     for choice in &args.features {
         let feature = contour.features.iter().position(|f| f.name == choice.feature).ok_or_else(|| {
             let names: Vec<&str> = contour.features.iter().map(|f| f.name.as_str()).collect();
@@ -173,6 +180,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let found = format!("{} at each end of {}", args.margin_mm, choice.feature);
             let expected = format!("less than half of its {length_mm:.4} mm, below {:.4}", length_mm / 2.0);
             return Err(usage("--margin-mm", found, expected));
+        }
+        let number = match choice.by {
+            By::Number(n) => n,
+            By::SpacingMm(mm) => ((length_mm - 2.0 * args.margin_mm) / mm).ceil() as usize + 1,
+        };
+        let apart_mm = (length_mm - 2.0 * args.margin_mm) / (number.max(2) - 1) as f64;
+        if number > 1 && apart_mm < SAME_PLACE * args.tip_mm {
+            eprintln!(
+                "warning: the points of {} are {apart_mm:.3} mm apart, which a tip of {} mm does not tell apart: look at --margin-mm",
+                choice.feature, args.tip_mm
+            );
         }
         match choice.by {
             By::Number(n) => plan.add_number(&contour, feature, n, args.margin_mm),

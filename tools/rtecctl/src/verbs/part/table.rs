@@ -28,9 +28,6 @@ pub(crate) struct Args {
     /// Send each correction this long before the tool is there, in ms
     #[arg(long, default_value_t = 50.0)]
     lead_ms: f64,
-    /// The arc is hollow, a fillet or a groove: the nose's centre runs inside it
-    #[arg(long)]
-    hollow: bool,
     /// The cut runs towards smaller angles
     #[arg(long)]
     backwards: bool,
@@ -61,6 +58,9 @@ pub(crate) struct CutArgs {
     /// Radius of the tool's nose, in mm
     #[arg(long, default_value_t = 0.0)]
     nose_mm: f64,
+    /// The arc is hollow, a fillet or a groove: the nose's centre runs inside it
+    #[arg(long)]
+    pub(crate) hollow: bool,
     /// Machine Z at which the nose's centre is at the part's origin: work offset and tool length, in mm
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     tool_z_mm: f64,
@@ -81,12 +81,24 @@ impl CutArgs {
         let centre_z_mm = place("--centre-z-mm", given("--centre-z-mm", self.centre_z_mm)?)?;
         let (nose_mm, origin) = self.tool()?;
         let centre = Zx::new(centre_z_mm, place("--centre-x-mm", self.centre_x_mm)?);
+        if self.hollow && nose_mm >= radius_mm {
+            let expected = format!("a nose that fits into the arc, below {radius_mm} mm");
+            return Err(usage("--nose-mm", nose_mm.to_string(), expected));
+        }
+        let nose_mm = if self.hollow { -nose_mm } else { nose_mm };
         Ok(FinishCut { centre, radius_mm, nose_mm, origin })
     }
 
-    /// Whether an arc's place is given.
-    pub(crate) fn is_arc(&self) -> bool {
-        self.radius_mm.is_some() || self.centre_z_mm.is_some()
+    /// Refuses what is said of an arc beside the errors of a straight feature.
+    pub(crate) fn is_of_no_arc(&self) -> anyhow::Result<()> {
+        if self.hollow {
+            return Err(usage("--hollow", "errors of a straight feature", "those of an arc"));
+        }
+        if self.radius_mm.is_some() || self.centre_z_mm.is_some() {
+            let expected = "neither: a straight feature's errors bring their places";
+            return Err(usage("--radius-mm, --centre-z-mm", "an arc's place", expected));
+        }
+        Ok(())
     }
 
     /// Radius of the tool's nose, and the machine position at which its centre is at the part's origin.
@@ -159,25 +171,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let lead_mm = feed_mm_s * args.lead_ms * 1e-3;
     let off_mm = args.g01_um.map(|um| positive("--g01-um", um)).transpose()?.map(|um| um * 1e-3);
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
-        FeatureErrors::Line(_) if args.hollow => {
-            return Err(usage("--hollow", "errors of a straight feature", "those of an arc"));
-        }
         FeatureErrors::Line(errors) => {
+            args.cut.is_of_no_arc()?;
             let table = LineTable { errors, axes, nose_mm, origin };
             let rows = table.rows(usize::from(args.between));
             let text = table.csv(&rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|_| table.straight_moves()))
         }
         FeatureErrors::Arc(errors) => {
-            let mut cut = args.cut.cut()?;
-            if args.hollow {
-                if cut.nose_mm >= cut.radius_mm {
-                    let expected = format!("a nose that fits into the arc, below {} mm", cut.radius_mm);
-                    return Err(usage("--nose-mm", cut.nose_mm.to_string(), expected));
-                }
-                cut.nose_mm = -cut.nose_mm;
-            }
-            let table = FinishTable::new(cut, axes, errors);
+            let table = FinishTable::new(args.cut.cut()?, axes, errors);
             let rows = table.rows(usize::from(args.between));
             let text = csv(&table, &rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))
