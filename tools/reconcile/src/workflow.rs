@@ -123,7 +123,9 @@ pub fn reconcile(
     }
     answer.unexplained.append(&mut better.sizeless);
     if why_nothing.is_some() {
-        gap.iter_mut().for_each(|g| g.doubted = true);
+        for g in &mut gap {
+            g.doubted = true;
+        }
     }
     if let Some(note) = doubt_the_worse(&mut gap) {
         why = Some(why.map_or_else(|| note.to_owned(), |w| format!("{w}; {note}")));
