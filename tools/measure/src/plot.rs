@@ -1,5 +1,6 @@
 //! Plots as SVG text: what a report shows, small and without fonts or scripts of its own. The legend stands beside the data.
 
+mod look;
 mod polar;
 mod vectors;
 
@@ -44,6 +45,15 @@ impl Colour {
             Self::Up => COLOURS[0],
             Self::Down => COLOURS[1],
             Self::Grey => COLOURS[6],
+        }
+    }
+
+    /// The place whose dash and marker it has.
+    fn place(self, place: usize) -> usize {
+        match self {
+            Self::Next => place,
+            Self::Up | Self::Grey => 0,
+            Self::Down => 1,
         }
     }
 
@@ -170,15 +180,17 @@ impl Chart {
             let span = if hi > lo { hi - lo } else { hi.abs().max(1.0) };
             [lo - by * span, hi + by * span]
         };
-        // Names of marks stand above the data.
-        let room = 0.05 * self.marks.len().min(4) as f64 * (y[1] - y[0]);
+        // Numbers of marks are above the data.
+        let room = if self.marks.is_empty() { 0.0 } else { 0.05 * (y[1] - y[0]) };
         y[1] += if room.is_finite() { room } else { 0.0 };
         x[0].is_finite().then(|| (pad(x, if self.x_names.is_empty() { 0.02 } else { 0.0 }), pad(y, 0.06)))
     }
 
     /// The area of the plot, and beside it that of the legend, as wide as its longest name.
     fn split<'t>(&self, area: &Area<'t>, width: u32) -> (Area<'t>, Option<Area<'t>>) {
-        let longest = self.series.iter().map(|s| s.label.chars().count()).max().unwrap_or(0) as u32;
+        let names =
+            self.series.iter().map(|s| s.label.as_str()).chain(self.marks.iter().map(|m| m.1.as_str()));
+        let longest = names.map(|n| n.chars().count()).max().unwrap_or(0) as u32;
         if longest == 0 {
             return (area.clone(), None);
         }
@@ -191,43 +203,56 @@ impl Chart {
         let area = SVGBackend::with_string(text, (width, height)).into_drawing_area();
         area.fill(&WHITE)?;
         let (plot, legend) = self.split(&area, width);
+        let longest = self.x_names.iter().map(|n| n.chars().count()).max().unwrap_or(0) as u32;
+        let turned = longest * 8 * self.x_names.len() as u32 > plot.dim_in_pixel().0 - 74;
+        let below = if turned { 30 + 8 * longest } else { 42 };
         let mut chart = ChartBuilder::on(&plot)
             .caption(&self.title, ("sans-serif", 18))
             .margin(10)
-            .x_label_area_size(42)
+            .x_label_area_size(below)
             .y_label_area_size(64)
             .build_cartesian_2d(x0..x1, y0..y1)?;
-        let names = &self.x_names;
-        let name_of = |v: &f64| {
-            let i = v.round();
-            let near = (v - i).abs() < 1e-6 && i >= 0.0;
-            names.get(i as usize).filter(|_| near).cloned().unwrap_or_default()
-        };
-        let number_of = |v: &f64| plain(*v, x1 - x0);
+        let (x_number, y_number) = (|v: &f64| plain(*v, x1 - x0), |v: &f64| plain(*v, y1 - y0));
         let mut mesh = chart.configure_mesh();
         mesh.x_desc(&self.x)
             .y_desc(&self.y)
             .label_style(("sans-serif", 15))
             .axis_desc_style(("sans-serif", 16))
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.12));
-        if names.is_empty() {
-            mesh.x_label_formatter(&number_of).draw()?;
+            .bold_line_style(BLACK.mix(0.12))
+            .y_label_formatter(&y_number);
+        if self.x_names.is_empty() {
+            mesh.x_label_formatter(&x_number).draw()?;
         } else {
-            mesh.x_labels(names.len() * 2 + 1).x_label_formatter(&name_of).draw()?;
+            mesh.disable_x_mesh().x_labels(0).draw()?;
         }
-        let width_of_bar = if names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
+        for (i, name) in self.x_names.iter().enumerate() {
+            let (x, y) = chart.plotting_area().map_coordinate(&(i as f64, y0));
+            let style = TextStyle::from(("sans-serif", 15).into_font());
+            let style = if turned {
+                style.transform(FontTransform::Rotate270).pos(Pos::new(HPos::Right, VPos::Center))
+            } else {
+                style.pos(Pos::new(HPos::Center, VPos::Top))
+            };
+            look::words(&area, name, (x, y + 8), &style)?;
+        }
+        let width_of_bar = if self.x_names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
         for (i, s) in self.series.iter().enumerate() {
-            let colour = s.colour.rgb(i);
+            let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
             let points = s.points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite());
-            match s.style {
-                Style::Line => {
+            match (s.style, look::dash(place)) {
+                (Style::Line, None) => {
                     chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?;
                 }
-                Style::Dots => {
-                    chart.draw_series(points.map(|p| Circle::new(p, 2, colour.filled())))?;
+                (Style::Line, Some((on, off))) => {
+                    chart.draw_series(DashedLineSeries::new(points, on, off, colour.stroke_width(2)))?;
                 }
-                Style::Bars => {
+                (Style::Dots, _) => {
+                    for p in points {
+                        look::marker(&area, place, chart.plotting_area().map_coordinate(&p), 2, colour)?;
+                    }
+                }
+                (Style::Bars, _) => {
                     chart.draw_series(points.map(|(x, y)| {
                         Rectangle::new(
                             [(x - width_of_bar, 0.0), (x + width_of_bar, y)],
@@ -235,49 +260,132 @@ impl Chart {
                         )
                     }))?;
                 }
-                Style::Band => {
+                (Style::Band, _) => {
                     let (lower, upper) = s.points.split_at(s.points.len() / 2);
                     let around: Vec<_> = lower.iter().chain(upper.iter().rev()).copied().collect();
                     chart.draw_series(std::iter::once(Polygon::new(around, colour.mix(0.2).filled())))?;
                 }
             }
         }
-        let small = ("sans-serif", 14).into_font().color(&BLACK.mix(0.6));
-        for (i, (x, name)) in self.marks.iter().enumerate() {
+        // A mark has its number beside its line; the legend says what it is.
+        let small = ("sans-serif", 14).into_font().color(&BLACK.mix(0.7));
+        for (i, (x, _)) in self.marks.iter().enumerate() {
             chart.draw_series(LineSeries::new([(*x, y0), (*x, y1)], BLACK.mix(0.3)))?;
-            // One below the other, so that short phases do not write over each other.
-            let y = y1 - (y1 - y0) * (0.01 + 0.045 * (i % 4) as f64);
-            // Far on the right a name stands left of its line, so that it does not run into the legend.
-            let right = *x > x0 + 0.6 * (x1 - x0);
-            let anchor = Pos::new(if right { HPos::Right } else { HPos::Left }, VPos::Top);
-            let text = if right { format!("{name} ") } else { format!(" {name}") };
-            chart.draw_series([Text::new(text, (*x, y), small.clone().pos(anchor))])?;
+            let at = chart.plotting_area().map_coordinate(&(*x, y1));
+            look::words(&area, &(i + 1).to_string(), (at.0 + 4, at.1 + 3), &small)?;
         }
         if let Some(legend) = legend {
-            let named = self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty());
-            for (line, (i, s)) in (0..).zip(named) {
-                let (colour, y) = (s.colour.rgb(i), 52 + 20 * line);
-                let swatch = if s.style == Style::Band { colour.mix(0.25) } else { colour.mix(1.0) };
-                legend.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], swatch.filled()))?;
-                let style =
-                    ("sans-serif", 15).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
-                legend.draw(&Text::new(s.label.clone(), (24, y), style))?;
-            }
+            self.legend(&legend)?;
         }
         area.present()?;
         Ok(())
     }
+
+    /// Each series as it is drawn, with its name; then the marks by their numbers.
+    fn legend(&self, area: &Area<'_>) -> Result<(), Box<dyn std::error::Error>> {
+        let style = ("sans-serif", 15).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
+        let mut y = 52;
+        for (i, s) in self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty()) {
+            let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
+            match s.style {
+                Style::Line => {
+                    look::sample(area, place, [0, 20], y, colour)?;
+                }
+                Style::Dots => look::marker(area, place, (10, y), 3, colour)?,
+                Style::Bars => area.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], colour.filled()))?,
+                Style::Band => {
+                    area.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], colour.mix(0.25).filled()))?;
+                }
+            }
+            look::words(area, &s.label, (26, y), &style)?;
+            y += 20;
+        }
+        y += 8;
+        let small =
+            ("sans-serif", 13).into_font().color(&BLACK.mix(0.7)).pos(Pos::new(HPos::Left, VPos::Center));
+        let fits = (area.dim_in_pixel().0.saturating_sub(30) / 7).max(8) as usize;
+        for (i, (_, name)) in self.marks.iter().enumerate() {
+            look::words(area, &(i + 1).to_string(), (2, y), &small)?;
+            for line in wrapped(name, fits) {
+                look::words(area, &line, (26, y), &small)?;
+                y += 16;
+            }
+        }
+        Ok(())
+    }
 }
 
-/// A tick's number with as many decimals as the axis' span asks for.
+/// Words in lines of so many characters.
+fn wrapped(text: &str, fits: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let last = lines.last_mut().expect("there is a line from the start");
+        if last.is_empty() {
+            last.push_str(word);
+        } else if last.chars().count() + 1 + word.chars().count() <= fits {
+            last.push(' ');
+            last.push_str(word);
+        } else {
+            lines.push(word.to_owned());
+        }
+    }
+    lines
+}
+
+/// A tick's number with as many decimals as the axis' span asks for; none where it is whole.
 fn plain(v: f64, span: f64) -> String {
     let decimals = (1.0 - span.log10()).ceil().clamp(0.0, 6.0) as usize;
-    format!("{v:.decimals$}")
+    let text = format!("{v:.decimals$}");
+    let (sign, size) = text.strip_prefix('-').map_or(("", text.as_str()), |size| ("−", size));
+    let size = match size.split_once('.') {
+        Some((whole, rest)) if rest.bytes().all(|b| b == b'0') => whole,
+        _ => size,
+    };
+    if size == "0" { size.to_owned() } else { format!("{sign}{size}") }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Zero has no sign, a whole number no decimals, and a minus is one.
+    #[test]
+    fn ticks_are_plain_numbers() {
+        for (v, span, want) in [
+            (-1e-12, 2.0, "0"),
+            (1.0, 9.0, "1"),
+            (-10.0, 40.0, "−10"),
+            (0.5, 3.0, "0.5"),
+            (-0.25, 0.8, "−0.25"),
+            (20.0, 0.01, "20"),
+        ] {
+            assert_eq!(plain(v, span), want, "{v} of {span}");
+        }
+    }
+
+    /// In grey, two series differ by their dash or their marker; a phase is a number in the plot and a name beside it.
+    #[test]
+    fn series_and_marks_are_told_apart_without_colour() {
+        let line = |k: f64| (0..9).map(|i| (f64::from(i), k * f64::from(i))).collect::<Vec<_>>();
+        let chart = Chart::new("drift", "t (min)", "e (µm)")
+            .with(Series::new("up", Style::Line, line(1.0)).coloured(Colour::Up))
+            .with(Series::new("down", Style::Line, line(2.0)).coloured(Colour::Down))
+            .with(Series::new("seen", Style::Dots, line(3.0)));
+        let marks =
+            vec![(1.0, "at rest after heat".to_owned()), (7.0, "spindle, 1500 to 5500 rpm".to_owned())];
+        let svg = Chart { marks, ..chart }.svg(900, 500).unwrap();
+        let lines = |colour: &str| svg.matches(&format!("stroke=\"{colour}\"")).count();
+        // One polyline and its sample; many dashes of the second.
+        assert_eq!(lines("#0072B2"), 2, "{svg}");
+        assert!(lines("#D55E00") > 20, "{svg}");
+        for words in ["at rest after heat", "spindle, 1500 to"] {
+            assert_eq!(svg.matches(words).count(), 1, "{words}");
+        }
+        assert_eq!(
+            wrapped("spindle rotation, 1500 to 5500 rpm", 18),
+            ["spindle rotation,", "1500 to 5500 rpm"]
+        );
+    }
 
     #[test]
     fn a_chart_is_an_svg_with_its_words() {

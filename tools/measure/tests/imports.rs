@@ -249,6 +249,10 @@ fn halsampler_has_its_times_from_the_period() {
     assert_eq!(data(&record, "time"), [0.0, 0.001, 0.008]);
     assert_eq!(data(&record, "position.x"), [1.0, 1.5, 2.0]);
     assert!(record.note.unwrap().contains("samples lost at line 3"));
+    // The samples' numbers taken for the first quantity: the axis would run at a millimetre a sample.
+    let forgotten = (0..40).fold(String::new(), |text, n| text + &format!("{} {}.5 0.1 \n", 17 + n, n));
+    refused(read(&forgotten, &["1=position.x", "2=error.x"], false), 1, "say --numbered");
+    assert!(read(&forgotten, &["2=position.x", "3=error.x"], false).is_ok());
     refused(read("1 2 \noverrun\n1 2 \n", &["1=position.x", "2=error.x"], false), 2, "samples are lost here");
     refused(read("5 1 2 \n5 1 2 \n", &["1=position.x", "2=error.x"], true), 0, "numbers that rise");
     refused(read("1 2 \n", &["1=position.x", "4=error.x"], false), 1, "2 fields, expected a field 4");

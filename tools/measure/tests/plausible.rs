@@ -1039,3 +1039,108 @@ fn stretches_and_exchanges_are_said() {
     println!("clean suspected {wrong} of {clean}");
     assert!(wrong == 0, "clean suspected {wrong} of {clean}");
 }
+
+/// Five cycles over eleven targets, 30 ppm and 4 µm of play.
+fn cycles(seed: u64) -> Vec<Column> {
+    let mut d = Dice::new(seed);
+    let (mut x, mut way, mut n, mut e) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for cycle in 1..=5 {
+        for w in [1.0, -1.0] {
+            for k in 0..11 {
+                let p = 50.0 * f64::from(if w > 0.0 { k } else { 10 - k });
+                x.push(p);
+                way.push(w);
+                n.push(f64::from(cycle));
+                e.push(0.03 * p + 2.0 * w + 3.0 * (p / 80.0).sin() + 0.3 * d.normal());
+            }
+        }
+    }
+    vec![
+        column("x", "position.x", x),
+        column("d", "direction.x", way),
+        column("n", "cycle", n),
+        column("e", "error.x", e),
+    ]
+}
+
+/// One cycle with the other sign, all approaches from one side with it, one cycle pasted under a number of its own; and their clean
+/// twins.
+#[test]
+fn signs_and_copies_of_cycles_are_said() {
+    for seed in 1..=20 {
+        let said = |f: &dyn Fn(usize, f64) -> f64| {
+            let mut columns = cycles(seed);
+            columns[3].data = columns[3].data.iter().enumerate().map(|(i, v)| f(i, *v)).collect();
+            suspicions(&[record("c", Kind::Positioning, columns)])
+        };
+        assert_eq!(said(&|_, e| e), [], "{seed}");
+        for cycle in 0..5 {
+            let found = said(&|i, e| if i / 22 == cycle { -e } else { e });
+            assert!(found.iter().any(|s| s.what == What::Sign), "{seed}, {cycle}: {found:?}");
+        }
+        let found = said(&|i, e| if i / 11 % 2 == 1 { -e } else { e });
+        assert!(found.iter().any(|s| s.text.contains("from the other side")), "{seed}: {found:?}");
+        let own = cycles(seed)[3].data.clone();
+        let found = said(&|i, e| if i / 22 == 3 { own[i - 22] } else { e });
+        assert!(found.iter().any(|s| s.what == What::Doubled), "{seed}: {found:?}");
+    }
+}
+
+/// A sensor of noise, a single wild row of a gauge or a bar however far off, a spreadsheet's days; and the clean twins.
+#[test]
+fn noise_single_wild_rows_and_days_are_said() {
+    for seed in 1..=20 {
+        let mut d = Dice::new(seed);
+        let warm = |i: i32, k: f64| 20.0 + 9.0 * (1.0 - (-f64::from(i) / k).exp());
+        let drift = |sd_k: f64, wild_um: f64, per_s: f64, d: &mut Dice| {
+            let columns = vec![
+                column("t", "time", (0..400).map(|i| (0.5 + f64::from(i) * 60.0) * per_s).collect()),
+                column("T0", "temperature", (0..400).map(|i| warm(i, 200.0) + 0.02 * d.normal()).collect()),
+                column("T1", "temperature", (0..400).map(|i| warm(i, 60.0) + sd_k * d.normal()).collect()),
+                column(
+                    "e",
+                    "error.z",
+                    (0..400)
+                        .map(|i| {
+                            2.5 * warm(i, 60.0) - 50.0
+                                + 0.3 * d.normal()
+                                + if i == 200 { wild_um } else { 0.0 }
+                        })
+                        .collect(),
+                ),
+            ];
+            suspicions(&[record("d", Kind::Drift, columns)])
+        };
+        assert_eq!(drift(0.1, 0.0, 1.0, &mut d), [], "{seed}");
+        for sd_k in [3.0, 6.0, 8.0] {
+            let said = drift(sd_k, 0.0, 1.0, &mut d);
+            assert!(said.iter().any(|s| s.column == "T1" && s.what == What::Unplugged), "{seed}: {said:?}");
+        }
+        for wild_um in [-400.0, 40.0, 400.0, 4000.0] {
+            let said = drift(0.05, wild_um, 1.0, &mut d);
+            assert!(
+                said.iter().any(|s| s.rows == "201" && s.what == What::Outliers),
+                "{seed}, {wild_um}: {said:?}"
+            );
+        }
+        let said = drift(0.05, 0.0, 1.0 / 86_400.0, &mut d);
+        assert!(said.iter().any(|s| s.text.contains("days of a spreadsheet")), "{seed}: {said:?}");
+        let bar = |wild_um: f64, d: &mut Dice| {
+            let angles: Vec<f64> = (0..720).map(|i| TAU * (f64::from(i) + 0.3) / 360.0).collect();
+            let play = |a: f64| 2.0 * a.sin().signum() * a.cos() - 3.5 * a.cos().signum() * a.sin();
+            let e = angles.iter().enumerate().map(|(i, a)| {
+                2.0 * (2.0 * a).sin() + play(*a) + 0.3 * d.normal() + if i == 100 { wild_um } else { 0.0 }
+            });
+            let columns = vec![column("e", "error.r", e.collect()), column("a", "angle", angles)];
+            suspicions(&[record("b", Kind::Ballbar, columns)])
+        };
+        assert_eq!(bar(0.0, &mut d), [], "{seed}");
+        for wild_um in [40.0, -400.0, 5000.0] {
+            let said = bar(wild_um, &mut d);
+            assert!(
+                said.iter().any(|s| s.rows == "101" && s.what == What::Outliers),
+                "{seed}, {wild_um}: {said:?}"
+            );
+        }
+    }
+}

@@ -143,6 +143,20 @@ fn every_table_leaves_what_was_said_by_another_programs_reading() {
     }
 }
 
+/// Beyond the knots of a map, and beyond what the fit's records went over, nobody knows the axis.
+#[test]
+fn a_table_beyond_what_is_known_is_said() {
+    let dir = folder();
+    let said = |range: &str| export(dir.path(), &format!("--axis x {range} --out e.csv --format csv")).1;
+    assert!(said("--from -300 --to 600").contains("position_map.x has values from -200 to 300 mm"));
+    assert!(!said("--from -200 --to 300").contains("position_map.x has"));
+    let fit = "name = \"m\"\n[[fit]]\nresponse = \"error.x\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 0.1\n\
+               half_width_um = 0.2\nat_mm = { x = [11.0, 489.0] }\n[[effect]]\nname = \"scale.x\"\nppm = 25.0\n";
+    std::fs::write(dir.path().join("m.toml"), fit).unwrap();
+    assert!(said("--from -2000 --to 2000").contains("no record has shown what the axis does there"));
+    assert!(!said("--from 0 --to 500").contains("no record has shown"));
+}
+
 #[test]
 fn a_screw_is_not_stepped_over() {
     let dir = folder();

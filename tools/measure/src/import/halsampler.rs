@@ -30,6 +30,8 @@ pub fn halsampler(
     kind: Kind,
     to: &Path,
 ) -> Result<Record, InputError> {
+    /// So many lines that count by one are no chance.
+    const COUNTED: usize = 20;
     let Sampling { period_s, numbered } = *sampling;
     if !(period_s > 0.0 && period_s.is_finite()) {
         return Err(InputError::whole(from, format!("--period-s {period_s}"), "seconds a sample, above 0"));
@@ -59,6 +61,13 @@ pub fn halsampler(
             plain.push_str(line);
         }
         plain.push('\n');
+    }
+    let mut firsts = text.lines().filter_map(|l| l.split_whitespace().next()).map(str::parse::<u64>);
+    let first = firsts.next().and_then(Result::ok);
+    let counts = first.is_some_and(|n| firsts.zip(n + 1..).all(|(w, n)| w == Ok(n)));
+    if !numbered && counts && times.len() >= COUNTED && wanted.iter().any(|w| w.column == "1") {
+        let expected = "a quantity: these are the samples' numbers (halsampler -t); say --numbered, which leaves them out of the columns";
+        return Err(InputError::at(from, 1, 1, "column 1 counts 0, 1, 2 … line by line", expected));
     }
     // The number in front is a column of the file; whoever names the columns does not count it.
     let shift = |w: &ImportColumn| match w.column.parse::<usize>() {

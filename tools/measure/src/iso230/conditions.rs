@@ -118,6 +118,10 @@ impl Conditions {
                                 e.mismatch(format!("{meaning}: 0.001 to 100, in the key's unit, or 0"))
                             );
                         }
+                        let most = if key.ends_with("_mm") { LARGEST_MM } else { LARGEST_UM };
+                        if !key.contains("_per_") && v > most {
+                            return Err(e.mismatch(format!("{meaning}: at most {most}, in the key's unit")));
+                        }
                         found.stated.insert(key.to_owned(), v);
                     }
                     for (one, other) in PAIRS.into_iter().flat_map(|(a, b)| [(a, b), (b, a)]) {
@@ -179,6 +183,12 @@ fn word(entry: &Entry<'_>) -> Result<String, InputError> {
     text.ok_or_else(|| entry.mismatch("text or a number"))
 }
 
+/// Fibres and glass ceramics shrink by no more, ppm/K.
+const SHRINKS_PPM_PER_K: f64 = -2.0;
+/// A contributor of µm or mm that is larger is a number of another unit.
+const LARGEST_UM: f64 = 500.0;
+const LARGEST_MM: f64 = 100.0;
+
 fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
     const FORM: &str = "{ sensor = \"T3\", ppm_per_K = 8.5 }";
     let t = entry.table(FORM)?;
@@ -186,8 +196,11 @@ fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
     let value = t.required("ppm_per_K", FORM)?;
     let ppm_per_k = value.number("the coefficient of expansion, ppm/K")?;
     // No solid expands by more; and one of less than the best glass ceramics' is a number of another unit.
-    if ppm_per_k != 0.0 && !(1e-3..=100.0).contains(&ppm_per_k.abs()) {
-        return Err(value.mismatch("a coefficient of 0.001 to 100 ppm/K, as steel's 11.5, or 0"));
+    let size = ppm_per_k.abs();
+    if ppm_per_k != 0.0 && !(1e-3..=100.0).contains(&size) || ppm_per_k < SHRINKS_PPM_PER_K {
+        return Err(value.mismatch(
+            "a coefficient of 0.001 to 100 ppm/K, as steel's 11.5, or 0; below zero to -2 for what shrinks as it warms",
+        ));
     }
     Ok(Expansion { sensor: t.required("sensor", FORM)?.str("the sensor's name")?.to_owned(), ppm_per_k })
 }
@@ -322,6 +335,9 @@ mod tests {
             ("ppm_per_K = 8.5", "ppm = 8.5", 8, "unknown key ppm"),
             ("ppm_per_K = 8.5", "ppm_per_K = 8500.0", 8, "ppm_per_K = 8500"),
             ("ppm_per_K = 8.5", "ppm_per_K = 8.5e-6", 8, "ppm_per_K = "),
+            ("ppm_per_K = 8.5", "ppm_per_K = -10.0", 8, "ppm_per_K = -10"),
+            ("drift_um = 1.7", "drift_um = 3000.0", 11, "drift_um = 3000"),
+            ("misalignment_mm = ", "misalignment_mm = 100", 12, "misalignment_mm = 100"),
             ("sensor = \"T3\"", "sensor = 3", 8, "sensor = 3"),
             ("machine_ppm_per_K = 11.0", "machine_ppm_per_K = 11e-6", 13, "machine_ppm_per_K = "),
             ("device_um_per_m = 0.8", "device_um_per_m = 0.8e-6", 10, "device_um_per_m = "),

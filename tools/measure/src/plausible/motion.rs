@@ -54,6 +54,12 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
         return;
     }
+    if record.kind == Kind::Drift && usual > 0.0 && usual < 0.05 {
+        let text =
+            format!("rows are {usual:.5} s apart, which looks like the days of a spreadsheet (or hours)");
+        out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
+        return;
+    }
     let Some(at) = (0..between.len()).max_by(|a, b| between[*a].total_cmp(&between[*b])) else { return };
     if between[at] > LONGEST_PAUSE_S.max(1000.0 * usual) {
         let days = between[at] / DAY_S;

@@ -9,6 +9,8 @@ use std::collections::HashMap;
 const SHORTEST: usize = 6;
 /// So many rows of one value are no chance.
 const FLAT: usize = 20;
+/// Rows so many times as far off as others are not of the same kind.
+const APART: f64 = 5.0;
 /// A block that stands twice is at least so long.
 const BLOCK: usize = 8;
 
@@ -28,7 +30,9 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     }
     let with_time = record.column(&Role::Time).is_some();
     let whole: Vec<&Column> = record.columns.iter().collect();
-    let measured: Vec<&Column> = record.columns.iter().filter(|c| c.role != Role::Time).collect();
+    // The clock and the cycle's number are counted, not measured: what is pasted gets its own.
+    let counted = |c: &&Column| matches!(c.role, Role::Time | Role::Cycle);
+    let measured: Vec<&Column> = record.columns.iter().filter(|c| !counted(c)).collect();
     let same =
         |of: &[&Column], i: usize, j: usize| of.iter().all(|c| c.data[i].to_bits() == c.data[j].to_bits());
     // The next row, or the one after where pairs were doubled: with time the clock says so, without it neighbours must
@@ -59,7 +63,7 @@ fn pasted(
     // from place to place.
     let noisy = record.responses().any(|c| {
         let by_place: Vec<f64> = ways(record, c).concat().iter().map(|i| c.data[*i]).collect();
-        (rough(&c.data) || rough(&by_place)) && distinct(&c.data) * 4 > n
+        (rough(&c.data) || rough(&by_place) || differs_at_its_places(record, c)) && distinct(&c.data) * 4 > n
     });
     if !noisy || n < 2 * BLOCK {
         return Vec::new();
@@ -85,6 +89,17 @@ fn pasted(
     }
     // A machine without noise repeats itself in every cycle; a pasted block is not all there is, but for one copy of all.
     if rows.len() * 2 > n { Vec::new() } else { rows }
+}
+
+/// At one place, from one side, it is hardly ever the same to the last digit.
+fn differs_at_its_places(record: &Record, c: &Column) -> bool {
+    let places = places(record, c, &ways(record, c));
+    let (mut all, mut own) = (0, 0);
+    for place in places.iter().filter(|p| p.len() >= 3) {
+        all += place.len();
+        own += distinct(&place.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
+    }
+    all >= 2 * BLOCK && own * 10 >= all * 7
 }
 
 /// Up and down from row to row more often than not.
@@ -186,11 +201,14 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
         }
     }
     let far = |i: usize| left[i].abs() / scale;
-    let rows: Vec<usize> =
-        (0..n).filter(|i| far(*i) > 8.0 && alone[*i] && !excused[*i] && !usual_there[*i]).collect();
-    let worst = rows.iter().map(|i| far(*i)).fold(0.0, f64::max);
+    let own = |i: &usize| alone[*i] && !excused[*i] && !usual_there[*i];
+    let worst = (0..n).filter(own).map(far).fold(0.0, f64::max);
+    // What is far beyond all others is told apart from them, however heavy their tails.
+    let apart = (worst / APART).max(8.0);
+    let rows: Vec<usize> = (0..n).filter(|i| far(*i) > apart && own(i)).collect();
     // Heavy tails, or a shape that is no smooth one, are one thing; a few rows beyond all others another.
-    let bulk = (0..n).filter(|i| !rows.contains(i) && !excused[*i] && far(*i) > 4.5).count();
+    let tail = (apart / 2.0).max(4.5);
+    let bulk = (0..n).filter(|i| !rows.contains(i) && !excused[*i] && far(*i) > tail).count();
     // Many close together are a shape of their own: one row in twenty by chance has a neighbour in one case of four.
     let close = rows.windows(2).filter(|w| w[1] - w[0] <= 3).count();
     if n < 30 || rows.len() >= 4 && 2 * close > rows.len() {

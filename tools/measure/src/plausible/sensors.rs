@@ -19,6 +19,9 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
             unit(record, c, &others, out);
         }
         if out.len() == before {
+            loose(record, c, out);
+        }
+        if out.len() == before {
             good.push(c);
         }
     }
@@ -75,6 +78,31 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
     let all = beyond.len() == c.data.len();
     let text = format!("reads {lo:.1} to {hi:.1} degC, outside the {} to {} of a machine", DEGC[0], DEGC[1]);
     out.push(Suspicion::new(record, &c.name, What::Range, if all { &[] } else { &beyond }, text));
+}
+
+/// A sensor that is read well scatters by less from row to row, K.
+const SCATTER_K: f64 = 1.0;
+
+/// Readings that go up and down by kelvins from row to row, as no body does: a loose contact, an open input.
+fn loose(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
+    let moves = steps(&c.data);
+    let turns = moves.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
+    let noise = noise_k(&c.data);
+    // Two of three steps of noise turn back.
+    if c.data.len() >= 20 && noise > SCATTER_K && 2 * turns > moves.len() {
+        let text = format!(
+            "scatters by {noise:.1} K from row to row, as no body's temperature does: a loose contact or an open input"
+        );
+        out.push(Suspicion::new(record, &c.name, What::Unplugged, &[], text));
+    }
+}
+
+/// Standard deviation of a sensor's noise, by what three rows on end differ from a straight line.
+fn noise_k(v: &[f64]) -> f64 {
+    let mut second: Vec<f64> = v.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+    second.sort_by(f64::total_cmp);
+    // Median of a normal distribution's sizes; a difference of second order has six times the variance.
+    second.get(second.len() / 2).copied().unwrap_or(0.0) / 0.6745 / 6_f64.sqrt()
 }
 
 /// A value next to which there are others nearly the same: the sensor got there by degrees.
@@ -178,12 +206,8 @@ fn begins_to_move(v: &[f64], at: usize, least: f64) -> bool {
     let bend = |at: usize| Some(slope(at + 1..at + 1 + SIDE)? - slope((at + 1).checked_sub(SIDE)?..at + 1)?);
     let Some(here) = bend(at) else { return false };
     let before = at.checked_sub(SIDE).and_then(bend).unwrap_or(0.0);
-    let mut second: Vec<f64> = v.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    second.sort_by(f64::total_cmp);
-    // Median of a normal distribution's sizes; a difference of second order has six times the variance. No reading is better
-    // than its resolution.
-    let noise = second.get(second.len() / 2).copied().unwrap_or(0.0) / 0.6745 / 6_f64.sqrt();
-    let noise = noise.max(quantum(v) / 12_f64.sqrt());
+    // No reading is better than its resolution.
+    let noise = noise_k(v).max(quantum(v) / 12_f64.sqrt());
     let cube = (SIDE * SIDE * SIDE - SIDE) as f64;
     let error = noise * (2.0 * 12.0 / cube).sqrt();
     here.abs() > CERTAIN * error && here.abs() * SIDE as f64 > least && here.abs() > NEW_BEND * before.abs()

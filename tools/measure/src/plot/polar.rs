@@ -1,6 +1,6 @@
 //! Small deviations around a circle, enlarged: round, with the scale of the deviations on it.
 
-use super::Series;
+use super::{Series, look};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
@@ -32,6 +32,12 @@ pub(super) fn round_up(v: f64) -> f64 {
 /// Text for SVG.
 pub(super) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// The dash of a series, as an SVG attribute.
+fn dash(series: &Series, place: usize) -> String {
+    look::dash(series.colour.place(place))
+        .map_or_else(String::new, |(on, off)| format!(" stroke-dasharray=\"{on} {off}\""))
 }
 
 impl Polar {
@@ -93,8 +99,11 @@ impl Polar {
                 last = Some(*angle);
             }
             let colour = series.colour.hex(place);
-            let _ =
-                write!(out, "<path d=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\"/>");
+            let dash = dash(series, place);
+            let _ = write!(
+                out,
+                "<path d=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\"{dash}/>"
+            );
         }
         // What a ring is worth, written outwards at 45°.
         for ring in [-rings, 0, rings] {
@@ -114,23 +123,31 @@ impl Polar {
 
     fn legend(&self, out: &mut String, division_um: f64, px_per_um: f64) {
         let mut y = 70.0;
-        let mut line = |out: &mut String, swatch: Option<(String, f64)>, text: &str| {
-            if let Some((colour, width)) = swatch {
-                let _ = write!(out, "<path d=\"M556 {y}h18\" stroke=\"{colour}\" stroke-width=\"{width}\"/>");
+        let mut line = |out: &mut String, swatch: Option<(String, f64, String)>, text: &str| {
+            if let Some((colour, width, dash)) = swatch {
+                let _ = write!(
+                    out,
+                    "<path d=\"M550 {y}h25\" stroke=\"{colour}\" stroke-width=\"{width}\"{dash}/>"
+                );
             }
             let _ = write!(out, "<text x=\"580\" y=\"{}\">{}</text>", y + 4.0, escaped(text));
             y += 21.0;
         };
         for (place, s) in self.series.iter().enumerate() {
-            line(out, Some((s.colour.hex(place), 4.0)), &s.label);
+            line(out, Some((s.colour.hex(place), 2.0, dash(s, place))), &s.label);
         }
-        line(out, Some(("#505050".to_owned(), 1.5)), "least-squares circle");
-        line(out, Some(("#dddddd".to_owned(), 1.5)), &format!("one division is {division_um} µm"));
+        line(out, Some(("#505050".to_owned(), 1.5, String::new())), "least-squares circle");
+        line(
+            out,
+            Some(("#dddddd".to_owned(), 1.5, String::new())),
+            &format!("one division is {division_um} µm"),
+        );
         if let Some(radius_mm) = self.radius_mm {
             // Deviations against the circle itself, which the base circle stands for.
             let times = px_per_um * 1000.0 * radius_mm / BASE_PX;
             line(out, None, &format!("radius {} mm,", crate::report::short(radius_mm)));
-            line(out, None, &format!("deviations {times:.0} times enlarged"));
+            line(out, None, "deviations enlarged");
+            line(out, None, &format!("{times:.0} times"));
         }
     }
 }

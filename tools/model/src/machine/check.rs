@@ -185,6 +185,28 @@ mod tests {
         assert!(fit("\"1. Mai 2026\"", "\"2027-05-01\"").is_err());
     }
 
+    /// A fit that has seen no temperature states an interval for a machine as it was, not for one that warms by 12 K.
+    #[test]
+    fn an_interval_of_cold_geometry_is_none_for_a_warm_machine() {
+        let note = "[[fit]]\nresponse = \"error.x\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 0.1\nhalf_width_um = 0.2\n";
+        let valid = "valid = [{ sensor = \"T1\", range_K = [0.0, 12.0], um_per_K = 1.0 }]\n";
+        let effect = "[[effect]]\nname = \"scale.x\"\nppm = 25.0\n";
+        let run = |warm: f64| {
+            let column = |name: &str, role, data| crate::record::Column::new(name, role, data);
+            let columns = vec![
+                column("T1", Role::Temperature, (0..10).map(|i| 20.0 + warm * f64::from(i) / 9.0).collect()),
+                column("e", Role::parse("error.x").unwrap(), vec![0.0; 10]),
+            ];
+            Record::new(Path::new("r.run.toml"), Kind::Drift, columns).unwrap()
+        };
+        let response = Role::parse("error.x").unwrap();
+        let cold = parse(&format!("name = \"m\"\n{note}{effect}")).unwrap();
+        assert!(cold.half_widths_um(&run(0.5), &response).is_some());
+        assert!(cold.half_widths_um(&run(12.0), &response).is_none());
+        let warm = parse(&format!("name = \"m\"\n{note}{valid}{effect}")).unwrap();
+        assert!(warm.half_widths_um(&run(12.0), &response).is_some());
+    }
+
     /// A map from 0 to 300 mm, asked at 640 mm: its last value stands there, and that is said.
     #[test]
     fn beyond_the_knots_is_said() {

@@ -1,7 +1,7 @@
 //! What a fit says about itself and about its effects: records, dates, intervals, the range in which it is valid.
 
 use crate::effect::{Against, Difference, Effect, STANDARD_DEGC};
-use crate::record::{Kind, Record, Role};
+use crate::record::{Column, Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -130,6 +130,17 @@ pub struct FitNote {
 /// An axis that moves by less stands still, mm.
 const STILL_MM: f64 = 1.0;
 
+/// A machine whose temperatures move by more within a record is not the one that a fit without temperatures has seen, K.
+const WARMS_K: f64 = 2.0;
+
+fn warms(record: &Record) -> bool {
+    let span = |c: &Column| {
+        let (lo, hi) = c.data.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+        hi - lo
+    };
+    record.columns.iter().any(|c| c.role == Role::Temperature && span(c) > WARMS_K)
+}
+
 impl FitNote {
     /// Where the axes of records are: from where to where each moves, mm.
     #[must_use]
@@ -148,9 +159,13 @@ impl FitNote {
         found
     }
 
-    /// The interval was seen wherever this record's axes go: a tenth of its range beyond is as good.
+    /// The interval was seen wherever this record's axes go: a tenth of its range beyond is as good. Where the fit has seen no
+    /// temperature, a machine that warms is another one.
     #[must_use]
     pub fn covers(&self, record: &Record) -> bool {
+        if self.valid.is_empty() && warms(record) {
+            return false;
+        }
         let Some(at) = &self.at_mm else { return true };
         Self::places(&[record]).iter().all(|(axis, [l, h])| {
             at.get(axis).is_some_and(|[from, to]| {

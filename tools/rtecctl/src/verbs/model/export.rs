@@ -132,6 +132,24 @@ fn format(args: &Args) -> Result<Box<dyn rtec_measure::export::Format>, InputErr
     })
 }
 
+/// Where a table goes beyond what the model was stated or seen on.
+fn beyond(machine: &Machine, axis: &str, [from, to]: [f64; 2]) -> Vec<String> {
+    let mut found = machine.beyond_stated(|a| {
+        (a.as_str() == axis).then(|| (0..=100).map(|k| from + (to - from) * f64::from(k) / 100.0).collect())
+    });
+    let seen = machine.fits().iter().filter(|f| f.response == format!("error.{axis}"));
+    for [lo, hi] in seen.filter_map(|f| f.at_mm.as_ref()?.get(axis).copied()) {
+        let margin = 0.1 * (hi - lo);
+        if from < lo - margin || to > hi + margin {
+            found.push(format!(
+                "the model was fitted from {lo:.1} to {hi:.1} mm of {axis}, and the table goes from {from} to {to} mm: no record has shown what the \
+                 axis does there"
+            ));
+        }
+    }
+    found
+}
+
 /// A position in mm to the nanometre: 203.2, not 203.200 000 000 000 02.
 fn short(mm: f64) -> f64 {
     (mm * 1e6).round() / 1e6
@@ -165,6 +183,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let text = format.text(&table)?;
     let mut warnings = machine.doubts(date::today());
     warnings.extend(errors.doubts()?);
+    warnings.extend(beyond(&machine, &args.axis, [args.from, args.to]));
     let (left, points) = (table.left, table.points.len());
     if table.between_um > args.limit_um {
         warnings.push(format!(
