@@ -116,7 +116,12 @@ fn a_profile_that_is_not_there_or_is_none_is_named() {
     assert_eq!(says(&["show", "8255-pci", "--toml", "--json"]).0, Some(2));
     assert_eq!(says(&["probe", "--mtc-is-off"]).0, Some(2));
     let (code, error) = says(&["probe", "--config", "none.toml"]);
-    assert!(code == Some(2) && error.contains("none.toml"), "{error}");
+    assert!(code == Some(2) && error.contains("none.toml: found No such file"), "{error}");
+    assert!(error.contains("expected a configuration: `rtecctl config default > rtec.toml`"), "{error}");
+    let (code, error) = says(&["probe"]);
+    let installed = Path::new(rtec_control::config::INSTALLED).exists();
+    assert!(installed || code == Some(2), "{error}");
+    assert!(installed || error.contains("expected --config FILE, or a configuration"), "{error}");
 }
 
 #[test]
@@ -219,7 +224,7 @@ fn a_card_that_is_not_there_is_hardware_that_is_not_reached() {
     let (code, error) = with("backend = 'port'\nprofile = 'wch-ch382l'\npci = 'ffff:fffe'", ports);
     assert!(code == Some(3) && error.contains("no PCI card ffff:fffe"), "{error}");
     let (code, error) = with("backend = 'mock'", "");
-    assert!(code == Some(2) && error.contains("nothing to probe"), "{error}");
+    assert!(code == Some(2) && error.contains("nothing to probe; `rtecctl status`"), "{error}");
 }
 
 fn card_of(config: &Path) -> Output {
