@@ -416,7 +416,7 @@ fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> anyhow:
         read(s.order.register, "set-up", &|value| is(value).to_owned())?;
     }
     for c in &profile.counters {
-        let latched = if c.latch.is_some() { "as last latched" } else { "as it stands" };
+        let latched = if c.latch.is_some() { "as last latched" } else { "as it is" };
         read(c.count, "count", &|_| format!("of inputs {} and {}, {latched}", c.lines.0, c.lines.1))?;
         for (what, flag) in [("overflow", c.overflow), ("error", c.error)] {
             let Some(flag) = flag else { continue };
