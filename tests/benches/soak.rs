@@ -1,4 +1,4 @@
-//! A soak: the daemon on a mapped card with a moving axis, a model whose sensor never stands, a part table, clients and a
+//! A soak: the daemon on a mapped card with a moving axis, a model whose sensor never stops changing, a part table, clients and a
 //! scrape; its memory, descriptors, threads and latencies over the time, printed, as CSV and as plots.
 //!
 //! `cargo bench -p rtec-tests --bench soak [-- MINUTES]`, three minutes where none are named; `target/soak/` holds `soak.csv` and the

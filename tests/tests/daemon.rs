@@ -459,6 +459,62 @@ fn without_privileges_it_runs_and_says_what_is_missing() {
     completed(&daemon, 2);
 }
 
+/// An answer without a line says why, and what comes next; programs get what they got before.
+#[test]
+fn an_empty_answer_says_that_it_is_one() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(&directory.path().join("s"), None);
+    let said = |args: &[&str]| {
+        let run = daemon.user(args);
+        assert_eq!(run.status.code(), Some(0), "{args:?}");
+        (String::from_utf8(run.stdout).unwrap(), String::from_utf8(run.stderr).unwrap())
+    };
+    for (name, empty) in [("faults", "[]\n"), ("axes.x.faults", "[]\n"), ("latched", "{}\n")] {
+        assert_eq!(said(&["get", name]), (empty.to_owned(), "none\n".to_owned()));
+        assert_eq!(said(&["get", name, "--json"]), (empty.to_owned(), String::new()));
+    }
+    assert_eq!(said(&["get", "axes.x.requested"]).1, "");
+    let unknown = daemon.expect(2, &["get", "part"]);
+    assert!(["model", "table", "sensors"].iter().all(|name| unknown.contains(name)), "{unknown}");
+    let (text, why) = said(&["explain"]);
+    assert!(
+        text.starts_with("axis x: +0.000 µm") && why.contains("`rtecctl model load FILE`"),
+        "{text}{why}"
+    );
+    assert_eq!(said(&["explain", "--json"]).1, "");
+
+    // Before homing there are counts, and no ledger.
+    let out = directory.path().join("ledger").display().to_string();
+    let export = ["ledger", "export", "--out", out.as_str()];
+    assert!(said(&export).1.contains("axis x, y, z not homed") && said(&export).1.contains("`rtecctl home`"));
+    daemon.expect(0, &["home"]);
+    assert_eq!(said(&export).1, "");
+
+    // The record has lines, and none of the next century.
+    until("the record", || daemon.expect(0, &["log"]).contains(" home: done"));
+    let (text, why) = said(&["log", "--since", "2100-01-01"]);
+    assert!(
+        text.is_empty() && why.contains("no line since 2100-01-01T00:00:00.000Z; the record's last is of 20"),
+        "{why}"
+    );
+    assert_eq!(said(&["log", "--since", "2100-01-01", "--json"]).1, "");
+    let run = daemon.user(&["log", "--axis", "q"]);
+    assert!(run.status.code() == Some(2) && run.stdout.is_empty(), "{run:?}");
+    let none = directory.path().join("none.log").display().to_string();
+    assert!(
+        daemon.expect(2, &["log", "--file", &none]).contains("no record yet, expected one that rtecd writes")
+    );
+    std::fs::write(&none, "").unwrap();
+    assert!(said(&["log", "--file", &none]).1.contains("the record has no line yet"));
+
+    // A model without effects.
+    let ideal = directory.path().join("ideal.toml").display().to_string();
+    std::fs::write(&ideal, "name = \"ideal\"\n").unwrap();
+    daemon.expect(0, &["model", "load", &ideal, "--yes"]);
+    assert!(said(&["explain"]).1.contains("the model holds no effect: `rtecctl model fit`"));
+}
+
 /// Where there is nothing to correct with, to show or to wait for, the answer says so, and what to do.
 #[test]
 fn what_is_not_there_is_said_with_the_next_step() {

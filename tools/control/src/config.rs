@@ -275,8 +275,7 @@ impl Config {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn load(file: &Path) -> Result<Self, ConfigFindings> {
-        let text = rtec_files::text::read(file).map_err(|finding| ConfigFindings(vec![finding]))?;
-        Self::parse(file, &text)
+        Self::parse(file, &text_of(file)?)
     }
 
     /// As [`Config::load`], and on this computer: groups, devices and the model that it names are looked for.
@@ -284,8 +283,7 @@ impl Config {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn check_here(file: &Path) -> Result<Self, ConfigFindings> {
-        let text = rtec_files::text::read(file).map_err(|finding| ConfigFindings(vec![finding]))?;
-        Self::parse_for(file, &text, true)
+        Self::parse_for(file, &text_of(file)?, true)
     }
 
     /// Checks the text of a file; paths in it are relative to the file's directory.
@@ -374,6 +372,16 @@ impl ConfiguredAxis {
             max_counts: self.engine.max_correction_counts,
         }
     }
+}
+
+/// A configuration's text. Where there is none: how to come by one.
+fn text_of(file: &Path) -> Result<String, ConfigFindings> {
+    rtec_files::text::read(file).map_err(|mut finding| {
+        if !file.exists() {
+            finding.expected = "a configuration: `rtecctl config default > rtec.toml` begins one".to_owned();
+        }
+        ConfigFindings(vec![finding])
+    })
 }
 
 /// The file's whole content; findings are in the source, `None` where there is no way on.

@@ -201,7 +201,7 @@ fn sensors(out: &mut Out, s: &DaemonStatus) {
         let of = |state| (vec![("sensor", r.sensor.as_str()), ("state", state)], flag(r.state == state));
         SENSOR_STATES.map(of)
     });
-    let help = "1 for the state of a sensor: good, frozen (its last good value stands in), hold";
+    let help = "1 for the state of a sensor: good, frozen (its last good value is used instead), hold";
     out.gauge("rtec_sensor_state", help, states);
 }
 

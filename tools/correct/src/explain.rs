@@ -92,7 +92,7 @@ pub struct Reading {
     pub degc: Option<f64>,
     /// The age of that, s.
     pub age_s: Option<f64>,
-    /// `good`, `frozen` (the last good value stands in) or `hold`.
+    /// `good`, `frozen` (the last good value is used instead) or `hold`.
     pub state: String,
     /// What is wrong with it.
     #[serde(default, skip_serializing_if = "Option::is_none")]

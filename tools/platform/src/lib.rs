@@ -2,7 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`selftest`] | the latencies that the speed gate stands on, measured with the real engine |
+//! | [`selftest`] | the latencies that the speed gate rests on, measured with the real engine |
 //! | [`access`] | may the service open the card's devices, and where do their interrupts land? |
 //! | `far` | the far side of the self-test's wires: gives the edges, times the insertions, is the MTC |
 //!

@@ -1,4 +1,4 @@
-//! How late this machine can be: the latencies that the speed gate stands on, measured with the real engine.
+//! How late this machine can be: the latencies that the speed gate rests on, measured with the real engine.
 //!
 //! Nothing is understated: where a clock had to be read before or after an event, the worse side was taken.
 //!

@@ -139,6 +139,22 @@ pub(crate) fn command() -> Command {
         .after_help(list)
 }
 
+/// What follows a usage error: an example of the verb and its list of names, where the error does not show them itself.
+pub(crate) fn next(verb: &str, said: &str) -> String {
+    let Some((.., example, _)) = VERBS.iter().find(|v| v.0 == verb).filter(|_| !said.contains("Example:"))
+    else {
+        return String::new();
+    };
+    let mut text = format!("Example: {example}\n");
+    let command = Cli::command();
+    let mut options = command.find_subcommand(verb).into_iter().flat_map(Command::get_arguments);
+    if options.any(|a| a.get_long() == Some("list")) && !example.ends_with("--list") {
+        // Writing to a String does not fail.
+        let _ = writeln!(text, "Names: rtecctl {verb} --list");
+    }
+    text
+}
+
 /// Doors: name, who comes through it, its verbs.
 #[cfg(test)]
 pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
@@ -182,6 +198,16 @@ mod tests {
                 panic!("{example}: {error}");
             }
         }
+    }
+
+    #[test]
+    fn a_usage_error_ends_with_an_example() {
+        assert_eq!(next("simulate", "error: …"), "Example: rtecctl simulate --list\n");
+        assert_eq!(
+            next("example", "error: …"),
+            "Example: rtecctl example lathe lathe\nNames: rtecctl example --list\n"
+        );
+        assert_eq!(next("model", "Example: rtecctl model show\n") + &next("nonsense", "error: …"), "");
     }
 
     #[test]

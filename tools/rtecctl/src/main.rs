@@ -123,7 +123,13 @@ fn main() -> ExitCode {
     let asked = help::command().try_get_matches();
     let cli = match asked.and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
-        Err(error) if error.use_stderr() => error.exit(),
+        Err(error) if error.use_stderr() => {
+            // Where standard error takes nothing there is nowhere to say so.
+            let _ = error.print();
+            let verb = std::env::args_os().nth(1).unwrap_or_default();
+            tell(&help::next(&verb.to_string_lossy(), &error.render().to_string()));
+            return ExitCode::from(2);
+        }
         // Help and version are output as any other.
         Err(help) => {
             let text = help.render();

@@ -26,10 +26,17 @@ pub(crate) fn colour() -> bool {
     std::io::stdout().is_terminal() && colours_are_wanted()
 }
 
-/// Columns of the terminal on standard output; none where it is none.
+/// Columns of the terminal on standard output; none where it is none, or does not know its own.
 pub(crate) fn width() -> Option<u16> {
     let terminal = std::io::stdout().is_terminal();
-    terminal.then(|| ratatui::crossterm::terminal::size().ok()).flatten().map(|(width, _)| width)
+    let size = terminal.then(|| ratatui::crossterm::terminal::size().ok()).flatten();
+    size.and_then(|(width, _)| readable(width))
+}
+
+/// A width that text can be read in. A serial console and `script` say 0.
+fn readable(columns: u16) -> Option<u16> {
+    const LEAST: u16 = 20;
+    (columns >= LEAST).then_some(columns)
 }
 
 /// A text in a tone, where `colour` says so.
@@ -91,6 +98,11 @@ fn columns(word: &str) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_terminal_that_does_not_know_its_columns_has_none() {
+        assert_eq!([0, 1, 19, 20, 80].map(readable), [None, None, None, Some(20), Some(80)]);
+    }
 
     #[test]
     fn lines_are_broken_between_words_and_go_on_further_in() {

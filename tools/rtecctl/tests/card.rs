@@ -73,10 +73,12 @@ fn every_profile_is_listed_and_what_is_here_is_looked_for() {
     assert!(out.status.success() && out.stderr.is_empty());
     let (profiles, here) = text(&out.stdout)
         .split_once("in this machine:\n")
-        .map(|(p, h)| (p.to_owned(), h.len()))
+        .map(|(p, h)| (p.to_owned(), h.to_owned()))
         .expect("both");
     golden("list.txt", &profiles);
-    assert!(here > 0);
+    // Where nothing is found the next step is: this computer may have some.
+    assert_eq!(here.contains("nothing that this program knows"), here.contains("`rtecctl card show FILE`"));
+    assert!(!here.is_empty());
     let out = card(&["list", "--json"]);
     let document: serde_json::Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
     let listed: Vec<_> =
@@ -116,7 +118,12 @@ fn a_profile_that_is_not_there_or_is_none_is_named() {
     assert_eq!(says(&["show", "8255-pci", "--toml", "--json"]).0, Some(2));
     assert_eq!(says(&["probe", "--mtc-is-off"]).0, Some(2));
     let (code, error) = says(&["probe", "--config", "none.toml"]);
-    assert!(code == Some(2) && error.contains("none.toml"), "{error}");
+    assert!(code == Some(2) && error.contains("none.toml: found No such file"), "{error}");
+    assert!(error.contains("expected a configuration: `rtecctl config default > rtec.toml`"), "{error}");
+    let (code, error) = says(&["probe"]);
+    let installed = Path::new(rtec_control::config::INSTALLED).exists();
+    assert!(installed || code == Some(2), "{error}");
+    assert!(installed || error.contains("expected --config FILE, or a configuration"), "{error}");
 }
 
 #[test]
@@ -219,7 +226,7 @@ fn a_card_that_is_not_there_is_hardware_that_is_not_reached() {
     let (code, error) = with("backend = 'port'\nprofile = 'wch-ch382l'\npci = 'ffff:fffe'", ports);
     assert!(code == Some(3) && error.contains("no PCI card ffff:fffe"), "{error}");
     let (code, error) = with("backend = 'mock'", "");
-    assert!(code == Some(2) && error.contains("nothing to probe"), "{error}");
+    assert!(code == Some(2) && error.contains("nothing to probe; `rtecctl status`"), "{error}");
 }
 
 fn card_of(config: &Path) -> Output {

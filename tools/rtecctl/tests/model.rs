@@ -258,7 +258,15 @@ fn a_chain_is_shown_and_exported_along_an_axis() {
         assert!(output.status.success(), "{line}: {said}");
         (String::from_utf8_lossy(&output.stdout).into_owned(), said)
     };
-    let (shown, _) = run("model show --machine m.toml");
+    let (shown, said) = run("model show --machine m.toml");
+    assert!(!said.contains("an ideal machine"), "{said}");
+    std::fs::write(at.join("ideal.toml"), "name = \"ideal\"\n").unwrap();
+    let (bare, said) = run("model show --machine ideal.toml");
+    assert!(
+        bare == "ideal\n" && said.contains("no effects: an ideal machine; `rtecctl model fit`"),
+        "{bare}{said}"
+    );
+    assert_eq!(run("model show --machine ideal.toml --json").1, "");
     for line in [
         "carriage (tool), offset 0, 0, 0 mm, moved by z along 0, 0, 1",
         "ey = +50 µrad",

@@ -65,6 +65,27 @@ fn figures_are_for_people_and_json_for_programs() {
     }
 }
 
+/// A usage error is the parser's, with its code, and ends with an example; where the help is shown it has one already.
+#[test]
+fn a_usage_error_ends_with_an_example() {
+    for (words, ends, times) in [
+        ("simulate", "\nExample: rtecctl simulate --list\n", 1),
+        ("example lathe", "\nNames: rtecctl example --list\n", 1),
+        ("model show nope", "\nExample: rtecctl model show --machine machine.toml\n", 1),
+        ("statos", "\n", 0),
+        ("model", "\n", 1),
+    ] {
+        let out =
+            Command::new(env!("CARGO_BIN_EXE_rtecctl")).args(words.split_whitespace()).output().unwrap();
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert!(
+            out.status.code() == Some(2) && out.stdout.is_empty() && said.ends_with(ends),
+            "{words}: {said}"
+        );
+        assert_eq!(said.matches("Example:").count(), times, "{words}: {said}");
+    }
+}
+
 #[test]
 fn a_fit_is_called_what_it_is_and_rows_are_rows() {
     let dir = tempfile::tempdir().unwrap();

@@ -60,7 +60,7 @@ pub(super) fn read(
         s.missing(
             source,
             "max_accel_mm_s2",
-            "the axis's acceleration limit, mm/s²: the speed gate stands on it",
+            "the axis's acceleration limit, mm/s²: the speed gate rests on it",
         );
     }
     let hysteresis = plain::within(&mut s, source, "hysteresis_counts", 1e-3, 1000.0);

@@ -4,7 +4,7 @@ use crate::Outcome;
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::card;
-use rtec_control::config::{CardConfig, Config, MappedPlace, PortPlace};
+use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED, MappedPlace, PortPlace};
 use rtec_control::lock::{self, Held, LockError};
 use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::card::Card;
@@ -68,7 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         What::List { json } => list(*json),
         What::Show { profile, toml, json } => show(profile, *toml, *json),
         What::Probe { config, drive, mtc_is_off, json } => {
-            let config = Config::load(config)?;
+            let config = load(config)?;
             if !drive {
                 return probe(&config)?.print(*json);
             }
@@ -79,6 +79,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             drive_outputs(&config, *json)
         }
     }
+}
+
+/// The configuration; where it is the installed one and there is none, what to name instead.
+fn load(file: &Path) -> Result<Config, ConfigFindings> {
+    Config::load(file).map_err(|mut findings| {
+        if file == Path::new(INSTALLED) && !file.exists() {
+            for finding in &mut findings.0 {
+                finding.expected = format!("--config FILE, or {}", finding.expected);
+            }
+        }
+        findings
+    })
 }
 
 /// The backend that a profile's registers belong to.
@@ -153,6 +165,10 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     }
     if chips.is_empty() && cards.is_empty() && parports.is_empty() && uio.is_empty() {
         println!("  nothing that this program knows, or nothing that you may open");
+        println!(
+            "  next: `sudo rtecctl card list` sees what only root may open; /etc/rtec/devices names what the daemon"
+        );
+        println!("  may open (group rtec-dev); `rtecctl card show FILE` checks a profile of your own");
     }
     Ok(())
 }
@@ -278,7 +294,8 @@ fn wired(config: &Config) -> Vec<(String, u8, bool)> {
 
 fn no_lines(config: &Config) -> anyhow::Error {
     let text = format!(
-        "backend \"{}\" has no lines outside the daemon: there is nothing to probe",
+        "backend \"{}\" has no lines outside the daemon: there is nothing to probe; `rtecctl status` shows its axes, \
+         `rtecctl card list` what [card] of rtec.toml may name",
         config.card.backend()
     );
     Outcome::Bad(text).into()
@@ -399,7 +416,7 @@ fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> anyhow:
         read(s.order.register, "set-up", &|value| is(value).to_owned())?;
     }
     for c in &profile.counters {
-        let latched = if c.latch.is_some() { "as last latched" } else { "as it stands" };
+        let latched = if c.latch.is_some() { "as last latched" } else { "as it is" };
         read(c.count, "count", &|_| format!("of inputs {} and {}, {latched}", c.lines.0, c.lines.1))?;
         for (what, flag) in [("overflow", c.overflow), ("error", c.error)] {
             let Some(flag) = flag else { continue };

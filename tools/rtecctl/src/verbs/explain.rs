@@ -1,6 +1,6 @@
 //! `rtecctl explain`: what each axis's correction is made of.
 
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, NO_EVENTS, observe};
 use rtec_control::protocol::{ClientRequest, Contribution, Explained, Reading, Response};
 use std::fmt::Write as _;
 
@@ -21,8 +21,26 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         && !args.daemon.json
     {
         print!("{}", table(&axes));
+        if without_effect(&axes) {
+            let seen = observe(&mut args.daemon.view()?, NO_EVENTS)?;
+            let why = match (seen.status.model.is_some(), without_effect(&seen.explained)) {
+                (false, _) => "no model is loaded: `rtecctl model load FILE`",
+                (true, true) => "the model holds no effect: `rtecctl model fit` finds them",
+                (true, false) => "the model holds no effect of this axis: `rtecctl explain` shows the others",
+            };
+            eprintln!("rtecctl: {why}");
+        }
     }
     Ok(())
+}
+
+/// What a correction is made of beside the model.
+const NO_EFFECTS: [&str; 6] =
+    ["part table", "operator", "on its way", "rounding", "not followed now", "beyond max_correction_counts"];
+
+fn without_effect(axes: &[Explained]) -> bool {
+    let mut parts = axes.iter().flat_map(|a| &a.parts);
+    parts.all(|p| NO_EFFECTS.contains(&p.name.as_str()))
 }
 
 fn table(axes: &[Explained]) -> String {
@@ -108,5 +126,9 @@ mod tests {
             },
         ];
         crate::golden("explain.txt", &table(&axes));
+        assert!(!without_effect(&axes) && !without_effect(&axes[1..]));
+        let mut bare = axes;
+        bare[0].parts.drain(..2);
+        assert!(without_effect(&bare[..1]));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, observe};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// Print one value of the status, as axes.x.completed or mode
 ///
@@ -18,11 +18,12 @@ pub(crate) struct Args {
 }
 
 /// Values that a status has only sometimes, and what to do where it has none.
-const SOMETIMES: [(&str, &str); 4] = [
+const SOMETIMES: [(&str, &str); 5] = [
     ("model", "no model is loaded: `rtecctl model load FILE`"),
     ("table", "no part table is loaded: `rtecctl part load`"),
     ("table_now", "no part table is loaded: `rtecctl part load`"),
     ("sensors", "no sensors are configured: `[[sensor]]` in the daemon's rtec.toml"),
+    ("record_trouble", "the record is written: no trouble"),
 ];
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -36,7 +37,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     match find(&status, name) {
         Ok(Value::String(text)) if !args.daemon.json => println!("{text}"),
-        Ok(value) => println!("{value}"),
+        Ok(value) => {
+            println!("{value}");
+            if is_empty(value) && !args.daemon.json {
+                eprintln!("none");
+            }
+        }
         Err(text) => {
             let first = name.split('.').next().unwrap_or_default();
             return Err(match SOMETIMES.iter().find(|(of, _)| *of == first) {
@@ -48,6 +54,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// A list or a table without entries.
+fn is_empty(value: &Value) -> bool {
+    value.as_array().is_some_and(Vec::is_empty) || value.as_object().is_some_and(Map::is_empty)
 }
 
 /// What the entries of a list are called.
@@ -67,16 +78,25 @@ fn find<'a>(status: &'a Value, name: &str) -> Result<&'a Value, String> {
         };
         at = next.ok_or_else(|| {
             let here = if path.is_empty() { "the status".to_owned() } else { path.clone() };
-            format!("found {part:?}, expected one of {here}'s {}", known(at))
+            format!("found {part:?}, expected one of {here}'s {}", known(at, path.is_empty()))
         })?;
         path = if path.is_empty() { part.to_owned() } else { format!("{path}.{part}") };
     }
     Ok(at)
 }
 
-fn known(at: &Value) -> String {
+/// The names of what is here; of the status as a whole those that it has only sometimes, too.
+fn known(at: &Value, whole: bool) -> String {
     let names: Vec<String> = match at {
-        Value::Object(fields) => fields.keys().cloned().collect(),
+        Value::Object(fields) => {
+            let mut names: Vec<String> = fields.keys().cloned().collect();
+            if whole {
+                let now_and_then = SOMETIMES.iter().map(|(name, _)| (*name).to_owned());
+                names.extend(now_and_then.filter(|name| !fields.contains_key(name)));
+                names.sort();
+            }
+            names
+        }
         Value::Array(list) => {
             list.iter().enumerate().map(|(n, e)| called(e).map_or(n.to_string(), str::to_owned)).collect()
         }
@@ -119,6 +139,12 @@ mod tests {
                 .starts_with("found \"w\", expected one of axes's z, x")
         );
         assert!(find(&status, "mode.x").unwrap_err().ends_with("it has none"));
+        for (name, _) in SOMETIMES {
+            let said = find(&status, "part").unwrap_err();
+            assert_eq!(said.split(", ").filter(|known| known.ends_with(name)).count(), 1, "{name}: {said}");
+        }
+        assert!(is_empty(&serde_json::json!([])) && is_empty(&serde_json::json!({})));
+        assert!(!is_empty(&Value::Null) && !is_empty(&serde_json::json!([0])) && !is_empty(&"".into()));
         let mut names = Vec::new();
         all(&status, "", &mut names);
         assert!(names.iter().any(|n| n == "axes.x.completed"));

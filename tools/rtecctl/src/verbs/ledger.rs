@@ -67,6 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
         return Err(Outcome::Bad(text).into());
     }
+    let not_homed: Vec<_> = axes.iter().filter(|a| !a.homed).map(|a| a.name.clone()).collect();
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
     let (mut all, mut other) = (Vec::new(), Vec::new());
     for axis in axes {
@@ -121,6 +122,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         .with_context(|| format!("writing {}", file.display()))?;
     if daemon.json {
         println!("{document}");
+    } else if !not_homed.is_empty() {
+        eprintln!(
+            "rtecctl: axis {} not homed: counted from the daemon's start; `rtecctl home` begins the ledger",
+            not_homed.join(", ")
+        );
     }
     if other.is_empty() {
         return Ok(());

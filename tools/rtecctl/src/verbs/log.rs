@@ -51,12 +51,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let late = since_s.is_none_or(|since| entry.seconds().is_some_and(|t| t >= since));
         late && args.axis.as_ref().is_none_or(|axis| entry.concerns(axis))
     };
-    let (mut all, mut last_n, mut broken, mut axes) = (Vec::new(), 0, 0_u64, BTreeSet::new());
+    if let Some(axis) = &args.axis {
+        known(&file, axis)?;
+    }
+    let (mut all, mut last_n, mut last_t) = (Vec::new(), 0, None);
+    let (mut shown, mut broken) = (0_u64, 0_u64);
     let mut show = |line: Line, all: Option<&mut Vec<Value>>| match line.entry {
         Ok(entry) => {
             if !wanted(&entry) {
                 return;
             }
+            shown += 1;
             match all {
                 Some(all) => all.push(serde_json::from_str(&line.text).unwrap_or_default()),
                 None if args.daemon.json => println!("{}", line.text),
@@ -72,17 +77,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     audit::read(&file, &mut |line| {
         if let Ok(entry) = &line.entry {
             last_n = entry.n;
-            axes.extend(entry.after.keys().cloned());
+            last_t = Some(entry.t.clone());
         }
         show(line, document.then_some(&mut all));
     })
     .map_err(|e| unreadable(&file, &e))?;
-    if let Some(axis) = args.axis.as_ref().filter(|axis| !axes.is_empty() && !axes.contains(*axis)) {
-        let known = axes.into_iter().collect::<Vec<_>>().join(", ");
-        return Err(
-            Outcome::Bad(format!("found --axis {axis}, expected one of the record's: {known}")).into()
-        );
-    }
     if document {
         println!("{}", json!({ "file": file, "lines": all }));
     }
@@ -105,7 +104,35 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ))
         .into());
     }
+    if shown == 0 && !args.follow && !document {
+        eprintln!("rtecctl: {}", nothing(since_s, args.axis.as_deref(), last_t.as_deref()));
+    }
     Ok(())
+}
+
+/// Refuses an axis that the record does not know, before anything of it is shown.
+fn known(file: &Path, axis: &str) -> anyhow::Result<()> {
+    let mut axes = BTreeSet::new();
+    audit::read(file, &mut |line| axes.extend(line.entry.into_iter().flat_map(|e| e.after.into_keys())))
+        .map_err(|e| unreadable(file, &e))?;
+    if axes.is_empty() || axes.contains(axis) {
+        return Ok(());
+    }
+    let known = axes.into_iter().collect::<Vec<_>>().join(", ");
+    Err(Outcome::Bad(format!("found --axis {axis}, expected one of the record's: {known}")).into())
+}
+
+/// Why no line is shown, and where there are some.
+fn nothing(since_s: Option<f64>, axis: Option<&str>, last_t: Option<&str>) -> String {
+    let Some(last) = last_t else {
+        return "the record has no line yet: rtecd writes one when it starts".to_owned();
+    };
+    let axis = axis.map_or(String::new(), |axis| format!(" of axis {axis}"));
+    let since = since_s.map_or(String::new(), |seconds| {
+        let since = Duration::try_from_secs_f64(seconds).unwrap_or_default();
+        format!(" since {}", audit::stamp(UNIX_EPOCH + since))
+    });
+    format!("no line{axis}{since}; the record's last is of {last}: `rtecctl log` shows all")
 }
 
 fn verify(file: &Path, as_json: bool) -> anyhow::Result<()> {
@@ -133,6 +160,10 @@ fn verify(file: &Path, as_json: bool) -> anyhow::Result<()> {
 }
 
 fn unreadable(file: &Path, error: &io::Error) -> anyhow::Error {
+    if error.kind() == io::ErrorKind::NotFound {
+        let expected = "one that rtecd writes: start rtecd (`systemctl start rtecd`), or --file";
+        return InputError::whole(file, "no record yet", expected).into();
+    }
     let expected = "a record that this user may read (the group of [control] view), or --file";
     InputError::whole(file, error.to_string(), expected).into()
 }
@@ -237,5 +268,27 @@ mod tests {
         assert!((since("1h").unwrap() - (now - 3600.0)).abs() < 60.0);
         assert!((since("2026-11-22").unwrap() - 1_795_305_600.0).abs() < 1e-6);
         assert!(since("some day").unwrap_err().to_string().contains("expected a duration"));
+    }
+
+    #[test]
+    fn where_no_line_is_shown_it_says_where_there_are_some() {
+        let last = Some("2026-11-22T14:29:07.000Z");
+        assert_eq!(
+            nothing(Some(1_795_305_600.0), Some("x"), last),
+            "no line of axis x since 2026-11-22T00:00:00.000Z; the record's last is of 2026-11-22T14:29:07.000Z: \
+             `rtecctl log` shows all"
+        );
+        assert!(nothing(Some(-1.0), None, last).starts_with("no line since 1970-01-01T00:00:00.000Z; "));
+        assert!(nothing(Some(0.0), None, None).contains("no line yet"));
+    }
+
+    #[test]
+    fn a_record_that_is_not_there_is_one_that_nobody_wrote_yet() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("audit.log");
+        let says = |axis| known(&file, axis).unwrap_err().to_string();
+        assert!(says("x").contains("no record yet") && says("x").contains("start rtecd"), "{}", says("x"));
+        std::fs::write(&file, "").unwrap();
+        known(&file, "x").unwrap();
     }
 }

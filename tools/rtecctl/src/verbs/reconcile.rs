@@ -22,7 +22,7 @@ pub(crate) struct Args {
     live: Option<PathBuf>,
     #[command(flatten)]
     recorder: Recorder,
-    /// The machine model as it stands; never touched
+    /// The machine model as it is; never touched
     #[arg(long)]
     model: PathBuf,
     /// A later run, for the last stage's figures only; may repeat

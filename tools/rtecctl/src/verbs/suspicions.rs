@@ -66,7 +66,7 @@ pub(crate) fn usable(records: &[Record], found: &[Suspicion]) -> (Vec<Record>, U
     }
     let kept = found.iter().filter(|s| matches!(s.what, What::Unit | What::Sign | What::Direction));
     for s in kept.filter(|s| !out.sensor(&s.column)) {
-        eprintln!("warning: {}: {} is kept as it stands", s.record, s.column);
+        eprintln!("warning: {}: {} is kept as it is", s.record, s.column);
     }
     (left, out)
 }

@@ -15,7 +15,7 @@ pub(crate) struct Args {
     /// The chain: its joints, and the powers of every component's terms
     #[arg(long, value_name = "chain.toml")]
     chain: PathBuf,
-    /// The components that the records measure, as "z slide.dx"; all others stand as they are
+    /// The components that the records measure, as "z slide.dx"; all others stay as they are
     #[arg(long = "component", value_name = "JOINT.COMPONENT", required = true, value_delimiter = ',')]
     components: Vec<String>,
     /// The records; a point other than the chain's tool point behind an @, as r.run.toml@0,0,-350 (mm): the same path at

@@ -29,7 +29,7 @@ pub(crate) struct Common {
     /// Blocks of the cross-validation in time
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(3..=50))]
     folds: u8,
-    /// Offer no lags: the patent's equation 1 as it stands
+    /// Offer no lags: the patent's equation 1 as it is
     #[arg(long)]
     no_lag: bool,
     /// Offer no squares

@@ -71,6 +71,11 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     println!("{}", machine.name());
+    if machine.listed().is_empty() && machine.chain().is_none() {
+        eprintln!(
+            "rtecctl: no effects: an ideal machine; `rtecctl model fit` or `rtecctl reconcile` find them"
+        );
+    }
     for l in machine.listed() {
         println!("{}", heading(&l.effect));
         println!("    {}", l.effect.description().law);
