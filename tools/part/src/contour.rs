@@ -440,7 +440,8 @@ impl Contour {
             let size = 0.03 * (high - low).max(self.reach().x);
             for (i, f) in self.features.iter().enumerate() {
                 let middle = self.place(i, f.segment.length_mm() / 2.0);
-                svg.text(middle.at + middle.normal * (0.7 * size), size, &f.name);
+                // On the material's side: the probe comes from the other.
+                svg.text(middle.at + middle.normal * (-2.2 * size), size, &f.name);
             }
         }
     }

@@ -635,12 +635,18 @@ impl ErrorReport {
             svg.dot(head, 0.006 * w.size_mm, if w.rejected[i] { "dropped" } else { "kept" });
         }
         let (low, high) = svg.frame();
-        let (line, size) = (0.045 * (high - low).norm(), 0.03 * (high - low).norm());
+        let (line, size) = (0.045 * (high - low).norm(), 0.0225 * (high - low).norm());
         let at = |row: f64| Zx::new(low.z, low.x - line * row);
         svg.polyline(&[at(1.0), at(1.0) + Zx::new(MAGNIFICATION * 0.02, 0.0)], "whisker");
         svg.text(at(1.0) + Zx::new(MAGNIFICATION * 0.02 + size, -0.3 * size), size, "20 µm, errors ×250");
         let sds = format!("SD {:.1} µm, after the second fit {:.1} µm", self.sd_before_um, self.sd_after_um);
         svg.text(at(2.2), size, &sds);
-        svg.finish("Part errors")
+        let legend = [
+            ("outline", "nominal outline"),
+            ("whisker", "error, magnified"),
+            ("kept", "point of the second fit"),
+            ("dropped", "point left out of the second fit"),
+        ];
+        svg.finish("Part errors", &legend)
     }
 }

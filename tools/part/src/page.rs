@@ -17,9 +17,9 @@ pub fn side_by_side(before: &ErrorReport, after: &ErrorReport) -> String {
     };
     format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Part errors, before and after</title>\
-         <style>body{{font:15px sans-serif;max-width:70rem;margin:2rem auto}}table{{border-collapse:collapse}}\
+         <style>body{{font:15px sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem}}table{{border-collapse:collapse}}\
          td,th{{border:1px solid #ccc;padding:.2rem .6rem;text-align:right}}td:first-child{{text-align:left}}\
-         figure{{display:inline-block;width:48%;margin:0}}svg{{width:100%;height:auto}}</style>\
+         figure{{display:inline-block;vertical-align:top;width:48%;margin:1rem 0}}svg{{width:100%;height:auto}}</style>\
          <h1>Part errors, before and after</h1>\
          <table><tr><th>µm<th>largest<th>form<th>SD<th>SD of the second fit<th>points left out{}{}</table>\
          <figure><figcaption>Before</figcaption>{}</figure><figure><figcaption>After</figcaption>{}</figure>\n",

@@ -346,12 +346,21 @@ impl Plan {
             svg.polyline(&self.way(i), "bypass");
             svg.polyline(&[self.start(p), p.place.at], "move");
             svg.dot(p.place.at, 0.4 * size, "kept");
-            svg.text(self.start(p), size, &(i + 1).to_string());
+            svg.text(self.start(p) + p.place.normal * (0.7 * size), size, &(i + 1).to_string());
         }
-        for hit in self.hits(contour) {
+        let hits = self.hits(contour);
+        for hit in &hits {
             svg.dot(hit.at, self.probe.tip_mm, "dropped");
         }
-        svg.finish("Probing points")
+        let mut legend =
+            vec![("outline", "the part"), ("move", "touch of a point, by its number"), ("kept", "the point")];
+        if (0..self.points.len()).any(|i| !self.way(i).is_empty()) {
+            legend.push(("bypass", "the way between two touches"));
+        }
+        if !hits.is_empty() {
+            legend.push(("dropped", "collision"));
+        }
+        svg.finish("Probing points", &legend)
     }
 }
 

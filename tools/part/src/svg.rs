@@ -63,14 +63,48 @@ impl Svg {
         (self.low.unwrap_or(origin), self.high.unwrap_or(origin))
     }
 
-    /// The whole SVG document, under a title.
+    /// The whole SVG document, under a title, with what its lines and dots (by their style) mean.
     #[must_use]
-    pub fn finish(&self, title: &str) -> String {
+    pub fn finish(&self, title: &str, legend: &[(&str, &str)]) -> String {
         let (low, high) = self.frame();
         let size = (0.025 * (high - low).norm()).max(0.3);
         let margin = 4.0 * size;
-        let (left, top) = (low.z - margin, -(high.x + margin));
-        let (width, height) = (high.z - low.z + 2.0 * margin, high.x - low.x + 2.0 * margin);
+        let (left, top) = (low.z - margin, -(high.x + margin + 1.5 * size));
+        let below = 1.5 * size * legend.len() as f64;
+        let (width, height) =
+            (high.z - low.z + 2.0 * margin, high.x - low.x + 2.0 * margin + 1.5 * size + below);
+        let mut words = format!(
+            "<text x=\"{:.4}\" y=\"{:.4}\" font-size=\"{size:.3}\" font-weight=\"bold\">{}</text>\n",
+            low.z,
+            top + 1.6 * size,
+            escaped(title)
+        );
+        for (row, (class, meaning)) in (0..).map(f64::from).zip(legend) {
+            let y = -low.x + margin + 1.5 * size * row;
+            let _ = if matches!(*class, "kept" | "dropped") {
+                writeln!(
+                    words,
+                    "<circle class=\"{class}\" cx=\"{:.4}\" cy=\"{y:.4}\" r=\"{:.4}\"/>",
+                    low.z + size,
+                    0.3 * size
+                )
+            } else {
+                writeln!(
+                    words,
+                    "<polyline class=\"{class}\" points=\"{:.4},{y:.4} {:.4},{y:.4}\"/>",
+                    low.z,
+                    low.z + 2.0 * size
+                )
+            };
+            let _ = writeln!(
+                words,
+                "<text x=\"{:.4}\" y=\"{:.4}\" font-size=\"{:.3}\">{}</text>",
+                low.z + 2.6 * size,
+                y + 0.3 * size,
+                0.9 * size,
+                escaped(meaning)
+            );
+        }
         // The colours of Okabe and Ito, as all plots; what is dropped is hollow, for a print in grey. White below, for a dark page.
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"{left:.4} {top:.4} {width:.4} {height:.4}\" width=\"900\">\n\
@@ -80,7 +114,7 @@ impl Svg {
              .dropped{{fill:#fff;stroke:#d55e00;stroke-width:1.6}}.move{{stroke:#0072b2}}\
              .bypass{{stroke:#009e73;stroke-dasharray:4 3}}.hit{{stroke:#d55e00;stroke-width:3}}\
              text{{font-family:sans-serif;fill:#000}}</style>\n\
-             <rect x=\"{left:.4}\" y=\"{top:.4}\" width=\"{width:.4}\" height=\"{height:.4}\" fill=\"#fff\"/>\n{}{}</svg>\n",
+             <rect x=\"{left:.4}\" y=\"{top:.4}\" width=\"{width:.4}\" height=\"{height:.4}\" fill=\"#fff\"/>\n{}{}{words}</svg>\n",
             escaped(title),
             ticks(low, high, size),
             self.body
@@ -143,7 +177,7 @@ mod tests {
     fn a_drawing_has_the_style_of_all_plots() {
         let mut svg = Svg::default();
         svg.polyline(&[Zx::new(-40.0, 0.0), Zx::new(38.1, 38.1)], "outline");
-        let text = svg.finish("a <b>");
+        let text = svg.finish("a <b>", &[("outline", "the part"), ("kept", "a point")]);
         let style = text.split("<style>").nth(1).unwrap().split("</style>").next().unwrap();
         let colours = style.split('#').skip(1).map(|c| c.split([';', '}']).next().unwrap());
         for colour in colours {
@@ -153,10 +187,14 @@ mod tests {
             text.contains(">Z, mm<") && text.contains(">X, mm<") && text.contains("fill=\"#fff\"/>"),
             "{text}"
         );
-        assert!(text.contains("<title>a &lt;b&gt;</title>"), "{text}");
+        assert!(
+            text.contains("<title>a &lt;b&gt;</title>") && text.contains(">a &lt;b&gt;</text>"),
+            "{text}"
+        );
+        assert!(text.contains(">the part</text>") && text.contains(">a point</text>"), "{text}");
         assert_eq!(steps(-40.0, 38.1).collect::<Vec<_>>(), [-40.0, -20.0, 0.0, 20.0]);
         assert_eq!(steps(0.0, 0.45).collect::<Vec<_>>(), [0.0, 0.1, 0.2, 0.3, 0.4]);
         // A drawing of nothing is a drawing all the same.
-        assert!(Svg::default().finish("").ends_with("</svg>\n"));
+        assert!(Svg::default().finish("", &[]).ends_with("</svg>\n"));
     }
 }

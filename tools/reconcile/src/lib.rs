@@ -76,7 +76,7 @@ pub struct Options {
     pub level: f64,
     /// The date that added effects carry, ISO 8601.
     pub date: Option<String>,
-    /// Where something is unexplained, add a bounded curve that stands for it, marked as such.
+    /// Where something is unexplained, add a bounded curve in its place, marked as such.
     pub unexplained: bool,
     /// Whether the figures of the gap and the traces are wanted too: the last stage's work.
     pub figures: bool,

@@ -3,6 +3,7 @@
 use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
 use crate::where_found::LEAST_P;
+use rtec_measure::plot::{Chart, Colour, Series, Style};
 use std::fmt::Write as _;
 
 const WIDTH: f64 = 860.0;
@@ -19,7 +20,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
          table{{border-collapse:collapse;width:100%}}td,th{{text-align:left;padding:.25em .6em .25em 0;border-bottom:1px solid #e6ebf0;\
          vertical-align:top}}td.n,th.n{{text-align:right;font-variant-numeric:tabular-nums}}.verdict{{font-size:1.15em}}\
          .tag{{display:inline-block;padding:.1em .6em;border-radius:.3em;color:#fff;background:{1}}}\
-         svg{{display:block;margin:.6em 0}}small{{color:#5b6b7b}}.bar{{background:#2f6fb0;height:.8em}}.no{{background:#c3ccd6}}</style>\
+         svg{{display:block;margin:.6em 0}}small{{color:#5b6b7b}}.bar{{background:#0072b2;height:.8em}}.no{{background:#c3ccd6}}</style>\
          <h1>Reconciliation of {0}</h1><p class=\"verdict\"><span class=\"tag\">{2}</span> {3}</p>",
         escape(machine),
         match r.verdict {
@@ -80,14 +81,13 @@ fn refined(h: &mut String, r: &Reconciliation) {
             let (b, a, half) = (x.before.scalar(i), x.after.0.scalar(i), x.after.1[i]);
             let _ = write!(
                 h,
-                "<tr><td>{}<td>{} ({})<td class=n>{}<td class=n>{}<td class=n>{} … {}",
+                "<tr><td>{}<td>{} ({})<td class=n>{}<td class=n>{}<td class=n>{}",
                 escape(&x.before.name()),
                 p.name,
                 p.unit,
                 number(b),
                 number(a),
-                number(a - half),
-                number(a + half)
+                if half > 0.0 { within(a, half) } else { "held".into() }
             );
         }
     }
@@ -113,7 +113,7 @@ fn headline(r: &Reconciliation) -> String {
                 )
             })
             .chain(r.curve.iter().map(|(e, _)| {
-                format!("{} stands for it in the model: a bounded curve, marked as unexplained", e.name())
+                format!("the model has {} in its place: a bounded curve, marked as unexplained", e.name())
             }))
             .collect::<Vec<_>>()
             .join("; "),
@@ -169,10 +169,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
                 (format!("{} values", f.effect.width()), String::new())
             } else {
                 let (v, w) = (f.effect.scalar(i), half[i]);
-                (
-                    number(v),
-                    if w > 0.0 { format!("{} … {}", number(v - w), number(v + w)) } else { "held".into() },
-                )
+                (number(v), if w > 0.0 { within(v, w) } else { "held".into() })
             };
             let (name, law, rivals) = if i == 0 {
                 (escape(&f.effect.name()) + &escape(&sensor), escape(&description.law), rivals.clone())
@@ -196,68 +193,32 @@ fn effects(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// A plot of a trace: rows along, before in grey, after in blue.
+/// A plot of a trace: rows along, before as dots, after as a line.
 fn trace(h: &mut String, t: &Trace) {
-    let (left, top, w, hh) = (56.0, 14.0, WIDTH - 70.0, 170.0);
-    let all = || t.before.iter().chain(&t.after).copied();
-    let (mut lo, mut hi) = (all().fold(f64::MAX, f64::min), all().fold(f64::MIN, f64::max));
-    if hi - lo < 1e-12 {
-        (lo, hi) = (lo - 1.0, hi + 1.0);
-    }
-    let n = t.before.len();
-    let x = |i: usize| left + w * i as f64 / (n.max(2) - 1) as f64;
-    let y = |v: f64| top + hh * (hi - v) / (hi - lo);
     let unit = if t.response.starts_with("force") { "N" } else { "µm" };
-    let _ = write!(
-        h,
-        "<svg viewBox=\"0 0 {WIDTH} {0}\" width=\"{WIDTH}\" role=\"img\"><text x=\"{left}\" y=\"10\" font-size=\"12\">{1}, {2}{3} — {unit} over rows</text>",
-        top + hh + 24.0,
-        escape(&t.file),
-        escape(&t.response),
-        if t.holdout { ", hold-out" } else { "" }
-    );
-    for v in ticks(lo, hi) {
-        let _ = write!(
-            h,
-            "<line x1=\"{left}\" x2=\"{0:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\" stroke=\"#e1e7ed\"/><text x=\"{2}\" y=\"{3:.1}\" font-size=\"11\" text-anchor=\"end\" fill=\"#5b6b7b\">{4}</text>",
-            left + w,
-            y(v),
-            left - 5.0,
-            y(v) + 4.0,
-            number(v)
-        );
-    }
-    for (data, colour, name, at) in
-        [(&t.before, "#9aa7b4", "before", 0.0), (&t.after, "#2f6fb0", "after", 70.0)]
-    {
-        let mut path = String::new();
+    let held = if t.holdout { ", hold-out" } else { "" };
+    let series = |name: &str, style: Style, data: &[f64]| {
         // At most a least and a largest value per pixel column.
-        let group = (n / 800).max(1);
-        for (g, part) in data.chunks(group).enumerate() {
+        let group = (data.len() / 500).max(1);
+        let points = data.chunks(group).enumerate().flat_map(|(g, part)| {
             let (l, u) = part.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(*v), u.max(*v)));
-            let both = if group == 1 { vec![part[0]] } else { vec![l, u] };
-            for v in both {
-                let _ = write!(
-                    path,
-                    "{}{:.1} {:.1}",
-                    if path.is_empty() { "M" } else { "L" },
-                    x(g * group),
-                    y(v)
-                );
-            }
-        }
-        let _ = write!(
-            h,
-            "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.2\"/><text x=\"{0}\" y=\"{1}\" font-size=\"12\" fill=\"{colour}\">{name}</text>",
-            left + at,
-            top + hh + 18.0
-        );
+            let both = if group == 1 { vec![l] } else { vec![l, u] };
+            both.into_iter().map(move |v| ((g * group + 1) as f64, v))
+        });
+        Series::new(name, style, points.collect())
+    };
+    let chart =
+        Chart::new(&format!("{}, {}{held}", t.file, t.response), "row", &format!("{} ({unit})", t.response))
+            .with(series("before", Style::Dots, &t.before).coloured(Colour::Grey))
+            .with(series("after", Style::Line, &t.after).coloured(Colour::Up));
+    // A trace without a finite value has nothing to draw.
+    if let Ok(svg) = chart.svg(WIDTH as u32, 300) {
+        h.push_str(&svg);
     }
-    h.push_str("</svg>");
 }
 
 fn places(h: &mut String, r: &Reconciliation) {
-    h.push_str("<h2>Where it lived</h2><table><tr><th>response<th>against<th class=n>share explained<th class=n>p<th>mean over it");
+    h.push_str("<h2>What it goes with</h2><table><tr><th>response<th>against<th class=n>share explained<th class=n>p<th>mean over it");
     for p in r.places.iter().filter(|p| p.q_value <= 0.05).take(14) {
         let (lo, hi) = p.profile.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(v[1]), u.max(v[1])));
         let (a, b) = (p.profile[0][0], p.profile[p.profile.len() - 1][0]);
@@ -269,7 +230,7 @@ fn places(h: &mut String, r: &Reconciliation) {
         }
         let _ = write!(
             h,
-            "<tr><td>{}<td>{}<td class=n>{:.1} %<td class=n>{}<td><svg viewBox=\"0 0 240 36\" width=\"240\" style=\"margin:0\"><text x=\"64\" y=\"12\" font-size=\"10\" text-anchor=\"end\">{}</text><text x=\"64\" y=\"34\" font-size=\"10\" text-anchor=\"end\">{}</text><path d=\"{line}\" fill=\"none\" stroke=\"#2f6fb0\" stroke-width=\"1.5\"/></svg>",
+            "<tr><td>{}<td>{}<td class=n>{:.1} %<td class=n>{}<td><svg viewBox=\"0 0 240 36\" width=\"240\" style=\"margin:0\"><text x=\"64\" y=\"12\" font-size=\"10\" text-anchor=\"end\">{}</text><text x=\"64\" y=\"34\" font-size=\"10\" text-anchor=\"end\">{}</text><path d=\"{line}\" fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\"/></svg>",
             escape(&p.response),
             escape(&p.against),
             100.0 * p.statistic,
@@ -308,13 +269,10 @@ fn ranking(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// Two to five round values inside a range.
-fn ticks(lo: f64, hi: f64) -> Vec<f64> {
-    let raw = (hi - lo) / 4.0;
-    let power = 10f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].iter().map(|m| m * power).find(|s| *s >= raw).unwrap_or(raw);
-    let first = (lo / step).ceil() as i64;
-    (first..first + 8).map(|i| i as f64 * step).filter(|v| *v <= hi).collect()
+/// A value and its interval, with as many digits as the interval's half leaves.
+fn within(v: f64, half: f64) -> String {
+    let decimals = (1.0 - half.log10().floor()).clamp(0.0, 12.0) as usize;
+    format!("{:.decimals$} … {:.decimals$}", v - half, v + half)
 }
 
 /// Four significant digits.

@@ -400,10 +400,10 @@ fn draw(design: AnyDesign, log: &[(u64, State, State, i64)], totals: &[(u64, i64
         design.name()
     );
     let signals: [(&str, &str, Level); 4] = [
-        ("A", "#777", |l| l.1.a()),
-        ("B", "#777", |l| l.1.b()),
-        ("A'", "#036", |l| l.2.a()),
-        ("B'", "#036", |l| l.2.b()),
+        ("A", "#505050", |l| l.1.a()),
+        ("B", "#505050", |l| l.1.b()),
+        ("A'", "#0072b2", |l| l.2.a()),
+        ("B'", "#0072b2", |l| l.2.b()),
     ];
     for (n, (name, colour, level)) in signals.into_iter().enumerate() {
         let base = 80.0 + row * n as f64;
@@ -436,14 +436,17 @@ fn draw(design: AnyDesign, log: &[(u64, State, State, i64)], totals: &[(u64, i64
     let _ = write!(points, " {:.1},{:.1}", left + width, y(count));
     let _ = writeln!(
         s,
-        "<text x=\"10\" y=\"372\">count</text><text x=\"20\" y=\"268\">{max}</text><polyline fill=\"none\" \
-         stroke=\"#a30\" stroke-width=\"1.2\" points=\"{points}\"/>"
+        "<text x=\"10\" y=\"372\">0</text><text x=\"10\" y=\"268\">{max}</text><text x=\"10\" y=\"320\">counts</text>\
+         <text x=\"{left}\" y=\"394\">{:.3} ms</text><text x=\"1240\" y=\"394\" text-anchor=\"end\">{:.3} ms</text><polyline fill=\"none\" \
+         stroke=\"#d55e00\" stroke-width=\"1.2\" points=\"{points}\"/>",
+        from as f64 * 1e-6,
+        to as f64 * 1e-6
     );
     for &(t, total) in totals {
         let _ = writeln!(
             s,
-            "<line x1=\"{0:.1}\" x2=\"{0:.1}\" y1=\"40\" y2=\"372\" stroke=\"#393\" stroke-dasharray=\"4 3\"/>\
-             <text x=\"{1:.1}\" y=\"40\" fill=\"#393\">requested {total}</text>",
+            "<line x1=\"{0:.1}\" x2=\"{0:.1}\" y1=\"40\" y2=\"372\" stroke=\"#009e73\" stroke-dasharray=\"4 3\"/>\
+             <text x=\"{1:.1}\" y=\"40\" fill=\"#009e73\">requested {total} counts</text>",
             x(t),
             x(t) + 3.0
         );

@@ -220,6 +220,15 @@ impl Jackknife {
         Ok(None)
     }
 
+    /// The place of a growth that is alone among the terms and may as well be none: its interval holds zero. Of several, two that
+    /// are much the same may hold zero one by one and say much together.
+    pub(super) fn alone_and_idle(&self, terms: &[Term]) -> Option<usize> {
+        let mut growths = terms.iter().enumerate().filter(|(_, t)| matches!(t, Term::Thermal { .. }));
+        let (Some((k, _)), None) = (growths.next(), growths.next()) else { return None };
+        let [lo, hi] = self.coefficients[k + 1];
+        (lo <= 0.0 && hi >= 0.0).then_some(k)
+    }
+
     /// Whether a growth is bent is itself a choice that the data made: where the square was left out, the intervals of
     /// growth, lag and square hold what they are with the square and what they are without.
     pub(super) fn allow_for_squares(

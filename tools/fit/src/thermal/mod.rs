@@ -196,6 +196,14 @@ fn fit_response(
             terms.remove(k);
             continue;
         }
+        if let Some(k) = intervals.alone_and_idle(&terms) {
+            warnings.push(format!(
+                "{} is left out: its interval holds zero; a run in which these temperatures move more would tell",
+                problem.name(terms.remove(k))
+            ));
+            blocks = mean_only(&problem, train, response)?;
+            continue;
+        }
         // Without its square a difference may be said by the environment after all.
         match problem.judge(&terms, &all).map(|j| problem.to_environment(j, &all).terms) {
             Some(other) if other != terms => terms = other,

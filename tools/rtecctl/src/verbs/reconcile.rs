@@ -40,7 +40,7 @@ pub(crate) struct Args {
     /// Stop after a stage: find (where they disagree), name (what is missing), add (the better model), show (all)
     #[arg(long, value_enum, default_value_t = Stage::Show)]
     stage: Stage,
-    /// Where something has no name, add a bounded curve that stands for it, marked as unexplained; its law goes to
+    /// Where something has no name, add a bounded curve in its place, marked as unexplained; its law goes to
     /// unexplained.toml beside the model
     #[arg(long, requires = "out")]
     unexplained: bool,
@@ -205,7 +205,8 @@ fn summary(r: &Reconciliation) -> String {
         );
     }
     if let Some((curve, _)) = &r.curve {
-        let _ = writeln!(s, "  {} stands for it in the model: a bounded curve, no explanation", curve.name());
+        let _ =
+            writeln!(s, "  {} takes its place in the model: a bounded curve, no explanation", curve.name());
     }
     for x in &r.refined {
         let _ = writeln!(s, "  {} corrected", x.before.name());

@@ -92,7 +92,13 @@ pub(crate) struct Args {
 pub(crate) fn write_drawn(folder: &Path, contour: &Contour) -> anyhow::Result<()> {
     let mut svg = Svg::default();
     contour.draw(&mut svg, true);
-    write_all(folder, &[("features.svg", svg.finish("Features").as_bytes())])
+    write_all(
+        folder,
+        &[(
+            "features.svg",
+            svg.finish("Features", &[("outline", "the part"), ("axis", "the part's axis")]).as_bytes(),
+        )],
+    )
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
