@@ -294,7 +294,7 @@ def start(folder):
     print(f"rtecd: start to the first answer {1000 * began[4]:.1f} ms (median of 9, {1000 * began[0]:.1f} to {1000 * began[-1]:.1f}); "
           f"resident {memory_kb(daemon.process.pid, 'VmRSS:') / 1000:.1f} MB, peak {memory_kb(daemon.process.pid) / 1000:.1f} MB; "
           f"beside its polling thread {100 * busy:.2f} % of a core, idle")
-    verbs = [["status", "--socket", daemon.socket], ["--version"], ["designs"], ["get", "axes.x.completed", "--socket", daemon.socket], ["help", "status"]]
+    verbs = [["status", "--socket", daemon.socket], ["--version"], ["get", "axes.x.completed", "--socket", daemon.socket], ["help", "status"]]
     commands = [(f"rtecctl {v[0]}", [BIN / "rtecctl", *v]) for v in verbs]
     # What others of the trade take to say one thing.
     peers = [("gpioinfo --version", ["gpioinfo", "--version"]), ("gpsd -V", ["gpsd", "-V"]), ("chronyc --version", ["chronyc", "--version"]), ("/bin/true", ["true"])]
