@@ -28,14 +28,6 @@ impl Signal {
     }
 }
 
-/// Counts of the step from one state to the next, indexed by `from << 2 | to`; 2 marks an illegal transition.
-const STEP: [i8; 16] = [
-    0, 1, -1, 2, // from A=0 B=0: A rises +1, B rises −1, both: illegal
-    -1, 0, 2, 1, // from A=1 B=0
-    1, 2, 0, -1, // from A=0 B=1
-    2, -1, 1, 0, // from A=1 B=1
-];
-
 impl State {
     /// The state with these levels.
     #[must_use]
@@ -85,21 +77,36 @@ impl State {
         Self((self.0 ^ mask) & 3)
     }
 
+    /// What differs between the two, bit 0 A, bit 1 B.
+    #[inline]
+    #[must_use]
+    pub const fn changed(self, other: Self) -> u8 {
+        self.0 ^ other.0
+    }
+
     /// Counts of the transition to `next`: −1, 0 or +1; `None` when both signals changed.
     #[must_use]
+    #[inline]
     pub const fn step_to(self, next: Self) -> Option<i8> {
-        match STEP[(self.0 << 2 | next.0) as usize & 15] {
-            2 => None,
-            step => Some(step),
+        match self.changed(next) {
+            0 => Some(0),
+            3 => None,
+            _ => Some(self.step_to_neighbour(next)),
         }
+    }
+
+    /// Counts of the transition to a state in which one signal has changed: forward where A as it is now and B as it was
+    /// differ.
+    #[inline]
+    #[must_use]
+    pub const fn step_to_neighbour(self, next: Self) -> i8 {
+        2 * ((next.0 ^ self.0 >> 1) & 1) as i8 - 1
     }
 
     /// Counts of inverting `signal` in this state: A forward when A = B, backward when not; B the other way.
     #[must_use]
     pub const fn step_of(self, signal: Signal) -> i8 {
-        // Odd where A and B differ, turned round for B: then backward.
-        let backward = (self.0 ^ self.0 >> 1 ^ signal as u8 >> 1) & 1;
-        1 - 2 * backward as i8
+        self.step_to_neighbour(self.flipped(signal))
     }
 
     /// The signal that has changed on the way to `next`, a neighbouring state.
@@ -137,6 +144,7 @@ impl Decoder {
     }
 
     /// Takes the next state; returns the step, or `None` for an illegal transition (the count then stays).
+    #[inline]
     pub fn update(&mut self, next: State) -> Option<i8> {
         let step = self.state.step_to(next);
         self.state = next;
@@ -169,6 +177,22 @@ impl Decoder {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Counts of the step from one state to the next, indexed by `from << 2 | to`; 2 marks an illegal transition.
+    const STEP: [i8; 16] = [
+        0, 1, -1, 2, // from A=0 B=0: A rises +1, B rises −1, both: illegal
+        -1, 0, 2, 1, // from A=1 B=0
+        1, 2, 0, -1, // from A=0 B=1
+        2, -1, 1, 0, // from A=1 B=1
+    ];
+
+    #[test]
+    fn every_step_is_that_of_the_state_table() {
+        for (n, counts) in STEP.into_iter().enumerate() {
+            let (from, to) = (State::from_bits((n >> 2) as u8), State::from_bits(n as u8));
+            assert_eq!(from.step_to(to), Some(counts).filter(|c| *c != 2), "{from:?} to {to:?}");
+        }
+    }
 
     /// The cycle of formats.md: 00 → 10 → 11 → 01 → 00.
     const CYCLE: [(bool, bool); 4] = [(false, false), (true, false), (true, true), (false, true)];

@@ -151,7 +151,9 @@ impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> Replay
 }
 
 impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> Card for ReplayCard<T, L, E, G> {
-    #[inline]
+    // Beside the engine that asks, most of what a look says is known to the compiler and need not be written down.
+    #[allow(clippy::inline_always)]
+    #[inline(always)]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         let mut edge_ns = None;
         match self.next {

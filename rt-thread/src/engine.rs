@@ -65,6 +65,13 @@ pub struct Engine {
     faults: Faults,
     mode: Mode,
     journal: Option<Journal>,
+    /// What the mode lets every axis do.
+    permit: Permit,
+    /// The mode is to be worked out anew: at the start, and after a fault that was found outside an axis's own look.
+    mode_due: bool,
+    /// Masks of the machine's own inputs, none where not wired.
+    probe_mask: u64,
+    disable_mask: u64,
     /// A look that comes later than this after the one before may have missed counts of some axis.
     late_ns: u64,
     /// The last such look, and the one before it: its lines may have been read long before it took its time.
@@ -108,13 +115,13 @@ impl Engine {
             all.push(AxisEngine::new(*config, found).ok_or(StartError::NoGate(n))?);
             watched |= config.lines.input_mask();
         }
-        for bit in [machine.lines.probe, machine.lines.disable].into_iter().flatten() {
-            watched |= 1 << bit;
-        }
+        let [probe_mask, disable_mask] =
+            [machine.lines.probe, machine.lines.disable].map(|bit| bit.map_or(0, |b| 1 << b));
+        watched |= probe_mask | disable_mask;
         let (poll_gap_ns, gap_reader) = histogram();
         let (edge_to_done_ns, done_reader) = histogram();
         let late_ns = all.iter().map(AxisEngine::need_ns).min().unwrap_or(u64::MAX);
-        let mut engine = Self {
+        Ok(Self {
             axes: all.into_boxed_slice(),
             machine,
             watched,
@@ -128,19 +135,21 @@ impl Engine {
             probing: false,
             held: false,
             stale: false,
-            switch_off: false,
+            switch_off: sample.inputs & disable_mask != 0,
             hold_out: None,
             faults: Faults::NONE,
             mode: Mode::Disabled,
             journal: None,
+            permit: Permit { insert: false, shadow: false },
+            mode_due: true,
+            probe_mask,
+            disable_mask,
             late_ns,
             late_look: (0, 0),
             poll_gap_ns,
             edge_to_done_ns,
             timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
-        };
-        engine.switch_off = is_high(machine.lines.disable, sample.inputs);
-        Ok(engine)
+        })
     }
 
     /// Homes every axis at zero where it stands and enables corrections: how a replay or a simulation starts.
@@ -236,7 +245,7 @@ impl Engine {
             None if !C::SLEEPS && self.polls > 1 => {
                 self.poll_gap_ns.record(sample.t_ns - since_ns + sample.waited_ns);
                 if sample.t_ns - since_ns > self.late_ns {
-                    self.check_late_look(&sample, since_ns, report);
+                    self.check_late_look(sample, since_ns, report);
                 }
             }
             _ => {}
@@ -253,17 +262,18 @@ impl Engine {
 
     /// After a look that came late, an axis that was moving and shows no change may have moved by whole cycles.
     #[cold]
-    fn check_late_look(&mut self, sample: &Sample, since_ns: u64, report: &mut impl FnMut(Event) -> bool) {
+    fn check_late_look(&mut self, sample: Sample, since_ns: u64, report: &mut impl FnMut(Event) -> bool) {
         if sample.complete == 0 {
             self.late_look = (sample.t_ns, since_ns);
         }
         let changed = sample.inputs ^ self.inputs;
         for n in 0..self.axes.len() {
             let axis = &mut self.axes[n];
-            if changed & axis.lines().input_mask() == 0
-                && axis.may_have_missed_a_cycle(sample, since_ns)
+            if changed & axis.input_mask() == 0
+                && axis.may_have_missed_a_cycle(&sample, since_ns)
                 && axis.latch(Fault::PollGap)
             {
+                self.mode_due = true;
                 self.emit(Some(n as u8), EventKind::Fault(Fault::PollGap), report);
                 // The mode is worked out anew at this very look.
                 self.wake_ns = 0;
@@ -275,9 +285,10 @@ impl Engine {
     #[cold]
     fn latch_trouble(&mut self, trouble: Trouble, report: &mut impl FnMut(Event) -> bool) {
         let fault = Fault::from(trouble.kind);
+        self.mode_due = true;
         let mut of_an_axis = false;
         for n in 0..self.axes.len() {
-            if self.axes[n].lines().input_mask() & trouble.lines != 0 {
+            if self.axes[n].input_mask() & trouble.lines != 0 {
                 of_an_axis = true;
                 if self.axes[n].latch(fault) {
                     self.emit(Some(n as u8), EventKind::Fault(fault), report);
@@ -302,67 +313,69 @@ impl Engine {
         let t_ns = sample.t_ns;
         let since_ns = if since_ns == self.late_look.0 { self.late_look.1 } else { since_ns };
         let lost = &mut self.events_lost;
-        let mut emit = |axis, kind| *lost += u64::from(!report(Event { t_ns, axis, kind }));
+        let look = Look::new(&sample, since_ns, self.permit);
+        if changed != 0 && changed & (self.probe_mask | self.disable_mask) == 0 && !self.mode_due {
+            let mut calm = t_ns < self.wake_ns;
+            for axis in &mut self.axes {
+                if changed & axis.input_mask() != 0 && !axis.goes_on_calmly(&look) {
+                    calm = false;
+                }
+            }
+            if calm {
+                return Ok(());
+            }
+        }
+        // A fault stays until it is cleared, which no look does; a new one is reported.
+        let mut faulted = self.mode == Mode::Fault || self.mode_due;
+        let mut emit = |axis, kind| {
+            faulted |= matches!(kind, EventKind::Fault(_));
+            *lost += u64::from(!report(Event { t_ns, axis, kind }));
+        };
 
-        let trip = self.machine.lines.probe.is_some_and(|b| changed & sample.inputs & 1 << b != 0);
+        let trip = changed & sample.inputs & self.probe_mask != 0;
         if trip && self.probing {
-            let at_ns = (sample.edge_ns.unwrap_or(since_ns), sample.edge_ns.unwrap_or(t_ns));
             for (n, axis) in self.axes.iter_mut().enumerate() {
-                if !axis.trip(at_ns) {
+                if !axis.trip(look.edge_ns()) {
                     emit(Some(n as u8), EventKind::Bounce);
                 }
             }
         }
-        let look = Look {
-            sample,
-            since_ns,
-            permit: Permit {
-                insert: matches!(self.mode, Mode::Run | Mode::Shadow) && !self.stale,
-                shadow: self.shadow,
-            },
-        };
-        let (mut mask, mut value, mut faulted) = (0, 0, self.faults.any());
-        let mut wrote = [false; MAX_AXES];
+        let (mut mask, mut value) = (0, 0);
+        // One bit per axis.
+        let mut wrote = 0_u8;
         let mut wake_ns = u64::MAX;
         for (n, axis) in self.axes.iter_mut().enumerate() {
-            if changed & axis.lines().input_mask() != 0 || t_ns >= axis.wake_ns || trip {
-                let toggle = axis.look(&look, &mut |kind| emit(Some(n as u8), kind));
-                if let Some(ns) = axis.take_edge_to_done_ns() {
-                    self.edge_to_done_ns.record(ns);
-                }
+            let moved = changed & axis.input_mask() != 0;
+            if moved || t_ns >= axis.wake_ns() || trip {
+                let toggle = axis.look(&look, moved, &mut |kind| emit(Some(n as u8), kind));
                 if toggle != 0 {
-                    wrote[n] = true;
+                    wrote |= 1 << n;
+                    if let Some(ns) = axis.take_edge_to_done_ns() {
+                        self.edge_to_done_ns.record(ns);
+                    }
                     if !look.permit.shadow {
                         let lines = axis.lines();
-                        let (inverters, _) = axis.in_effect();
                         let bit = if toggle == 1 { lines.invert_a } else { lines.invert_b };
                         mask |= 1 << bit;
-                        value |= u64::from(inverters & toggle != 0) << bit;
+                        value |= u64::from(axis.inverters() & toggle != 0) << bit;
                     }
                 }
             }
-            faulted |= axis.faults().any();
-            wake_ns = wake_ns.min(axis.wake_ns);
+            wake_ns = wake_ns.min(axis.wake_ns());
         }
         self.wake_ns = wake_ns;
         if mask != 0 || faulted {
             self.note();
         }
-        if mask != 0 {
-            let done_ns = card.write(mask, value)?;
-            for (axis, _) in self.axes.iter_mut().zip(wrote).filter(|(_, w)| *w) {
+        if wrote != 0 {
+            let done_ns = if mask != 0 { card.write(mask, value)? } else { Some(t_ns) };
+            for (_, axis) in self.axes.iter_mut().enumerate().filter(|(n, _)| wrote >> n & 1 != 0) {
                 axis.written(done_ns);
-                self.wake_ns = self.wake_ns.min(axis.wake_ns);
-            }
-        } else if wrote != [false; MAX_AXES] {
-            for (axis, _) in self.axes.iter_mut().zip(wrote).filter(|(_, w)| *w) {
-                axis.written(Some(t_ns));
-                self.wake_ns = self.wake_ns.min(axis.wake_ns);
+                self.wake_ns = self.wake_ns.min(axis.wake_ns());
             }
         }
-        let switch_off = is_high(self.machine.lines.disable, sample.inputs);
-        if switch_off != self.switch_off || faulted != (self.mode == Mode::Fault) || self.hold_out.is_none() {
-            self.switch_off = switch_off;
+        if changed & self.disable_mask != 0 || faulted != (self.mode == Mode::Fault) || self.mode_due {
+            self.switch_off = sample.inputs & self.disable_mask != 0;
             self.update_mode(card, report)?;
         }
         Ok(())
@@ -375,6 +388,7 @@ impl Engine {
         report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
+        self.mode_due = false;
         // A cleared fault leaves corrections off: they come on again by a decision, not by themselves.
         self.enabled &= !faulted;
         let mode = if faulted {
@@ -400,13 +414,21 @@ impl Engine {
         if mode != self.mode {
             self.mode = mode;
             self.emit(None, EventKind::Mode(mode), report);
-            // A pending correction at rest has no edge to wake it.
-            self.wake_ns = 0;
-            for axis in &mut self.axes {
-                axis.wake_ns = 0;
-            }
+            self.wake_all();
         }
+        self.set_permit();
         Ok(())
+    }
+
+    fn set_permit(&mut self) {
+        let insert = matches!(self.mode, Mode::Run | Mode::Shadow) && !self.stale;
+        self.permit = Permit { insert, shadow: self.shadow };
+    }
+
+    /// A pending correction at rest has no edge to wake it.
+    fn wake_all(&mut self) {
+        self.wake_ns = 0;
+        self.axes.iter_mut().for_each(AxisEngine::wake);
     }
 
     fn emit(&mut self, axis: Option<u8>, kind: EventKind, report: &mut impl FnMut(Event) -> bool) {
@@ -432,7 +454,7 @@ impl Engine {
             self.emit(axis, EventKind::Refused { total_counts, why }, report);
         }
         self.note();
-        self.wake_ns = self.axes.iter().map(|a| a.wake_ns).min().unwrap_or(0);
+        self.wake_ns = self.axes.iter().map(AxisEngine::wake_ns).min().unwrap_or(0);
         self.update_mode(card, report)
     }
 
@@ -546,8 +568,8 @@ impl Engine {
         if stale != self.stale {
             self.stale = stale;
             self.emit(None, EventKind::ControlStale(stale), report);
-            self.wake_ns = 0;
-            self.axes.iter_mut().for_each(|a| a.wake_ns = 0);
+            self.set_permit();
+            self.wake_all();
         }
     }
 
@@ -616,9 +638,4 @@ impl Engine {
             axes,
         }
     }
-}
-
-/// A line that is wired, and high.
-fn is_high(bit: Option<u8>, inputs: u64) -> bool {
-    bit.is_some_and(|b| inputs >> b & 1 != 0)
 }

@@ -77,7 +77,8 @@ impl Gate {
 
     /// The highest speed at the moment of an edge after a period of at least `period_ns`, counts/ns.
     fn speed_counts_ns(&self, period_ns: u64) -> f64 {
-        let (t, a) = (period_ns.max(1) as f64, self.accel_counts_ns2);
+        // Signed: one instruction where unsigned takes six. No period is that long.
+        let (t, a) = (period_ns.clamp(1, i64::MAX as u64) as i64 as f64, self.accel_counts_ns2);
         let v = 1.0 / t + a * t / 2.0;
         if a * t * t < 2.0 { v } else { v.min(self.from_rest_counts_ns) }
     }
@@ -85,7 +86,7 @@ impl Gate {
     /// The time after an edge within which no other can come, ns, when the period before it was at least `period_ns`.
     #[must_use]
     pub fn quiet_ns(&self, period_ns: u64) -> u64 {
-        self.travel_ns(period_ns, 1.0).min(self.turn_back_ns) as u64
+        self.travel_ns(period_ns, 1.0).min(self.turn_back_ns) as i64 as u64
     }
 
     /// Whether an edge in the same direction, `after_ns` after one with the given period before it, breaks the

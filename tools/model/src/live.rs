@@ -96,6 +96,10 @@ struct Item {
     channel: Option<usize>,
     probing_only: bool,
     components: usize,
+    quantity: Quantity,
+    /// It has no axis: its error is radial.
+    plain: bool,
+    lagged: bool,
     state: State,
     half_width_um: f64,
     /// ΔT and time of the last instant at which it was not held.
@@ -212,6 +216,7 @@ impl Live {
             }
             let channel = effect.channel().map(|c| find("channel", &layout.channels, c)).transpose()?;
             longest = longest.max(effect.coefficient_count());
+            let law = effect.description();
             items.push(Item {
                 coefficients: effect.coefficients(),
                 axes,
@@ -219,8 +224,11 @@ impl Live {
                 minus,
                 reference,
                 channel,
-                probing_only: effect.description().probing == Probing::Only,
-                components: if effect.description().naming == Naming::Pair { 2 } else { 1 },
+                probing_only: law.probing == Probing::Only,
+                components: if law.naming == Naming::Pair { 2 } else { 1 },
+                quantity: law.quantity,
+                plain: law.naming == Naming::Plain,
+                lagged: law.lag.is_some(),
                 state: State::default(),
                 half_width_um: DEFAULT_HALF_WIDTH_UM,
                 thermal: (0.0, 0.0),
@@ -288,21 +296,26 @@ impl Live {
                 channel: item.channel.map_or(0.0, |c| frame.channels[c]),
             };
             let basis = &mut self.scratch[..item.coefficients.len()];
-            let (naming, quantity) = (item.effect.description().naming, item.effect.description().quantity);
-            let before = item.state;
+            let before = if item.components == 2 { item.state } else { State::default() };
             for component in 0..item.components {
                 // Both components of a pair start from the same state.
-                item.state = before;
+                if component == 1 {
+                    item.state = before;
+                }
                 item.effect.law().basis(&item.effect, &input, component, &mut item.state, basis);
-                let value: f64 = item.coefficients.iter().zip(basis.iter()).map(|(c, b)| c * b).sum();
+                let value = match (&*item.coefficients, &*basis) {
+                    // Most laws have one, and a loop costs more than it does.
+                    ([c], [b]) => c * b,
+                    (all, basis) => all.iter().zip(basis).map(|(c, b)| c * b).sum(),
+                };
                 let value = if item.probing_only && !frame.probing { 0.0 } else { value };
                 item.fade(delta_k);
                 let value = value * item.weight;
                 item.now[component] = value;
-                match (item.axes[component], quantity) {
+                match (item.axes[component], item.quantity) {
                     (Some(a), Quantity::Error) => self.errors_um[a] += value,
                     (Some(a), Quantity::Force) => self.forces_n[a] += value,
-                    (None, _) if naming == Naming::Plain => self.radial_um += value,
+                    (None, _) if item.plain => self.radial_um += value,
                     (None, _) => {}
                 }
             }
@@ -375,7 +388,7 @@ impl Item {
     fn fade(&mut self, delta_k: f64) {
         let Some([lo, hi]) = self.effect.range_k else { return };
         // The first value of a lag's state is the lagged difference.
-        let asked = if self.effect.description().lag.is_some() { self.state.x[0] } else { delta_k };
+        let asked = if self.lagged { self.state.x[0] } else { delta_k };
         self.outside_k = (asked - hi).max(lo - asked).max(0.0);
         let left_out = self.coefficients.first().map_or(0.0, |gain| gain.abs() * self.outside_k);
         self.weight = 1.0 / (1.0 + (left_out / self.half_width_um).powi(2));

@@ -84,25 +84,27 @@ pub enum ReplayError<E> {
 /// The MTC's side: decodes what it is sent, and passes it on.
 #[derive(Debug)]
 pub struct Mtc<L> {
-    decoder: Option<Decoder>,
-    last_ns: Option<u64>,
-    min_separation_ns: Option<u64>,
+    /// What it has counted, and the time of the last state it was sent.
+    seen: Option<(Decoder, u64)>,
+    /// More than any where no second edge has come.
+    min_separation_ns: u64,
+    /// The first state is no edge.
+    edges: u64,
     to: L,
 }
 
 impl<L: Listener> Listener for Mtc<L> {
     #[inline]
     fn changed(&mut self, t_ns: u64, state: State) {
-        if let Some(decoder) = &mut self.decoder {
+        if let Some((decoder, last_ns)) = &mut self.seen {
             decoder.update(state);
-            if let Some(last) = self.last_ns {
-                let separation = t_ns - last;
-                self.min_separation_ns =
-                    Some(self.min_separation_ns.map_or(separation, |m| m.min(separation)));
+            let since_ns = t_ns - std::mem::replace(last_ns, t_ns);
+            if self.edges > 0 {
+                self.min_separation_ns = self.min_separation_ns.min(since_ns);
             }
-            self.last_ns = Some(t_ns);
+            self.edges += 1;
         } else {
-            self.decoder = Some(Decoder::new(state));
+            self.seen = Some((Decoder::new(state), t_ns));
         }
         self.to.changed(t_ns, state);
     }
@@ -226,7 +228,7 @@ where
     R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
-    let mtc = Mtc { decoder: None, last_ns: None, min_separation_ns: None, to };
+    let mtc = Mtc { seen: None, min_separation_ns: u64::MAX, edges: 0, to };
     let mut card = ReplayCard::new(gates, trace, mtc).map_err(ReplayError::Input)?;
     let mut corrector = start(&mut card).map_err(|error| {
         // The recording may have ended in a bad row already.
@@ -245,13 +247,18 @@ where
     };
     let (mut totals, mut requests) = (totals, 0);
     let mut next = totals.next().transpose().map_err(ReplayError::Input)?;
+    let due_ns = |next: &Option<RequestedTotal>| next.map_or(u64::MAX, |t| t.t_ns);
+    let mut next_ns = due_ns(&next);
     loop {
-        while let Some(total) = next.filter(|t| t.t_ns <= corrector.now_ns()) {
+        while next_ns <= corrector.now_ns()
+            && let Some(total) = next
+        {
             corrector.correct(total.requested, large, &mut card, &mut report).map_err(StartError::Card)?;
             requests += 1;
             next = totals.next().transpose().map_err(ReplayError::Input)?;
+            next_ns = due_ns(&next);
         }
-        match corrector.poll(&mut card, next.map_or(u64::MAX, |t| t.t_ns), &mut report) {
+        match corrector.poll(&mut card, next_ns, &mut report) {
             Ok(()) => {}
             Err(CardError::Ended) => break,
             Err(error) => return Err(StartError::Card(error).into()),
@@ -264,12 +271,12 @@ where
     outcome.requests = requests;
     outcome.edges = card.edges();
     let mtc = card.into_listener();
-    let decoder = mtc.decoder.unwrap_or_default();
+    let (decoder, _) = mtc.seen.unwrap_or_default();
     outcome.counts_in = axis.position_counts;
     outcome.counts_out = decoder.count();
     outcome.illegal_in = axis.illegal;
     outcome.illegal_out = decoder.illegal();
-    outcome.min_edge_separation_ns = mtc.min_separation_ns;
+    outcome.min_edge_separation_ns = (mtc.edges > 1).then_some(mtc.min_separation_ns);
     outcome.requested = axis.requested;
     outcome.completed = axis.completed;
     outcome.insertions = axis.insertions;

@@ -54,8 +54,9 @@ impl Dictionary {
             let expected = format!("a name like `{head}{}`", form(law.describe().naming));
             ValueError::new("name", format!("`{name}`"), expected)
         })?;
-        let values = law.describe().parameters.iter().map(start_value).collect();
-        Ok(Effect { law: Arc::clone(law), axes, channel, delta: None, range_k: None, start_k: None, values })
+        let values: Vec<f64> = law.describe().parameters.iter().map(start_value).collect();
+        let (law, width) = (Arc::clone(law), values.len().min(1));
+        Ok(Effect { law, axes, channel, delta: None, range_k: None, start_k: None, values, width })
     }
 
     /// Every effect that could act in these records: each law on each response, with each sensor, sensor pair and

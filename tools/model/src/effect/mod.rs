@@ -217,6 +217,8 @@ pub struct Effect {
     pub start_k: Option<f64>,
     /// All values, parameter after parameter, each with as many as the effect has knots (1 for scalars).
     values: Vec<f64>,
+    /// Values per parameter: 1, or the number of knots. Kept beside them, because a law asks at every instant.
+    width: usize,
 }
 
 impl PartialEq for Effect {
@@ -268,7 +270,7 @@ impl Effect {
     /// Number of values per parameter: 1, or the number of knots.
     #[must_use]
     pub fn width(&self) -> usize {
-        self.values.len() / self.description().parameters.len().max(1)
+        self.width
     }
 
     /// All values, parameter after parameter.
@@ -292,7 +294,7 @@ impl Effect {
     /// Value of the n-th parameter, a scalar.
     #[must_use]
     pub fn scalar(&self, parameter: usize) -> f64 {
-        self.get(parameter)[0]
+        self.values[parameter * self.width]
     }
 
     /// Values of a parameter by its name.
@@ -329,10 +331,11 @@ impl Effect {
                 }
             }
         }
-        let before = std::mem::replace(&mut self.values, values.to_vec());
+        let before =
+            (std::mem::replace(&mut self.values, values.to_vec()), std::mem::replace(&mut self.width, n));
         let checked = self.law.check(self);
         if checked.is_err() {
-            self.values = before;
+            (self.values, self.width) = before;
         }
         checked
     }

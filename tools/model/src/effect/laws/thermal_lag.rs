@@ -38,8 +38,8 @@ pub(super) fn law() -> Arc<dyn Law> {
     }))
 }
 
-/// State of the lag: lagged ΔT, its derivative by tau, the input and the time of the instant before.
-fn advance(tau_s: f64, now: &Input, state: &mut State) -> (f64, f64) {
+/// State of the lag: lagged ΔT, its derivative by tau (where `SLOPE` asks for it), the input and the time of the instant before.
+fn advance<const SLOPE: bool>(tau_s: f64, now: &Input, state: &mut State) -> (f64, f64) {
     let u = now.delta_k;
     if !state.started {
         *state = State { started: true, x: [u, 0.0, u, now.t_s] };
@@ -49,7 +49,9 @@ fn advance(tau_s: f64, now: &Input, state: &mut State) -> (f64, f64) {
     let h = now.t_s - t0;
     if h > 0.0 {
         let decay = Decay::over(h, tau_s);
-        dy = decay.step_slope(tau_s, dy, [y, u0, u]);
+        if SLOPE {
+            dy = decay.step_slope(tau_s, dy, [y, u0, u]);
+        }
         y = decay.step(tau_s, [y, u0, u]);
     }
     state.x = [y, dy, u, now.t_s];
@@ -62,7 +64,7 @@ impl Law for ThermalLag {
     }
 
     fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
-        let (y, _) = advance(effect.scalar(TAU), now, state);
+        let (y, _) = advance::<false>(effect.scalar(TAU), now, state);
         let y = effect.bounded(y);
         out[0] = y;
         out[1] = y * y;
@@ -78,7 +80,7 @@ impl Law for ThermalLag {
     }
 
     fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
-        let (y, dy) = advance(effect.scalar(TAU), now, state);
+        let (y, dy) = advance::<true>(effect.scalar(TAU), now, state);
         let inside = effect.bounded(y);
         out[0] = inside;
         out[1] = inside * inside;
