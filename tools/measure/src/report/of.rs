@@ -8,8 +8,6 @@ use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
 
-const PLOT: (u32, u32) = (900, 480);
-
 /// µm (or µrad) with two decimals, with one from 100 on; nothing is a dash.
 fn um(v: impl Into<Option<f64>>) -> String {
     v.into().map_or_else(|| "–".to_owned(), |v| fixed(v, if v.abs() >= 99.95 { 1 } else { 2 }))
@@ -106,7 +104,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         table.row(row);
     }
     report.table(table);
-    report.plot(p.chart().svg(PLOT.0, PLOT.1))?;
+    report.plot(p.chart())?;
     let title = format!("{}: targets, values in {unit}", p.response);
     let head = ["#i", "#position (mm)", "#n↑", "#n↓", "#mean ↑", "#s ↑", "#mean ↓", "#s ↓", "#B", "#R"];
     let mut table = Table::new(&title, &head);
@@ -166,7 +164,7 @@ pub fn straightness(
             table.row([words.to_owned(), um(value), unit.to_owned()]);
         }
         report.table(table);
-        report.plot(s.chart().svg(PLOT.0, PLOT.1))?;
+        report.plot(s.chart())?;
         let head = ["#i", "#position (mm)", "#readings", "#up ↑ (µm)", "#down ↓ (µm)", "#mean (µm)"];
         let mut table = Table::new(&format!("{}: places, about the line", s.symbol), &head);
         for (i, p) in s.places.iter().enumerate() {
@@ -205,7 +203,7 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
         report.table(table);
         diagnosis(&mut report, b);
         for plot in circles(b) {
-            report.plot(Ok(plot.svg()))?;
+            report.plot(plot)?;
         }
         let (first, second) = b.plane.split_once('-').unwrap_or(("first", "second"));
         let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
@@ -314,7 +312,7 @@ pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<
     }
     report.table(table);
     for chart in iso230::drift_charts(record) {
-        report.plot(chart.svg(PLOT.0, PLOT.1))?;
+        report.plot(chart)?;
     }
     let count = all.first().map_or(0, |d| d.phases.len());
     for i in 0..count {
@@ -393,12 +391,12 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
         chart = chart.with(Series::new(&x.sense, Style::Line, mean.collect()));
     }
     report.table(table);
-    report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    report.plot(chart)?;
     for x in &d.diagonals {
         let mut chart = x.along.chart();
         chart.title = format!("Diagonal {} of {} (ISO 230-6)", x.sense, x.axes.join(", "));
         "distance along it (mm)".clone_into(&mut chart.x);
-        report.plot(chart.svg(PLOT.0, PLOT.1))?;
+        report.plot(chart)?;
     }
     Ok(report)
 }
@@ -452,7 +450,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         table.row([format!("left over, holes of {diameter} mm"), um(*v), "µm".to_owned()]);
     }
     report.table(table);
-    report.plot(Ok(p.plot(record).svg()))?;
+    report.plot(p.plot(record))?;
     Ok(report)
 }
 
@@ -477,6 +475,6 @@ pub fn repeatability(
         let points = c.data.iter().enumerate().map(|(i, e)| (i as f64 + 1.0, *e)).collect();
         chart = chart.with(Series::new(&c.role.to_string(), Style::Dots, points));
     }
-    report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    report.plot(chart)?;
     Ok(report)
 }
