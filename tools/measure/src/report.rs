@@ -4,7 +4,7 @@
 mod of;
 
 pub(crate) use of::short;
-pub use of::{ballbar, diagonals, drift, plate, positioning, repeatability, straightness};
+pub use of::{ballbar, diagonals, drift, history, plate, positioning, repeatability, straightness};
 
 use crate::iso230::Conditions;
 use crate::plot::{Picture, PlotError};
@@ -66,6 +66,8 @@ pub struct Report {
     /// How many of the warnings are suspicions against the input.
     doubts: usize,
     sections: Vec<Section>,
+    /// The verb whose page it is.
+    by: &'static str,
 }
 
 /// What is done with rows that look wild or doubled.
@@ -110,7 +112,7 @@ impl Report {
             let each = ranges.iter().map(|(name, [lo, hi])| format!("{name} {lo:.2} to {hi:.2}"));
             facts.push(("temperatures (°C)".to_owned(), each.collect::<Vec<_>>().join("; ")));
         }
-        Self { title: title.to_owned(), facts, warnings: Vec::new(), doubts: 0, sections: Vec::new() }
+        Self { title: title.to_owned(), facts, warnings: Vec::new(), doubts: 0, sections: Vec::new(), by: "characterise evaluate" }
     }
 
     fn table(&mut self, table: Table) {
@@ -233,8 +235,9 @@ impl Report {
         }
         let _ = writeln!(
             h,
-            "<p><small>rtecctl {}, characterise evaluate</small></p></body></html>",
-            env!("CARGO_PKG_VERSION")
+            "<p><small>rtecctl {}, {}</small></p></body></html>",
+            env!("CARGO_PKG_VERSION"),
+            self.by
         );
         h
     }

@@ -14,6 +14,7 @@ use rtec_measure::evaluation::{self, Standard};
 use rtec_measure::iso230::Conditions;
 use rtec_measure::plan::{PlanAxis, for_machine, markdown};
 use rtec_measure::plot::Picture;
+use rtec_measure::history::Limits;
 use rtec_model::date;
 use rtec_part::determine;
 use rtec_reconcile::{Options, Place, SEED};
@@ -429,5 +430,29 @@ pub(crate) fn example(
         let records = found.records(&folder).map_err(|e| Failure::Other(e.to_string()))?;
         let files = found.files.iter().map(|(n, t)| ((*n).to_owned(), (*t).to_owned())).collect();
         Ok((records.into_iter().map(|inner| Record { inner }).collect(), files))
+    })
+}
+
+/// The document, text, page, pictures.
+#[pyfunction]
+pub(crate) fn history(
+    py: Python<'_>,
+    machine: String,
+    records: Vec<PathBuf>,
+    made: Vec<Record>,
+    limits: Vec<(String, f64)>,
+    limits_file: Option<PathBuf>,
+) -> PyResult<(String, String, String, String)> {
+    quietly(py, move || {
+        let limits = match limits_file {
+            Some(file) => Limits::read(&file)?,
+            None => Limits::of(limits),
+        };
+        let read = records.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p)));
+        let made = made.into_iter().map(|r| (r.inner.path.display().to_string(), Ok(r.inner)));
+        let all: Vec<_> = read.chain(made).collect();
+        let found = rtec_measure::history::history(&machine, &all, &limits);
+        let report = found.report()?;
+        Ok((serde_json::to_string_pretty(&found)?, report.text(), report.html(), drawn(report.pictures())?))
     })
 }

@@ -2,6 +2,7 @@
 
 use super::{Report, Table};
 use crate::ballbar::{Ballbar, Contour};
+use crate::history::History;
 use crate::iso230::{self, Conditions, Diagonals, Drift, Figures, Positioning, Straightness};
 use crate::plate::Plate;
 use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
@@ -451,6 +452,66 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
     }
     report.table(table);
     report.plot(p.plot(record))?;
+    Ok(report)
+}
+
+/// One machine's figures over time: a table, and each figure with its limit and trend.
+///
+/// # Errors
+/// A plot without a finite point.
+pub fn history(h: &History) -> Result<Report, PlotError> {
+    let title = format!("History of {}", h.machine);
+    let mut report = Report { by: "history", ..Report::new(&title, &[], &Conditions::default()) };
+    for f in h.beyond() {
+        report.warn(&format!("{} is beyond its limit", f.name));
+    }
+    for f in h.figures.iter().filter(|f| f.reaches.is_some()) {
+        report.warn(&format!("{} reaches its limit on {} by its trend", f.name, f.reaches.as_deref().unwrap_or_default()));
+    }
+    for left in &h.left_out {
+        report.warn(&format!("{}: left out: {}", left.record, left.why));
+    }
+    let head =
+        ["figure", "unit", "#records", "first", "#first", "last", "#last", "#limit", "#trend a year", "95 %", "reaches"];
+    let mut table = Table::new("Figures over time", &head);
+    for f in &h.figures {
+        let (Some(first), Some(last)) = (f.points.first(), f.points.last()) else { continue };
+        let trend = f.trend.map_or_else(String::new, |t| um(t.per_year));
+        let interval = f.trend.map_or_else(String::new, |t| interval(Some(&t.interval), 2));
+        table.row([
+            f.sensor.as_ref().map_or_else(|| f.name.clone(), |s| format!("{} ({s})", f.name)),
+            f.unit.replace("um", "µm").replace("urad", "µrad"),
+            f.points.len().to_string(),
+            first.date.clone(),
+            um(first.value),
+            last.date.clone(),
+            um(last.value),
+            um(f.limit),
+            trend,
+            interval,
+            f.reaches.clone().unwrap_or_default(),
+        ]);
+    }
+    report.table(table);
+    for f in &h.figures {
+        let (points, unit) = (f.over_days(), f.unit.replace("um", "µm").replace("urad", "µrad"));
+        let from = f.points.first().map_or("", |p| p.date.as_str());
+        let end = points.last().map_or(0.0, |p| p.0);
+        let mut chart = Chart::new(&f.name, &format!("days since {from}"), &unit);
+        if let Some(limit) = f.limit {
+            for (name, sign) in [("limit", 1.0), ("", -1.0)] {
+                // The other side is shown where the figure goes there.
+                if sign > 0.0 || points.iter().any(|p| p.1 < 0.0) {
+                    let ends = vec![(0.0, sign * limit), (end, sign * limit)];
+                    chart = chart.with(Series::new(name, Style::Line, ends).coloured(Colour::Grey));
+                }
+            }
+        }
+        if let Some(line) = f.line() {
+            chart = chart.with(Series::new("trend", Style::Line, line.to_vec()).coloured(Colour::Down));
+        }
+        report.plot(chart.with(Series::new("records", Style::Dots, points).coloured(Colour::Up)))?;
+    }
     Ok(report)
 }
 

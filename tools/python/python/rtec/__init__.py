@@ -8,6 +8,7 @@ machine models                            :func:`read_machine`, :class:`Machine`
 figures after ISO 230                     :func:`evaluate`
 sensors chosen, growth fitted             :func:`select_sensors`, :func:`fit`, :func:`fit_effects`
 what a model lacks                        :func:`reconcile`, :func:`where_they_disagree`
+one machine's figures over time           :func:`history`
 a plan of runs, designs of insertion      :func:`plan`, :func:`designs`
 a recorded trace through the engine       :func:`replay`
 a part's errors                           :func:`part_errors`
@@ -43,6 +44,7 @@ from rtec._functions import (
     example,
     fit,
     fit_effects,
+    history,
     part_errors,
     plan,
     read_machine,
@@ -79,6 +81,7 @@ __all__ = [
     "example",
     "fit",
     "fit_effects",
+    "history",
     "part_errors",
     "plan",
     "read_machine",

@@ -464,7 +464,7 @@ def plan(
 def designs(
     computer: str = "8051",
     *,
-    encoder_hz: float = 29_200.0,
+    encoder_hz: float = 7e6 / 60.0 / 4.0,
     accel_counts_s2: float = 1e6,
     counts: int = 20_000,
     seed: int = 1,
@@ -553,3 +553,20 @@ def example(name: str, folder: Place) -> list[Path]:
         whole(at / path, text)
         written.append(at / path)
     return written
+
+
+def history(
+    runs: Runs, machine: str = "the machine", *, limits: Mapping[str, float] | Place | None = None
+) -> Evaluation:
+    """One machine's figures over time: ``figures`` (``x.A`` … with ``points``, ``limit``, ``trend``), ``left_out``.
+
+    Each record is evaluated by itself; one without a date, or that cannot be read, is named and left out. ``limits``: what the
+    figures may be, either side of zero, as ``{"x.A": 12.0, "B_mean": 5.0}``, or a file with a table ``[limits]``.
+    """
+    many: list[Record | Place] = [runs] if isinstance(runs, (Record, str, os.PathLike)) else list(runs)
+    paths = [os.fspath(run) for run in many if not isinstance(run, Record)]
+    made = [run._inner for run in many if isinstance(run, Record)]
+    named = [(n, float(v)) for n, v in limits.items()] if isinstance(limits, Mapping) else []
+    file = None if limits is None or isinstance(limits, Mapping) else os.fspath(limits)
+    document, text, html, pictures = _rtec.history(machine, paths, made, named, file)
+    return Evaluation(document, pictures, (), text, html)

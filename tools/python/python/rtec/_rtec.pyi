@@ -120,3 +120,10 @@ def simulate(
     name: str, truth: Machine | None, known: Machine | None, seed: int, out: str
 ) -> tuple[list[Record], str]: ...
 def example(name: str, folder: str) -> tuple[list[Record], list[tuple[str, str]]]: ...
+def history(
+    machine: str,
+    records: list[str],
+    made: list[Record],
+    limits: list[tuple[str, float]],
+    limits_file: str | None,
+) -> tuple[str, str, str, str]: ...
