@@ -7,9 +7,6 @@ import rtec
 MONTHS = ("2026-05", "2026-06", "2026-07")
 KNOWN = """name = "{name}"
 [[effect]]
-name = "scale.x"
-ppm = {ppm}
-[[effect]]
 name = "reversal.x"
 um = {um}
 [[fit]]
@@ -18,9 +15,8 @@ date = "2026-01-10"
 valid_until = "{until}"
 rms_um = 0.3
 half_width_um = 0.6
-records = []
 """
-TARGETS, CYCLES, NOISE_UM = 11, 4, 0.25
+TARGETS, CYCLES, NOISE_UM = 21, 3, 0.25
 
 
 def numbered(n):
@@ -59,15 +55,14 @@ def error_um(kind, size, p, up):
         case "screw":
             return size * np.sin(2.0 * np.pi * p / 50.0)
         case "fixture":
-            # A fixture that gives way towards one end.
-            return size * 2.0 * np.clip(p - 250.0, 0.0, None) / 250.0
+            return np.full(p.size, size)
         case _:
             return size * up / 2.0
 
 
 def run(n, month, seed=1):
     rng = np.random.default_rng([seed, n, MONTHS.index(month)])
-    target = np.linspace(0.0, 500.0, TARGETS) + np.round(rng.uniform(-9, 9, TARGETS), 3)
+    target = np.linspace(0.0, 500.0, TARGETS) + np.round(rng.uniform(-5, 5, TARGETS), 3)
     target.sort()
     p = np.concatenate([t for _ in range(CYCLES) for t in (target, target[::-1])])
     up = np.concatenate([s for _ in range(CYCLES) for s in (np.ones(TARGETS), -np.ones(TARGETS))])
@@ -86,8 +81,7 @@ def run(n, month, seed=1):
 def model(n):
     rng = np.random.default_rng([7, n])
     until = "2026-08-20" if n % 41 == 5 else "2027-01-10"
-    ppm, um = round(rng.normal(0, 10), 3), round(rng.normal(0, 3), 3)
-    return rtec.Machine.parse(KNOWN.format(name=numbered(n), ppm=ppm, um=um, until=until))
+    return rtec.Machine.parse(KNOWN.format(name=numbered(n), um=round(rng.normal(0, 3), 3), until=until))
 
 
 def fill(shop, count):

@@ -95,7 +95,7 @@ def _explained(effect, holders, groups, comparisons, valued):  # type: ignore[no
         if best is None or best[0] * comparisons > _LEVEL:
             break
         p, name, both, members = best
-        numbers = np.array([v for unit in both for v in valued(unit) if v is not None], dtype=float)
+        numbers = np.array([v for unit in both for v in valued(unit) if pd.notna(v)], dtype=float)
         value = float(np.median(numbers)) if numbers.size else None
         spread = float(1.4826 * np.median(np.abs(numbers - value))) if numbers.size else None
         machines = sorted({unit if isinstance(unit, str) else unit[0] for unit in both})

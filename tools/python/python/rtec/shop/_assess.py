@@ -29,7 +29,7 @@ class Assessment:
     machines: pd.DataFrame
     #: A row for each month of each machine: ``verdict``, ``gap_before_um`` and ``gap_after_um``, ``error``, ``seconds`` of one core.
     months: pd.DataFrame
-    #: A row for each effect that a model lacks: ``machine``, ``month``, ``effect``, ``value``, ``p_value``.
+    #: A row for each effect that a model lacks: ``machine``, ``month``, ``effect``, ``value``, ``p_value``; `unexplained error.x` is one too.
     effects: pd.DataFrame
     #: A row for each figure of each record: ``machine``, ``month``, ``run``, ``figure``, ``value``; or its ``error``.
     figures: pd.DataFrame
@@ -79,6 +79,9 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
                 value = p["value"] if isinstance(p["value"], float) else None
                 of = {"effect": effect["name"], "parameter": name, "value": value, "p_value": effect["p_value"]}
                 effects.append({"machine": machine, "month": month, **of})
+            # What has no name may be shared all the same.
+            for response in sorted({shape["response"] for shape in verdict.document["unexplained"]}):
+                effects.append({"machine": machine, "month": month, "effect": f"unexplained {response}"})
         except Exception as error:
             said["error"] = f"{type(error).__name__}: {error}"
     said["seconds"] = time.process_time() - start
