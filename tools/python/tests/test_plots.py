@@ -16,6 +16,7 @@ TOLERANCE = 12.0
 
 def same(figure, name, tmp_path):
     import matplotlib
+    import matplotlib.style
 
     with matplotlib.style.context("default"):
         matplotlib.rcParams["font.family"] = "DejaVu Sans"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,15 @@ COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5
 _MEANT = {"up": COLOURS[0], "down": COLOURS[1], "grey": COLOURS[6]}
 
 
+class Plot(Figure):
+    """A figure that a notebook shows by itself."""
+
+    def _repr_png_(self) -> bytes:
+        out = io.BytesIO()
+        self.savefig(out, format="png", dpi=90)
+        return out.getvalue()
+
+
 def of(result: Drawn) -> list[Figure]:
     """The plots of a result's report: of an evaluation, a fit, a verdict, a part's errors."""
     return [draw(picture) for picture in result.pictures]
@@ -37,7 +47,7 @@ def draw(picture: Picture) -> Figure:
     """A plot that is given as data."""
     if picture["kind"] == "polar":
         return _polar(picture)
-    figure = Figure(figsize=(9.0, 4.8), layout="constrained")
+    figure = Plot(figsize=(9.0, 4.8), layout="constrained")
     axes = figure.add_subplot()
     axes.set_title(picture["title"])
     if picture["kind"] == "vectors":
@@ -83,7 +93,7 @@ def _chart(axes: Axes, picture: Picture) -> None:
 
 
 def _polar(picture: Picture) -> Figure:
-    figure = Figure(figsize=(6.4, 6.0), layout="constrained")
+    figure = Plot(figsize=(6.4, 6.0), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_title(picture["title"])
     first, second = (str(axis).upper() for axis in picture["axes"])

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from math import comb
+from typing import Any
 
 import numpy as np
 import pandas as pd
+
+#: Machines, or months of machines.
+Members = set[Any]
 
 #: So few machines share nothing but chance.
 _FEWEST = 3
@@ -15,6 +20,17 @@ _FEWEST = 3
 _LEVEL = 0.01
 #: A figure has left its history when it moved so many times what figures of this kind move from month to month.
 _TIMES = 6.0
+
+
+Values = dict[tuple[str, str, str], float]
+
+
+def _of_machine(values: Values, effect: str, seen: Mapping[str, set[str]], machine: str) -> list[float]:
+    return [values[effect, machine, month] for month in seen[machine] if (effect, machine, month) in values]
+
+
+def _of_unit(values: Values, effect: str, unit: tuple[str, str]) -> list[float]:
+    return [values[effect, unit[0], unit[1]]]
 
 
 def _tail(both: int, having: int, drawn: int, of: int) -> float:
@@ -40,16 +56,16 @@ def shared(
     units = {(machine, month) for machine, all_months in seen.items() for month in all_months}
     notes = {(row.machine, row.month): set(row.noted) for row in judged.itertuples()}
     had: dict[str, set[tuple[str, str]]] = defaultdict(set)
-    values: dict[tuple[str, str, str], float] = {}
+    values: Values = {}
     for row in effects.itertuples():
         had[row.effect].add((row.machine, row.month))
         values[row.effect, row.machine, row.month] = row.value
     # Each group: what it has in common, its members among those that could be in it.
-    of_machines: dict[str, set[str]] = defaultdict(set)
+    of_machines: dict[str, Members] = defaultdict(set)
     for machine in seen:
         for key, value in attributes.get(machine, {}).items():
             of_machines[f"{key}={value}"].add(machine)
-    rows = []
+    rows: list[list[Any]] = []
     comparisons = max(1, len(had) * (len(of_machines) + len({m for _, m in units}) * (1 + len(of_machines))))
     for effect, where in sorted(had.items()):
         count: dict[str, int] = defaultdict(int)
@@ -57,29 +73,32 @@ def shared(
             count[machine] += 1
         lasting = {machine for machine, n in count.items() if 2 * n >= len(seen[machine]) and (n > 1 or len(seen[machine]) == 1)}
         passing = {unit for unit in where if unit[0] not in lasting}
-        groups: list[tuple[str, set[str] | set[tuple[str, str]], set[str] | set[tuple[str, str]]]] = [
-            (name, members, set(seen)) for name, members in of_machines.items()
-        ]
-        rows += _explained(effect, lasting, groups, comparisons, lambda m, e=effect: [values[e, m, t] for t in seen[m] if (e, m, t) in values])
+        groups = [(name, members, set(seen)) for name, members in of_machines.items()]
+        of = partial(_of_machine, values, effect, seen)
+        rows += _explained(effect, lasting, groups, comparisons, of)
         free = {unit for unit in units if unit[0] not in lasting}
-        by_note: dict[str, set[tuple[str, str]]] = defaultdict(set)
+        by_note: dict[str, Members] = defaultdict(set)
         for unit in free:
             for note in notes.get(unit, ()):
                 by_note[note].add(unit)
-        pairs: list[tuple[str, set[str] | set[tuple[str, str]], set[str] | set[tuple[str, str]]]] = [
-            (name, members, free) for name, members in by_note.items()
-        ]
+        pairs = [(name, members, free) for name, members in by_note.items()]
         for month in sorted({m for _, m in free}):
-            members = {unit for unit in free if unit[1] == month}
+            members: Members = {unit for unit in free if unit[1] == month}
             pairs.append((f"month={month}", members, free))
             for name, machines in of_machines.items():
                 pairs.append((f"month={month}, {name}", {u for u in members if u[0] in machines}, free))
-        rows += _explained(effect, passing, pairs, comparisons + len(by_note), lambda u, e=effect: [values[e, u[0], u[1]]])
+        rows += _explained(effect, passing, pairs, comparisons + len(by_note), partial(_of_unit, values, effect))
     frame = pd.DataFrame(rows, columns=["effect", "common", "machines", "of", "value", "spread", "p_value"])
     return frame.sort_values("p_value").reset_index(drop=True)
 
 
-def _explained(effect, holders, groups, comparisons, valued):  # type: ignore[no-untyped-def]
+def _explained(
+    effect: str,
+    holders: Members,
+    groups: list[tuple[str, Members, Members]],
+    comparisons: int,
+    valued: Callable[[Any], list[float]],
+) -> list[list[Any]]:
     """The groups that hold more of the holders than chance gives them, the likeliest first, each explaining its own."""
     rows, left = [], set(holders)
     while len(left) >= _FEWEST:
