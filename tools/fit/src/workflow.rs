@@ -148,7 +148,8 @@ pub fn fit_named(
     if !asked.despite_suspicions {
         plausible::refuse(&doubts, &paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
     }
-    let base = asked.base.clone().unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
+    let base =
+        asked.base.clone().unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
     let day = date::format(asked.date.unwrap_or_else(|| day_of(&records)));
     let borrowed: Vec<&Record> = records.iter().collect();
     let (machine, report) = least::fit_named(&base, effects, &borrowed, &day, asked.valid_days)?;

@@ -187,7 +187,8 @@ fn by(
     say: &mut dyn FnMut(Said),
 ) -> Result<(Value, Report), InputError> {
     let file = &records[0].path;
-    let unwritten = |e: serde_json::Error| InputError::whole(file, e.to_string(), "figures that can be written");
+    let unwritten =
+        |e: serde_json::Error| InputError::whole(file, e.to_string(), "figures that can be written");
     let undrawn = |e: PlotError| InputError::whole(file, e.to_string(), "figures that can be drawn");
     let options = Options { one_way: asked.one_way, conditions: asked.conditions.clone() };
     let conditions = &asked.conditions;
@@ -250,8 +251,7 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
         let expected = "a column of role error.AXIS with two returns at least";
         return Err(InputError::whole(&record.path, "nothing that returned twice", expected));
     }
-    let of =
-        |(axis, [s, range]): (&String, &[f64; 2])| (axis.clone(), json!({"s_um": s, "range_um": range}));
+    let of = |(axis, [s, range]): (&String, &[f64; 2])| (axis.clone(), json!({"s_um": s, "range_um": range}));
     let found = axes.iter().map(of).collect::<serde_json::Map<_, _>>();
     let report = report::repeatability(&axes, record, conditions)
         .map_err(|e| InputError::whole(&record.path, e.to_string(), "figures that can be drawn"))?;

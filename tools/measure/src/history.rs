@@ -240,7 +240,8 @@ fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
     let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
     let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
-    let range = x.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - x.iter().fold(f64::INFINITY, |a, b| a.min(*b));
+    let range =
+        x.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - x.iter().fold(f64::INFINITY, |a, b| a.min(*b));
     if x.len() < FEWEST || range < LEAST_RANGE_K {
         return None;
     }
@@ -332,22 +333,28 @@ mod tests {
 
     #[test]
     fn a_scale_that_grows_is_a_trend_with_a_day() {
-        let mut records: Vec<_> = [("2026-01-01", 10.0), ("2026-04-01", 13.1), ("2026-07-01", 15.9), ("2026-09-30", 19.0)]
-            .into_iter()
-            .map(|(day, ppm)| run(day, Some(day), ppm))
-            .collect();
+        let mut records: Vec<_> =
+            [("2026-01-01", 10.0), ("2026-04-01", 13.1), ("2026-07-01", 15.9), ("2026-09-30", 19.0)]
+                .into_iter()
+                .map(|(day, ppm)| run(day, Some(day), ppm))
+                .collect();
         records.reverse();
         records.push(run("undated", None, 1.0));
         let gone = InputError::whole(Path::new("gone"), "nothing", "a record");
         records.push(("gone".to_owned(), Err(gone)));
-        let found = history("m", &records, &Limits::of([("M".to_owned(), 7.0), ("x.B_mean".to_owned(), 1.5)]));
+        let found =
+            history("m", &records, &Limits::of([("M".to_owned(), 7.0), ("x.B_mean".to_owned(), 1.5)]));
         let of = |name: &str| found.figures.iter().find(|f| f.name == name).unwrap();
         let m = of("x.M");
         // 10 ppm over 300 mm are 3 µm; 9 ppm more in nine months.
         assert!((m.points[0].value - 3.0).abs() < 0.02 && (m.points[3].value - 5.7).abs() < 0.02, "{m:?}");
         let trend = m.trend.unwrap();
         assert!(trend.drifts && (trend.per_year - 3.6).abs() < 0.2, "{trend:?}");
-        assert!(m.reaches.as_deref().is_some_and(|d| d > "2026-12-01" && d < "2027-04-01"), "{:?}", m.reaches);
+        assert!(
+            m.reaches.as_deref().is_some_and(|d| d > "2026-12-01" && d < "2027-04-01"),
+            "{:?}",
+            m.reaches
+        );
         assert!(!m.beyond && of("x.B_mean").beyond && !of("x.B_mean").trend.unwrap().drifts);
         assert_eq!(found.left_out.len(), 2);
         let page = found.report().unwrap().html();

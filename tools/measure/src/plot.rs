@@ -7,9 +7,9 @@ pub use polar::Polar;
 pub use vectors::Vectors;
 
 use plotters::prelude::*;
-use serde::Serialize;
 use plotters::style::RGBColor;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+use serde::Serialize;
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

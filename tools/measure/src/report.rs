@@ -112,7 +112,14 @@ impl Report {
             let each = ranges.iter().map(|(name, [lo, hi])| format!("{name} {lo:.2} to {hi:.2}"));
             facts.push(("temperatures (°C)".to_owned(), each.collect::<Vec<_>>().join("; ")));
         }
-        Self { title: title.to_owned(), facts, warnings: Vec::new(), doubts: 0, sections: Vec::new(), by: "characterise evaluate" }
+        Self {
+            title: title.to_owned(),
+            facts,
+            warnings: Vec::new(),
+            doubts: 0,
+            sections: Vec::new(),
+            by: "characterise evaluate",
+        }
     }
 
     fn table(&mut self, table: Table) {

@@ -78,7 +78,9 @@ pub struct Round {
 #[derive(Debug, thiserror::Error)]
 pub enum ShipError {
     /// The name of the machine would not be one folder of the store.
-    #[error("found the machine's name `{0}`, expected letters, digits, `.`, `_` and `-`, none of the dots first")]
+    #[error(
+        "found the machine's name `{0}`, expected letters, digits, `.`, `_` and `-`, none of the dots first"
+    )]
     Name(String),
     /// The spool cannot be read, or what was sent cannot be put aside.
     #[error("{path}: {error}")]
@@ -140,7 +142,9 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     let mut round = Round::default();
     for (n, sidecar) in waiting.iter().enumerate() {
         let (name, csv) = match super::record::read_log(sidecar) {
-            Ok(record) => (sidecar.file_name().unwrap_or_default().to_string_lossy().into_owned(), record.file),
+            Ok(record) => {
+                (sidecar.file_name().unwrap_or_default().to_string_lossy().into_owned(), record.file)
+            }
             Err(finding) => {
                 round.kept.push(finding);
                 continue;
@@ -150,7 +154,8 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
             std::fs::read(&path).map(|b| (path.clone(), b)).map_err(|error| ShipError::Spool { path, error })
         };
         let files = [of(spool.join(&csv))?, of(sidecar.clone())?];
-        let digest = hex(&files.iter().fold(Sha256::new(), |h, f| h.chain_update(Sha256::digest(&f.1))).finalize());
+        let digest =
+            hex(&files.iter().fold(Sha256::new(), |h, f| h.chain_update(Sha256::digest(&f.1))).finalize());
         let place = format!("inbox/{machine}/{}", &digest[..DIGITS]);
         // The sidecar last.
         for ((_, bytes), file) in files.iter().zip([&csv, &name]) {
@@ -165,7 +170,8 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
             }
         }
         let sent = spool.join(SENT).join(&digest[..DIGITS]);
-        let aside = |path: &Path| ShipError::Spool { path: path.to_owned(), error: io::Error::last_os_error() };
+        let aside =
+            |path: &Path| ShipError::Spool { path: path.to_owned(), error: io::Error::last_os_error() };
         std::fs::create_dir_all(&sent).map_err(|_| aside(&sent))?;
         // The sidecar first: without it nothing waits.
         for (from, file) in [(&files[1].0, &name), (&files[0].0, &csv)] {

@@ -357,4 +357,3 @@ impl Chain {
         serde_json::json!({"tool_mm": self.tool_mm, "joints": joints})
     }
 }
-

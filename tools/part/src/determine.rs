@@ -98,7 +98,9 @@ fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<N
         }
         (true, _) => {
             if args.feature.is_none() {
-                say(Said::Note(format!("the points lie on a straight line: taken as a cylinder, face or taper")));
+                say(Said::Note(format!(
+                    "the points lie on a straight line: taken as a cylinder, face or taper"
+                )));
             }
             Ok(Nominal::Line { taper_deg: args.taper_deg })
         }
@@ -278,4 +280,3 @@ fn sizes_differ(r: &ErrorReport) -> Option<(f64, f64)> {
     let both = r.size_error_um.zip(r.robust.size_error_um)?;
     ((both.0 - both.1).abs() > (2.0 * r.robust.scale_um).max(1.0)).then_some(both)
 }
-

@@ -12,7 +12,12 @@ pyo3::create_exception!(
     PyValueError,
     "Bad input: `file`, `line` and `column` (from 1; 0 where it has none), `found`, `expected`."
 );
-pyo3::create_exception!(rtec, Bug, PyRuntimeError, "A mistake of the program, not of its input: please report it.");
+pyo3::create_exception!(
+    rtec,
+    Bug,
+    PyRuntimeError,
+    "A mistake of the program, not of its input: please report it."
+);
 
 /// Why work ended without an answer.
 pub(crate) enum Failure {

@@ -86,13 +86,17 @@ impl Machine {
         py: Python<'py>,
         record: &Record,
     ) -> PyResult<(BTreeMap<String, Bound<'py, PyArray1<f64>>>, Vec<String>)> {
-        let (columns, said) = work(py, |say| {
-            Ok(rtec_measure::prediction::predict(&self.inner, &record.inner, say)?)
-        })?;
+        let (columns, said) =
+            work(py, |say| Ok(rtec_measure::prediction::predict(&self.inner, &record.inner, say)?))?;
         Ok((columns.into_iter().map(|(name, data)| (name, PyArray1::from_vec(py, data))).collect(), said))
     }
 
-    fn predicted_csv(&self, py: Python<'_>, record: &Record, interval: bool) -> PyResult<(String, Vec<String>)> {
+    fn predicted_csv(
+        &self,
+        py: Python<'_>,
+        record: &Record,
+        interval: bool,
+    ) -> PyResult<(String, Vec<String>)> {
         work(py, |say| Ok(rtec_measure::prediction::csv(&self.inner, &record.inner, interval, say)?))
     }
 
@@ -131,4 +135,3 @@ impl Machine {
         format!("<rtec.Machine {:?}: {}>", self.inner.name(), names.join(", "))
     }
 }
-

@@ -31,12 +31,19 @@ struct About {
     circle: Option<(f64, [String; 2])>,
 }
 
-fn made(path: &Path, kind: &str, columns: Vec<(String, String, Option<String>, Vec<f64>)>, about: About) -> Result<Inner, Failure> {
+fn made(
+    path: &Path,
+    kind: &str,
+    columns: Vec<(String, String, Option<String>, Vec<f64>)>,
+    about: About,
+) -> Result<Inner, Failure> {
     let bad = |found: String, expected: &str| InputError::whole(path, found, expected);
     let kinds = || Kind::ALL.map(|k| k.0).join(", ");
-    let kind = Kind::parse(kind).ok_or_else(|| bad(format!("kind `{kind}`"), &format!("one of {}", kinds())))?;
+    let kind =
+        Kind::parse(kind).ok_or_else(|| bad(format!("kind `{kind}`"), &format!("one of {}", kinds())))?;
     let named = |(name, role, unit, data): (String, String, Option<String>, Vec<f64>)| {
-        let own = Role::parse(&role).ok_or_else(|| bad(format!("role `{role}` of `{name}`"), rtec_measure::record::ROLES))?;
+        let own = Role::parse(&role)
+            .ok_or_else(|| bad(format!("role `{role}` of `{name}`"), rtec_measure::record::ROLES))?;
         let column = Column::new(&name, own, data);
         Ok(match unit {
             Some(unit) => Column { unit, ..column },
@@ -56,11 +63,16 @@ fn made(path: &Path, kind: &str, columns: Vec<(String, String, Option<String>, V
     if let Some(day) = about.date.as_ref().filter(|d| date::parse(d).is_none()) {
         return Err(bad(format!("date `{day}`"), "a day as YYYY-MM-DD").into());
     }
-    (record.count_um, record.date, record.note, record.zero) = (about.count_um, about.date, about.note, about.zero);
+    (record.count_um, record.date, record.note, record.zero) =
+        (about.count_um, about.date, about.note, about.zero);
     if let Some((radius_mm, plane)) = about.circle {
-        let axis = |n: &String| Axis::new(n).ok_or_else(|| bad(format!("plane of `{n}`"), "two axes, as [\"x\", \"y\"]"));
+        let axis = |n: &String| {
+            Axis::new(n).ok_or_else(|| bad(format!("plane of `{n}`"), "two axes, as [\"x\", \"y\"]"))
+        };
         let plane = [axis(&plane[0])?, axis(&plane[1])?];
-        record = record.with_circle(Circle { radius_mm, plane }).map_err(|(found, expected)| bad(found, expected))?;
+        record = record
+            .with_circle(Circle { radius_mm, plane })
+            .map_err(|(found, expected)| bad(found, expected))?;
     }
     rtec_measure::record::can_be_written(&record)?;
     Ok(record)
@@ -205,6 +217,12 @@ impl Record {
 
     fn __repr__(&self) -> String {
         let roles: Vec<String> = self.inner.columns.iter().map(Column::label).collect();
-        format!("<rtec.Record {}: {}, {} rows of {}>", self.path(), self.kind(), self.inner.rows(), roles.join(", "))
+        format!(
+            "<rtec.Record {}: {}, {} rows of {}>",
+            self.path(),
+            self.kind(),
+            self.inner.rows(),
+            roles.join(", ")
+        )
     }
 }

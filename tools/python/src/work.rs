@@ -11,10 +11,10 @@ use rtec_files::trace::{RequestReader, TraceReader};
 use rtec_fit::thermal::prediction_chart;
 use rtec_fit::workflow;
 use rtec_measure::evaluation::{self, Standard};
+use rtec_measure::history::Limits;
 use rtec_measure::iso230::Conditions;
 use rtec_measure::plan::{PlanAxis, for_machine, markdown};
 use rtec_measure::plot::Picture;
-use rtec_measure::history::Limits;
 use rtec_model::date;
 use rtec_part::determine;
 use rtec_reconcile::{Options, Place, SEED};
@@ -286,7 +286,8 @@ pub(crate) fn designs(
         let computer = one_of("computer", &computer, &all)?();
         let within = |name: &str, v: f64, low: f64, high: f64| {
             let is = (low..=high).contains(&v);
-            is.then_some(v).ok_or_else(|| bad(name, v.to_string(), format!("a number from {low:e} to {high:e}")))
+            is.then_some(v)
+                .ok_or_else(|| bad(name, v.to_string(), format!("a number from {low:e} to {high:e}")))
         };
         let motion = TestMotion {
             encoder_hz: within("encoder_hz", encoder_hz, 0.1, 1e8)?,

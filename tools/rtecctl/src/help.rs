@@ -77,7 +77,12 @@ const VERBS: [(&str, usize, &str, &str); 39] = [
         "rtecctl model show --machine machine.toml",
         "0 done; 1 refused; 2 bad input or usage; 3 no daemon",
     ),
-    ("history", 2, "rtecctl history records --limits limits.toml --html history.html", "0 within limits; 1 beyond one; 2 bad input or usage"),
+    (
+        "history",
+        2,
+        "rtecctl history records --limits limits.toml --html history.html",
+        "0 within limits; 1 beyond one; 2 bad input or usage",
+    ),
     ("reconcile", 2, "rtecctl reconcile x.run.toml --model machine.toml --out found", READS),
     (
         "part",

@@ -466,13 +466,28 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
         report.warn(&format!("{} is beyond its limit", f.name));
     }
     for f in h.figures.iter().filter(|f| f.reaches.is_some()) {
-        report.warn(&format!("{} reaches its limit on {} by its trend", f.name, f.reaches.as_deref().unwrap_or_default()));
+        report.warn(&format!(
+            "{} reaches its limit on {} by its trend",
+            f.name,
+            f.reaches.as_deref().unwrap_or_default()
+        ));
     }
     for left in &h.left_out {
         report.warn(&format!("{}: left out: {}", left.record, left.why));
     }
-    let head =
-        ["figure", "unit", "#records", "first", "#first", "last", "#last", "#limit", "#trend a year", "95 %", "reaches"];
+    let head = [
+        "figure",
+        "unit",
+        "#records",
+        "first",
+        "#first",
+        "last",
+        "#last",
+        "#limit",
+        "#trend a year",
+        "95 %",
+        "reaches",
+    ];
     let mut table = Table::new("Figures over time", &head);
     for f in &h.figures {
         let (Some(first), Some(last)) = (f.points.first(), f.points.last()) else { continue };

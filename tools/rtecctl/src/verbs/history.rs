@@ -39,7 +39,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     if paths.is_empty() {
-        return Err(InputError::whole(&args.records[0], "no record", "NAME.run.toml, or a folder with one").into());
+        return Err(
+            InputError::whole(&args.records[0], "no record", "NAME.run.toml, or a folder with one").into()
+        );
     }
     let records: Vec<_> =
         paths.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p))).collect();
@@ -55,7 +57,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let text = if args.json { serde_json::to_string_pretty(&found)? + "\n" } else { report.text() };
     crate::say(&text);
     let beyond: Vec<&str> = found.beyond().map(|f| f.name.as_str()).collect();
-    if beyond.is_empty() { Ok(()) } else { Err(Outcome::No(format!("beyond its limit: {}", beyond.join(", "))).into()) }
+    if beyond.is_empty() {
+        Ok(())
+    } else {
+        Err(Outcome::No(format!("beyond its limit: {}", beyond.join(", "))).into())
+    }
 }
 
 /// The sidecars below a folder, in order.

@@ -43,7 +43,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn once(args: &Args) -> anyhow::Result<()> {
-    let away = |e: &std::io::Error| Outcome::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()));
+    let away = |e: &std::io::Error| {
+        Outcome::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()))
+    };
     let store = Folder::open(&args.to).map_err(|e| away(&e))?;
     let Round { sent, kept } = match ship(&args.spool, &store, &args.machine) {
         Ok(round) => round,

@@ -116,7 +116,8 @@ fn usage(found: String, expected: &str) -> InputError {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     record(&args.out, &args.recorder, false)?;
     if let Some(spool) = &args.spool {
-        rtec_measure::spool::add(&args.out, spool).with_context(|| format!("writing to {}", spool.display()))?;
+        rtec_measure::spool::add(&args.out, spool)
+            .with_context(|| format!("writing to {}", spool.display()))?;
     }
     Ok(())
 }

@@ -125,8 +125,13 @@ fn chain_text(chain: &Chain) -> String {
         for c in &joint.components {
             let terms: Vec<String> = c.terms.iter().map(term).collect();
             let delta = c.delta.as_ref().map_or(String::new(), |d| format!("   ΔT = {}", d.in_full()));
-            let _ =
-                writeln!(text, "    {} = {} {}{delta}", COMPONENTS[c.kind], terms.join(" "), chain::unit(c.kind));
+            let _ = writeln!(
+                text,
+                "    {} = {} {}{delta}",
+                COMPONENTS[c.kind],
+                terms.join(" "),
+                chain::unit(c.kind)
+            );
         }
     }
     text
