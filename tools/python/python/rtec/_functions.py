@@ -272,13 +272,13 @@ class Machine:
     def predict(self, run: Record) -> dict[str, Numbers]:
         """The sum of its effects at every row, by the response's column name: µm (N for forces), shape ``(len(run),)``."""
         columns, said = self._inner.predict(run._inner)
-        say(said, 3)
+        say(said)
         return columns
 
     def predicted_csv(self, run: Record, *, interval: bool = False) -> str:
         """The record's CSV with ``predicted_…`` columns, as ``rtecctl model predict`` writes it."""
         text, said = self._inner.predicted_csv(run._inner, interval)
-        say(said, 3)
+        say(said)
         return text
 
     def half_widths_um(self, run: Record, response: str) -> Numbers | None:

@@ -19,7 +19,7 @@ class InputWarning(UserWarning):
     """What to know about the input before the result is used."""
 
 
-def say(said: list[str], depth: int = 4) -> tuple[str, ...]:
+def say(said: list[str], depth: int = 3) -> tuple[str, ...]:
     """Lines said on the way: warnings become Python's, at the caller's line."""
     for line in said:
         if line.startswith("warning: "):

@@ -39,7 +39,7 @@ def of(result: Drawn) -> list[Figure]:
 def prediction(machine: Machine, run: Record) -> list[Figure]:
     """Measured and predicted over time, with the 95 % interval where a fit states one; a figure per response."""
     text, said = _rtec.prediction_picture(machine._inner, run._inner)
-    say(said, 3)
+    say(said)
     return [draw(picture) for picture in json.loads(text)]
 
 
