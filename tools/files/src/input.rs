@@ -70,6 +70,24 @@ impl fmt::Display for InputError {
 
 impl std::error::Error for InputError {}
 
+/// What is said on the way about input that is taken all the same: a line on a terminal, a warning in a notebook.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Said {
+    /// What to know before the result is used.
+    Warning(String),
+    /// What was done with the input, or what else could be done with it.
+    Note(String),
+}
+
+impl fmt::Display for Said {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Warning(text) => write!(f, "warning: {text}"),
+            Self::Note(text) => write!(f, "note: {text}"),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,7 +3,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`input`] | the one shape of error for a file that a person wrote |
+//! | [`input`] | the one shape of error for a file that a person wrote; what is said about one that is taken all the same |
 //! | [`text`] | a text file read whole: UTF-8, without its byte-order mark |
 //! | [`mod@csv`] | CSV: rows of cells with their places, columns by name |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
@@ -30,6 +30,6 @@ mod vcd;
 pub mod words;
 pub mod write;
 
-pub use input::InputError;
+pub use input::{InputError, Said};
 pub use sheet::Sheet;
 pub use words::nearest;

@@ -7,6 +7,7 @@
 //! | `places` | what is left at a place every time |
 //! | [`quiet`] | temperatures without their sensors' noise |
 //! | `statistics` | means and ranks |
+//! | [`workflow`] | a fit from records as people give them, and its document
 //! | [`chain`] | a chain's polynomials, fitted component by component |
 //!
 //! What must not live here: which effect is missing altogether (`rtec-reconcile`).
@@ -19,3 +20,4 @@ mod places;
 pub mod quiet;
 mod statistics;
 pub mod thermal;
+pub mod workflow;

@@ -2,7 +2,10 @@
 //! phases", spindle cycles dry and wet): what to mount where, how to move, what to record.
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
+use rtec_files::{InputError, Said};
+use rtec_model::record::Axis;
 use serde::Serialize;
+use std::path::Path;
 
 /// A linear axis to be characterised.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +43,55 @@ pub struct Step {
 pub const FEEDS_MM_PER_MIN: [f64; 3] = [254.0, 1270.0, 2540.0];
 
 const TEMPERATURES: &str = "every temperature sensor";
+
+/// Bars that are usual, longest first, mm.
+const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
+
+/// The test sequence for a machine as a person describes it: [`sequence`], with the longest usual bar whose circle fits
+/// every axis where none is given. What is to be said on the way goes to `say`.
+///
+/// # Errors
+/// No axis, one a second time or of a name that is none, a travel, speed or bar that is no number above zero, a circle
+/// larger than an axis.
+pub fn for_machine(
+    axes: &[PlanAxis],
+    max_rpm: f64,
+    ballbar_mm: Option<f64>,
+    say: &mut dyn FnMut(Said),
+) -> Result<Vec<Step>, InputError> {
+    let usage =
+        |found: String, expected: &str| InputError::whole(Path::new("characterise plan"), found, expected);
+    if axes.is_empty() {
+        return Err(usage("no axis".to_owned(), "AXIS=TRAVEL in mm, as x=500"));
+    }
+    for (i, PlanAxis { name, travel_mm }) in axes.iter().enumerate() {
+        if Axis::new(name).is_none() || !(travel_mm.is_finite() && *travel_mm > 0.0) {
+            return Err(usage(format!("--axes {name}={travel_mm}"), "AXIS=TRAVEL in mm, as x=500"));
+        }
+        if axes[..i].iter().any(|a| a.name == *name) {
+            return Err(usage(format!("--axes {name}={travel_mm}: {name} a second time"), "each axis once"));
+        }
+    }
+    let given = [("--max-rpm", Some(max_rpm)), ("--ballbar-mm", ballbar_mm)];
+    for (name, v) in given.into_iter().filter_map(|(name, v)| Some((name, v?))) {
+        if !(v.is_finite() && v > 0.0) {
+            return Err(usage(format!("{name} {v}"), "a number above zero"));
+        }
+    }
+    let shortest = axes.iter().map(|a| a.travel_mm).fold(f64::INFINITY, f64::min);
+    if let Some(radius) = ballbar_mm.filter(|r| axes.len() > 1 && 2.0 * r > shortest) {
+        let found =
+            format!("--ballbar-mm {radius}: a circle {} mm across on an axis of {shortest} mm", 2.0 * radius);
+        return Err(usage(found, "a bar whose circle fits every axis"));
+    }
+    let bar_mm = ballbar_mm.or_else(|| BARS_MM.into_iter().find(|r| 2.0 * r <= shortest));
+    if bar_mm.is_none() && axes.len() > 1 {
+        say(Said::Note(format!(
+            "no circles: none of the bars of 150, 100 and 50 mm fits an axis of {shortest} mm; --ballbar-mm names another"
+        )));
+    }
+    Ok(sequence(axes, max_rpm, bar_mm))
+}
 
 /// The sequence for these axes and this highest spindle speed. The warm runs come last, each from a machine that has
 /// stood over night where it says *cold*. Without a bar there are no circles.

@@ -10,9 +10,11 @@ pub use vectors::Vectors;
 use plotters::prelude::*;
 use plotters::style::RGBColor;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+use serde::Serialize;
 
 /// How a series is drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Style {
     /// A line through the points.
     Line,
@@ -25,7 +27,8 @@ pub enum Style {
 }
 
 /// What a series' colour means.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Colour {
     /// Nothing: the next of the palette.
     #[default]
@@ -65,7 +68,7 @@ impl Colour {
 }
 
 /// One series of points.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Series {
     /// Name in the legend; empty for none.
     pub label: String,
@@ -99,7 +102,7 @@ impl Series {
 }
 
 /// A chart with its axes' labels (with units).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Chart {
     /// What stands above the plot.
     pub title: String,
@@ -113,6 +116,50 @@ pub struct Chart {
     pub series: Vec<Series>,
     /// Places on the x axis where something begins, each with its name.
     pub marks: Vec<(f64, String)>,
+}
+
+/// A plot as data: a page shows it as SVG, another program draws it by its own means.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Picture {
+    /// Series over an axis.
+    Chart(Chart),
+    /// Deviations from a circle.
+    Polar(Polar),
+    /// Displacements on a plane.
+    Vectors(Vectors),
+}
+
+impl Picture {
+    /// As an SVG document; a chart of this size in pixels, the others of their own.
+    ///
+    /// # Errors
+    /// A chart without a finite point.
+    pub fn svg(&self, width: u32, height: u32) -> Result<String, PlotError> {
+        match self {
+            Self::Chart(chart) => chart.svg(width, height),
+            Self::Polar(polar) => Ok(polar.svg()),
+            Self::Vectors(vectors) => Ok(vectors.svg()),
+        }
+    }
+}
+
+impl From<Chart> for Picture {
+    fn from(chart: Chart) -> Self {
+        Self::Chart(chart)
+    }
+}
+
+impl From<Polar> for Picture {
+    fn from(polar: Polar) -> Self {
+        Self::Polar(polar)
+    }
+}
+
+impl From<Vectors> for Picture {
+    fn from(vectors: Vectors) -> Self {
+        Self::Vectors(vectors)
+    }
 }
 
 /// Colours that colour-blind readers tell apart (Okabe and Ito).

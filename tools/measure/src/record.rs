@@ -11,7 +11,8 @@ use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::path::Path;
 
-const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
+/// The roles, as an error names them.
+pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
      velocity, acceleration, load, error, force with an axis (position.y), or angle_error with two (angle_error.x.b)";
 
 /// Reads a record from its sidecar.
@@ -132,6 +133,37 @@ pub fn to_sidecar(record: &Record) -> String {
     }
     doc["columns"] = toml_edit::Item::Table(columns);
     doc.to_string()
+}
+
+/// Gives a record another place: its sidecar there, the CSV of the same name beside it.
+///
+/// # Errors
+/// A name that does not end in `.run.toml`: its CSV would have none of its own.
+pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = name.strip_suffix(".run.toml").filter(|s| !s.is_empty());
+    let stem = stem.ok_or_else(|| InputError::whole(path, format!("the name `{name}`"), "NAME.run.toml"))?;
+    record.file = format!("{stem}.csv");
+    path.clone_into(&mut record.path);
+    Ok(())
+}
+
+/// Whether a record made in memory would be read back as it is: its columns' names stand in a CSV's header.
+///
+/// # Errors
+/// A column without a name, or with one that a header does not give back.
+pub fn can_be_written(record: &Record) -> Result<(), InputError> {
+    let header = csv::header_line(record.columns.iter().map(|c| c.name.as_str())) + "\n";
+    let names: Vec<String> = Reader::new(&record.path, header.as_bytes())
+        .and_then(|mut r| Ok(r.header("a header line")?.names().map(str::to_owned).collect()))
+        .unwrap_or_default();
+    for (i, column) in record.columns.iter().enumerate() {
+        if column.name.is_empty() || names.get(i) != Some(&column.name) {
+            let found = format!("a column of the name `{}`", column.name);
+            return Err(InputError::whole(&record.path, found, "a name that a CSV's header gives back"));
+        }
+    }
+    Ok(())
 }
 
 /// Writes `NAME.run.toml` (at [`Record::path`]) and its CSV, each whole or not at all; sets the hash.

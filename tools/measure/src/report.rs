@@ -4,10 +4,10 @@
 mod of;
 
 pub(crate) use of::short;
-pub use of::{ballbar, diagonals, drift, plate, positioning, repeatability, straightness};
+pub use of::{ballbar, diagonals, drift, history, plate, positioning, repeatability, straightness};
 
 use crate::iso230::Conditions;
-use crate::plot::PlotError;
+use crate::plot::{Picture, PlotError};
 use rtec_model::record::Record;
 use std::fmt::Write as _;
 
@@ -44,11 +44,14 @@ impl Table {
     }
 }
 
+/// Size of a chart, px.
+const PLOT_PX: (u32, u32) = (900, 480);
+
 /// A section: a table, or a plot with what it shows.
 #[derive(Debug, Clone, PartialEq)]
 enum Section {
     Table(Table),
-    Plot(String),
+    Plot { svg: String, picture: Picture },
 }
 
 /// A report.
@@ -63,6 +66,8 @@ pub struct Report {
     /// How many of the warnings are suspicions against the input.
     doubts: usize,
     sections: Vec<Section>,
+    /// The verb whose page it is.
+    by: &'static str,
 }
 
 /// What is done with rows that look wild or doubled.
@@ -107,7 +112,14 @@ impl Report {
             let each = ranges.iter().map(|(name, [lo, hi])| format!("{name} {lo:.2} to {hi:.2}"));
             facts.push(("temperatures (°C)".to_owned(), each.collect::<Vec<_>>().join("; ")));
         }
-        Self { title: title.to_owned(), facts, warnings: Vec::new(), doubts: 0, sections: Vec::new() }
+        Self {
+            title: title.to_owned(),
+            facts,
+            warnings: Vec::new(),
+            doubts: 0,
+            sections: Vec::new(),
+            by: "characterise evaluate",
+        }
     }
 
     fn table(&mut self, table: Table) {
@@ -116,16 +128,34 @@ impl Report {
         }
     }
 
-    fn plot(&mut self, svg: Result<String, PlotError>) -> Result<(), PlotError> {
-        self.sections.push(Section::Plot(svg?));
+    fn plot(&mut self, picture: impl Into<Picture>) -> Result<(), PlotError> {
+        let picture = picture.into();
+        let svg = picture.svg(PLOT_PX.0, PLOT_PX.1)?;
+        self.sections.push(Section::Plot { svg, picture });
         Ok(())
     }
 
     /// Its plots, as SVG documents.
     pub fn plots(&self) -> impl Iterator<Item = &str> {
         self.sections.iter().filter_map(|s| match s {
-            Section::Plot(svg) => Some(svg.as_str()),
+            Section::Plot { svg, .. } => Some(svg.as_str()),
             Section::Table(_) => None,
+        })
+    }
+
+    /// Its plots as data, in the order of [`Report::plots`].
+    pub fn pictures(&self) -> impl Iterator<Item = &Picture> {
+        self.sections.iter().filter_map(|s| match s {
+            Section::Plot { picture, .. } => Some(picture),
+            Section::Table(_) => None,
+        })
+    }
+
+    /// Its tables, in their order.
+    pub fn tables(&self) -> impl Iterator<Item = &Table> {
+        self.sections.iter().filter_map(|s| match s {
+            Section::Table(table) => Some(table),
+            Section::Plot { .. } => None,
         })
     }
 
@@ -204,7 +234,7 @@ impl Report {
         }
         for s in &self.sections {
             match s {
-                Section::Plot(svg) => {
+                Section::Plot { svg, .. } => {
                     let _ = write!(h, "<figure>{svg}</figure>");
                 }
                 Section::Table(t) => table_html(&mut h, t),
@@ -212,8 +242,9 @@ impl Report {
         }
         let _ = writeln!(
             h,
-            "<p><small>rtecctl {}, characterise evaluate</small></p></body></html>",
-            env!("CARGO_PKG_VERSION")
+            "<p><small>rtecctl {}, {}</small></p></body></html>",
+            env!("CARGO_PKG_VERSION"),
+            self.by
         );
         h
     }

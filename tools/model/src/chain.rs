@@ -319,3 +319,41 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
     }
     Ok(Joint { name, branch, axis, offset_mm, components })
 }
+/// The unit of a component, by its place in [`COMPONENTS`].
+#[must_use]
+pub fn unit(kind: usize) -> &'static str {
+    if kind < 3 { "µm" } else { "µrad" }
+}
+
+impl Branch {
+    /// As a chain's file has it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Work => "work",
+            Self::Tool => "tool",
+        }
+    }
+}
+
+impl Chain {
+    /// As a document for programs.
+    #[must_use]
+    pub fn to_json(&self) -> serde_json::Value {
+        let component = |c: &Component| {
+            let terms: Vec<serde_json::Value> = (c.terms.iter())
+                .map(|t| serde_json::json!({"p": t.position, "dT": t.temperature, "value": t.coefficient}))
+                .collect();
+            serde_json::json!({"of": COMPONENTS[c.kind], "unit": unit(c.kind), "delta": c.delta.as_ref().map(ToString::to_string),
+                   "terms": terms})
+        };
+        let joints: Vec<serde_json::Value> = (self.joints.iter())
+            .map(|j| {
+                serde_json::json!({"name": j.name, "branch": j.branch.name(), "offset_mm": j.offset_mm,
+                       "axis": j.axis.as_ref().map(|a| a.0.as_str()), "direction": j.axis.as_ref().map(|a| a.1),
+                       "components": j.components.iter().map(component).collect::<Vec<_>>()})
+            })
+            .collect();
+        serde_json::json!({"tool_mm": self.tool_mm, "joints": joints})
+    }
+}

@@ -7,6 +7,7 @@
 //! | [`program`] | the NC probing program: template, parameters, dialects |
 //! | [`probe`] | captured trips against the plan |
 //! | [`fit`], [`errors`] | circle and line through points; probed points to errors and whiskers |
+//! | [`determine`] | errors from probed points as people give them
 //! | [`cor`] | `error.cor`, read and written |
 //! | [`table`], [`line_table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |
@@ -22,6 +23,7 @@
 pub mod batch;
 pub mod contour;
 pub mod cor;
+pub mod determine;
 #[cfg(feature = "dxf")]
 pub mod drawing;
 pub mod errors;

@@ -63,7 +63,7 @@ pub use answer::{Answer, Finding, Rival, Tried};
 pub use cause::Shape;
 pub use chance::SEED;
 pub use gap::{Gap, Trace};
-pub use report::html;
+pub use report::{html, pictures};
 pub use unexplained::LAWS_FILE;
 pub use verdict::{Reconciliation, Refined, Verdict};
 pub use where_found::Place;

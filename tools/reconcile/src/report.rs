@@ -2,11 +2,14 @@
 
 use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
-use crate::where_found::LEAST_P;
-use rtec_measure::plot::{Chart, Colour, Series, Style};
+use crate::where_found::{LEAST_P, Place};
+use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
 use std::fmt::Write as _;
 
 const WIDTH: f64 = 860.0;
+/// So many explanations are shown, and so many places.
+const RANKED: usize = 16;
+const PLACES: usize = 14;
 
 /// The report.
 #[must_use]
@@ -53,6 +56,48 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
         number(r.phi)
     );
     h
+}
+
+/// What the report's plots show, as data: what is left before and after, the means over what it depends on, and what
+/// was tried.
+#[must_use]
+pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
+    let rows = |data: &[f64]| data.iter().enumerate().map(|(i, v)| (i as f64 + 1.0, *v)).collect();
+    let trace = |t: &Trace| {
+        let unit = if t.response.starts_with("force") { "N" } else { "µm" };
+        let held = if t.holdout { ", hold-out" } else { "" };
+        let title = format!("{}, {}{held}: measured minus simulated", t.file, t.response);
+        Chart::new(&title, "row", unit)
+            .with(Series::new("before", Style::Line, rows(&t.before)).coloured(Colour::Grey))
+            .with(Series::new("after", Style::Line, rows(&t.after)).coloured(Colour::Up))
+    };
+    let place = |p: &Place| {
+        let unit = if p.response.starts_with("force") { "N" } else { "µm" };
+        let mean = p.profile.iter().map(|v| (v[0], v[1])).collect();
+        let title = format!("{} against {}: {:.1} %", p.response, p.against, 100.0 * p.statistic);
+        Chart::new(&title, &p.against, unit).with(Series::new("mean", Style::Line, mean))
+    };
+    let mut all: Vec<Picture> = r.traces.iter().map(|t| trace(t).into()).collect();
+    all.extend(found(r).map(|p| Picture::from(place(p))));
+    let tried: Vec<_> = r.ranking.iter().take(RANKED).collect();
+    if !tried.is_empty() {
+        let bars = |accepted: bool| {
+            let own = tried.iter().enumerate().filter(|(_, t)| t.accepted == accepted);
+            own.map(|(i, t)| (i as f64, t.odds)).collect::<Vec<_>>()
+        };
+        let mut chart = Chart::new("What was tried", "explanation", "log odds against the best");
+        chart.x_names = tried.iter().map(|t| t.label.clone()).collect();
+        for (name, accepted, colour) in [("accepted", true, Colour::Up), ("not", false, Colour::Grey)] {
+            chart = chart.with(Series::new(name, Style::Bars, bars(accepted)).coloured(colour));
+        }
+        all.push(chart.into());
+    }
+    all
+}
+
+/// The places that are no chance, as many as a page shows.
+fn found(r: &Reconciliation) -> impl Iterator<Item = &Place> {
+    r.places.iter().filter(|p| p.q_value <= 0.05).take(PLACES)
 }
 
 fn doubts(h: &mut String, r: &Reconciliation) {
@@ -219,7 +264,7 @@ fn trace(h: &mut String, t: &Trace) {
 
 fn places(h: &mut String, r: &Reconciliation) {
     h.push_str("<h2>What it goes with</h2><table><tr><th>response<th>against<th class=n>share explained<th class=n>p<th>mean over it");
-    for p in r.places.iter().filter(|p| p.q_value <= 0.05).take(14) {
+    for p in found(r) {
         let (lo, hi) = p.profile.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(v[1]), u.max(v[1])));
         let (a, b) = (p.profile[0][0], p.profile[p.profile.len() - 1][0]);
         let mut line = String::new();
@@ -248,7 +293,7 @@ fn places(h: &mut String, r: &Reconciliation) {
 fn ranking(h: &mut String, r: &Reconciliation) {
     h.push_str("<h2>What was tried</h2><table><tr><th>explanation<th class=n>log odds<th>margin<th>why");
     let worst = r.ranking.iter().map(|t| t.odds).fold(-1.0, f64::min);
-    for t in r.ranking.iter().take(16) {
+    for t in r.ranking.iter().take(RANKED) {
         let (why, class) = if t.accepted {
             ("accepted", "bar")
         } else if r.effects.is_empty() {

@@ -20,7 +20,7 @@ const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
 const READS: &str = "0 done; 2 bad input or usage";
 
 /// Verb, door, example, exit codes.
-const VERBS: [(&str, usize, &str, &str); 37] = [
+const VERBS: [(&str, usize, &str, &str); 39] = [
     ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
     ("top", 0, "rtecctl top", SHOWS),
     ("home", 0, "rtecctl home x", ASKS),
@@ -59,6 +59,12 @@ const VERBS: [(&str, usize, &str, &str); 37] = [
     ),
     ("log", 1, "rtecctl log --verify", JUDGES),
     (
+        "ship",
+        1,
+        "rtecctl ship --spool /var/spool/rtec --to /mnt/shop --machine mill-7",
+        "0 sent; 2 bad input or usage; 3 the store is not there: what was not sent waits",
+    ),
+    (
         "bugreport",
         1,
         "rtecctl bugreport --out report.tar",
@@ -70,6 +76,12 @@ const VERBS: [(&str, usize, &str, &str); 37] = [
         2,
         "rtecctl model show --machine machine.toml",
         "0 done; 1 refused; 2 bad input or usage; 3 no daemon",
+    ),
+    (
+        "history",
+        2,
+        "rtecctl history records --limits limits.toml --html history.html",
+        "0 within limits; 1 beyond one; 2 bad input or usage",
     ),
     ("reconcile", 2, "rtecctl reconcile x.run.toml --model machine.toml --out found", READS),
     (

@@ -71,6 +71,7 @@ enum Verb {
     Shadow(verbs::shadow::Args),
     Correct(verbs::correct::Args),
     Probe(verbs::probe::Args),
+    History(verbs::history::Args),
     Hold(verbs::hold::Args),
     Clear(verbs::clear::Args),
     Log(verbs::log::Args),
@@ -84,6 +85,7 @@ enum Verb {
     Trace(verbs::trace::Args),
     Platform(verbs::platform::Args),
     Selftest(verbs::selftest::Args),
+    Ship(verbs::ship::Args),
     Simulate(verbs::simulate::Args),
     Whoami(verbs::whoami::Args),
 }
@@ -164,6 +166,7 @@ fn main() -> ExitCode {
         Verb::Shadow(args) => verbs::shadow::run(&args),
         Verb::Correct(args) => verbs::correct::run(&args),
         Verb::Probe(args) => verbs::probe::run(&args),
+        Verb::History(args) => verbs::history::run(&args),
         Verb::Hold(args) => verbs::hold::run(&args),
         Verb::Clear(args) => verbs::clear::run(&args),
         Verb::Log(args) => verbs::log::run(&args),
@@ -177,6 +180,7 @@ fn main() -> ExitCode {
         Verb::Trace(args) => verbs::trace::run(&args),
         Verb::Platform(args) => verbs::platform::run(&args),
         Verb::Selftest(args) => verbs::selftest::run(&args),
+        Verb::Ship(args) => verbs::ship::run(&args),
         Verb::Simulate(args) => verbs::simulate::run(&args),
         Verb::Whoami(args) => verbs::whoami::run(&args),
     };

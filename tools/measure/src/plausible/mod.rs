@@ -34,10 +34,12 @@ mod units;
 pub use between::repeated;
 pub use step::steps_of;
 
+use rtec_files::{InputError, Said};
 use rtec_model::record::{Column, Record, Role};
 use serde::{Serialize, Serializer};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::path::Path;
 
 /// Bad readings of a sensor in no more than this share of the rows cost those rows; more of them cost the sensor.
 const FEW: f64 = 0.1;
@@ -218,6 +220,76 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     let all = found.clone();
     found.retain(|s| s.what != What::Jump || jumps(s, &all) == 0);
     found
+}
+
+/// As [`suspicions`], and says each of them, with the steps that are none.
+pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
+    let found = suspicions(records);
+    for s in &found {
+        say(Said::Warning(s.to_string()));
+    }
+    for step in steps_of(records) {
+        say(Said::Warning(step));
+    }
+    found
+}
+
+/// Puts suspicions into a document, where that is an object.
+pub fn enter(document: &mut serde_json::Value, found: &[Suspicion]) {
+    if let serde_json::Value::Object(map) = document {
+        map.insert("suspicions".to_owned(), serde_json::json!(found));
+    }
+}
+
+/// Refuses records to learn from in which a unit, a sign, a direction or a column looks wrong: a model would carry it on.
+///
+/// # Errors
+/// The first such suspicion against one of these records.
+pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<(), InputError> {
+    let learned = |s: &&Suspicion| records.iter().any(|r| r.display().to_string() == s.record);
+    let wrong = |s: &&Suspicion| {
+        let dead = s.what == What::Stuck && s.rows.is_empty();
+        (dead || matches!(s.what, What::Unit | What::Sign | What::Direction | What::Swapped))
+            && !s.is_of_sensor()
+    };
+    let Some(first) = found.iter().filter(learned).find(wrong) else { return Ok(()) };
+    let expected = "a record in which that is put right, or --despite-suspicions; nothing is written";
+    let found = format!("{}: {}: {}", first.column, first.what, first.text);
+    Err(InputError::whole(Path::new(&first.record), found, expected))
+}
+
+/// The records that no earlier one of these repeats: those to learn from, and those to judge by.
+#[must_use]
+pub fn once(train: Vec<Record>, holdout: Vec<Record>) -> (Vec<Record>, Vec<Record>) {
+    let all: Vec<&Record> = train.iter().chain(&holdout).collect();
+    let again: Vec<usize> = repeated(&all).into_iter().map(|(_, k)| k).collect();
+    let n = train.len();
+    let new = |from: usize, records: Vec<Record>| {
+        let own = records.into_iter().enumerate().filter(|(k, _)| !again.contains(&(from + k)));
+        own.map(|(_, r)| r).collect()
+    };
+    (new(0, train), new(n, holdout))
+}
+
+/// The records as a fit may learn from them; what it leaves out of them is said.
+pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)) -> Vec<Record> {
+    let out = unusable(found);
+    let left: Vec<Record> = records.iter().map(|r| out.without(r)).collect();
+    for (before, after) in records.iter().zip(&left) {
+        let gone = |c: &&Column| after.columns.iter().all(|k| k.name != c.name);
+        let sensors: Vec<&str> = before.columns.iter().filter(gone).map(|c| c.name.as_str()).collect();
+        let rows = before.rows() - after.rows();
+        if !sensors.is_empty() || rows > 0 {
+            let sensors = if sensors.is_empty() { "no sensor".to_owned() } else { sensors.join(", ") };
+            let file = before.path.display();
+            say(Said::Warning(format!("{file}: left out of the fit: {sensors}, {rows} rows")));
+        }
+    }
+    let kept = found.iter().filter(|s| matches!(s.what, What::Unit | What::Sign | What::Direction));
+    for s in kept.filter(|s| !out.sensor(&s.column)) {
+        say(Said::Warning(format!("{}: {} is kept as it is", s.record, s.column)));
+    }
+    left
 }
 
 /// What a fit should leave out.

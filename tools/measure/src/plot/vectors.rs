@@ -5,7 +5,7 @@ use super::polar::{escaped, round_up};
 use std::fmt::Write as _;
 
 /// Displacements at places of a plane.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
 pub struct Vectors {
     /// What stands above it.
     pub title: String,

@@ -2,13 +2,12 @@
 
 use super::{Report, Table};
 use crate::ballbar::{Ballbar, Contour};
+use crate::history::History;
 use crate::iso230::{self, Conditions, Diagonals, Drift, Figures, Positioning, Straightness};
 use crate::plate::Plate;
 use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
-
-const PLOT: (u32, u32) = (900, 480);
 
 /// µm (or µrad) with two decimals, with one from 100 on; nothing is a dash.
 fn um(v: impl Into<Option<f64>>) -> String {
@@ -106,7 +105,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         table.row(row);
     }
     report.table(table);
-    report.plot(p.chart().svg(PLOT.0, PLOT.1))?;
+    report.plot(p.chart())?;
     let title = format!("{}: targets, values in {unit}", p.response);
     let head = ["#i", "#position (mm)", "#n↑", "#n↓", "#mean ↑", "#s ↑", "#mean ↓", "#s ↓", "#B", "#R"];
     let mut table = Table::new(&title, &head);
@@ -166,7 +165,7 @@ pub fn straightness(
             table.row([words.to_owned(), um(value), unit.to_owned()]);
         }
         report.table(table);
-        report.plot(s.chart().svg(PLOT.0, PLOT.1))?;
+        report.plot(s.chart())?;
         let head = ["#i", "#position (mm)", "#readings", "#up ↑ (µm)", "#down ↓ (µm)", "#mean (µm)"];
         let mut table = Table::new(&format!("{}: places, about the line", s.symbol), &head);
         for (i, p) in s.places.iter().enumerate() {
@@ -205,7 +204,7 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
         report.table(table);
         diagnosis(&mut report, b);
         for plot in circles(b) {
-            report.plot(Ok(plot.svg()))?;
+            report.plot(plot)?;
         }
         let (first, second) = b.plane.split_once('-').unwrap_or(("first", "second"));
         let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
@@ -314,7 +313,7 @@ pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<
     }
     report.table(table);
     for chart in iso230::drift_charts(record) {
-        report.plot(chart.svg(PLOT.0, PLOT.1))?;
+        report.plot(chart)?;
     }
     let count = all.first().map_or(0, |d| d.phases.len());
     for i in 0..count {
@@ -393,12 +392,12 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
         chart = chart.with(Series::new(&x.sense, Style::Line, mean.collect()));
     }
     report.table(table);
-    report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    report.plot(chart)?;
     for x in &d.diagonals {
         let mut chart = x.along.chart();
         chart.title = format!("Diagonal {} of {} (ISO 230-6)", x.sense, x.axes.join(", "));
         "distance along it (mm)".clone_into(&mut chart.x);
-        report.plot(chart.svg(PLOT.0, PLOT.1))?;
+        report.plot(chart)?;
     }
     Ok(report)
 }
@@ -452,7 +451,82 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         table.row([format!("left over, holes of {diameter} mm"), um(*v), "µm".to_owned()]);
     }
     report.table(table);
-    report.plot(Ok(p.plot(record).svg()))?;
+    report.plot(p.plot(record))?;
+    Ok(report)
+}
+
+/// One machine's figures over time: a table, and each figure with its limit and trend.
+///
+/// # Errors
+/// A plot without a finite point.
+pub fn history(h: &History) -> Result<Report, PlotError> {
+    let title = format!("History of {}", h.machine);
+    let mut report = Report { by: "history", ..Report::new(&title, &[], &Conditions::default()) };
+    for f in h.beyond() {
+        report.warn(&format!("{} is beyond its limit", f.name));
+    }
+    for f in h.figures.iter().filter(|f| f.reaches.is_some()) {
+        report.warn(&format!(
+            "{} reaches its limit on {} by its trend",
+            f.name,
+            f.reaches.as_deref().unwrap_or_default()
+        ));
+    }
+    for left in &h.left_out {
+        report.warn(&format!("{}: left out: {}", left.record, left.why));
+    }
+    let head = [
+        "figure",
+        "unit",
+        "#records",
+        "first",
+        "#first",
+        "last",
+        "#last",
+        "#limit",
+        "#trend a year",
+        "95 %",
+        "reaches",
+    ];
+    let mut table = Table::new("Figures over time", &head);
+    for f in &h.figures {
+        let (Some(first), Some(last)) = (f.points.first(), f.points.last()) else { continue };
+        let trend = f.trend.map_or_else(String::new, |t| um(t.per_year));
+        let interval = f.trend.map_or_else(String::new, |t| interval(Some(&t.interval), 2));
+        table.row([
+            f.sensor.as_ref().map_or_else(|| f.name.clone(), |s| format!("{} ({s})", f.name)),
+            f.unit.replace("um", "µm").replace("urad", "µrad"),
+            f.points.len().to_string(),
+            first.date.clone(),
+            um(first.value),
+            last.date.clone(),
+            um(last.value),
+            um(f.limit),
+            trend,
+            interval,
+            f.reaches.clone().unwrap_or_default(),
+        ]);
+    }
+    report.table(table);
+    for f in &h.figures {
+        let (points, unit) = (f.over_days(), f.unit.replace("um", "µm").replace("urad", "µrad"));
+        let from = f.points.first().map_or("", |p| p.date.as_str());
+        let end = points.last().map_or(0.0, |p| p.0);
+        let mut chart = Chart::new(&f.name, &format!("days since {from}"), &unit);
+        if let Some(limit) = f.limit {
+            for (name, sign) in [("limit", 1.0), ("", -1.0)] {
+                // The other side is shown where the figure goes there.
+                if sign > 0.0 || points.iter().any(|p| p.1 < 0.0) {
+                    let ends = vec![(0.0, sign * limit), (end, sign * limit)];
+                    chart = chart.with(Series::new(name, Style::Line, ends).coloured(Colour::Grey));
+                }
+            }
+        }
+        if let Some(line) = f.line() {
+            chart = chart.with(Series::new("trend", Style::Line, line.to_vec()).coloured(Colour::Down));
+        }
+        report.plot(chart.with(Series::new("records", Style::Dots, points).coloured(Colour::Up)))?;
+    }
     Ok(report)
 }
 
@@ -477,6 +551,6 @@ pub fn repeatability(
         let points = c.data.iter().enumerate().map(|(i, e)| (i as f64 + 1.0, *e)).collect();
         chart = chart.with(Series::new(&c.role.to_string(), Style::Dots, points));
     }
-    report.plot(chart.svg(PLOT.0, PLOT.1))?;
+    report.plot(chart)?;
     Ok(report)
 }

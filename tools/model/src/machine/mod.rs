@@ -7,9 +7,11 @@
 //! | `note` | what a fit says about itself: records, dates, intervals, ranges |
 //! | `evaluate` | what a model says about a record, and within what |
 //! | `check` | what to know before it is trusted |
+//! | `document` | as programs read it
 //! | `places` | how a file is named from another one's folder |
 
 mod check;
+mod document;
 mod evaluate;
 #[cfg(test)]
 mod lathe;

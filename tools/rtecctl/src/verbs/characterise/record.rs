@@ -20,6 +20,9 @@ pub(crate) struct Args {
     /// The run record to write; its CSV stands beside it
     #[arg(long, value_name = "NAME.run.toml")]
     out: PathBuf,
+    /// Put the finished record into this folder too, for `rtecctl ship`
+    #[arg(long, value_name = "DIR")]
+    spool: Option<PathBuf>,
     #[command(flatten)]
     recorder: Recorder,
 }
@@ -111,7 +114,12 @@ fn usage(found: String, expected: &str) -> InputError {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    record(&args.out, &args.recorder, false)
+    record(&args.out, &args.recorder, false)?;
+    if let Some(spool) = &args.spool {
+        rtec_measure::spool::add(&args.out, spool)
+            .with_context(|| format!("writing to {}", spool.display()))?;
+    }
+    Ok(())
 }
 
 /// Records a run into `out`; a shift's log need not have a response, unless it is asked for.

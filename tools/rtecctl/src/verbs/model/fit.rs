@@ -4,14 +4,12 @@ use crate::figures::with_bounds;
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_fit::least;
-use rtec_fit::thermal::{self, Fitted, Options, Report};
-use rtec_measure::plausible::{self, Suspicion};
+use rtec_fit::thermal::{self, Fitted, Report};
+use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::Chart;
 use rtec_model::date;
-use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::Record;
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -80,18 +78,35 @@ pub(crate) struct FitArgs {
     despite_suspicions: bool,
 }
 
-pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
-    let Done { reports, doubts, .. } = run_fit(&args.common, &[], Some(0), 365)?;
-    if args.common.json {
-        return print_json(&reports, &doubts, |r| {
-            serde_json::json!({
-                "response": r.response, "environment": r.environment, "environment_by": r.environment_by,
-                "kept": r.kept, "dropped": r.dropped, "pairs": r.pairs, "rounds": r.rounds,
-                "alternatives": r.alternatives, "warnings": r.warnings,
-            })
-        });
+impl Common {
+    fn asked(&self) -> anyhow::Result<Asked> {
+        Ok(Asked {
+            sensors: self.sensors.clone(),
+            environment: self.environment.clone(),
+            folds: usize::from(self.folds),
+            lag: !self.no_lag,
+            square: !self.no_square,
+            base: self.base.as_deref().map(Machine::read).transpose()?,
+            ..Asked::default()
+        })
     }
-    for r in &reports {
+
+    fn fit(&self, holdout: &[PathBuf], asked: &Asked) -> anyhow::Result<Fit> {
+        let done = workflow::fit(read(&self.records)?, read(holdout)?, asked, &mut suspicions::say)?;
+        if let Some(path) = &self.plot {
+            draw(path, &done.reports.iter().map(Report::chart).collect::<Vec<_>>())?;
+        }
+        Ok(done)
+    }
+}
+
+pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
+    let asked = Asked { date: Some(0), ..args.common.asked()? };
+    let done = args.common.fit(&[], &asked)?;
+    if args.common.json {
+        return print_json(&done.selection()?);
+    }
+    for r in &done.reports {
         print_selection(r);
     }
     Ok(())
@@ -104,17 +119,24 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
             InputError::whole(Path::new("--date"), format!("`{text}`"), "a day as YYYY-MM-DD")
         })?),
     };
+    let asked = Asked {
+        date: day,
+        valid_days: i64::from(args.valid_days),
+        despite_suspicions: args.despite_suspicions,
+        ..args.common.asked()?
+    };
     if !args.effects.is_empty() {
-        return named(args, day);
+        return named(args, &asked);
     }
-    let Done { machine, reports, doubts } =
-        run_fit(&args.common, &args.holdout, day, i64::from(args.valid_days))?;
-    suspicions::refuse(&doubts, &args.common.records, args.despite_suspicions)?;
-    machine.write(&args.out)?;
+    let done = args.common.fit(&args.holdout, &asked)?;
+    if !args.despite_suspicions {
+        done.is_to_be_written(&args.common.records.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
+    }
+    done.machine.write(&args.out)?;
     if args.common.json {
-        return print_json(&reports, &doubts, |r| serde_json::to_value(r).unwrap_or_default());
+        return print_json(&done.document()?);
     }
-    for r in &reports {
+    for r in &done.reports {
         print_selection(r);
         print_effects(&r.effects);
         let list = |v: &[f64]| v.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(" ");
@@ -162,27 +184,14 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 }
 
 /// Effects that the user names, by least squares.
-fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
-    let records = read(&args.common.records)?;
-    let doubts = suspicions::warn(&records);
-    let (records, _) = suspicions::once(records, Vec::new());
-    let (records, _) = suspicions::usable(&records, &doubts);
-    suspicions::refuse(&doubts, &args.common.records, args.despite_suspicions)?;
-    let base = if let Some(path) = &args.common.base {
-        Machine::read(path)?
-    } else {
-        Machine::ideal(&format!("fit of {}", args.effects.join(", ")))
-    };
-    let date = date::format(day.unwrap_or_else(|| day_of(&records)));
-    let records: Vec<&Record> = records.iter().collect();
-    let (machine, report) =
-        least::fit_named(&base, &args.effects, &records, &date, i64::from(args.valid_days))?;
-    for w in &report.warnings {
-        eprintln!("warning: {w}");
-    }
+fn named(args: &FitArgs, asked: &Asked) -> anyhow::Result<()> {
+    let done = workflow::fit_named(read(&args.common.records)?, &args.effects, asked, &mut suspicions::say)?;
+    let (machine, report) = (&done.machine, &done.report);
     if let Some(path) = &args.common.plot {
+        let ideal = Machine::ideal("");
+        let base = asked.base.as_ref().unwrap_or(&ideal);
         let mut charts = Vec::new();
-        for record in &records {
+        for record in &done.records {
             let (before, after) = (base.beyond(record)?, machine.beyond(record)?);
             let both = before.responses().zip(after.responses());
             charts.extend(both.map(|(b, a)| thermal::residual_chart(record, &b.role, &b.data, &a.data)));
@@ -191,10 +200,7 @@ fn named(args: &FitArgs, day: Option<i64>) -> anyhow::Result<()> {
     }
     machine.write(&args.out)?;
     if args.common.json {
-        let mut document = serde_json::to_value(&report)?;
-        suspicions::enter(&mut document, &doubts);
-        println!("{}", serde_json::to_string_pretty(&document)?);
-        return Ok(());
+        return print_json(&done.document()?);
     }
     print_effects(&report.effects);
     for (response, [before, after]) in &report.rms_um {
@@ -225,60 +231,6 @@ fn read(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
     paths.iter().map(|p| rtec_measure::record::read(p)).collect()
 }
 
-/// The day of the latest record that has one; today where none has.
-fn day_of(records: &[Record]) -> i64 {
-    let dated = records.iter().filter_map(|r| date::parse(r.date.as_deref()?)).max();
-    dated.unwrap_or_else(date::today)
-}
-
-/// A fit, and what its records show of mistakes.
-struct Done {
-    machine: Machine,
-    reports: Vec<Report>,
-    doubts: Vec<Suspicion>,
-}
-
-fn run_fit(common: &Common, holdout: &[PathBuf], date: Option<i64>, valid_days: i64) -> anyhow::Result<Done> {
-    let (train, holdout) = (read(&common.records)?, read(holdout)?);
-    let doubts = suspicions::warn(&[train.as_slice(), &holdout].concat());
-    let (train, holdout) = suspicions::once(train, holdout);
-    // What a hold-out shows takes nothing from the training.
-    let (train, _) = suspicions::usable(&train, &plausible::suspicions(&train));
-    for record in train.iter().chain(&holdout).filter(|r| r.column(&Role::Time).is_none()) {
-        let file = record.path.display();
-        eprintln!(
-            "warning: {file}: no column of role time: lags and spans of time in it are numbers of rows"
-        );
-    }
-    let sensors = common.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
-    for d in closed(&sensors) {
-        eprintln!(
-            "warning: --sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
-        );
-    }
-    let options = Options {
-        sensors,
-        environment: common.environment.clone(),
-        folds: usize::from(common.folds),
-        lag: !common.no_lag,
-        square: !common.no_square,
-        base: common.base.as_deref().map(Machine::read).transpose()?,
-        date: date.unwrap_or_else(|| day_of(&train)),
-        valid_days,
-    };
-    let (machine, reports) =
-        thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
-    for r in &reports {
-        for w in &r.warnings {
-            eprintln!("warning: {}: {w}", r.response);
-        }
-    }
-    if let Some(path) = &common.plot {
-        draw(path, &reports.iter().map(Report::chart).collect::<Vec<_>>())?;
-    }
-    Ok(Done { machine, reports, doubts })
-}
-
 /// The first chart into the file, every other one beside it with its number.
 pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
     for (i, chart) in charts.iter().enumerate() {
@@ -290,57 +242,8 @@ pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `T8-T18` or `T8`; names that hold a minus themselves are tried whole first.
-fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
-    if record.temperature(text).is_some() {
-        return Ok(Difference::single(text));
-    }
-    let known = |s: &str| record.temperature(s).is_some();
-    let places = text.match_indices('-').map(|(i, _)| (&text[..i], &text[i + 1..]));
-    let pair = places.into_iter().find(|(a, b)| known(a) && known(b));
-    pair.map(|(a, b)| Difference::pair(a, b)).ok_or_else(|| {
-        let has = record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
-        InputError::whole(
-            Path::new("--sensors"),
-            format!("`{text}`"),
-            format!("a sensor or SENSOR-SENSOR of {has}"),
-        )
-    })
-}
-
-/// Differences that those before them make up: T1-T0 beside T1-T2 and T2-T0.
-fn closed(differences: &[Difference]) -> Vec<String> {
-    // Sensors that differences connect are one group; a difference within a group says nothing new.
-    let mut group: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
-    let mut out = Vec::new();
-    for (k, d) in differences.iter().enumerate() {
-        let ends = if d.is_pair() {
-            d.sensors().map(str::to_owned).collect::<Vec<_>>()
-        } else {
-            // The environment, whichever it is.
-            vec![d.to_string(), String::new()]
-        };
-        let own: Vec<usize> =
-            ends.iter().enumerate().map(|(i, e)| *group.entry(e.clone()).or_insert(2 * k + i)).collect();
-        if own[0] == own[1] {
-            out.push(d.to_string());
-        }
-        group.values_mut().filter(|g| **g == own[1]).for_each(|g| *g = own[0]);
-    }
-    out
-}
-
-fn print_json(
-    reports: &[Report],
-    doubts: &[Suspicion],
-    of: impl Fn(&Report) -> serde_json::Value,
-) -> anyhow::Result<()> {
-    let mut document = match reports {
-        [one] => of(one),
-        many => serde_json::json!({ "responses": many.iter().map(of).collect::<Vec<_>>() }),
-    };
-    suspicions::enter(&mut document, doubts);
-    println!("{}", serde_json::to_string_pretty(&document)?);
+fn print_json(document: &serde_json::Value) -> anyhow::Result<()> {
+    println!("{}", serde_json::to_string_pretty(document)?);
     Ok(())
 }
 
@@ -361,25 +264,5 @@ fn print_selection(r: &Report) {
     }
     for (i, round) in r.rounds.iter().enumerate() {
         println!("round {}: {:40} R {:.5}  CV {:.3} µm", i + 1, round.added, round.r, round.cv_rms_um);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_difference_that_others_make_up_is_found() {
-        let of = |all: &[(&str, &str)]| {
-            let each = |(a, b): &(&str, &str)| match *b {
-                "" => Difference::single(a),
-                minus => Difference::pair(a, minus),
-            };
-            closed(&all.iter().map(each).collect::<Vec<_>>())
-        };
-        assert_eq!(of(&[("T1", "T2"), ("T2", "T0"), ("T1", "T0")]), ["T1-T0"]);
-        assert_eq!(of(&[("T1", ""), ("T2", ""), ("T2", "T1")]), ["T2-T1"]);
-        assert_eq!(of(&[("T1", "T0"), ("T2", "T0"), ("T3", "T4")]), [""; 0]);
-        assert_eq!(of(&[("T1", ""), ("T2", "")]), [""; 0]);
     }
 }

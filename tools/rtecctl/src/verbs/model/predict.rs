@@ -1,7 +1,8 @@
 //! `rtecctl model predict`: the sum of a model's effects at every row of a record.
 
+use crate::verbs::suspicions;
 use anyhow::Context;
-use rtec_files::InputError;
+use rtec_measure::prediction;
 use rtec_model::machine::Machine;
 use std::path::PathBuf;
 
@@ -25,29 +26,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let record = rtec_measure::record::read(&args.record)?;
-    let prediction = machine.predict(&record)?;
-    for (effect, role) in &prediction.taken_as_zero {
-        eprintln!("warning: {}: no {role} in the record, taken as zero for {effect}", args.record.display());
-    }
-    for warning in machine.out_of_range(&record) {
-        eprintln!("warning: {}: {warning}", args.record.display());
-    }
-    let mut columns = Vec::new();
-    for (response, (name, data)) in record.responses().zip(prediction.columns) {
-        if args.interval {
-            let Some(width) = machine.half_widths_um(&record, &response.role) else {
-                let found = format!("no fit of {}", response.role);
-                let expected = "a [[fit]] that states its interval, as `model fit` writes it";
-                return Err(InputError::whole(&args.machine, found, expected).into());
-            };
-            let bound = |sign: f64| data.iter().zip(&width).map(|(p, w)| p + sign * w).collect::<Vec<f64>>();
-            let (low, high) = (bound(-1.0), bound(1.0));
-            columns.push((format!("low_{name}"), low));
-            columns.push((format!("high_{name}"), high));
-        }
-        columns.push((format!("predicted_{name}"), data));
-    }
-    let text = rtec_measure::record::csv_with(&record, &columns)?;
+    let text = prediction::csv(&machine, &record, args.interval, &mut suspicions::say)?;
     rtec_files::write::whole(&args.out, text.as_bytes())
         .with_context(|| format!("writing {}", args.out.display()))
 }

@@ -1,10 +1,10 @@
 //! `rtecctl model show` and `compare`: what a model says, and what sets two apart.
 
 use crate::figures::alike;
-use rtec_model::chain::{Branch, COMPONENTS, Chain, Component, Term};
+use rtec_model::chain::{self, COMPONENTS, Chain, Term};
 use rtec_model::date;
 use rtec_model::effect::Effect;
-use rtec_model::machine::{Listed, Machine};
+use rtec_model::machine::Machine;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -43,7 +43,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         Err(error) => match Chain::read(&args.machine) {
             Ok(chain) => {
                 if args.json {
-                    println!("{}", serde_json::to_string_pretty(&json!({"chain": chain_json(&chain)}))?);
+                    println!("{}", serde_json::to_string_pretty(&json!({"chain": chain.to_json()}))?);
                 } else {
                     print!("{}", chain_text(&chain));
                 }
@@ -56,18 +56,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
     if args.json {
-        let effects: Vec<Value> = machine.listed().iter().map(effect_json).collect();
-        let fits: Vec<Value> = machine
-            .fits()
-            .iter()
-            .map(|f| {
-                json!({"response": f.response, "date": f.date, "valid_until": f.valid_until, "rms_um": f.rms_um,
-                       "half_width_um": f.half_width_um, "by_kind_um": f.by_kind_um})
-            })
-            .collect();
-        let document = json!({"name": machine.name(), "effects": effects, "fits": fits,
-                              "chain": machine.chain().map(chain_json)});
-        println!("{}", serde_json::to_string_pretty(&document)?);
+        println!("{}", serde_json::to_string_pretty(&machine.to_json())?);
         return Ok(());
     }
     println!("{}", machine.name());
@@ -132,7 +121,7 @@ fn chain_text(chain: &Chain) -> String {
     let mut text = format!("chain to a tool point at {x}, {y}, {z} mm of the last frame\n");
     for joint in &chain.joints {
         let [x, y, z] = joint.offset_mm.map(short);
-        let _ = write!(text, "{} ({}), offset {x}, {y}, {z} mm", joint.name, branch(joint.branch));
+        let _ = write!(text, "{} ({}), offset {x}, {y}, {z} mm", joint.name, joint.branch.name());
         if let Some((axis, along)) = &joint.axis {
             let [x, y, z] = along.map(short);
             let _ = write!(text, ", moved by {axis} along {x}, {y}, {z}");
@@ -141,8 +130,13 @@ fn chain_text(chain: &Chain) -> String {
         for c in &joint.components {
             let terms: Vec<String> = c.terms.iter().map(term).collect();
             let delta = c.delta.as_ref().map_or(String::new(), |d| format!("   ΔT = {}", d.in_full()));
-            let _ =
-                writeln!(text, "    {} = {} {}{delta}", COMPONENTS[c.kind], terms.join(" "), unit(c.kind));
+            let _ = writeln!(
+                text,
+                "    {} = {} {}{delta}",
+                COMPONENTS[c.kind],
+                terms.join(" "),
+                chain::unit(c.kind)
+            );
         }
     }
     text
@@ -160,59 +154,10 @@ fn term(t: &Term) -> String {
     format!("{sign}{size}{}{}", power("(p/100 mm)", t.position), power("ΔT", t.temperature))
 }
 
-fn unit(kind: usize) -> &'static str {
-    if kind < 3 { "µm" } else { "µrad" }
-}
-
-fn branch(branch: Branch) -> &'static str {
-    match branch {
-        Branch::Work => "work",
-        Branch::Tool => "tool",
-    }
-}
-
-fn chain_json(chain: &Chain) -> Value {
-    let component = |c: &Component| {
-        let terms: Vec<Value> = (c.terms.iter())
-            .map(|t| json!({"p": t.position, "dT": t.temperature, "value": t.coefficient}))
-            .collect();
-        json!({"of": COMPONENTS[c.kind], "unit": unit(c.kind), "delta": c.delta.as_ref().map(ToString::to_string),
-               "terms": terms})
-    };
-    let joints: Vec<Value> = (chain.joints.iter())
-        .map(|j| {
-            json!({"name": j.name, "branch": branch(j.branch), "offset_mm": j.offset_mm,
-                   "axis": j.axis.as_ref().map(|a| a.0.as_str()), "direction": j.axis.as_ref().map(|a| a.1),
-                   "components": j.components.iter().map(component).collect::<Vec<_>>()})
-        })
-        .collect();
-    json!({"tool_mm": chain.tool_mm, "joints": joints})
-}
-
 /// A name with its sensor.
 fn heading(effect: &Effect) -> String {
     let delta = effect.delta.as_ref().map_or(String::new(), |d| format!(" ({})", d.in_full()));
     format!("{}{delta}", effect.name())
-}
-
-fn effect_json(l: &Listed) -> Value {
-    let parameters: BTreeMap<&str, Value> = l
-        .effect
-        .description()
-        .parameters
-        .iter()
-        .enumerate()
-        .map(|(i, p)| {
-            let value = if p.array { json!(l.effect.get(i)) } else { json!(l.effect.scalar(i)) };
-            let interval = l.provenance.interval.get(&p.name);
-            (p.name.as_str(), json!({"value": value, "unit": p.unit, "interval": interval}))
-        })
-        .collect();
-    json!({
-        "name": l.effect.name(), "law": l.effect.description().law, "delta": l.effect.delta.as_ref().map(ToString::to_string),
-        "parameters": parameters, "range_K": l.effect.range_k, "added_by": l.provenance.added_by,
-        "experiment": l.effect.description().experiment,
-    })
 }
 
 pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {

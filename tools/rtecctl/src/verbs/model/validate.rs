@@ -6,6 +6,7 @@ use anyhow::Context;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
 use rtec_fit::thermal;
+use rtec_measure::plausible;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
 use rtec_model::machine::Machine;
@@ -62,7 +63,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     let mut worse: Vec<String> = Vec::new();
     let records =
         args.records.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
-    let doubts = suspicions::warn(&records);
+    let doubts = plausible::said(&records, &mut suspicions::say);
     for (path, record) in args.records.iter().zip(&records) {
         let prediction = machine.predict(record)?;
         let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
@@ -130,7 +131,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     }
     if args.json {
         let mut document = json!({ "responses": found, "no_better": worse });
-        suspicions::enter(&mut document, &doubts);
+        plausible::enter(&mut document, &doubts);
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         for v in &found {

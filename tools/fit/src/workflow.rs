@@ -1,0 +1,278 @@
+//! A fit from records as people give them: what is doubted in them is said and left out, then sensors are chosen or named
+//! effects fitted; the document that programs read.
+
+use crate::least::{self, NamedReport};
+use crate::thermal::{self, Options, Report};
+use rtec_files::{InputError, Said};
+use rtec_measure::plausible::{self, Suspicion};
+use rtec_model::date;
+use rtec_model::effect::Difference;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Record, Role};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What a fit is asked with.
+#[derive(Debug, Clone)]
+pub struct Asked {
+    /// Differences to choose from, as `T0` (to the environment) or `T8-T18`; empty for all sensors.
+    pub sensors: Vec<String>,
+    /// The sensor of the environment; the coldest on average where it is left out.
+    pub environment: Option<String>,
+    /// Blocks of the cross-validation, 3 to 50.
+    pub folds: usize,
+    /// Offer lags.
+    pub lag: bool,
+    /// Offer squares.
+    pub square: bool,
+    /// What is known already.
+    pub base: Option<Machine>,
+    /// The day that the model carries, days since 1970-01-01; that of the latest record where it is left out, today
+    /// where none has one.
+    pub date: Option<i64>,
+    /// Days that the model may be used for without being looked at again.
+    pub valid_days: i64,
+    /// Fit although a record looks as if a unit, a sign, a direction or a column were wrong.
+    pub despite_suspicions: bool,
+}
+
+impl Default for Asked {
+    fn default() -> Self {
+        Self {
+            sensors: Vec::new(),
+            environment: None,
+            folds: 10,
+            lag: true,
+            square: true,
+            base: None,
+            date: None,
+            valid_days: 365,
+            despite_suspicions: false,
+        }
+    }
+}
+
+/// A fit, and what its records show of mistakes.
+#[derive(Debug)]
+pub struct Fit {
+    /// The model with what was fitted.
+    pub machine: Machine,
+    /// How it was found, per response.
+    pub reports: Vec<Report>,
+    /// Mistakes that the records show.
+    pub doubts: Vec<Suspicion>,
+}
+
+/// A fit of effects that were named.
+#[derive(Debug)]
+pub struct NamedFit {
+    /// The model with what was fitted.
+    pub machine: Machine,
+    /// What was found.
+    pub report: NamedReport,
+    /// Mistakes that the records show.
+    pub doubts: Vec<Suspicion>,
+    /// The records as they were fitted.
+    pub records: Vec<Record>,
+}
+
+/// Chooses sensors and fits growth; `holdout` never influences it, only the last figures. What is to be said on the way
+/// goes to `say`. The model of doubted records is for looking at: [`Fit::is_to_be_written`] asks before it is kept.
+///
+/// # Errors
+/// No record; a sensor that is not there; records that say nothing of growth.
+pub fn fit(
+    train: Vec<Record>,
+    holdout: Vec<Record>,
+    asked: &Asked,
+    say: &mut dyn FnMut(Said),
+) -> Result<Fit, InputError> {
+    let doubts = plausible::said(&[train.as_slice(), &holdout].concat(), say);
+    let (train, holdout) = plausible::once(train, holdout);
+    if train.is_empty() {
+        return Err(InputError::whole(Path::new("model fit"), "no record", "a record to fit on"));
+    }
+    // What a hold-out shows takes nothing from the training.
+    let train = plausible::usable(&train, &plausible::suspicions(&train), say);
+    for record in train.iter().chain(&holdout).filter(|r| r.column(&Role::Time).is_none()) {
+        let file = record.path.display();
+        say(Said::Warning(format!(
+            "{file}: no column of role time: lags and spans of time in it are numbers of rows"
+        )));
+    }
+    let sensors = asked.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
+    for d in closed(&sensors) {
+        say(Said::Warning(format!(
+            "--sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
+        )));
+    }
+    let options = Options {
+        sensors,
+        environment: asked.environment.clone(),
+        folds: asked.folds,
+        lag: asked.lag,
+        square: asked.square,
+        base: asked.base.clone(),
+        date: asked.date.unwrap_or_else(|| day_of(&train)),
+        valid_days: asked.valid_days,
+    };
+    let (machine, reports) =
+        thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
+    for r in &reports {
+        for w in &r.warnings {
+            say(Said::Warning(format!("{}: {w}", r.response)));
+        }
+    }
+    Ok(Fit { machine, reports, doubts })
+}
+
+/// Fits effects by their names (`scale.x`, `thermal_expansion.x:T3-T20`), beside what the base holds.
+///
+/// # Errors
+/// No record; a suspicion against one, where it is not overruled; an unknown effect, or one that these records say
+/// nothing of.
+pub fn fit_named(
+    records: Vec<Record>,
+    effects: &[String],
+    asked: &Asked,
+    say: &mut dyn FnMut(Said),
+) -> Result<NamedFit, InputError> {
+    let paths: Vec<_> = records.iter().map(|r| r.path.clone()).collect();
+    let doubts = plausible::said(&records, say);
+    let (records, _) = plausible::once(records, Vec::new());
+    if records.is_empty() {
+        return Err(InputError::whole(Path::new("model fit"), "no record", "a record to fit on"));
+    }
+    let records = plausible::usable(&records, &doubts, say);
+    if !asked.despite_suspicions {
+        plausible::refuse(&doubts, &paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
+    }
+    let base =
+        asked.base.clone().unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
+    let day = date::format(asked.date.unwrap_or_else(|| day_of(&records)));
+    let borrowed: Vec<&Record> = records.iter().collect();
+    let (machine, report) = least::fit_named(&base, effects, &borrowed, &day, asked.valid_days)?;
+    for w in &report.warnings {
+        say(Said::Warning(w.clone()));
+    }
+    Ok(NamedFit { machine, report, doubts, records })
+}
+
+impl Fit {
+    /// Whether the model may be kept: not from training records in which a unit, a sign, a direction or a column looks wrong.
+    ///
+    /// # Errors
+    /// The first such suspicion.
+    pub fn is_to_be_written(&self, train: &[&Path]) -> Result<(), InputError> {
+        plausible::refuse(&self.doubts, train)
+    }
+
+    /// What programs read of the fit.
+    ///
+    /// # Errors
+    /// A figure that JSON does not have.
+    pub fn document(&self) -> serde_json::Result<Value> {
+        self.of(|r| serde_json::to_value(r))
+    }
+
+    /// What programs read of the choice of sensors alone.
+    ///
+    /// # Errors
+    /// A figure that JSON does not have.
+    pub fn selection(&self) -> serde_json::Result<Value> {
+        self.of(|r| {
+            Ok(serde_json::json!({
+                "response": r.response, "environment": r.environment, "environment_by": r.environment_by,
+                "kept": r.kept, "dropped": r.dropped, "pairs": r.pairs, "rounds": r.rounds,
+                "alternatives": r.alternatives, "warnings": r.warnings,
+            }))
+        })
+    }
+
+    fn of(&self, one: impl Fn(&Report) -> serde_json::Result<Value>) -> serde_json::Result<Value> {
+        let mut all = self.reports.iter().map(one).collect::<serde_json::Result<Vec<_>>>()?;
+        let mut document =
+            if all.len() == 1 { all.remove(0) } else { serde_json::json!({ "responses": all }) };
+        plausible::enter(&mut document, &self.doubts);
+        Ok(document)
+    }
+}
+
+impl NamedFit {
+    /// What programs read of it.
+    ///
+    /// # Errors
+    /// A figure that JSON does not have.
+    pub fn document(&self) -> serde_json::Result<Value> {
+        let mut document = serde_json::to_value(&self.report)?;
+        plausible::enter(&mut document, &self.doubts);
+        Ok(document)
+    }
+}
+
+/// The day of the latest record that has one; today where none has.
+fn day_of(records: &[Record]) -> i64 {
+    let dated = records.iter().filter_map(|r| date::parse(r.date.as_deref()?)).max();
+    dated.unwrap_or_else(date::today)
+}
+
+/// `T8-T18` or `T8`; names that hold a minus themselves are tried whole first.
+fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
+    if record.temperature(text).is_some() {
+        return Ok(Difference::single(text));
+    }
+    let known = |s: &str| record.temperature(s).is_some();
+    let places = text.match_indices('-').map(|(i, _)| (&text[..i], &text[i + 1..]));
+    let pair = places.into_iter().find(|(a, b)| known(a) && known(b));
+    pair.map(|(a, b)| Difference::pair(a, b)).ok_or_else(|| {
+        let has = record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
+        InputError::whole(
+            Path::new("--sensors"),
+            format!("`{text}`"),
+            format!("a sensor or SENSOR-SENSOR of {has}"),
+        )
+    })
+}
+
+/// Differences that those before them make up: T1-T0 beside T1-T2 and T2-T0.
+fn closed(differences: &[Difference]) -> Vec<String> {
+    // Sensors that differences connect are one group; a difference within a group says nothing new.
+    let mut group: BTreeMap<String, usize> = BTreeMap::new();
+    let mut out = Vec::new();
+    for (k, d) in differences.iter().enumerate() {
+        let ends = if d.is_pair() {
+            d.sensors().map(str::to_owned).collect::<Vec<_>>()
+        } else {
+            // The environment, whichever it is.
+            vec![d.to_string(), String::new()]
+        };
+        let own: Vec<usize> =
+            ends.iter().enumerate().map(|(i, e)| *group.entry(e.clone()).or_insert(2 * k + i)).collect();
+        if own[0] == own[1] {
+            out.push(d.to_string());
+        }
+        group.values_mut().filter(|g| **g == own[1]).for_each(|g| *g = own[0]);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_that_others_make_up_is_found() {
+        let of = |all: &[(&str, &str)]| {
+            let each = |(a, b): &(&str, &str)| match *b {
+                "" => Difference::single(a),
+                minus => Difference::pair(a, minus),
+            };
+            closed(&all.iter().map(each).collect::<Vec<_>>())
+        };
+        assert_eq!(of(&[("T1", "T2"), ("T2", "T0"), ("T1", "T0")]), ["T1-T0"]);
+        assert_eq!(of(&[("T1", ""), ("T2", ""), ("T2", "T1")]), ["T2-T1"]);
+        assert_eq!(of(&[("T1", "T0"), ("T2", "T0"), ("T3", "T4")]), [""; 0]);
+        assert_eq!(of(&[("T1", ""), ("T2", "")]), [""; 0]);
+    }
+}

@@ -1,0 +1,381 @@
+//! One machine's figures of merit over time: what each of its records says, with limits and trend.
+
+use crate::iso230::{self, Options};
+use crate::plot::PlotError;
+use crate::report::{self, Report};
+use crate::{ballbar, evaluation::Standard};
+use rtec_files::InputError;
+use rtec_files::toml::Document;
+use rtec_model::date;
+use rtec_model::record::{Column, Record, Role};
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Growth is not told from less than this, K.
+const LEAST_RANGE_K: f64 = 1.0;
+/// A straight line over time needs so many records.
+const FEWEST: usize = 3;
+/// Days of a year.
+const YEAR: f64 = 365.25;
+/// What a trend does not reach within so many days is no warning.
+const FAR_DAYS: f64 = 3650.0;
+/// Figures of positioning that are followed, with their meaning.
+const POSITIONING: [&str; 5] = ["A", "E", "M", "R", "B_mean"];
+
+/// Bounds of what a figure may be, either side of zero: by its whole name (`x.A`) or for every axis (`A`).
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Limits(BTreeMap<String, f64>);
+
+impl Limits {
+    /// Reads a file with a table `[limits]`: `"x.A" = 12.0`, `B_mean = 5.0`.
+    ///
+    /// # Errors
+    /// The first finding: an unknown key, a figure that is none, a limit that is no number above zero.
+    pub fn read(path: &Path) -> Result<Self, InputError> {
+        let text = rtec_files::text::read(path)?;
+        let document = Document::parse(path, &text)?;
+        let root = document.root();
+        root.only(&["limits"])?;
+        let value = root.required("limits", "a table [limits]")?;
+        let table = value.table("a table [limits]")?;
+        let mut limits = BTreeMap::new();
+        for entry in table.entries() {
+            let name = entry.key();
+            let figure = name.rsplit('.').next().unwrap_or(name);
+            if !NAMES.contains(&figure) {
+                let expected = format!("one of {}, or with an axis, as \"x.A\"", NAMES.join(", "));
+                return Err(entry.key_error(format!("figure `{name}`"), expected));
+            }
+            limits.insert(name.to_owned(), entry.positive("a limit above zero")?);
+        }
+        Ok(Self(limits))
+    }
+
+    /// Of limits by name.
+    #[must_use]
+    pub fn of(limits: impl IntoIterator<Item = (String, f64)>) -> Self {
+        Self(limits.into_iter().collect())
+    }
+
+    fn for_figure(&self, name: &str) -> Option<f64> {
+        let short = name.rsplit('.').next().unwrap_or(name);
+        self.0.get(name).or_else(|| self.0.get(short)).copied()
+    }
+}
+
+/// Every figure that has a history.
+pub const NAMES: [&str; 7] = ["A", "E", "M", "R", "B_mean", "squareness_urad", "growth_um_per_K"];
+
+/// What one record says of a figure.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Point {
+    /// The day of the record.
+    pub date: String,
+    /// The record, as it was named.
+    pub record: String,
+    /// The figure, in its unit.
+    pub value: f64,
+    #[serde(skip)]
+    day: i64,
+}
+
+/// A straight line over time.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Trend {
+    /// Change in a year.
+    pub per_year: f64,
+    /// Its 95 % interval.
+    pub interval: [f64; 2],
+    /// The interval does not hold zero.
+    pub drifts: bool,
+    #[serde(skip)]
+    now: f64,
+}
+
+/// A figure over time.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Figure {
+    /// Axis (or plane) and figure, as `x.A`.
+    pub name: String,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The sensor that it is told by.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
+    /// What the records say, in order of time.
+    pub points: Vec<Point>,
+    /// What it may be, either side of zero.
+    pub limit: Option<f64>,
+    /// The last of them is beyond the limit.
+    pub beyond: bool,
+    /// How it changes; none of fewer than three days.
+    pub trend: Option<Trend>,
+    /// The day on which the trend reaches the limit, where it does.
+    pub reaches: Option<String>,
+}
+
+/// A record that stands in no history.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct LeftOut {
+    /// The record, as it was named.
+    pub record: String,
+    /// Why.
+    pub why: String,
+}
+
+/// One machine's history.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct History {
+    /// The machine.
+    pub machine: String,
+    /// Its figures, by name.
+    pub figures: Vec<Figure>,
+    /// Records without a date, or that cannot be read or evaluated.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// One machine's history from its records, each by its path: one that cannot be read is left out and named.
+#[must_use]
+pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
+    let mut found: BTreeMap<String, Figure> = BTreeMap::new();
+    let mut left_out = Vec::new();
+    let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()));
+    for (path, record) in records {
+        let said = record.as_ref().map_err(ToString::to_string).and_then(|r| {
+            let day = r.date.as_deref().and_then(date::parse);
+            let day = day.ok_or_else(|| "no date = \"YYYY-MM-DD\" in it".to_owned())?;
+            Ok((r, day, figures(r, &sensors).map_err(|e| e.to_string())?))
+        });
+        match said {
+            Err(why) => left_out.push(LeftOut { record: path.clone(), why }),
+            Ok((record, day, figures)) => {
+                for (name, unit, sensor, value) in figures {
+                    let figure = found.entry(name.clone()).or_insert_with(|| Figure {
+                        limit: limits.for_figure(&name),
+                        name,
+                        unit,
+                        sensor,
+                        points: Vec::new(),
+                        beyond: false,
+                        trend: None,
+                        reaches: None,
+                    });
+                    let date = record.date.clone().unwrap_or_default();
+                    figure.points.push(Point { date, record: path.clone(), value, day });
+                }
+            }
+        }
+    }
+    let figures = found.into_values().map(judged).collect();
+    History { machine: machine.to_owned(), figures, left_out }
+}
+
+type Said = (String, &'static str, Option<String>, f64);
+
+/// What a record says: of an evaluation that has no history nothing.
+fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<Said>, InputError> {
+    Ok(match Standard::of(record) {
+        Ok(Standard::Iso230_2) => {
+            let all = iso230::positioning_with(record, &Options { one_way: true, ..Options::default() })?;
+            let of = |p: &iso230::Positioning| {
+                let name = |symbol: &str| match p.response.strip_prefix("error.") {
+                    Some(axis) => format!("{axis}.{symbol}"),
+                    None => format!("{}.{symbol}", p.response),
+                };
+                let unit = if p.unit == "urad" { "urad" } else { "um" };
+                let kept = p.figures().into_iter().filter(|(s, _)| POSITIONING.contains(s));
+                kept.filter_map(|(s, v)| Some((name(s), unit, None, v?))).collect::<Vec<_>>()
+            };
+            all.iter().flat_map(of).collect()
+        }
+        Ok(Standard::Ballbar) => {
+            let planes = ballbar::evaluate(std::slice::from_ref(record))?;
+            let of = |b: &ballbar::Ballbar| {
+                let urad = b.diagnosis.squareness_urad?;
+                Some((format!("{}.squareness_urad", b.plane), "urad", None, urad))
+            };
+            planes.iter().filter_map(of).collect()
+        }
+        Ok(Standard::Iso230_3) => {
+            let of = |c: &Column| {
+                let response = c.role.to_string();
+                let sensor = sensors.get(&response)?;
+                let (slope, _, _) = slope(record.temperature(sensor)?, &c.data)?;
+                let axis = c.role.axis().map_or_else(|| response.clone(), ToString::to_string);
+                Some((format!("{axis}.growth_um_per_K"), "um/K", Some(sensor.clone()), slope))
+            };
+            record.responses().filter_map(of).collect()
+        }
+        _ => Vec::new(),
+    })
+}
+
+/// For each response the sensor that tells its growth best over all drift records: one for all, so that they can be compared.
+fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, String> {
+    let mut merit: BTreeMap<(String, String), f64> = BTreeMap::new();
+    for record in records.filter(|r| matches!(Standard::of(r), Ok(Standard::Iso230_3))) {
+        for response in record.responses() {
+            for sensor in record.names(&Role::Temperature) {
+                let told = record.temperature(sensor).and_then(|t| slope(t, &response.data));
+                *merit.entry((response.role.to_string(), sensor.to_owned())).or_default() +=
+                    told.map_or(0.0, |s| s.2.abs());
+            }
+        }
+    }
+    let mut best: BTreeMap<String, (String, f64)> = BTreeMap::new();
+    for ((response, sensor), sum) in merit.into_iter().filter(|m| m.1 > 0.0) {
+        let entry = best.entry(response).or_insert_with(|| (sensor.clone(), sum));
+        if sum > entry.1 {
+            *entry = (sensor, sum);
+        }
+    }
+    best.into_iter().map(|(response, (sensor, _))| (response, sensor)).collect()
+}
+
+/// Slope of a straight line, its standard error, and the correlation; none where x hardly moves.
+fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
+    let n = x.len() as f64;
+    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
+    let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
+    let range =
+        x.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - x.iter().fold(f64::INFINITY, |a, b| a.min(*b));
+    if x.len() < FEWEST || range < LEAST_RANGE_K {
+        return None;
+    }
+    let slope = xy / xx;
+    let left = (yy - slope * xy).max(0.0);
+    let gamma = if yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 };
+    Some((slope, (left / (n - 2.0) / xx).sqrt(), gamma))
+}
+
+fn judged(mut figure: Figure) -> Figure {
+    figure.points.sort_by(|a, b| (a.day, &a.record).cmp(&(b.day, &b.record)));
+    let Some(last) = figure.points.last().cloned() else { return figure };
+    figure.beyond = figure.limit.is_some_and(|l| last.value.abs() > l);
+    let days: Vec<f64> = figure.points.iter().map(|p| (p.day - last.day) as f64).collect();
+    let values: Vec<f64> = figure.points.iter().map(|p| p.value).collect();
+    figure.trend = slope(&days, &values).and_then(|(per_day, error, _)| {
+        let t = StudentsT::new(0.0, 1.0, days.len() as f64 - 2.0).ok()?.inverse_cdf(0.975);
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        let interval = [YEAR * (per_day - t * error), YEAR * (per_day + t * error)];
+        let drifts = interval[0] > 0.0 || interval[1] < 0.0;
+        Some(Trend { per_year: YEAR * per_day, interval, drifts, now: mean(&values) - per_day * mean(&days) })
+    });
+    if let (Some(trend), Some(limit)) = (figure.trend.filter(|t| t.drifts), figure.limit) {
+        let to = if trend.per_year > 0.0 { limit } else { -limit };
+        let in_days = (to - trend.now) / trend.per_year * YEAR;
+        if !figure.beyond && (0.0..FAR_DAYS).contains(&in_days) {
+            figure.reaches = Some(date::format(last.day + in_days as i64));
+        }
+    }
+    figure
+}
+
+impl History {
+    /// A figure's last value is beyond its limit.
+    pub fn beyond(&self) -> impl Iterator<Item = &Figure> {
+        self.figures.iter().filter(|f| f.beyond)
+    }
+
+    /// As a page and as text: the table, and each figure over time.
+    ///
+    /// # Errors
+    /// A plot without a finite point.
+    pub fn report(&self) -> Result<Report, PlotError> {
+        report::history(self)
+    }
+}
+
+impl Figure {
+    /// Days since the first record and values.
+    pub(crate) fn over_days(&self) -> Vec<(f64, f64)> {
+        let first = self.points.first().map_or(0, |p| p.day);
+        self.points.iter().map(|p| ((p.day - first) as f64, p.value)).collect()
+    }
+
+    /// The trend's ends over the same days.
+    pub(crate) fn line(&self) -> Option<[(f64, f64); 2]> {
+        let (trend, last) = (self.trend?, self.over_days().last()?.0);
+        Some([(0.0, trend.now - trend.per_year / YEAR * last), (last, trend.now)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_model::record::{Axis, Kind};
+
+    fn run(name: &str, date: Option<&str>, scale_ppm: f64) -> (String, Result<Record, InputError>) {
+        let x = Axis::new("x").unwrap();
+        let (mut at, mut up, mut e) = (Vec::new(), Vec::new(), Vec::new());
+        for cycle in 0..5 {
+            for side in [1.0, -1.0] {
+                for i in 0..11 {
+                    let target = f64::from(if side > 0.0 { i } else { 10 - i }) * 30.0;
+                    at.push(target);
+                    up.push(side);
+                    e.push(scale_ppm * target / 1000.0 + side + 0.01 * f64::from(cycle % 2));
+                }
+            }
+        }
+        let columns = vec![
+            Column::new("x", Role::Position(x.clone()), at),
+            Column::new("d", Role::Direction(x.clone()), up),
+            Column::new("e", Role::Error(x), e),
+        ];
+        let mut record = Record::new(Path::new(name), Kind::Positioning, columns).unwrap();
+        record.date = date.map(str::to_owned);
+        (name.to_owned(), Ok(record))
+    }
+
+    #[test]
+    fn a_scale_that_grows_is_a_trend_with_a_day() {
+        let mut records: Vec<_> =
+            [("2026-01-01", 10.0), ("2026-04-01", 13.1), ("2026-07-01", 15.9), ("2026-09-30", 19.0)]
+                .into_iter()
+                .map(|(day, ppm)| run(day, Some(day), ppm))
+                .collect();
+        records.reverse();
+        records.push(run("undated", None, 1.0));
+        let gone = InputError::whole(Path::new("gone"), "nothing", "a record");
+        records.push(("gone".to_owned(), Err(gone)));
+        let found =
+            history("m", &records, &Limits::of([("M".to_owned(), 7.0), ("x.B_mean".to_owned(), 1.5)]));
+        let of = |name: &str| found.figures.iter().find(|f| f.name == name).unwrap();
+        let m = of("x.M");
+        // 10 ppm over 300 mm are 3 µm; 9 ppm more in nine months.
+        assert!((m.points[0].value - 3.0).abs() < 0.02 && (m.points[3].value - 5.7).abs() < 0.02, "{m:?}");
+        let trend = m.trend.unwrap();
+        assert!(trend.drifts && (trend.per_year - 3.6).abs() < 0.2, "{trend:?}");
+        assert!(
+            m.reaches.as_deref().is_some_and(|d| d > "2026-12-01" && d < "2027-04-01"),
+            "{:?}",
+            m.reaches
+        );
+        assert!(!m.beyond && of("x.B_mean").beyond && !of("x.B_mean").trend.unwrap().drifts);
+        assert_eq!(found.left_out.len(), 2);
+        let page = found.report().unwrap().html();
+        assert!(page.contains("x.M") && page.contains("undated"), "{page}");
+    }
+
+    #[test]
+    fn limits_are_read_strictly() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("limits.toml");
+        for (text, line, found) in [
+            ("[limits]\nwrong = 1.0\n", 2, "figure `wrong`"),
+            ("[limits]\nA = -1.0\n", 2, "A"),
+            ("[limit]\nA = 1.0\n", 1, "limit"),
+        ] {
+            std::fs::write(&file, text).unwrap();
+            let e = Limits::read(&file).unwrap_err();
+            assert!(e.line == line && e.found.contains(found), "{text}: {e}");
+        }
+        std::fs::write(&file, "[limits]\n\"x.A\" = 12.0\nA = 20\n").unwrap();
+        let limits = Limits::read(&file).unwrap();
+        assert_eq!((limits.for_figure("x.A"), limits.for_figure("y.A")), (Some(12.0), Some(20.0)));
+    }
+}

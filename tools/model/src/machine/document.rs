@@ -1,0 +1,42 @@
+//! A model as a document for programs.
+
+use super::{Listed, Machine};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+
+impl Machine {
+    /// Its effects with parameters, intervals and where they come from, what fits say of themselves, its chain.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
+        let effects: Vec<Value> = self.listed().iter().map(effect_json).collect();
+        let fits: Vec<Value> = self
+            .fits()
+            .iter()
+            .map(|f| {
+                json!({"response": f.response, "date": f.date, "valid_until": f.valid_until, "rms_um": f.rms_um,
+                       "half_width_um": f.half_width_um, "by_kind_um": f.by_kind_um})
+            })
+            .collect();
+        json!({"name": self.name(), "effects": effects, "fits": fits, "chain": self.chain().map(crate::chain::Chain::to_json)})
+    }
+}
+
+fn effect_json(l: &Listed) -> Value {
+    let parameters: BTreeMap<&str, Value> = l
+        .effect
+        .description()
+        .parameters
+        .iter()
+        .enumerate()
+        .map(|(i, p)| {
+            let value = if p.array { json!(l.effect.get(i)) } else { json!(l.effect.scalar(i)) };
+            let interval = l.provenance.interval.get(&p.name);
+            (p.name.as_str(), json!({"value": value, "unit": p.unit, "interval": interval}))
+        })
+        .collect();
+    json!({
+        "name": l.effect.name(), "law": l.effect.description().law, "delta": l.effect.delta.as_ref().map(ToString::to_string),
+        "parameters": parameters, "range_K": l.effect.range_k, "added_by": l.provenance.added_by,
+        "experiment": l.effect.description().experiment,
+    })
+}

@@ -1,0 +1,287 @@
+//! A feature's errors from probed points as people give them: what was asked is checked, what was left out is said, and
+//! numbers that cannot be meant are refused.
+
+use crate::errors::{ErrorReport, Nominal, Probed};
+use crate::fit::Zx;
+use crate::path::{approaches, read_expected, read_pathfin};
+use crate::unit::Unit;
+use rtec_files::{InputError, Said};
+use rtec_model::effect::{Effect, Need};
+use rtec_model::machine::Machine;
+use std::path::{Path, PathBuf};
+
+/// What was probed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Feature {
+    /// A sphere or a fillet.
+    Circle,
+    /// A cylinder, a face or a taper.
+    Line,
+}
+
+/// What is asked of probed points.
+#[derive(Debug, Clone)]
+pub struct Asked {
+    /// The probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`.
+    pub points: PathBuf,
+    /// Nominal radius of a circle, mm.
+    pub radius_mm: Option<f64>,
+    /// Radius of the probe's tip, mm; 0 where it is left out, and that is said.
+    pub tip_mm: Option<f64>,
+    /// What was probed; recognised from the points where it is left out.
+    pub feature: Option<Feature>,
+    /// Nominal inclination of a taper to the part's axis, degrees.
+    pub taper_deg: Option<f64>,
+    /// What this machine's model predicts is taken out.
+    pub machine: Option<PathBuf>,
+    /// Machine position at the part's zero, mm: Z and X.
+    pub origin_mm: Option<Vec<f64>>,
+    /// The expected trips.
+    pub expected: Option<PathBuf>,
+    /// The probe's path: from which side each point was touched, where the points do not say it.
+    pub path: Option<PathBuf>,
+    /// Unit of the expected trips and of the path.
+    pub path_units: Unit,
+    /// How near a trip must be to its expected place, mm.
+    pub trip_window_mm: f64,
+    /// The constant error (size) goes into the table too.
+    pub with_size: bool,
+}
+
+impl Asked {
+    /// Of these points; everything else is left out.
+    #[must_use]
+    pub fn of(points: &Path) -> Self {
+        Self {
+            points: points.to_owned(),
+            radius_mm: None,
+            tip_mm: None,
+            feature: None,
+            taper_deg: None,
+            machine: None,
+            origin_mm: None,
+            expected: None,
+            path: None,
+            path_units: Unit::MM,
+            trip_window_mm: 1.0,
+            with_size: false,
+        }
+    }
+}
+
+fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+    InputError::whole(Path::new(argument), found, expected)
+}
+
+/// A circle so many times larger or smaller than nominal is another one.
+const OTHER_SIZE: f64 = 1.3;
+/// A larger error of size is a wrong number, of radius or tip.
+const NO_SIZE_ERROR_UM: f64 = 500.0;
+/// A taper that is off by more was cut as another one, or asked for as another.
+const OTHER_TAPER_DEG: f64 = 1.0;
+/// An error of this size is no finish cut's.
+const FALSE_TRIP_UM: f64 = 200.0;
+
+/// What was probed, as it was said or as the points have it.
+fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<Nominal, InputError> {
+    let straight = match args.feature {
+        Some(feature) => feature == Feature::Line,
+        None => probed.is_straight(args.radius_mm.is_some())?,
+    };
+    match (straight, args.radius_mm) {
+        (true, Some(radius_mm)) if args.feature.is_none() => {
+            let found = "points on a straight line";
+            let expected = format!(
+                "an arc of {radius_mm} mm; a cylinder, face or taper is --feature line and has no --radius-mm"
+            );
+            Err(InputError::whole(&args.points, found, expected))
+        }
+        (true, _) => {
+            if args.feature.is_none() {
+                say(Said::Note(format!(
+                    "the points lie on a straight line: taken as a cylinder, face or taper"
+                )));
+            }
+            Ok(Nominal::Line { taper_deg: args.taper_deg })
+        }
+        (false, Some(radius_mm)) if radius_mm.is_finite() && radius_mm > 0.0 => {
+            Ok(Nominal::Circle { radius_mm })
+        }
+        (false, _) => Err(usage(
+            "--radius-mm",
+            "no positive radius",
+            "the arc's nominal radius in mm; or --feature line",
+        )),
+    }
+}
+
+/// The points, from which side and where they were expected, and without what the machine's model says.
+fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Zx>>), InputError> {
+    let mut probed = Probed::read(&args.points)?;
+    if let Some(file) = &args.path {
+        let path = read_pathfin(file, args.path_units)?;
+        probed.touched_by(&approaches(&path))?;
+        probed.met_on(&path)?;
+    }
+    let mut places = None;
+    if let Some(file) = &args.expected {
+        let expected = read_expected(file, args.path_units)?;
+        if !(args.trip_window_mm.is_finite() && args.trip_window_mm > 0.0) {
+            return Err(usage("--trip-window-mm", args.trip_window_mm.to_string(), "a positive number"));
+        }
+        probed.check_expected(&expected, args.trip_window_mm)?;
+        places = Some(expected);
+    }
+    if let Some(file) = &args.machine {
+        let machine = Machine::read(file)?;
+        let origin = match args.origin_mm.as_deref() {
+            Some(&[z, x]) if z.is_finite() && x.is_finite() => Zx::new(z, x),
+            Some(other) => {
+                let found = other.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+                return Err(usage("--origin-mm", found, "Z,X: two numbers in mm, as 300,100"));
+            }
+            None => {
+                let placed =
+                    |e: &&Effect| e.description().needs.iter().any(|n| matches!(n, Need::Position(_)));
+                if let Some(effect) = machine.effects().find(placed) {
+                    say(Said::Warning(format!(
+                        "no --origin-mm: the part's zero is taken as the machine's zero, and {} reads the machine's position",
+                        effect.name()
+                    )));
+                }
+                Zx::new(0.0, 0.0)
+            }
+        };
+        let blind = probed.read_blind(&machine);
+        if !blind.is_empty() {
+            say(Said::Warning(format!(
+                "{} of the model: the points do not record what is read (approach_z,approach_x or --path for a direction, t_s \
+                 for the time, no column for others); it counts as none, of the time as the row's number",
+                blind.join(", ")
+            )));
+        }
+        for beyond in probed.beyond_stated(&machine, origin) {
+            say(Said::Warning(format!(
+                "{beyond}; is --origin-mm Z,X, the machine's position at the part's zero?"
+            )));
+        }
+        probed.correct_geometric_thermal(&machine, origin)?;
+    }
+    Ok((probed, places))
+}
+
+/// The errors of the feature that was probed. What is to be said on the way goes to `say`.
+///
+/// # Errors
+/// A file that cannot be read, a number that cannot be meant, points that do not determine the feature.
+pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport, InputError> {
+    if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
+        return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
+    }
+    let tip_mm = args.tip_mm.unwrap_or(0.0);
+    if !(0.0..=1000.0).contains(&tip_mm) {
+        return Err(usage("--tip-mm", format!("{tip_mm}"), "a radius in mm, 0 or more"));
+    }
+    if args.radius_mm.is_some_and(|r| !(r.is_finite() && r > 0.0)) {
+        return Err(usage("--radius-mm", "no positive radius", "the arc's nominal radius in mm"));
+    }
+    let (probed, places) = read(args, say)?;
+    let mut report = probed.errors(nominal(args, &probed, say)?, tip_mm)?;
+    if report.hollow {
+        say(Said::Note(format!(
+            "touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow"
+        )));
+    }
+    if let Some((off, hint)) = taper_slip(args, &report) {
+        say(Said::Warning(format!("{off:+.3}° from --taper-deg{hint}")));
+    }
+    if report.feature == "line" && probed.approach.is_none() {
+        say(Said::Note(format!(
+            "no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
+             errors would come out with the other sign"
+        )));
+    }
+    if args.tip_mm.is_none() {
+        say(Said::Note(format!(
+            "no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
+             the radius (a straight feature's place) is off by the tip's; the form is not"
+        )));
+    }
+    if let (Some(nominal), Some(radius)) = (args.radius_mm, report.radius_mm)
+        && !(1.0 / OTHER_SIZE..=OTHER_SIZE).contains(&(radius / nominal))
+    {
+        let found = format!("a circle of {radius:.3} mm through the points");
+        let hint =
+            if (nominal / radius / 2.0 - 1.0).abs() < 0.02 { "; twice that is its diameter" } else { "" };
+        let expected = format!(
+            "one near {nominal} mm, the radius in mm{hint}; points of a straight feature are --feature line"
+        );
+        return Err(InputError::whole(&args.points, found, expected));
+    }
+    if let (None, Some(expected)) = (report.size_error_um, &places) {
+        report.size_error_um = probed.outside_um(&report, expected);
+    }
+    if args.with_size && report.size_error_um.is_none() {
+        let expected = "--expected PROBPATH.CDL beside it: without places to compare with, a straight feature has no size";
+        return Err(usage("--with-size", "a straight feature", expected));
+    }
+    let farthest =
+        report.errors.iter().enumerate().max_by(|a, b| a.1.error_um.abs().total_cmp(&b.1.error_um.abs()));
+    if let Some((n, e)) = farthest.filter(|(_, e)| e.error_um.abs() > FALSE_TRIP_UM) {
+        say(Said::Warning(format!(
+            "point {n} is {:+.0} µm off the {}, and error.cor takes it as the part's: if it was a false trip, take its row \
+             out, or give the expected trips (--expected)",
+            e.error_um, report.feature
+        )));
+    }
+    if let Some(off_um) = report.size_error_um.filter(|s| s.abs() > NO_SIZE_ERROR_UM) {
+        let tip_um = 1000.0 * tip_mm;
+        let like = if tip_mm > 0.0 && (off_um.abs() - tip_um).abs() < 0.02 * tip_um {
+            ": as much as --tip-mm; is that the tip's diameter, or are the points on the surface already?"
+        } else if tip_mm > 0.0 && (off_um.abs() - tip_um / 2.0).abs() < 0.02 * tip_um {
+            ": half of --tip-mm; is that the tip's diameter?"
+        } else {
+            ": more than a cut part is off; look at --radius-mm and --tip-mm"
+        };
+        say(Said::Warning(format!("{off_um:+.0} µm from nominal{like}")));
+        if args.with_size {
+            return Err(usage(
+                "--with-size",
+                format!("a size error of {off_um:+.0} µm"),
+                "one that a finish cut takes out, within 500 µm",
+            ));
+        }
+    }
+    if let Some((own, robust)) = sizes_differ(&report) {
+        say(Said::Warning(format!(
+            "the size is not certain: {own:+.1} µm by the fit of error.cor, {robust:+.1} µm by the robust fit, which leaves \
+             out {} points; a form error over much of the arc pulls the first{}",
+            report.robust.down_weighted.len(),
+            if args.with_size { ", and it goes into error.cor" } else { "" }
+        )));
+    }
+    Ok(report)
+}
+
+/// A taper so far from nominal is another one, and what may have been meant.
+fn taper_slip(args: &Asked, r: &ErrorReport) -> Option<(f64, &'static str)> {
+    let (asked, found) = args.taper_deg.zip(r.inclination_deg)?;
+    let off = r.inclination_error_deg.filter(|off| off.abs() > OTHER_TAPER_DEG)?;
+    let is = |meant: f64| ((found - meant + 90.0).rem_euclid(180.0) - 90.0).abs() <= OTHER_TAPER_DEG;
+    let hint = if is(-asked) {
+        ": as much as the angle of the other sign; positive is X rising with Z"
+    } else if is(asked / 2.0) || is(-asked / 2.0) {
+        ": half of it is there; is that the cone's whole angle? The taper is to the part's axis"
+    } else if is(90.0 - asked) || is(asked - 90.0) {
+        ": the rest to 90° is there; the taper is to the part's axis, not to the face"
+    } else {
+        ": more than a cut part is off; look at --taper-deg and at the order of z_mm and x_mm"
+    };
+    Some((off, hint))
+}
+
+/// The size by both fits, where they differ by more than what the points scatter by.
+fn sizes_differ(r: &ErrorReport) -> Option<(f64, f64)> {
+    let both = r.size_error_um.zip(r.robust.size_error_um)?;
+    ((both.0 - both.1).abs() > (2.0 * r.robust.scale_um).max(1.0)).then_some(both)
+}

@@ -1,0 +1,95 @@
+"""The real-time error corrector's libraries: records, models, evaluations, verdicts.
+
+Units stand in names: ``_um`` micrometres, ``_mm`` millimetres, ``_s`` seconds, ``_degC``. Arrays are ``float64``, one value per row.
+
+========================================  ==========================================================
+run records                               :func:`read_record`, :func:`record`, :class:`Record`
+machine models                            :func:`read_machine`, :class:`Machine`
+figures after ISO 230                     :func:`evaluate`
+sensors chosen, growth fitted             :func:`select_sensors`, :func:`fit`, :func:`fit_effects`
+what a model lacks                        :func:`reconcile`, :func:`where_they_disagree`
+one machine's figures over time           :func:`history`
+a plan of runs, designs of insertion      :func:`plan`, :func:`designs`
+a recorded trace through the engine       :func:`replay`
+a part's errors                           :func:`part_errors`
+simulated machines                        :func:`simulate`, :func:`example`
+figures                                   :mod:`rtec.plots`
+a shop of many machines                   :mod:`rtec.shop`
+========================================  ==========================================================
+
+Every result holds ``json``, what ``rtecctl … --json`` prints of the same input, byte for byte, and ``document``, the same as Python's
+own dictionaries and lists. What the program says on the way is a Python warning (:class:`InputWarning`) and stands in ``said``.
+Bad input raises :class:`InputError`, with file and line.
+"""
+
+from rtec._results import (
+    Design,
+    Evaluation,
+    Fit,
+    InputWarning,
+    PartErrors,
+    Picture,
+    Plan,
+    Replay,
+    Result,
+    Simulation,
+    Verdict,
+)
+from rtec._rtec import Bug, InputError, RtecError
+from rtec._functions import (
+    Machine,
+    Record,
+    designs,
+    evaluate,
+    example,
+    fit,
+    fit_effects,
+    history,
+    part_errors,
+    plan,
+    read_machine,
+    read_record,
+    reconcile,
+    record,
+    replay,
+    select_sensors,
+    simulate,
+    where_they_disagree,
+)
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Bug",
+    "Design",
+    "Evaluation",
+    "Fit",
+    "InputError",
+    "InputWarning",
+    "Machine",
+    "PartErrors",
+    "Picture",
+    "Plan",
+    "Record",
+    "Replay",
+    "Result",
+    "RtecError",
+    "Simulation",
+    "Verdict",
+    "designs",
+    "evaluate",
+    "example",
+    "fit",
+    "fit_effects",
+    "history",
+    "part_errors",
+    "plan",
+    "read_machine",
+    "read_record",
+    "reconcile",
+    "record",
+    "replay",
+    "select_sensors",
+    "simulate",
+    "where_they_disagree",
+]

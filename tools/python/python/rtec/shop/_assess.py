@@ -1,0 +1,200 @@
+"""Every machine's months judged, one task each."""
+
+from __future__ import annotations
+
+import re
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import pandas as pd
+from dask.distributed import Client, as_completed
+
+import rtec
+from rtec.shop._across import drifting, shared
+from rtec.shop._store import Run, Shop
+
+#: `fixture=F3` in a record's note: what the run had in common with others.
+_NOTED = re.compile(r"(\w+)=([\w.-]+)")
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What was found, as DataFrames."""
+
+    #: A row for each machine: ``verdict`` of its last month, its own causes, causes it shares, ``days_left`` of its model.
+    machines: pd.DataFrame
+    #: A row for each month of each machine: ``verdict``, ``gap_before_um`` and ``gap_after_um``, ``error``, ``seconds`` of one core.
+    months: pd.DataFrame
+    #: A row for each effect that a model lacks: ``machine``, ``month``, ``effect``, ``value``, ``p_value``; `unexplained error.x` is one too.
+    effects: pd.DataFrame
+    #: A row for each figure of each record: ``machine``, ``month``, ``run``, ``figure``, ``value``; or its ``error``.
+    figures: pd.DataFrame
+    #: Causes that many machines share: ``effect``, what they have in common, ``machines``, ``value``, ``p_value``.
+    shared: pd.DataFrame
+    #: Figures that left their own history: ``machine``, ``figure``, ``before``, ``now``, ``times``.
+    drifting: pd.DataFrame
+    #: Models whose validity ends soon: ``machine``, ``days_left``.
+    expiring: pd.DataFrame
+    #: Records that cannot be read or evaluated: ``machine``, ``month``, ``run``, ``error``.
+    unreadable: pd.DataFrame
+
+
+def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -> dict[str, Any]:
+    """One month of one machine. Never raises for what a record or model holds: that is a row."""
+    start = time.process_time()
+    records, figures, noted = [], [], set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rtec.InputWarning)
+        for key in keys:
+            row: dict[str, Any] = {"machine": machine, "month": month, "run": key.rsplit("/", 1)[1]}
+            try:
+                run = shop.get(key)
+                found = rtec.history(run, machine).document
+            except Exception as error:  # whatever a store holds: one row, not the end
+                figures.append(row | {"error": f"{type(error).__name__}: {error}"})
+                continue
+            records.append(run)
+            noted |= set(_NOTED.findall(run.note or ""))
+            for left in found["left_out"]:
+                figures.append(row | {"error": left["why"]})
+            for figure in found["figures"]:
+                point = figure["points"][-1]
+                figures.append(row | {"figure": figure["name"], "date": point["date"], "value": point["value"]})
+        said: dict[str, Any] = {"machine": machine, "month": month, "runs": len(keys), "verdict": None, "error": None}
+        effects: list[dict[str, Any]] = []
+        try:
+            if not records:
+                raise ValueError("no record that can be read")
+            verdict = rtec.reconcile(records, shop.model(machine), level=level)
+            said["verdict"] = verdict.verdict
+            gaps = verdict.document["gap"]
+            gap = gaps if isinstance(gaps, dict) else gaps[0]
+            said |= {"gap_before_um": gap["train"]["before"], "gap_after_um": gap["train"]["after"]}
+            for effect in verdict.effects:
+                name, p = next(iter(effect["parameters"].items()))
+                value = p["value"] if isinstance(p["value"], float) else None
+                of = {"effect": effect["name"], "parameter": name, "value": value, "p_value": effect["p_value"]}
+                effects.append({"machine": machine, "month": month, **of})
+            # What has no name may be shared all the same.
+            for response in sorted({shape["response"] for shape in verdict.document["unexplained"]}):
+                effects.append({"machine": machine, "month": month, "effect": f"unexplained {response}"})
+        except Exception as error:
+            said["error"] = f"{type(error).__name__}: {error}"
+    said["seconds"] = time.process_time() - start
+    said["noted"] = sorted(f"{k}={v}" for k, v in noted)
+    return {"month": said, "effects": effects, "figures": figures}
+
+
+def assess(
+    shop: Shop | str,
+    client: Client | str | None = None,
+    *,
+    today: str | None = None,
+    soon_days: int = 60,
+    level: float = 0.01,
+) -> Assessment:
+    """Judges every month of every machine of a store, and looks over the shop.
+
+    ``client``: a cluster's address (``tcp://…``) or a client of Dask; in this process where it is left out. A task whose worker dies is
+    done again by another one. ``today``: the day that models' validity is seen from.
+    """
+    shop = shop if isinstance(shop, Shop) else Shop(shop)
+    units = [
+        (machine, month, [run.key for run in runs])
+        for (machine, month), runs in groupby(shop.runs(), key=lambda run: (run.machine, run.month))
+    ]
+    if isinstance(client, str):
+        with Client(client) as own:
+            done = _spread(own, shop, units, level)
+    elif client is None:
+        done = [judge(shop, *unit, level) for unit in units]
+    else:
+        done = _spread(client, shop, units, level)
+    done.sort(key=lambda unit: (unit["month"]["machine"], unit["month"]["month"]))
+    return _over(shop, done, today, soon_days)
+
+
+def _spread(client: Client, shop: Shop, units: list[tuple[str, str, list[str]]], level: float) -> list[dict[str, Any]]:
+    futures = {client.submit(judge, shop, *unit, level, pure=False): unit for unit in units}
+    done = []
+    for future in as_completed(list(futures)):
+        machine, month, keys = futures.pop(future)
+        try:
+            done.append(future.result())
+        except Exception as error:  # workers died of it again and again
+            why = f"{type(error).__name__}: {error}"
+            row = {"machine": machine, "month": month, "runs": len(keys), "verdict": None, "error": why, "noted": []}
+            done.append({"month": row, "effects": [], "figures": []})
+        future.release()
+    return done
+
+
+def _frame(rows: list[dict[str, Any]], columns: list[str]) -> pd.DataFrame:
+    frame = pd.DataFrame(rows)
+    return frame.reindex(columns=[*columns, *(c for c in frame.columns if c not in columns)])
+
+
+def _over(shop: Shop, done: list[dict[str, Any]], today: str | None, soon_days: int) -> Assessment:
+    months = _frame(
+        [unit["month"] for unit in done],
+        ["machine", "month", "runs", "verdict", "gap_before_um", "gap_after_um", "error", "seconds", "noted"],
+    )
+    effects = _frame(
+        [effect for unit in done for effect in unit["effects"]],
+        ["machine", "month", "effect", "parameter", "value", "p_value"],
+    )
+    rows = [row for unit in done for row in unit["figures"]]
+    figures = _frame(rows, ["machine", "month", "run", "figure", "date", "value", "error"])
+    bad = figures["error"].notna()
+    attributes = shop.attributes()
+    common = shared(effects, months, attributes)
+    left = drifting(figures[~bad])
+    lives = []
+    for machine in shop.models():
+        try:
+            lives.append({"machine": machine, "days_left": shop.model(machine).days_left(today)})
+        except (rtec.InputError, OSError) as error:
+            lives.append({"machine": machine, "days_left": None, "error": str(error)})
+    life = _frame(lives, ["machine", "days_left"])
+    soon = life[life["days_left"].notna() & (pd.to_numeric(life["days_left"]) <= soon_days)]
+    return Assessment(
+        _machines(months, effects, common, life),
+        months,
+        effects,
+        figures[~bad].drop(columns="error"),
+        common,
+        left,
+        soon.sort_values("days_left").reset_index(drop=True),
+        figures.loc[bad, ["machine", "month", "run", "error"]].reset_index(drop=True),
+    )
+
+
+def _machines(
+    months: pd.DataFrame, effects: pd.DataFrame, common: pd.DataFrame, life: pd.DataFrame
+) -> pd.DataFrame:
+    explained: dict[tuple[str, str], set[str]] = {}
+    for cause in common.itertuples():
+        for machine in cause.machines:
+            explained.setdefault((machine, cause.effect), set()).add(cause.common)
+    rows = []
+    days: Mapping[str, Any] = dict(zip(life["machine"], life["days_left"]))
+    by_machine = {name: group for name, group in effects.groupby("machine")}
+    for machine, own in months.groupby("machine"):
+        last = own.iloc[-1]
+        group = by_machine.get(machine)
+        names = [] if group is None else sorted(set(group["effect"]))
+        rows.append(
+            {
+                "machine": machine,
+                "verdict": last["verdict"],
+                "error": last["error"],
+                "own": [name for name in names if (machine, name) not in explained],
+                "shared": sorted(c for name in names for c in explained.get((machine, name), ())),
+                "days_left": days.get(machine),
+            }
+        )
+    return _frame(rows, ["machine", "verdict", "error", "own", "shared", "days_left"])

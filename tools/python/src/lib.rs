@@ -1,0 +1,27 @@
+//! The libraries from Python: what crosses the border, and nothing else. Every answer is the library's; the shapes that a
+//! reader of Python expects are made in `python/rtec`.
+//!
+//! Each function gives documents as the text that `rtecctl … --json` prints, arrays as numpy's, and last the lines that are
+//! said on the way. Rust works without the interpreter's lock.
+
+mod border;
+mod machine;
+mod record;
+mod work;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _rtec {
+    #[pymodule_export]
+    use super::border::{Bug, InputError, RtecError};
+    #[pymodule_export]
+    use super::machine::Machine;
+    #[pymodule_export]
+    use super::record::Record;
+    #[pymodule_export]
+    use super::work::{
+        designs, evaluate, example, fit, fit_named, history, part_errors, plan, prediction_picture,
+        reconcile, replay, simulate, where_they_disagree,
+    };
+}

@@ -1,0 +1,459 @@
+//! What is asked of the libraries: documents as text, pictures as data.
+
+use crate::border::{Failure, quietly, work};
+use crate::machine::Machine;
+use crate::record::Record;
+use pyo3::prelude::*;
+use rtec_control::config::Config;
+use rtec_driver::quadrature::State;
+use rtec_files::InputError;
+use rtec_files::trace::{RequestReader, TraceReader};
+use rtec_fit::thermal::prediction_chart;
+use rtec_fit::workflow;
+use rtec_measure::evaluation::{self, Standard};
+use rtec_measure::history::Limits;
+use rtec_measure::iso230::Conditions;
+use rtec_measure::plan::{PlanAxis, for_machine, markdown};
+use rtec_measure::plot::Picture;
+use rtec_model::date;
+use rtec_part::determine;
+use rtec_reconcile::{Options, Place, SEED};
+use rtec_rt::axis::{AxisConfig, Design};
+use rtec_sim::bench::{AnyDesign, replay_any};
+use rtec_sim::computer::Computer;
+use rtec_sim::designs::{TestMotion, compare};
+use rtec_sim::example::{EXAMPLES, Example};
+use rtec_sim::experiment::{EXPERIMENTS, Experiment, Setting};
+use rtec_sim::replay::ReplayError;
+use rtec_sim::sim::Spec;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+fn inners(records: Vec<Record>) -> Vec<rtec_model::record::Record> {
+    records.into_iter().map(|r| r.inner).collect()
+}
+
+fn bad(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> Failure {
+    InputError::whole(Path::new(argument), found, expected).into()
+}
+
+fn pretty(document: &Value) -> Result<String, Failure> {
+    Ok(serde_json::to_string_pretty(document)?)
+}
+
+fn drawn<'p>(pictures: impl Iterator<Item = &'p Picture>) -> Result<String, Failure> {
+    Ok(serde_json::to_string(&pictures.collect::<Vec<_>>())?)
+}
+
+fn one_of<T: Copy>(argument: &str, name: &str, all: &[(&'static str, T)]) -> Result<T, Failure> {
+    let names = || all.iter().map(|a| a.0).collect::<Vec<_>>().join(", ");
+    let found = all.iter().find(|a| a.0 == name).map(|a| a.1);
+    found.ok_or_else(|| bad(argument, format!("`{name}`"), format!("one of {}", names())))
+}
+
+/// Document, text, page, pictures; what was said.
+type Evaluated = ((String, String, String, String), Vec<String>);
+
+#[pyfunction]
+#[pyo3(signature = (records, standard, conditions, one_way, norm))]
+pub(crate) fn evaluate(
+    py: Python<'_>,
+    records: Vec<Record>,
+    standard: Option<String>,
+    conditions: Option<PathBuf>,
+    one_way: bool,
+    norm: u8,
+) -> PyResult<Evaluated> {
+    work(py, move |say| {
+        let names = || Standard::ALL.map(|s| s.0).join(", ");
+        let parsed = |name: &String| {
+            Standard::parse(name)
+                .ok_or_else(|| bad("standard", format!("`{name}`"), format!("one of {}", names())))
+        };
+        if !(2..=4).contains(&norm) {
+            return Err(bad("norm", norm.to_string(), "2 (squares) to 4 (fourth powers)"));
+        }
+        let asked = evaluation::Asked {
+            standard: standard.as_ref().map(parsed).transpose()?,
+            conditions: conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
+            one_way,
+            fourth_powers: norm != 2,
+        };
+        let found = evaluation::evaluate(&inners(records), &asked, say)?;
+        let report = &found.report;
+        Ok((pretty(&found.document)?, report.text(), report.html(), drawn(report.pictures())?))
+    })
+}
+
+/// What is asked of a fit, as it comes over the border.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct FitAsked {
+    sensors: Vec<String>,
+    environment: Option<String>,
+    folds: usize,
+    lag: bool,
+    square: bool,
+    base: Option<Machine>,
+    date: Option<String>,
+    valid_days: u16,
+    despite_suspicions: bool,
+}
+
+impl FitAsked {
+    fn asked(self) -> Result<workflow::Asked, Failure> {
+        let day = |text: String| {
+            date::parse(&text).ok_or_else(|| bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"))
+        };
+        if !(3..=50).contains(&self.folds) {
+            return Err(bad("folds", self.folds.to_string(), "3 to 50 blocks"));
+        }
+        Ok(workflow::Asked {
+            sensors: self.sensors,
+            environment: self.environment,
+            folds: self.folds,
+            lag: self.lag,
+            square: self.square,
+            base: self.base.map(|m| m.inner),
+            date: self.date.map(day).transpose()?,
+            valid_days: i64::from(self.valid_days),
+            despite_suspicions: self.despite_suspicions,
+        })
+    }
+}
+
+/// Document, model, pictures; what was said.
+type Fitted = ((String, Machine, String), Vec<String>);
+
+/// Growth by chosen sensors; the choice alone where `selection`.
+#[pyfunction]
+pub(crate) fn fit(
+    py: Python<'_>,
+    train: Vec<Record>,
+    holdout: Vec<Record>,
+    asked: FitAsked,
+    selection: bool,
+) -> PyResult<Fitted> {
+    work(py, move |say| {
+        let asked = asked.asked()?;
+        let (train, holdout) = (inners(train), inners(holdout));
+        let paths: Vec<PathBuf> = train.iter().map(|r| r.path.clone()).collect();
+        let done = workflow::fit(train, holdout, &asked, say)?;
+        if !selection && !asked.despite_suspicions {
+            done.is_to_be_written(&paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
+        }
+        let document = if selection { done.selection()? } else { done.document()? };
+        let pictures: Vec<Picture> = done.reports.iter().map(|r| r.chart().into()).collect();
+        Ok((pretty(&document)?, Machine { inner: done.machine }, drawn(pictures.iter())?))
+    })
+}
+
+#[pyfunction]
+pub(crate) fn fit_named(
+    py: Python<'_>,
+    records: Vec<Record>,
+    effects: Vec<String>,
+    asked: FitAsked,
+) -> PyResult<Fitted> {
+    work(py, move |say| {
+        if effects.is_empty() {
+            return Err(bad("effects", "none", "names of effects, as scale.x"));
+        }
+        let asked = asked.asked()?;
+        let done = workflow::fit_named(inners(records), &effects, &asked, say)?;
+        let ideal = rtec_model::machine::Machine::ideal("");
+        let base = asked.base.as_ref().unwrap_or(&ideal);
+        let mut pictures: Vec<Picture> = Vec::new();
+        for record in &done.records {
+            let (before, after) = (base.beyond(record)?, done.machine.beyond(record)?);
+            let both = before.responses().zip(after.responses());
+            pictures.extend(both.map(|(b, a)| {
+                Picture::from(rtec_fit::thermal::residual_chart(record, &b.role, &b.data, &a.data))
+            }));
+        }
+        Ok((pretty(&done.document()?)?, Machine { inner: done.machine }, drawn(pictures.iter())?))
+    })
+}
+
+/// Measured and predicted over time, with the interval where one is known.
+#[pyfunction]
+pub(crate) fn prediction_picture(
+    py: Python<'_>,
+    machine: &Machine,
+    record: &Record,
+) -> PyResult<(String, Vec<String>)> {
+    work(py, |say| {
+        let says = rtec_measure::prediction::predict(&machine.inner, &record.inner, say)?;
+        let chart = |(response, (_, data)): (&rtec_model::record::Column, &(String, Vec<f64>))| {
+            let widths = machine.inner.half_widths_um(&record.inner, &response.role);
+            Picture::from(prediction_chart(&record.inner, response, data, widths.as_deref()))
+        };
+        let pictures: Vec<Picture> = record.inner.responses().zip(&says).map(chart).collect();
+        drawn(pictures.iter())
+    })
+}
+
+/// Document, model, page, pictures, and where something was unexplained and wanted the law's file; what was said.
+type Reconciled = ((String, Machine, String, String, Option<String>), Vec<String>);
+
+#[pyfunction]
+#[pyo3(signature = (train, machine, holdout, level, unexplained, date))]
+pub(crate) fn reconcile(
+    py: Python<'_>,
+    train: Vec<Record>,
+    machine: Machine,
+    holdout: Vec<Record>,
+    level: f64,
+    unexplained: bool,
+    date: Option<String>,
+) -> PyResult<Reconciled> {
+    work(py, move |say| {
+        if train.is_empty() {
+            return Err(bad("reconcile", "no record", "a record to learn from"));
+        }
+        if !(level > 0.0 && level < 0.5) {
+            return Err(bad("level", level.to_string(), "a probability above 0 and below 0.5"));
+        }
+        let day = match date {
+            Some(text) if date::parse(&text).is_none() => {
+                return Err(bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"));
+            }
+            Some(text) => text,
+            None => date::format(date::today()),
+        };
+        let options = Options { level, date: Some(day), unexplained, figures: true };
+        let answer = rtec_reconcile::reconcile(&inners(train), &inners(holdout), &machine.inner, &options)?;
+        for note in &answer.derived {
+            say(rtec_files::Said::Note(note.clone()));
+        }
+        for s in &answer.suspicions {
+            say(rtec_files::Said::Warning(s.to_string()));
+        }
+        let page = rtec_reconcile::html(&answer, machine.inner.name());
+        let pictures = rtec_reconcile::pictures(&answer);
+        let (document, laws) = (answer.to_json(), answer.curve.map(|(_, laws)| laws));
+        Ok((pretty(&document)?, Machine { inner: answer.model }, page, drawn(pictures.iter())?, laws))
+    })
+}
+
+/// The first stage of a reconciliation alone.
+#[pyfunction]
+pub(crate) fn where_they_disagree(
+    py: Python<'_>,
+    train: Vec<Record>,
+    machine: Machine,
+    level: f64,
+) -> PyResult<String> {
+    quietly(py, move || {
+        if train.is_empty() {
+            return Err(bad("reconcile", "no record", "a record to learn from"));
+        }
+        let places = rtec_reconcile::find(&inners(train), &machine.inner)?;
+        let places: Vec<Value> = places.iter().map(Place::to_json).collect();
+        pretty(&json!({"where": places, "level": level, "seed": SEED}))
+    })
+}
+
+/// The document, and the same as Markdown; what was said.
+#[pyfunction]
+pub(crate) fn plan(
+    py: Python<'_>,
+    axes: Vec<(String, f64)>,
+    machine: String,
+    max_rpm: f64,
+    ballbar_mm: Option<f64>,
+) -> PyResult<((String, String), Vec<String>)> {
+    work(py, move |say| {
+        let axes: Vec<PlanAxis> =
+            axes.into_iter().map(|(name, travel_mm)| PlanAxis { name, travel_mm }).collect();
+        let steps = for_machine(&axes, max_rpm, ballbar_mm, say)?;
+        Ok((serde_json::to_string_pretty(&steps)?, markdown(&machine, &steps)))
+    })
+}
+
+/// The document, and the same as a table.
+#[pyfunction]
+pub(crate) fn designs(
+    py: Python<'_>,
+    computer: String,
+    encoder_hz: f64,
+    accel_counts_s2: f64,
+    counts: u64,
+    seed: u64,
+) -> PyResult<(String, String)> {
+    quietly(py, move || {
+        let all = [("8051", Computer::i8051 as fn() -> Computer), ("dsp", Computer::dsp)];
+        let computer = one_of("computer", &computer, &all)?();
+        let within = |name: &str, v: f64, low: f64, high: f64| {
+            let is = (low..=high).contains(&v);
+            is.then_some(v)
+                .ok_or_else(|| bad(name, v.to_string(), format!("a number from {low:e} to {high:e}")))
+        };
+        let motion = TestMotion {
+            encoder_hz: within("encoder_hz", encoder_hz, 0.1, 1e8)?,
+            accel_counts_s2: within("accel_counts_s2", accel_counts_s2, 1.0, 1e12)?,
+            counts: within("counts", counts as f64, 100.0, 1e7)? as u64,
+            ..TestMotion::default()
+        };
+        let comparison = compare(&computer, motion, seed);
+        Ok((serde_json::to_string_pretty(&comparison)?, comparison.to_table()))
+    })
+}
+
+#[pyfunction]
+#[pyo3(signature = (trace, requests, design, config, axis))]
+pub(crate) fn replay(
+    py: Python<'_>,
+    trace: PathBuf,
+    requests: PathBuf,
+    design: Option<String>,
+    config: Option<PathBuf>,
+    axis: Option<String>,
+) -> PyResult<(String, bool)> {
+    quietly(py, move || {
+        let (engine, large) = match &config {
+            None => (AxisConfig::default(), true),
+            Some(file) => {
+                let config = Config::load(file).map_err(|e| Failure::Other(e.to_string()))?;
+                let name = axis.as_deref().unwrap_or(config.axes[0].name.as_str());
+                let names = || config.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join(" or ");
+                let n = config.axis(name).ok_or_else(|| {
+                    Failure::from(InputError::whole(file, format!("no axis {name}"), names()))
+                })?;
+                (config.axes[n].engine, false)
+            }
+        };
+        let design = match &design {
+            Some(name) => one_of("design", name, &AnyDesign::ALL.map(|d| (d.name(), d)))?,
+            None => match engine.design {
+                Design::Original => AnyDesign::Original,
+                Design::A => AnyDesign::A,
+                Design::C => AnyDesign::C,
+            },
+        };
+        let (trace, requests) = (TraceReader::open(&trace)?, RequestReader::open(&requests)?);
+        let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});
+        let (outcome, _) = played.map_err(|error| match error {
+            ReplayError::Input(error) => Failure::from(error),
+            ReplayError::Start(error) => bad("replay", error.to_string(), "an axis that can be corrected"),
+        })?;
+        let sound = outcome.faults.is_empty() && outcome.balanced() && outcome.illegal_out == 0;
+        Ok((serde_json::to_string(&outcome)?, sound))
+    })
+}
+
+/// What is asked of probed points, as it comes over the border.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct PartAsked {
+    points: PathBuf,
+    radius_mm: Option<f64>,
+    tip_mm: Option<f64>,
+    feature: Option<String>,
+    taper_deg: Option<f64>,
+    machine: Option<PathBuf>,
+    origin_mm: Option<Vec<f64>>,
+    expected: Option<PathBuf>,
+    path: Option<PathBuf>,
+    trip_window_mm: f64,
+    with_size: bool,
+}
+
+/// The document, `error.cor`, the whiskers as SVG; what was said.
+#[pyfunction]
+pub(crate) fn part_errors(
+    py: Python<'_>,
+    asked: PartAsked,
+) -> PyResult<((String, String, String), Vec<String>)> {
+    work(py, move |say| {
+        let features = [("circle", determine::Feature::Circle), ("line", determine::Feature::Line)];
+        let report = determine::determine(
+            &determine::Asked {
+                radius_mm: asked.radius_mm,
+                tip_mm: asked.tip_mm,
+                feature: asked.feature.as_deref().map(|f| one_of("feature", f, &features)).transpose()?,
+                taper_deg: asked.taper_deg,
+                machine: asked.machine,
+                origin_mm: asked.origin_mm,
+                expected: asked.expected,
+                path: asked.path,
+                trip_window_mm: asked.trip_window_mm,
+                with_size: asked.with_size,
+                ..determine::Asked::of(&asked.points)
+            },
+            say,
+        )?;
+        let document = serde_json::to_string_pretty(&report)?;
+        Ok((document, report.error_cor(asked.with_size), report.whisker_svg()))
+    })
+}
+
+/// An experiment's records, as measured without and with compensation, and its figures.
+#[pyfunction]
+#[pyo3(signature = (name, truth, known, seed, out))]
+pub(crate) fn simulate(
+    py: Python<'_>,
+    name: String,
+    truth: Option<Machine>,
+    known: Option<Machine>,
+    seed: u64,
+    out: PathBuf,
+) -> PyResult<(Vec<Record>, String)> {
+    quietly(py, move || {
+        let all = EXPERIMENTS.each_ref().map(|e| (e.name, ()));
+        one_of("simulate", &name, &all)?;
+        let found = Experiment::find(&name).ok_or_else(|| bad("simulate", name.clone(), "an experiment"))?;
+        let truth = match truth {
+            Some(machine) => machine.inner,
+            None => found.own_machine()?.ok_or_else(|| {
+                bad("simulate", "no machine", format!("a machine: {name} brings none of its own"))
+            })?,
+        };
+        let known = known.map(|m| m.inner);
+        let spec = Spec::machining_centre();
+        let setting = Setting { spec: &spec, truth: &truth, known: known.as_ref(), seed, out: &out };
+        let done = found.run(&setting).map_err(|e| Failure::Other(e.to_string()))?;
+        let records = done.records.into_iter().map(|inner| Record { inner }).collect();
+        Ok((records, pretty(&Value::Object(done.summary))?))
+    })
+}
+
+/// An example machine's records and files (path below the folder, text).
+#[pyfunction]
+pub(crate) fn example(
+    py: Python<'_>,
+    name: String,
+    folder: PathBuf,
+) -> PyResult<(Vec<Record>, Vec<(String, String)>)> {
+    quietly(py, move || {
+        one_of("example", &name, &EXAMPLES.each_ref().map(|e| (e.name, ())))?;
+        let found = Example::find(&name).ok_or_else(|| bad("example", name.clone(), "an example"))?;
+        let records = found.records(&folder).map_err(|e| Failure::Other(e.to_string()))?;
+        let files = found.files.iter().map(|(n, t)| ((*n).to_owned(), (*t).to_owned())).collect();
+        Ok((records.into_iter().map(|inner| Record { inner }).collect(), files))
+    })
+}
+
+/// The document, text, page, pictures.
+#[pyfunction]
+pub(crate) fn history(
+    py: Python<'_>,
+    machine: String,
+    records: Vec<PathBuf>,
+    made: Vec<Record>,
+    limits: Vec<(String, f64)>,
+    limits_file: Option<PathBuf>,
+) -> PyResult<(String, String, String, String)> {
+    quietly(py, move || {
+        let limits = match limits_file {
+            Some(file) => Limits::read(&file)?,
+            None => Limits::of(limits),
+        };
+        let read = records.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p)));
+        let made = made.into_iter().map(|r| (r.inner.path.display().to_string(), Ok(r.inner)));
+        let all: Vec<_> = read.chain(made).collect();
+        let found = rtec_measure::history::history(&machine, &all, &limits);
+        let report = found.report()?;
+        Ok((serde_json::to_string_pretty(&found)?, report.text(), report.html(), drawn(report.pictures())?))
+    })
+}

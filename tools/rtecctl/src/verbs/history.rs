@@ -1,0 +1,79 @@
+//! `rtecctl history`: one machine's figures of merit over time.
+
+use crate::Outcome;
+use anyhow::Context;
+use rtec_files::InputError;
+use rtec_measure::history::{Limits, history};
+use std::path::{Path, PathBuf};
+
+/// Show a machine's figures over time: A, E, M, R, B, squareness, growth per K, with limits and trend
+///
+/// Every record is evaluated by itself. One without a date, or that cannot be read, is named and left out.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Run records, or folders of them
+    #[arg(required = true, value_name = "NAME.run.toml|DIR")]
+    records: Vec<PathBuf>,
+    /// The machine's name
+    #[arg(long, default_value = "the machine")]
+    machine: String,
+    /// What the figures may be: a table [limits] with "x.A" = 12.0, or for every axis B_mean = 5.0
+    #[arg(long, value_name = "FILE.toml")]
+    limits: Option<PathBuf>,
+    /// Write the history with a plot of each figure as one page
+    #[arg(long, value_name = "FILE.html")]
+    html: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let limits = args.limits.as_deref().map(Limits::read).transpose()?.unwrap_or_default();
+    let mut paths = Vec::new();
+    for given in &args.records {
+        if given.is_dir() {
+            below(given, &mut paths).with_context(|| format!("reading {}", given.display()))?;
+        } else {
+            paths.push(given.clone());
+        }
+    }
+    if paths.is_empty() {
+        return Err(
+            InputError::whole(&args.records[0], "no record", "NAME.run.toml, or a folder with one").into()
+        );
+    }
+    let records: Vec<_> =
+        paths.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p))).collect();
+    let found = history(&args.machine, &records, &limits);
+    for left in &found.left_out {
+        eprintln!("warning: {}: left out: {}", left.record, left.why);
+    }
+    let report = found.report()?;
+    if let Some(path) = &args.html {
+        rtec_files::write::whole(path, report.html().as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
+    let text = if args.json { serde_json::to_string_pretty(&found)? + "\n" } else { report.text() };
+    crate::say(&text);
+    let beyond: Vec<&str> = found.beyond().map(|f| f.name.as_str()).collect();
+    if beyond.is_empty() {
+        Ok(())
+    } else {
+        Err(Outcome::No(format!("beyond its limit: {}", beyond.join(", "))).into())
+    }
+}
+
+/// The sidecars below a folder, in order.
+fn below(folder: &Path, into: &mut Vec<PathBuf>) -> std::io::Result<()> {
+    let mut entries = std::fs::read_dir(folder)?.collect::<Result<Vec<_>, _>>()?;
+    entries.sort_by_key(std::fs::DirEntry::path);
+    for entry in entries {
+        if entry.file_type()?.is_dir() {
+            below(&entry.path(), into)?;
+        } else if entry.file_name().to_string_lossy().ends_with(".run.toml") {
+            into.push(entry.path());
+        }
+    }
+    Ok(())
+}
