@@ -155,7 +155,7 @@ impl Soak {
             ("latency", "ns", vec![(6, "gap between looks, p50"), (7, "p99.9")]),
         ];
         for (name, unit, columns) in charts {
-            let mut chart = Chart::new(&format!("rtecd under load: {name}"), "time, min", unit);
+            let mut chart = Chart::new(&format!("rtecd under load: {name}"), "time (min)", unit);
             for (column, label) in columns {
                 chart = chart.with(Series::new(label, Style::Line, points(column)));
             }

@@ -160,7 +160,7 @@ impl Record {
     #[must_use]
     pub fn over_time(&self) -> (&'static str, Vec<f64>) {
         match self.column(&Role::Time) {
-            Some(t) => ("time, min", t.data.iter().map(|t| t / 60.0).collect()),
+            Some(t) => ("time (min)", t.data.iter().map(|t| t / 60.0).collect()),
             None => ("row", (1..=self.rows()).map(|n| n as f64).collect()),
         }
     }

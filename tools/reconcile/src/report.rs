@@ -10,6 +10,8 @@ const WIDTH: f64 = 860.0;
 /// So many explanations are shown, and so many places.
 const RANKED: usize = 16;
 const PLACES: usize = 14;
+/// So many rows, or groups of them, a plot on the page has.
+const ON_PAGE: usize = 500;
 
 /// The report.
 #[must_use]
@@ -62,22 +64,13 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
 /// was tried.
 #[must_use]
 pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
-    let rows = |data: &[f64]| data.iter().enumerate().map(|(i, v)| (i as f64 + 1.0, *v)).collect();
-    let trace = |t: &Trace| {
-        let unit = if t.response.starts_with("force") { "N" } else { "µm" };
-        let held = if t.holdout { ", hold-out" } else { "" };
-        let title = format!("{}, {}{held}: measured minus simulated", t.file, t.response);
-        Chart::new(&title, "row", unit)
-            .with(Series::new("before", Style::Line, rows(&t.before)).coloured(Colour::Grey))
-            .with(Series::new("after", Style::Line, rows(&t.after)).coloured(Colour::Up))
-    };
     let place = |p: &Place| {
         let unit = if p.response.starts_with("force") { "N" } else { "µm" };
         let mean = p.profile.iter().map(|v| (v[0], v[1])).collect();
         let title = format!("{} against {}: {:.1} %", p.response, p.against, 100.0 * p.statistic);
         Chart::new(&title, &p.against, unit).with(Series::new("mean", Style::Line, mean))
     };
-    let mut all: Vec<Picture> = r.traces.iter().map(|t| trace(t).into()).collect();
+    let mut all: Vec<Picture> = r.traces.iter().map(|t| chart(t, usize::MAX).into()).collect();
     all.extend(found(r).map(|p| Picture::from(place(p))));
     let tried: Vec<_> = r.ranking.iter().take(RANKED).collect();
     if !tried.is_empty() {
@@ -238,13 +231,12 @@ fn effects(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// A plot of a trace: rows along, before as dots, after as a line.
-fn trace(h: &mut String, t: &Trace) {
+/// A trace with its rows along, before as dots, after as a line; of more rows than this the least and the largest of groups.
+fn chart(t: &Trace, most: usize) -> Chart {
     let unit = if t.response.starts_with("force") { "N" } else { "µm" };
     let held = if t.holdout { ", hold-out" } else { "" };
     let series = |name: &str, style: Style, data: &[f64]| {
-        // At most a least and a largest value per pixel column.
-        let group = (data.len() / 500).max(1);
+        let group = data.len().div_ceil(most).max(1);
         let points = data.chunks(group).enumerate().flat_map(|(g, part)| {
             let (l, u) = part.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(*v), u.max(*v)));
             let both = if group == 1 { vec![l] } else { vec![l, u] };
@@ -252,12 +244,15 @@ fn trace(h: &mut String, t: &Trace) {
         });
         Series::new(name, style, points.collect())
     };
-    let chart =
-        Chart::new(&format!("{}, {}{held}", t.file, t.response), "row", &format!("{} ({unit})", t.response))
-            .with(series("before", Style::Dots, &t.before).coloured(Colour::Grey))
-            .with(series("after", Style::Line, &t.after).coloured(Colour::Up));
+    let title = format!("{}, {}{held}: measured minus simulated", t.file, t.response);
+    Chart::new(&title, "row", &format!("{} ({unit})", t.response))
+        .with(series("before", Style::Dots, &t.before).coloured(Colour::Grey))
+        .with(series("after", Style::Line, &t.after).coloured(Colour::Up))
+}
+
+fn trace(h: &mut String, t: &Trace) {
     // A trace without a finite value has nothing to draw.
-    if let Ok(svg) = chart.svg(WIDTH as u32, 300) {
+    if let Ok(svg) = chart(t, ON_PAGE).svg(WIDTH as u32, 300) {
         h.push_str(&svg);
     }
 }

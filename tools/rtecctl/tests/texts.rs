@@ -108,7 +108,7 @@ fn a_fit_is_called_what_it_is_and_rows_are_rows() {
     let time = "t = { role = \"time\", unit = \"s\" }\n";
     std::fs::write(dir.path().join("timed.run.toml"), sidecar("timed.csv", time)).unwrap();
     std::fs::write(dir.path().join("bare.run.toml"), sidecar("bare.csv", "")).unwrap();
-    for (name, axis, other) in [("timed", "time, min", "row<"), ("bare", "row<", "time, min")] {
+    for (name, axis, other) in [("timed", "time (min)", "row<"), ("bare", "row<", "time (min)")] {
         let (_, said) = rtecctl(
             dir.path(),
             &format!("model fit --record {name}.run.toml --out {name}.toml --no-lag --date 2026-05-01"),

@@ -44,7 +44,7 @@ pub fn prediction_chart(
     let (name, x) = record.over_time();
     let over_time = |v: &mut dyn Iterator<Item = f64>| x.iter().copied().zip(v).collect::<Vec<(f64, f64)>>();
     let title = format!("{}: {} measured and predicted", record.file, response.role);
-    let mut chart = Chart::new(&title, name, "error, µm")
+    let mut chart = Chart::new(&title, name, "error (µm)")
         .with(Series::new("measured", Style::Dots, over_time(&mut response.data.iter().copied())))
         .with(Series::new("predicted", Style::Line, over_time(&mut predicted.iter().copied())));
     if let Some(widths) = half_widths_um {
@@ -64,14 +64,14 @@ pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after
     let moves = record.columns.iter().filter(|c| matches!(c.role, Role::Position(_)) && span(&c.data) > 0.0);
     let along = moves.max_by(|a, b| span(&a.data).total_cmp(&span(&b.data)));
     let (name, x) = match along {
-        Some(c) => (format!("{}, mm", c.role), c.data.clone()),
+        Some(c) => (format!("{} (mm)", c.role), c.data.clone()),
         None => over_time(record),
     };
     let points = |v: &[f64]| {
         let m = mean(v);
         x.iter().copied().zip(v.iter().map(|v| v - m)).collect::<Vec<(f64, f64)>>()
     };
-    Chart::new(&format!("{}: {response} before and after the fit", record.file), &name, "error, µm")
+    Chart::new(&format!("{}: {response} before and after the fit", record.file), &name, "error (µm)")
         .with(Series::new("before", Style::Dots, points(before_um)))
         .with(Series::new("left", Style::Dots, points(after_um)))
 }

@@ -78,10 +78,10 @@ pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
             name,
             Kind::Drift,
             (&places(setting.spec), 0.1),
-            ("time, min", &x),
+            ("time (min)", &x),
             &mut findings,
         )?;
-        let mut chart = Chart::new(&format!("{name}: temperatures"), "time, min", "temperature, °C");
+        let mut chart = Chart::new(&format!("{name}: temperatures"), "time (min)", "temperature (°C)");
         for sensor in ["T8", "T9", "T13", "T18", "T20"] {
             let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
             let points = runs.logs[0].rows.iter().map(|r| (r.now.t_s / 60.0, r.temperatures[k])).collect();
@@ -118,7 +118,7 @@ pub(super) fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
     let runs = both(setting, setting.spec, [0.0; 3], |sim, log| soak(sim, log, PRODUCTION, true))?;
     let x = |r: &Row| r.now.t_s / 60.0;
     let axes = &places(setting.spec)[..];
-    runs.publish(setting, "production-cycle", Kind::Drift, (axes, 0.1), ("time, min", &x), &mut findings)?;
+    runs.publish(setting, "production-cycle", Kind::Drift, (axes, 0.1), ("time (min)", &x), &mut findings)?;
     Ok(findings)
 }
 
@@ -198,7 +198,7 @@ pub(super) fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, Ex
     })?;
     let x = |r: &Row| r.now.t_s / 60.0;
     let name = if warm { "drilling-warm" } else { "drilling" };
-    runs.publish(setting, name, Kind::Part, (&[0, 1, 2], 0.5), ("time, min", &x), &mut findings)?;
+    runs.publish(setting, name, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &x), &mut findings)?;
     // As table 7: deviations with reference to hole 1.
     let mut table = Map::new();
     for (log, label) in runs.logs.iter().zip(["without", "with"]) {

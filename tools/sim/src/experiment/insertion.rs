@@ -52,7 +52,7 @@ pub fn over_a_part(
         "linear-error-240um",
         Kind::Positioning,
         (&[0], 0.0),
-        ("position, mm", &x),
+        ("position (mm)", &x),
         &mut findings,
     )?;
     findings.summary.insert("insertions".to_owned(), json!(insertions));
@@ -90,7 +90,7 @@ pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, Experime
         "rapid-catch-up",
         Kind::Positioning,
         (&[0], 0.0),
-        ("position, mm", &x),
+        ("position (mm)", &x),
         &mut findings,
     )?;
     let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();

@@ -42,7 +42,7 @@ pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, Exp
         })?;
         let name = format!("linear-displacement-{}", axis.name);
         let x = |r: &Row| r.now.position_mm[p];
-        runs.publish(setting, &name, Kind::Positioning, (&[p], 0.1), ("position, mm", &x), &mut findings)?;
+        runs.publish(setting, &name, Kind::Positioning, (&[p], 0.1), ("position (mm)", &x), &mut findings)?;
     }
     Ok(findings)
 }
@@ -108,7 +108,7 @@ pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, "plate", Kind::Plate, (&[0, 1], 0.3), ("X, mm", &x), &mut findings)?;
+    runs.publish(setting, "plate", Kind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), &mut findings)?;
     Ok(findings)
 }
 

@@ -191,7 +191,7 @@ impl Findings {
         x_title: &str,
     ) -> Result<(), ExperimentError> {
         let dynamics = records.iter().any(|(r, _)| r.kind == Kind::Dynamics);
-        let unit = if dynamics { "drive force, N" } else { "error, µm" };
+        let unit = if dynamics { "drive force (N)" } else { "error (µm)" };
         let mut chart = Chart::new(name, x_title, unit);
         let mut figures = Map::new();
         for ((mut record, x), (key, label)) in
