@@ -1053,7 +1053,9 @@ mod tests {
                 prop_assert_eq!(&told[0], &told[1]);
                 prop_assert_eq!(format!("{quick:?}"), format!("{careful:?}"));
                 if toggled[0] != 0 {
-                    axes.iter_mut().for_each(|a| a.written(None));
+                    for axis in &mut axes {
+                        axis.written(None);
+                    }
                 }
             }
             prop_assume!(calm > 0);
