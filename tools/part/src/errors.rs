@@ -641,12 +641,14 @@ impl ErrorReport {
         svg.text(at(1.0) + Zx::new(MAGNIFICATION * 0.02 + size, -0.3 * size), size, "20 µm, errors ×250");
         let sds = format!("SD {:.1} µm, after the second fit {:.1} µm", self.sd_before_um, self.sd_after_um);
         svg.text(at(2.2), size, &sds);
-        let legend = [
+        let mut legend = vec![
             ("outline", "nominal outline"),
             ("whisker", "error, magnified"),
             ("kept", "point of the second fit"),
-            ("dropped", "point left out of the second fit"),
         ];
+        if w.rejected.contains(&true) {
+            legend.push(("dropped", "point left out of the second fit"));
+        }
         svg.finish("Part errors", &legend)
     }
 }
