@@ -266,8 +266,11 @@ mod tests {
                 let held = store.held.borrow();
                 assert_eq!(held.len(), 6, "{gone_at}: {:?}", held.keys());
                 assert!(store.puts.borrow().values().all(|n| *n == 1), "{gone_at}");
-                let mut values: Vec<&[u8]> =
-                    held.iter().filter(|(k, _)| k.ends_with(".csv")).map(|(_, v)| v.as_slice()).collect();
+                let mut values: Vec<&[u8]> = held
+                    .iter()
+                    .filter(|(k, _)| !k.ends_with(".run.toml"))
+                    .map(|(_, v)| v.as_slice())
+                    .collect();
                 values.sort_unstable();
                 assert_eq!(values, [&b"e\n1\n2.5\n"[..], b"e\n2\n2.5\n", b"e\n3\n2.5\n"]);
                 assert!(waiting(spool.path()).unwrap().is_empty());

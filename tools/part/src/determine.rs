@@ -98,9 +98,9 @@ fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<N
         }
         (true, _) => {
             if args.feature.is_none() {
-                say(Said::Note(format!(
-                    "the points lie on a straight line: taken as a cylinder, face or taper"
-                )));
+                say(Said::Note(
+                    "the points lie on a straight line: taken as a cylinder, face or taper".to_owned(),
+                ));
             }
             Ok(Nominal::Line { taper_deg: args.taper_deg })
         }
@@ -188,24 +188,18 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
     let (probed, places) = read(args, say)?;
     let mut report = probed.errors(nominal(args, &probed, say)?, tip_mm)?;
     if report.hollow {
-        say(Said::Note(format!(
-            "touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow"
-        )));
+        say(Said::Note("touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow".to_owned()));
     }
     if let Some((off, hint)) = taper_slip(args, &report) {
         say(Said::Warning(format!("{off:+.3}° from --taper-deg{hint}")));
     }
     if report.feature == "line" && probed.approach.is_none() {
-        say(Said::Note(format!(
-            "no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
-             errors would come out with the other sign"
-        )));
+        say(Said::Note("no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
+             errors would come out with the other sign".to_owned()));
     }
     if args.tip_mm.is_none() {
-        say(Said::Note(format!(
-            "no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
-             the radius (a straight feature's place) is off by the tip's; the form is not"
-        )));
+        say(Said::Note("no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
+             the radius (a straight feature's place) is off by the tip's; the form is not".to_owned()));
     }
     if let (Some(nominal), Some(radius)) = (args.radius_mm, report.radius_mm)
         && !(1.0 / OTHER_SIZE..=OTHER_SIZE).contains(&(radius / nominal))

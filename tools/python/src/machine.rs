@@ -19,6 +19,9 @@ pub(crate) struct Machine {
     pub(crate) inner: Inner,
 }
 
+/// Arrays by the response's column name.
+type Predicted<'py> = BTreeMap<String, Bound<'py, PyArray1<f64>>>;
+
 fn day(text: Option<&str>) -> Result<i64, InputError> {
     text.map_or_else(
         || Ok(date::today()),
@@ -81,11 +84,7 @@ impl Machine {
     }
 
     /// Predicted response of every row, by the response's column name; and what was said.
-    fn predict<'py>(
-        &self,
-        py: Python<'py>,
-        record: &Record,
-    ) -> PyResult<(BTreeMap<String, Bound<'py, PyArray1<f64>>>, Vec<String>)> {
+    fn predict<'py>(&self, py: Python<'py>, record: &Record) -> PyResult<(Predicted<'py>, Vec<String>)> {
         let (columns, said) =
             work(py, |say| Ok(rtec_measure::prediction::predict(&self.inner, &record.inner, say)?))?;
         Ok((columns.into_iter().map(|(name, data)| (name, PyArray1::from_vec(py, data))).collect(), said))

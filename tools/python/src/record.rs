@@ -65,11 +65,11 @@ fn made(
     }
     (record.count_um, record.date, record.note, record.zero) =
         (about.count_um, about.date, about.note, about.zero);
-    if let Some((radius_mm, plane)) = about.circle {
+    if let Some((radius_mm, [first, second])) = about.circle {
         let axis = |n: &String| {
             Axis::new(n).ok_or_else(|| bad(format!("plane of `{n}`"), "two axes, as [\"x\", \"y\"]"))
         };
-        let plane = [axis(&plane[0])?, axis(&plane[1])?];
+        let plane = [axis(&first)?, axis(&second)?];
         record = record
             .with_circle(Circle { radius_mm, plane })
             .map_err(|(found, expected)| bad(found, expected))?;

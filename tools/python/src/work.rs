@@ -292,7 +292,10 @@ pub(crate) fn designs(
         let motion = TestMotion {
             encoder_hz: within("encoder_hz", encoder_hz, 0.1, 1e8)?,
             accel_counts_s2: within("accel_counts_s2", accel_counts_s2, 1.0, 1e12)?,
-            counts: within("counts", counts as f64, 100.0, 1e7)? as u64,
+            counts: (100..=10_000_000)
+                .contains(&counts)
+                .then_some(counts)
+                .ok_or_else(|| bad("counts", counts.to_string(), "a number from 100 to 10000000"))?,
             ..TestMotion::default()
         };
         let comparison = compare(&computer, motion, seed);
@@ -418,13 +421,12 @@ pub(crate) fn simulate(
     })
 }
 
+/// Paths and texts.
+type Texts = Vec<(String, String)>;
+
 /// An example machine's records and files (path below the folder, text).
 #[pyfunction]
-pub(crate) fn example(
-    py: Python<'_>,
-    name: String,
-    folder: PathBuf,
-) -> PyResult<(Vec<Record>, Vec<(String, String)>)> {
+pub(crate) fn example(py: Python<'_>, name: String, folder: PathBuf) -> PyResult<(Vec<Record>, Texts)> {
     quietly(py, move || {
         one_of("example", &name, &EXAMPLES.each_ref().map(|e| (e.name, ())))?;
         let found = Example::find(&name).ok_or_else(|| bad("example", name.clone(), "an example"))?;

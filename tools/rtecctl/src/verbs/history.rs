@@ -17,7 +17,7 @@ pub(crate) struct Args {
     /// The machine's name
     #[arg(long, default_value = "the machine")]
     machine: String,
-    /// What the figures may be: a table [limits] with "x.A" = 12.0, or for every axis B_mean = 5.0
+    /// What the figures may be: a table `[limits]` with `"x.A" = 12.0`, or for every axis `B_mean = 5.0`
     #[arg(long, value_name = "FILE.toml")]
     limits: Option<PathBuf>,
     /// Write the history with a plot of each figure as one page

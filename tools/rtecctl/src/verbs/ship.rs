@@ -59,7 +59,7 @@ fn once(args: &Args) -> anyhow::Result<()> {
         let kept: Vec<String> = kept.iter().map(ToString::to_string).collect();
         format!("{}\n", serde_json::json!({"sent": sent, "kept": kept}))
     } else {
-        let places = sent.iter().map(|place| format!("{place}\n")).collect::<String>();
+        let places = sent.iter().fold(String::new(), |all, place| all + place + "\n");
         format!("{places}{} records sent, {} kept\n", sent.len(), kept.len())
     };
     crate::say(&text);

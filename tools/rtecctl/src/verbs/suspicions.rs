@@ -5,6 +5,7 @@ use rtec_measure::plausible;
 use rtec_model::record::Record;
 
 /// One line.
+#[allow(clippy::needless_pass_by_value)] // it is what the libraries hand over
 pub(crate) fn say(said: Said) {
     eprintln!("{said}");
 }
