@@ -54,9 +54,13 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
         return;
     }
-    if record.kind == Kind::Drift && usual > 0.0 && usual < 0.05 {
-        let text =
-            format!("rows are {usual:.5} s apart, which looks like the days of a spreadsheet (or hours)");
+    // A spreadsheet counts days from 1900: 36 526 to 58 000 are this century's.
+    if record.kind == Kind::Drift && usual > 0.0 && usual < 0.05 && (36_526.0..58_000.0).contains(&t.data[0])
+    {
+        let text = format!(
+            "begins at {:.3} in steps of {usual:.5}, which looks like the days of a spreadsheet",
+            t.data[0]
+        );
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
         return;
     }
