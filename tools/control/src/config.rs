@@ -378,7 +378,8 @@ impl ConfiguredAxis {
 fn text_of(file: &Path) -> Result<String, ConfigFindings> {
     rtec_files::text::read(file).map_err(|mut finding| {
         if !file.exists() {
-            finding.expected = "a configuration: `rtecctl config default > rtec.toml` begins one".to_owned();
+            "a configuration: `rtecctl config default > rtec.toml` begins one"
+                .clone_into(&mut finding.expected);
         }
         ConfigFindings(vec![finding])
     })

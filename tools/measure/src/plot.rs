@@ -330,7 +330,15 @@ impl Chart {
 
     /// Each series as it is drawn, with its name; then the marks by their numbers.
     fn legend(&self, area: &Area<'_>) -> Result<(), Box<dyn std::error::Error>> {
-        let style = ("sans-serif", 15).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
+        let (width, height) = area.dim_in_pixel();
+        let fits = (width.saturating_sub(30) / 7).max(8) as usize;
+        let marks: Vec<Vec<String>> = self.marks.iter().map(|(_, name)| wrapped(name, fits)).collect();
+        // Many series stand closer together, so that what the marks are is not written over each other below.
+        let series = self.series.iter().filter(|s| !s.label.is_empty()).count().max(1) as i32;
+        let below = 8 + 16 * marks.iter().map(Vec::len).sum::<usize>() as i32;
+        let row = ((height as i32 - 60 - below) / series).clamp(9, 20);
+        let size = if row < 16 { row - 1 } else { 15 };
+        let style = ("sans-serif", size).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
         let mut y = 52;
         for (i, s) in self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty()) {
             let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
@@ -345,16 +353,15 @@ impl Chart {
                 }
             }
             look::words(area, &s.label, (26, y), &style)?;
-            y += 20;
+            y += row;
         }
         y += 8;
         let small =
             ("sans-serif", 13).into_font().color(&BLACK.mix(0.7)).pos(Pos::new(HPos::Left, VPos::Center));
-        let fits = (area.dim_in_pixel().0.saturating_sub(30) / 7).max(8) as usize;
-        for (i, (_, name)) in self.marks.iter().enumerate() {
+        for (i, lines) in marks.iter().enumerate() {
             look::words(area, &(i + 1).to_string(), (2, y), &small)?;
-            for line in wrapped(name, fits) {
-                look::words(area, &line, (26, y), &small)?;
+            for line in lines {
+                look::words(area, line, (26, y), &small)?;
                 y += 16;
             }
         }

@@ -51,7 +51,7 @@ use crate::statistics::{mean, mean_square};
 use compare::{baselines, dry_wet, judge_holdouts};
 use effects::effects;
 use interval::{Watched, halves, mean_only, nested};
-use jackknife::{jackknife, tuned};
+use jackknife::{Jackknife, jackknife, tuned};
 use judge::Judged;
 use problem::Problem;
 use rows::Rows;
@@ -61,7 +61,7 @@ use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
 use rtec_model::machine::{FitNote, Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
-use term::unlagged;
+use term::{Term, unlagged};
 
 /// What to fit and how.
 #[derive(Debug, Clone)]
@@ -187,29 +187,12 @@ fn fit_response(
         terms.clear();
         blocks = mean_only(&problem, train, response)?;
     }
-    let (terms, rows, coefficients, mut intervals) = loop {
-        terms = tuned(&mut problem, terms, train, response)?;
-        let rows = Rows::new(&problem, &terms, train, response)?;
-        let coefficients = rows.solve(&|_| true).ok_or_else(nothing)?;
-        let intervals = jackknife(&problem, &terms, train, response, &coefficients)?;
-        if let Some(k) = intervals.idle_square(&mut problem, &terms, train, response, &all)? {
-            terms.remove(k);
-            continue;
-        }
-        if let Some(k) = intervals.alone_and_idle(&terms) {
-            warnings.push(format!(
-                "{} is left out: its interval holds zero; a run in which these temperatures move more would tell",
-                problem.name(terms.remove(k))
-            ));
-            blocks = mean_only(&problem, train, response)?;
-            continue;
-        }
-        // Without its square a difference may be said by the environment after all.
-        match problem.judge(&terms, &all).map(|j| problem.to_environment(j, &all).terms) {
-            Some(other) if other != terms => terms = other,
-            _ => break (terms, rows, coefficients, intervals),
-        }
-    };
+    let Settled { terms, rows, coefficients, mut intervals, left_out } =
+        settle(&mut problem, terms, train, response, &all)?.ok_or_else(nothing)?;
+    if let Some(left_out) = left_out {
+        warnings.push(left_out);
+        blocks = mean_only(&problem, train, response)?;
+    }
     intervals.allow_for_squares(&mut problem, &terms, train, response)?;
     let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
     let guards = rows.guards(&problem, &terms, &plain, &|_| true);
@@ -279,6 +262,50 @@ fn fit_response(
         dry_wet: dry_wet(&problem, &terms, train, &rows),
         warnings,
     })
+}
+
+/// The terms that are kept, with their values.
+struct Settled {
+    terms: Vec<Term>,
+    rows: Rows,
+    coefficients: Vec<f64>,
+    intervals: Jackknife,
+    /// What is said of a growth that was alone and says nothing.
+    left_out: Option<String>,
+}
+
+/// Tunes the terms and takes out squares, and a growth that is alone, that may as well be none; `None` where the rows do not
+/// give the values.
+fn settle(
+    problem: &mut Problem,
+    mut terms: Vec<Term>,
+    train: &[&Record],
+    response: &Role,
+    all: &[usize],
+) -> Result<Option<Settled>, InputError> {
+    let mut left_out = None;
+    loop {
+        terms = tuned(problem, terms, train, response)?;
+        let rows = Rows::new(problem, &terms, train, response)?;
+        let Some(coefficients) = rows.solve(&|_| true) else { return Ok(None) };
+        let intervals = jackknife(problem, &terms, train, response, &coefficients)?;
+        if let Some(k) = intervals.idle_square(problem, &terms, train, response, all)? {
+            terms.remove(k);
+            continue;
+        }
+        if let Some(k) = intervals.alone_and_idle(&terms) {
+            left_out = Some(format!(
+                "{} is left out: its interval holds zero; a run in which these temperatures move more would tell",
+                problem.name(terms.remove(k))
+            ));
+            continue;
+        }
+        // Without its square a difference may be said by the environment after all.
+        match problem.judge(&terms, all).map(|j| problem.to_environment(j, all).terms) {
+            Some(other) if other != terms => terms = other,
+            _ => return Ok(Some(Settled { terms, rows, coefficients, intervals, left_out })),
+        }
+    }
 }
 
 /// Of the longest record, a lag that is longer than this share of it is hardly seen to end.
