@@ -206,6 +206,10 @@ fn place(
     // As long as the residual remembers, blocks stay together.
     let n = residual.len();
     let squares = dot(residual, residual);
+    // Of numbers so large that their squares are none, nothing can be said.
+    if !squares.is_finite() {
+        return None;
+    }
     let next = dot(&residual[1..], &residual[..n - 1]) / squares.max(1e-300);
     let memory = (1.0 + next) / (1.0 - next.min(0.99));
     let longest = (n / 10).max(2) as f64;
@@ -330,6 +334,16 @@ mod tests {
             "{:?}",
             found[0]
         );
+    }
+
+    /// A residual whose squares are no numbers any more has no place; nothing is divided by what it would give.
+    #[test]
+    fn numbers_beyond_all_measure_have_no_place() {
+        let x: Vec<f64> = (0..60).map(f64::from).collect();
+        for huge in [1e200, f64::INFINITY, f64::NAN] {
+            let residual: Vec<f64> = x.iter().map(|x| huge * (x / 7.0).sin()).collect();
+            assert!(place("error.x", "time", &x, &residual, 1.0, 0.05).is_none(), "{huge}");
+        }
     }
 
     /// Sensors of noise beside an error that drifts: as often as chance, and never with certainty.
