@@ -4,7 +4,13 @@ import os
 import subprocess
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+# The same inputs in every run, so that a change is what makes a run fail; RTEC_SEARCH=1 looks for others.
+hypothesis.settings.register_profile("same", derandomize=True)
+if not os.environ.get("RTEC_SEARCH"):
+    hypothesis.settings.load_profile("same")
 
 ROOT = Path(__file__).resolve().parents[3]
 RTECCTL = Path(os.environ.get("RTECCTL", ROOT / "target/debug/rtecctl"))
