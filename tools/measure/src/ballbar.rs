@@ -400,12 +400,13 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
         return Err(lacks(record, "error.r without an angle", "a column of role angle"));
     }
     let mut columns: Vec<Column> = record.columns.clone();
-    let (plane, angle): ([Axis; 2], Vec<f64>) = if radial.is_some() {
-        let [(a, _), (b, _), ..] = positions.as_slice() else {
+    let (plane, angle, round): ([Axis; 2], Vec<f64>, Round) = if radial.is_some() {
+        let [(a, pa), (b, pb), ..] = positions.as_slice() else {
             // Without plane or positions: deviations, but nothing of the axes.
             return Ok((record.clone(), "first-second".to_owned()));
         };
-        ([(*a).clone(), (*b).clone()], record.data(&Role::Angle).unwrap_or_default().to_vec())
+        let angle = record.data(&Role::Angle).unwrap_or_default().to_vec();
+        ([(*a).clone(), (*b).clone()], angle, met(record, pa, pb)?)
     } else {
         let errors = error_axes(record);
         let both: Vec<_> = positions
@@ -423,14 +424,12 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
         columns.retain(|c| !c.role.is_response() && c.role != Role::Angle);
         columns.push(Column::new("angle of the contour", Role::Angle, angle.clone()));
         columns.extend(Axis::new("r").map(|a| Column::new("radial error", Role::Error(a), r)));
-        ([(*ax).clone(), (*ay).clone()], angle)
+        ([(*ax).clone(), (*ay).clone()], angle, round)
     };
-    let of = |a: &Axis| record.data(&Role::Position(a.clone())).unwrap_or_default();
-    let radius_mm = met(record, of(&plane[0]), of(&plane[1]))?.radius;
     debug_assert_eq!(angle.len(), record.rows());
     let mut circle = Record::of_checked(&record.path, Kind::Ballbar, columns);
     circle.file.clone_from(&record.file);
-    let stated = Circle { radius_mm, plane };
+    let stated = Circle { radius_mm: round.radius, plane };
     let plane = name(&stated);
     let circle = circle.with_circle(stated).map_err(|(found, expected)| lacks(record, &found, expected))?;
     Ok((circle, plane))

@@ -145,6 +145,12 @@ const STEP_MM: f64 = 0.2;
 /// What chords and rounding may cost, in mm.
 const SLACK_MM: f64 = 0.005;
 
+/// How many points a length gets at a spacing, or somewhat closer so that both ends get one.
+#[must_use]
+pub fn number_at(length_mm: f64, spacing_mm: f64) -> usize {
+    (length_mm / spacing_mm - 1e-9).ceil().max(1.0) as usize + 1
+}
+
 impl Plan {
     /// A plan without points.
     #[must_use]
@@ -159,13 +165,6 @@ impl Plan {
             let part = if number == 1 { 0.5 } else { k as f64 / (number - 1) as f64 };
             self.add(contour.place(feature, margin_mm + part * length_mm));
         }
-    }
-
-    /// Add points at a spacing, or somewhat closer so that both ends get one.
-    pub fn add_spacing(&mut self, contour: &Contour, feature: usize, spacing_mm: f64, margin_mm: f64) {
-        let length_mm = (contour.features[feature].segment.length_mm() - 2.0 * margin_mm).max(0.0);
-        let number = (length_mm / spacing_mm - 1e-9).ceil().max(1.0) as usize + 1;
-        self.add_number(contour, feature, number, margin_mm);
     }
 
     /// Add the places nearest to the points of a file `z_mm,x_mm`.

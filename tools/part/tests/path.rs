@@ -3,7 +3,7 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::fit::Zx;
-use rtec_part::path::{PathRole, Plan, Probe, ProbingMotion, Stem, pathfin, read_pathfin};
+use rtec_part::path::{PathRole, Plan, Probe, ProbingMotion, Stem, number_at, pathfin, read_pathfin};
 use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
 
@@ -63,7 +63,7 @@ fn the_path_file_is_read_as_it_is_written() {
     let part = part();
     let mut plan = Plan::new(PROBE);
     plan.add_number(&part, 0, 5, 0.0);
-    plan.add_spacing(&part, 3, 10.0, 1.0);
+    plan.add_number(&part, 3, number_at(part.features[3].segment.length_mm() - 2.0, 10.0), 1.0);
     plan.points[5].bypass = vec![Zx::new(130.0, 60.0)];
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("pathfin.cdl");

@@ -4,7 +4,7 @@ use super::features::DrawingArgs;
 use super::web::{Page, PlanEditor};
 use super::{print, usage, write_all};
 use crate::Outcome;
-use rtec_part::path::{Hit, Plan, Probe, ProbingMotion, Stem};
+use rtec_part::path::{Hit, Plan, Probe, ProbingMotion, Stem, number_at};
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -183,7 +183,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         let number = match choice.by {
             By::Number(n) => n,
-            By::SpacingMm(mm) => ((length_mm - 2.0 * args.margin_mm) / mm).ceil() as usize + 1,
+            By::SpacingMm(mm) => number_at(length_mm - 2.0 * args.margin_mm, mm),
         };
         let apart_mm = (length_mm - 2.0 * args.margin_mm) / (number.max(2) - 1) as f64;
         if number > 1 && apart_mm < SAME_PLACE * args.tip_mm {
@@ -192,10 +192,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 choice.feature, args.tip_mm
             );
         }
-        match choice.by {
-            By::Number(n) => plan.add_number(&contour, feature, n, args.margin_mm),
-            By::SpacingMm(mm) => plan.add_spacing(&contour, feature, mm, args.margin_mm),
-        }
+        plan.add_number(&contour, feature, number, args.margin_mm);
     }
     if let Some(file) = &args.points {
         plan.add_file(&contour, file, args.off_mm)?;
