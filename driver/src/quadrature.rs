@@ -155,6 +155,14 @@ impl Decoder {
         step
     }
 
+    /// Takes the next state, whose step is known: what [`State::step_to`] says, −1, 0 or +1.
+    #[inline]
+    pub fn take_step(&mut self, next: State, step: i8) {
+        debug_assert_eq!(self.state.step_to(next), Some(step));
+        self.state = next;
+        self.count += i64::from(step);
+    }
+
     /// Counts since the start.
     #[must_use]
     pub const fn count(&self) -> i64 {

@@ -269,7 +269,7 @@ pub(crate) struct AxisEngine {
     capture: Option<Capture>,
     /// Nothing to do before this, ns, unless a line changes.
     wake_ns: u64,
-    /// Nothing is under way or waited for: an edge is counted, and that is all.
+    /// Nothing is under way, waited for or to begin, and no request has come since: an edge is counted, and that is all.
     calm: bool,
     /// Mask of its lines in the input word, and of A alone.
     input_mask: u64,
@@ -377,6 +377,11 @@ impl AxisEngine {
         (self.wake_ns, self.calm) = (0, false);
     }
 
+    /// A request of whatever kind has come: the next edge is looked at with care.
+    pub(crate) fn take_care(&mut self) {
+        self.calm = false;
+    }
+
     pub(crate) const fn homed(&self) -> bool {
         self.homed
     }
@@ -407,13 +412,13 @@ impl AxisEngine {
         self.requested - self.wire.completed
     }
 
-    /// Whether four counts may have passed unseen since the look at `since_ns`: the axis was on its way, and the time
-    /// was enough for them. Four counts look like none.
-    pub(crate) fn may_have_missed_a_cycle(&self, sample: &Sample, since_ns: u64) -> bool {
+    /// Whether four counts may have passed unseen between two looks, on lines of which not all is `complete`: the axis was
+    /// on its way, and the time was enough for them. Four counts look like none.
+    pub(crate) fn may_have_missed_a_cycle(&self, complete: u64, since_ns: u64, t_ns: u64) -> bool {
         let Some((_, last_ns)) = self.last_edge else { return false };
-        let gap_ns = sample.t_ns - since_ns;
+        let gap_ns = t_ns - since_ns;
         self.homed
-            && sample.complete & self.a_mask == 0
+            && complete & self.a_mask == 0
             && gap_ns > self.gate.need_ns()
             && since_ns.saturating_sub(last_ns) < self.period_ns.saturating_mul(2)
             && self.gate.travel_ns(self.period_ns, 4.0) < gap_ns as f64
@@ -523,15 +528,13 @@ impl AxisEngine {
         self.edge_to_done_ns.take()
     }
 
-    /// A write has been made at `from_ns` and is in effect at `done_ns`, where the card knows.
-    pub(crate) fn written(&mut self, done_ns: Option<u64>) {
+    /// The card knows that the write is in effect at `done_ns`.
+    pub(crate) fn written(&mut self, done_ns: u64) {
         if let Some(u) = &mut self.unsettled {
-            u.done_ns = done_ns;
+            u.done_ns = Some(done_ns);
         }
-        if let Some(done_ns) = done_ns {
-            self.settle(done_ns);
-            self.set_wake_time();
-        }
+        self.settle(done_ns);
+        self.set_wake_time();
     }
 
     fn settle(&mut self, at_ns: u64) {
@@ -544,17 +547,15 @@ impl AxisEngine {
     }
 
     /// What nearly every look finds, if anything: an edge in the direction of the one before, neither seen late nor too
-    /// soon, and nothing under way or to begin. It is entered in both counts. `false`, and nothing is changed, where there
-    /// may be more to it: [`AxisEngine::look`] sees to that.
+    /// soon, and nothing under way or to begin. It is entered in both counts, which step alike and so differ as before.
+    /// `false`, and nothing is changed, where there may be more to it: [`AxisEngine::look`] sees to that.
     #[inline]
     pub(crate) fn goes_on_calmly(&mut self, look: &Look) -> bool {
+        let (Some((last_from_ns, last_ns)), true) = (self.last_edge, self.calm) else { return false };
         let (before, state) = (self.scale.state(), self.config.lines.scale(look.inputs));
         let changed = before.changed(state);
-        let (Some((last_from_ns, last_ns)), true, 1 | 2) = (self.last_edge, self.calm, changed) else {
-            return self.calm && changed == 0;
-        };
-        if self.ready() {
-            return false;
+        if !matches!(changed, 1 | 2) {
+            return changed == 0;
         }
         if look.unseen & self.a_mask != 0
             && (look.gap_ns > self.gate.need_ns()
@@ -562,12 +563,14 @@ impl AxisEngine {
         {
             return false;
         }
-        let (mut scale, mut wire) = (self.scale, self.wire);
-        wire.pass_on(changed);
-        if scale.update(state) != Some(self.last_step) || wire.mtc_count - scale.count() != wire.completed {
+        let step = before.step_to_neighbour(state);
+        let mtc = self.wire.mtc.inverted(changed);
+        if step != self.last_step || self.wire.mtc.step_to_neighbour(mtc) != step {
             return false;
         }
-        (self.scale, self.wire) = (scale, wire);
+        self.scale.take_step(state, step);
+        self.wire.mtc = mtc;
+        self.wire.mtc_count += i64::from(step);
         self.period_ns = look.edge_ns.0.saturating_sub(last_ns);
         self.last_edge = Some(look.edge_ns);
         true
@@ -619,7 +622,12 @@ impl AxisEngine {
             report(EventKind::Trip(c));
         }
         let toggle = if look.more { 0 } else { self.act(look, report) };
-        self.set_wake_time();
+        if toggle == 0 {
+            self.set_wake_time();
+        } else {
+            // Whether it is in effect, the next look tells.
+            (self.wake_ns, self.calm) = (0, false);
+        }
         toggle
     }
 
@@ -933,7 +941,7 @@ impl AxisEngine {
             wake = wake.min(c.trip_ns.1 + CAPTURE_LIMIT_NS + 1);
         }
         self.wake_ns = wake;
-        self.calm = wake == u64::MAX && self.unsettled.is_none();
+        self.calm = wake == u64::MAX && self.unsettled.is_none() && !self.ready();
     }
 
     /// The axis as a status shows it. `blocked` is what the machine as a whole holds against insertions.
@@ -1010,7 +1018,7 @@ mod tests {
         /// An edge that is counted calmly leaves the axis as the careful way leaves it.
         #[test]
         fn a_calm_edge_is_what_a_careful_one_is(
-            looks in prop::collection::vec((between(), 100_u64..4000, any::<bool>(), any::<bool>()), 1..200),
+            looks in prop::collection::vec((between(), 100_u64..4000, any::<bool>(), any::<bool>(), any::<bool>()), 1..200),
         ) {
             let config = AxisConfig { max_accel_counts_s2: 1e9, ..AxisConfig::default() };
             let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
@@ -1020,7 +1028,7 @@ mod tests {
                 axis.confirm_home(0);
             }
             let (mut state, mut t_ns, mut calm) = (State::default(), 1, 0);
-            for (what, gap_ns, insert, stamped) in looks {
+            for (what, gap_ns, insert, stamped, done) in looks {
                 let before = state;
                 match what {
                     Between::Forward => state = state.next(true),
@@ -1052,9 +1060,9 @@ mod tests {
                 prop_assert_eq!(toggled[0], toggled[1]);
                 prop_assert_eq!(&told[0], &told[1]);
                 prop_assert_eq!(format!("{quick:?}"), format!("{careful:?}"));
-                if toggled[0] != 0 {
+                if toggled[0] != 0 && done {
                     for axis in &mut axes {
-                        axis.written(None);
+                        axis.written(t_ns + 10);
                     }
                 }
             }

@@ -245,7 +245,7 @@ impl Engine {
             None if !C::SLEEPS && self.polls > 1 => {
                 self.poll_gap_ns.record(sample.t_ns - since_ns + sample.waited_ns);
                 if sample.t_ns - since_ns > self.late_ns {
-                    self.check_late_look(sample, since_ns, report);
+                    self.check_late_look(sample.inputs, sample.complete, since_ns, report);
                 }
             }
             _ => {}
@@ -254,23 +254,56 @@ impl Engine {
             self.latch_trouble(trouble, report);
         }
         let changed = (sample.inputs ^ self.inputs) & self.watched;
-        if changed == 0 && sample.t_ns < self.wake_ns && sample.trouble.is_none() {
+        if sample.t_ns < self.wake_ns
+            && sample.trouble.is_none()
+            && (changed == 0 || self.all_go_on_calmly(&sample, changed, since_ns))
+        {
             return Ok(());
         }
-        self.work(card, sample, changed, since_ns, report)
+        let look = Look::new(&sample, self.edge_since_ns(since_ns), self.permit);
+        self.work(card, &look, changed, report)
+    }
+
+    /// Nothing is due, and every axis that has changed only goes on as before: its edge is counted. `false` where there may
+    /// be more to it; what has been counted then is not counted again.
+    #[inline]
+    fn all_go_on_calmly(&mut self, sample: &Sample, changed: u64, since_ns: u64) -> bool {
+        if changed & (self.probe_mask | self.disable_mask) != 0 || self.mode_due {
+            return false;
+        }
+        let look = Look::new(sample, self.edge_since_ns(since_ns), self.permit);
+        for axis in &mut self.axes {
+            if changed & axis.input_mask() != 0 && !axis.goes_on_calmly(&look) {
+                return false;
+            }
+        }
+        self.inputs = sample.inputs;
+        true
+    }
+
+    /// Since when an edge may have come that this look shows: the look before, or where that came late, the one before it.
+    #[inline]
+    fn edge_since_ns(&self, since_ns: u64) -> u64 {
+        if since_ns == self.late_look.0 { self.late_look.1 } else { since_ns }
     }
 
     /// After a look that came late, an axis that was moving and shows no change may have moved by whole cycles.
     #[cold]
-    fn check_late_look(&mut self, sample: Sample, since_ns: u64, report: &mut impl FnMut(Event) -> bool) {
-        if sample.complete == 0 {
-            self.late_look = (sample.t_ns, since_ns);
+    fn check_late_look(
+        &mut self,
+        inputs: u64,
+        complete: u64,
+        since_ns: u64,
+        report: &mut impl FnMut(Event) -> bool,
+    ) {
+        if complete == 0 {
+            self.late_look = (self.look_ns, since_ns);
         }
-        let changed = sample.inputs ^ self.inputs;
+        let changed = inputs ^ self.inputs;
         for n in 0..self.axes.len() {
             let axis = &mut self.axes[n];
             if changed & axis.input_mask() == 0
-                && axis.may_have_missed_a_cycle(&sample, since_ns)
+                && axis.may_have_missed_a_cycle(complete, since_ns, self.look_ns)
                 && axis.latch(Fault::PollGap)
             {
                 self.mode_due = true;
@@ -300,31 +333,19 @@ impl Engine {
         }
     }
 
-    /// Lets each axis act on what this look found, and writes what they want at once.
+    /// Lets each axis act on what this look found, and writes what they want at once. Not inlined: what nearly every look
+    /// needs stays in registers.
+    #[inline(never)]
     fn work<C: Card>(
         &mut self,
         card: &mut C,
-        sample: Sample,
+        look: &Look,
         changed: u64,
-        since_ns: u64,
         report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
-        self.inputs = sample.inputs;
-        let t_ns = sample.t_ns;
-        let since_ns = if since_ns == self.late_look.0 { self.late_look.1 } else { since_ns };
+        let Look { t_ns, inputs, .. } = *look;
+        self.inputs = inputs;
         let lost = &mut self.events_lost;
-        let look = Look::new(&sample, since_ns, self.permit);
-        if changed != 0 && changed & (self.probe_mask | self.disable_mask) == 0 && !self.mode_due {
-            let mut calm = t_ns < self.wake_ns;
-            for axis in &mut self.axes {
-                if changed & axis.input_mask() != 0 && !axis.goes_on_calmly(&look) {
-                    calm = false;
-                }
-            }
-            if calm {
-                return Ok(());
-            }
-        }
         // A fault stays until it is cleared, which no look does; a new one is reported.
         let mut faulted = self.mode == Mode::Fault || self.mode_due;
         let mut emit = |axis, kind| {
@@ -332,7 +353,7 @@ impl Engine {
             *lost += u64::from(!report(Event { t_ns, axis, kind }));
         };
 
-        let trip = changed & sample.inputs & self.probe_mask != 0;
+        let trip = changed & inputs & self.probe_mask != 0;
         if trip && self.probing {
             for (n, axis) in self.axes.iter_mut().enumerate() {
                 if !axis.trip(look.edge_ns()) {
@@ -347,7 +368,7 @@ impl Engine {
         for (n, axis) in self.axes.iter_mut().enumerate() {
             let moved = changed & axis.input_mask() != 0;
             if moved || t_ns >= axis.wake_ns() || trip {
-                let toggle = axis.look(&look, moved, &mut |kind| emit(Some(n as u8), kind));
+                let toggle = axis.look(look, moved, &mut |kind| emit(Some(n as u8), kind));
                 if toggle != 0 {
                     wrote |= 1 << n;
                     if let Some(ns) = axis.take_edge_to_done_ns() {
@@ -369,13 +390,16 @@ impl Engine {
         }
         if wrote != 0 {
             let done_ns = if mask != 0 { card.write(mask, value)? } else { Some(t_ns) };
-            for (_, axis) in self.axes.iter_mut().enumerate().filter(|(n, _)| wrote >> n & 1 != 0) {
-                axis.written(done_ns);
-                self.wake_ns = self.wake_ns.min(axis.wake_ns());
+            // Where the card does not tell, the next look does.
+            if let Some(done_ns) = done_ns {
+                for (_, axis) in self.axes.iter_mut().enumerate().filter(|(n, _)| wrote >> n & 1 != 0) {
+                    axis.written(done_ns);
+                    self.wake_ns = self.wake_ns.min(axis.wake_ns());
+                }
             }
         }
         if changed & self.disable_mask != 0 || faulted != (self.mode == Mode::Fault) || self.mode_due {
-            self.switch_off = sample.inputs & self.disable_mask != 0;
+            self.switch_off = inputs & self.disable_mask != 0;
             self.update_mode(card, report)?;
         }
         Ok(())
@@ -453,6 +477,7 @@ impl Engine {
         if let Err(why) = self.try_take(request, report) {
             self.emit(axis, EventKind::Refused { total_counts, why }, report);
         }
+        self.axes.iter_mut().for_each(AxisEngine::take_care);
         self.note();
         self.wake_ns = self.axes.iter().map(AxisEngine::wake_ns).min().unwrap_or(0);
         self.update_mode(card, report)
@@ -636,6 +661,155 @@ impl Engine {
             faults: self.faults,
             axes_used: self.axes.len() as u8,
             axes,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rtec_driver::card::AxisLines;
+
+    /// Lines in memory, looked at when the test says.
+    #[derive(Debug, Default)]
+    struct Lines {
+        t_ns: u64,
+        inputs: u64,
+        outputs: u64,
+        tells: bool,
+    }
+
+    impl Card for Lines {
+        fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+            Ok(Sample::level(self.t_ns, self.inputs))
+        }
+
+        fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+            self.outputs = self.outputs & !mask | value & mask;
+            Ok(self.tells.then_some(self.t_ns + 20))
+        }
+
+        fn outputs(&mut self) -> Result<u64, CardError> {
+            Ok(self.outputs)
+        }
+    }
+
+    /// What comes before a look: edges of two axes, the machine's own lines, a request.
+    #[derive(Debug, Clone, Copy)]
+    enum Before {
+        Steps(i8, i8),
+        Probe,
+        Disable,
+        Stale(bool),
+        Latch,
+        Request(Request),
+    }
+
+    fn request() -> impl Strategy<Value = Request> {
+        let axis = 0..2_u8;
+        prop_oneof![
+            8 => (axis.clone(), -6..=6_i64)
+                .prop_map(|(axis, total_counts)| Request::Correct { axis, total_counts, large: true }),
+            1 => (axis.clone(), 0..2_i64).prop_map(|(axis, position_counts)| Request::Home { axis, position_counts }),
+            2 => (axis, 0..2_i64)
+                .prop_map(|(axis, position_counts)| Request::ConfirmHome { axis, position_counts }),
+            3 => Just(Request::Enable),
+            1 => Just(Request::Disable),
+            1 => Just(Request::Shadow),
+            1 => any::<bool>().prop_map(Request::Probe),
+            1 => any::<bool>().prop_map(Request::Hold),
+            2 => Just(Request::Clear),
+        ]
+    }
+
+    fn before() -> impl Strategy<Value = Before> {
+        let step = || prop_oneof![6 => Just(1_i8), 1 => Just(-1), 3 => Just(0), 1 => Just(2)];
+        prop_oneof![
+            40 => (step(), step()).prop_map(|(x, y)| Before::Steps(x, y)),
+            1 => Just(Before::Probe),
+            1 => Just(Before::Disable),
+            1 => any::<bool>().prop_map(Before::Stale),
+            1 => Just(Before::Latch),
+            6 => request().prop_map(Before::Request),
+        ]
+    }
+
+    fn step(inputs: &mut u64, axis: u8, counts: i8) {
+        let lines = AxisLines::standard(axis, false);
+        let state = lines.scale(*inputs);
+        let next = if counts == 2 { state.inverted(3) } else { state.next(counts > 0) };
+        for (bit, level) in [(lines.a, next.a()), (lines.b, next.b())] {
+            *inputs = *inputs & !(1 << bit) | u64::from(level) << bit;
+        }
+    }
+
+    /// An engine, and one that is made to look at every edge with care.
+    #[derive(Debug)]
+    struct One {
+        engine: Engine,
+        card: Lines,
+        told: Vec<Event>,
+        careful: bool,
+    }
+
+    impl One {
+        fn new(tells: bool, careful: bool) -> Self {
+            let axis = |n| AxisConfig {
+                lines: AxisLines::standard(n, false),
+                max_accel_counts_s2: 1e9,
+                ..AxisConfig::default()
+            };
+            let mut card = Lines { t_ns: 1, tells, ..Lines::default() };
+            let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+            let mut engine = Engine::new(&mut card, &[axis(0), axis(1)], machine, &[]).unwrap();
+            engine.start_homed(&mut card, &mut |_| true).unwrap();
+            Self { engine, card, told: Vec::new(), careful }
+        }
+
+        fn look(&mut self, before: Before, gap_ns: u64) {
+            let Self { engine, card, told, careful } = self;
+            let mut report = |event| {
+                told.push(event);
+                true
+            };
+            let own = engine.machine.lines;
+            match before {
+                Before::Steps(x, y) => {
+                    for (axis, counts) in [(0, x), (1, y)].into_iter().filter(|(_, counts)| *counts != 0) {
+                        step(&mut card.inputs, axis, counts);
+                    }
+                }
+                Before::Probe => card.inputs ^= own.probe.map_or(0, |bit| 1 << bit),
+                Before::Disable => card.inputs ^= own.disable.map_or(0, |bit| 1 << bit),
+                Before::Stale(stale) => engine.set_control_stale(stale, &mut report),
+                Before::Latch => engine.latch(Some(1), Fault::PollGap, card, &mut report).unwrap(),
+                Before::Request(request) => engine.take(request, card, &mut report).unwrap(),
+            }
+            if *careful {
+                engine.axes.iter_mut().for_each(AxisEngine::take_care);
+            }
+            card.t_ns += gap_ns;
+            engine.poll(card, u64::MAX, &mut report).unwrap();
+        }
+    }
+
+    proptest! {
+        /// Whatever is asked of it, an engine that counts edges calmly does what one does that looks at each with care.
+        #[test]
+        fn calm_edges_change_nothing_whatever_is_asked(
+            looks in prop::collection::vec((before(), 100_u64..2000), 1..400),
+            tells in any::<bool>(),
+        ) {
+            let [mut calm, mut careful] = [false, true].map(|careful| One::new(tells, careful));
+            for (before, gap_ns) in looks {
+                for one in [&mut calm, &mut careful] {
+                    one.look(before, gap_ns);
+                }
+                prop_assert_eq!(&calm.told, &careful.told);
+                prop_assert_eq!(&calm.card.outputs, &careful.card.outputs);
+                prop_assert_eq!(format!("{:?}", calm.engine.status()), format!("{:?}", careful.engine.status()));
+            }
         }
     }
 }
