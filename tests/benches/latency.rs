@@ -23,7 +23,8 @@ fn main() -> anyhow::Result<()> {
     };
     let measured = run(options, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
     eprintln!("floor, oslat and cyclictest, {seconds} s each");
-    let floor = floor(Wanted { cpu, priority }, Duration::from_secs(seconds))?;
+    let separations_ns = measured.separations_ns();
+    let (floor, windows) = floor(Wanted { cpu, priority }, Duration::from_secs(seconds), separations_ns / 2)?;
 
     println!("CPU {cpu}, priority {priority}, {seconds} s each, ns");
     for finding in measured.setup.findings.iter().filter(|f| !f.ok) {
@@ -39,8 +40,8 @@ fn main() -> anyhow::Result<()> {
         let [min, p50, p99, p999] = figures;
         println!("  {name:<34} {:>11} {min:>8} {p50:>8} {p99:>8} {p999:>8} {:>10}", s.samples(), of(s.max()));
     };
-    let separations_ns = measured.separations_ns();
     row("floor: gaps of an empty loop", &floor, 0);
+    row("floor: two separations, late by", &windows, 0);
     let quiet = &measured.quiet;
     for (polling, how) in [(quiet, ""), (&measured.with_requests, ", with requests")] {
         row(&format!("poll gap{how}"), &polling.poll_gap.ns, 0);
@@ -60,6 +61,20 @@ fn main() -> anyhow::Result<()> {
         "  floor: {per_s:.0} gaps of 1 µs and more per second, so {:.3} % of insertions of {window_ns:.0} ns meet one",
         100.0 * per_s * window_ns / 1e9
     );
+    // The same rule for both: what is late by a microsecond and more was taken away, by an interrupt or by the host.
+    let late = |s: &Snapshot, less: u64| (s.p999().saturating_sub(less), kept_p999(s, less + TAKEN_AWAY_NS));
+    let (floor_all, (floor_kept, floor_share)) = late(&windows, 0);
+    let (ours_all, (ours_kept, ours_share)) = late(&quiet.seen_to_done, separations_ns);
+    let ours_kept = ours_kept.saturating_sub(separations_ns);
+    let ratio = |a: u64, b: u64| a as f64 / b.max(1) as f64;
+    println!("  p99.9 of an insertion, less its separations, beside the empty loop's two separations:");
+    println!("    all: {ours_all} to {floor_all}, {:.1} times", ratio(ours_all, floor_all));
+    println!(
+        "    without those late by {TAKEN_AWAY_NS} ns and more ({:.3} and {:.3} %): {ours_kept} to {floor_kept}, {:.1} times",
+        100.0 * ours_share,
+        100.0 * floor_share,
+        ratio(ours_kept, floor_kept)
+    );
     println!(
         "  ledger {}, {} poll gap faults",
         if measured.balanced() { "balanced" } else { "DOES NOT BALANCE" },
@@ -71,22 +86,48 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Gaps between two readings of the clock in a loop that does nothing else, set up as the engine's thread.
-fn floor(wanted: Wanted, time: Duration) -> anyhow::Result<Snapshot> {
-    let (mut recorder, reader) = histogram();
+/// Late by so much, a loop did not run: no instruction of it takes that long, ns.
+const TAKEN_AWAY_NS: u64 = 1000;
+
+/// The 99.9th percentile of what lies below `limit_ns`, and which share does not.
+fn kept_p999(all: &Snapshot, limit_ns: u64) -> (u64, f64) {
+    let kept: u64 = all.buckets().filter(|b| b.low < limit_ns).map(|b| b.count).sum();
+    let mut left = kept - kept / 1000;
+    let at = all.buckets().find(|b| {
+        let found = left <= b.count;
+        left = left.saturating_sub(b.count);
+        found
+    });
+    (at.map_or(0, |b| b.low), 1.0 - kept as f64 / all.samples().max(1) as f64)
+}
+
+/// A loop that does nothing but read the clock, set up as the engine's thread: the gaps between two readings; and how late it
+/// is after two waits of `separation_ns` one after the other, as an insertion has them, each over at the first reading after it.
+fn floor(wanted: Wanted, time: Duration, separation_ns: u64) -> anyhow::Result<(Snapshot, Snapshot)> {
+    let (mut gaps, gaps_reader) = histogram();
+    let (mut late, late_reader) = histogram();
     let polling = std::thread::Builder::new().spawn(move || {
         let (_held, _) = apply(&System::live(), wanted);
         let mut clock = Monotonic;
         let mut last_ns = clock.now_ns();
         let end_ns = last_ns + time.as_nanos() as u64;
+        let (mut begun_ns, mut due_ns, mut second) = (last_ns, last_ns + separation_ns, false);
         while last_ns < end_ns {
             let now_ns = clock.now_ns();
-            recorder.record(now_ns - last_ns);
+            gaps.record(now_ns - last_ns);
             last_ns = now_ns;
+            if now_ns >= due_ns {
+                if second {
+                    late.record(now_ns - begun_ns - 2 * separation_ns);
+                    begun_ns = now_ns;
+                }
+                second = !second;
+                due_ns = now_ns + separation_ns;
+            }
         }
     })?;
     polling.join().map_err(|_| anyhow::anyhow!("the polling thread panicked"))?;
-    Ok(reader.snapshot())
+    Ok((gaps_reader.snapshot(), late_reader.snapshot()))
 }
 
 /// Another program's view of the same CPU, as it prints it.
