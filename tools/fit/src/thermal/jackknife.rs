@@ -69,21 +69,19 @@ fn best_lags(
     let lagged: Vec<usize> = (0..terms.len())
         .filter(|k| matches!(terms[*k], Term::Thermal { lag: 1.., square: false, .. }))
         .collect();
+    let mut rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
     // With more than one, each beside the others, twice round.
     for _ in 0..lagged.len().min(2) {
         for &k in &lagged {
             let shared = shared(terms, k);
             let left = |ln: f64| {
-                let mut tried = lags_s.clone();
-                for j in &shared {
-                    tried[*j] = ln.exp();
-                }
-                let rows = Rows::with_lags(problem, terms, &tried, train, response)?;
+                rows.lag(problem, terms, &shared, ln.exp(), train)?;
                 let own = |i: usize| take(i, rows.fold[i]);
                 Ok::<_, InputError>(rows.solve(&own).map_or(f64::INFINITY, |c| rows.rms(&c, &own)))
             };
             let middle = start_s[k].ln();
             let ln = smallest(middle - REACH, middle + REACH, left)?;
+            rows.lag(problem, terms, &shared, ln.exp(), train)?;
             for j in &shared {
                 lags_s[*j] = ln.exp();
             }
@@ -139,7 +137,7 @@ fn shared(terms: &[Term], k: usize) -> Vec<usize> {
 fn smallest(
     mut lo: f64,
     mut hi: f64,
-    of: impl Fn(f64) -> Result<f64, InputError>,
+    mut of: impl FnMut(f64) -> Result<f64, InputError>,
 ) -> Result<f64, InputError> {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let (mut a, mut b) = (hi - GOLDEN * (hi - lo), lo + GOLDEN * (hi - lo));
