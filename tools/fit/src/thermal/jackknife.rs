@@ -47,7 +47,7 @@ pub(super) fn tuned(
     train: &[&Record],
     response: &Role,
 ) -> Result<Vec<Term>, InputError> {
-    let lags_s = best_lags(problem, &terms, &lags_of(problem, &terms), train, response, &|_, _| true)?;
+    let lags_s = best_lags(problem, &terms, &lags_of(problem, &terms), train, response, &|_| true)?;
     for k in 0..terms.len() {
         let Term::Thermal { lag: 1.., square: false, .. } = terms[k] else { continue };
         let lag = problem.with_lag(lags_s[k], train);
@@ -56,28 +56,29 @@ pub(super) fn tuned(
     Ok(terms)
 }
 
-/// The lag of each term, s, with which least squares on the rows that `take` chooses (number, block) leave least.
+/// The lag of each term, s, with which least squares on the blocks that `take` chooses leave least.
 fn best_lags(
     problem: &Problem,
     terms: &[Term],
     start_s: &[f64],
     train: &[&Record],
     response: &Role,
-    take: &dyn Fn(usize, usize) -> bool,
+    take: &dyn Fn(usize) -> bool,
 ) -> Result<Vec<f64>, InputError> {
     let mut lags_s = start_s.to_vec();
     let lagged: Vec<usize> = (0..terms.len())
         .filter(|k| matches!(terms[*k], Term::Thermal { lag: 1.., square: false, .. }))
         .collect();
     let mut rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
+    let taken = rows.runs(&|i| take(rows.fold[i]));
     // With more than one, each beside the others, twice round.
     for _ in 0..lagged.len().min(2) {
         for &k in &lagged {
             let shared = shared(terms, k);
             let left = |ln: f64| {
                 rows.lag(problem, terms, &shared, ln.exp(), train)?;
-                let own = |i: usize| take(i, rows.fold[i]);
-                Ok::<_, InputError>(rows.solve(&own).map_or(f64::INFINITY, |c| rows.rms(&c, &own)))
+                let left = rows.solve_on(&taken).map_or(f64::INFINITY, |c| rows.rms_on(&c, &taken));
+                Ok::<_, InputError>(left)
             };
             let middle = start_s[k].ln();
             let ln = smallest(middle - REACH, middle + REACH, left)?;
@@ -167,7 +168,7 @@ pub(super) fn jackknife(
     let start_s = lags_of(problem, terms);
     let (mut parts, mut lags): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
     for f in 0..problem.folds {
-        let lags_s = best_lags(problem, terms, &start_s, train, response, &|_, fold| fold != f)?;
+        let lags_s = best_lags(problem, terms, &start_s, train, response, &|fold| fold != f)?;
         let rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
         if let Some(c) = rows.solve(&|i| rows.fold[i] != f) {
             parts.push(c);

@@ -11,6 +11,8 @@ use std::ops::Range;
 
 /// Rows that the search sees at most: neighbours in time are averaged, temperatures change slowly.
 const BINS: usize = 512;
+/// Sensors whose differences are all looked at where nobody names any: their pairs grow with the square.
+const MOST_SENSORS: usize = 256;
 /// Lags tried, from one minute on, each this much longer than the one before.
 const LAG_STEP: f64 = 1.02;
 /// Of the lags, those that the screening of candidates looks at: every so many.
@@ -94,6 +96,13 @@ impl Problem {
             None => Some(environment_of(&sensors, records)),
         };
         let explicit = !options.sensors.is_empty();
+        if !explicit && sensors.len() > MOST_SENSORS {
+            let found = format!("{} temperatures to choose from", sensors.len());
+            let expected = format!(
+                "{MOST_SENSORS} at most, whose pairs can all be looked at; --sensors names the differences to choose from"
+            );
+            return Err(InputError::whole(&first.path, found, expected));
+        }
         let (offered, pairs) = differences(first, response, options, &sensors, environment)?;
         let rows: usize = records.iter().map(|r| r.rows()).sum();
         if rows < 4 * options.folds || options.folds < 3 {

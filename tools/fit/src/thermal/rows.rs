@@ -52,15 +52,20 @@ impl Rows {
 
     /// Least squares on the rows that `take` chooses: constant, then one coefficient per column.
     pub(super) fn solve(&self, take: &dyn Fn(usize) -> bool) -> Option<Vec<f64>> {
-        let taken = self.runs(take);
+        self.solve_on(&self.runs(take))
+    }
+
+    /// The same on these stretches of rows.
+    pub(super) fn solve_on(&self, taken: &[Range<usize>]) -> Option<Vec<f64>> {
         let n = taken.iter().map(Range::len).sum::<usize>() as f64;
         if taken.is_empty() {
             return None;
         }
         let about = |v: &[f64]| {
-            let own: Vec<f64> = taken.iter().flat_map(|run| &v[run.clone()]).copied().collect();
-            let mean = own.iter().sum::<f64>() / n;
-            (own.into_iter().map(|v| v - mean).collect::<Vec<f64>>(), mean)
+            let mean = taken.iter().map(|run| v[run.clone()].iter().sum::<f64>()).sum::<f64>() / n;
+            let mut own = Vec::with_capacity(v.len());
+            taken.iter().for_each(|run| own.extend(v[run.clone()].iter().map(|v| v - mean)));
+            (own, mean)
         };
         let (y, my) = about(&self.y);
         let (columns, means): (Vec<Vec<f64>>, Vec<f64>) = self.columns.iter().map(|c| about(c)).unzip();
@@ -75,7 +80,7 @@ impl Rows {
     }
 
     /// The rows that `take` chooses, one stretch after the other.
-    fn runs(&self, take: &dyn Fn(usize) -> bool) -> Vec<Range<usize>> {
+    pub(super) fn runs(&self, take: &dyn Fn(usize) -> bool) -> Vec<Range<usize>> {
         let mut runs: Vec<Range<usize>> = Vec::new();
         for i in (0..self.y.len()).filter(|i| take(*i)) {
             match runs.last_mut() {
@@ -123,8 +128,13 @@ impl Rows {
     }
 
     pub(super) fn rms(&self, c: &[f64], take: &dyn Fn(usize) -> bool) -> f64 {
+        self.rms_on(c, &self.runs(take))
+    }
+
+    /// The same on these stretches of rows.
+    pub(super) fn rms_on(&self, c: &[f64], taken: &[Range<usize>]) -> f64 {
         let (mut sum, mut n) = (0.0, 0_usize);
-        for run in self.runs(take) {
+        for run in taken {
             let mut left: Vec<f64> = self.y[run.clone()].iter().map(|y| y - c[0]).collect();
             for (u, c) in self.columns.iter().zip(&c[1..]) {
                 left.iter_mut().zip(&u[run.clone()]).for_each(|(l, u)| *l -= c * u);
