@@ -320,3 +320,110 @@ impl Problem {
         self.physical(&judged.terms, &judged.coefficients, folds)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test's own helpers
+
+    use super::*;
+    use crate::thermal::Options;
+    use nalgebra::{DMatrix, DVector};
+    use rtec_model::record::{Axis, Column, Kind, Record, Role};
+    use std::path::Path;
+
+    /// Rows of so many sensors; more rows than bins, so that the last bin weighs less.
+    fn drift(sensors: usize) -> Record {
+        let rows = || (0..1300_u32).map(f64::from);
+        let warm = |i: f64, k: f64| 8.0 * (i / (150.0 + 60.0 * k)).sin() + 0.05 * (k * i * i + i).sin();
+        let growth =
+            rows().map(|i| 5.0 + 1.3 * warm(i, 0.0) - 0.4 * warm(i, 1.0) + 0.3 * (1.7 * i * i).sin());
+        let mut columns = vec![Column::new("t", Role::Time, rows().map(|i| 60.0 * i).collect())];
+        columns.push(Column::new("e", Role::Error(Axis::new("z").unwrap()), growth.collect()));
+        for k in 0..sensors {
+            let degc = rows().map(|i| 20.0 + warm(i, k as f64) / (1.0 + k as f64)).collect();
+            columns.push(Column::new(&format!("T{k}"), Role::Temperature, degc));
+        }
+        Record::new(Path::new("drift.run.toml"), Kind::Drift, columns).unwrap()
+    }
+
+    fn response() -> Role {
+        Role::Error(Axis::new("z").unwrap())
+    }
+
+    fn difference(sensor: usize, lag: usize) -> Term {
+        Term::Thermal { sensor, minus: Some(2), lag, square: false }
+    }
+
+    /// Weighted least squares by another hand: singular values of all rows at once, each fold left out.
+    #[test]
+    fn a_structure_is_judged_as_by_singular_values() {
+        let record = drift(3);
+        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let folds = [0, 1, 3, 4, 6, 7, 8, 9];
+        let terms = [difference(0, 0), difference(1, 40)];
+        let judged = problem.judge(&terms, &folds).unwrap();
+        let columns = terms.map(|t| problem.column(t));
+        let solve = |bins: &[usize]| {
+            let root = |i: usize| problem.weight[i].sqrt();
+            let a = DMatrix::from_fn(bins.len(), 3, |n, k| {
+                root(bins[n]) * if k == 0 { 1.0 } else { columns[k - 1][bins[n]] }
+            });
+            let b = DVector::from_fn(bins.len(), |n, _| root(bins[n]) * problem.y[bins[n]]);
+            a.svd(true, true).solve(&b, 1e-12).unwrap()
+        };
+        let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-9 * b.abs().max(1.0), "{a} {b}");
+        let bins = |folds: &[usize]| problem.stretches(folds).flatten().collect::<Vec<usize>>();
+        let all = solve(&bins(&folds));
+        judged.coefficients.iter().zip(&all).for_each(|(a, b)| near(*a, *b));
+        for (f, mse) in folds.iter().zip(&judged.mse) {
+            let others: Vec<usize> = folds.iter().copied().filter(|o| o != f).collect();
+            let c = solve(&bins(&others));
+            let left = |i: usize| problem.y[i] - c[0] - c[1] * columns[0][i] - c[2] * columns[1][i];
+            let own = bins(&[*f]);
+            let sum: f64 = own.iter().map(|i| problem.weight[*i] * left(*i).powi(2)).sum();
+            near(*mse, sum / own.iter().map(|i| problem.weight[*i]).sum::<f64>());
+        }
+    }
+
+    /// A column that came and went leaves no trace; one that does not vary, or is another's double, is refused.
+    #[test]
+    fn columns_come_and_go() {
+        let record = drift(3);
+        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let folds: Vec<usize> = (0..problem.folds).collect();
+        let mut beside = problem.beside(&[difference(0, 0)], &folds).unwrap();
+        let before = beside.solve().unwrap();
+        beside.push(&problem.column(difference(1, 7))).unwrap();
+        assert!(beside.solve().unwrap().rms() < before.rms());
+        beside.pop();
+        assert_eq!(beside.solve().unwrap().mse, before.mse);
+        assert!(beside.push(&vec![3.0; problem.y.len()]).is_none());
+        beside.push(&problem.column(difference(0, 0))).unwrap();
+        assert!(beside.solve().is_none());
+    }
+
+    /// The same structure with its terms in another order leaves the same but for rounding, and so is no better.
+    #[test]
+    fn the_order_of_terms_is_no_gain() {
+        let record = drift(3);
+        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let folds: Vec<usize> = (0..problem.folds).collect();
+        let judge = |terms: &[Term]| problem.judge(terms, &folds).unwrap();
+        for lag in 0..60 {
+            let (a, b) = (difference(0, lag), difference(1, 30));
+            let (one, other) = (judge(&[a, b]), judge(&[b, a]));
+            assert!(!one.beats(&other) && !other.beats(&one), "{lag}");
+        }
+        assert!(judge(&[difference(0, 0), difference(1, 0)]).beats(&judge(&[difference(1, 0)])));
+    }
+
+    #[test]
+    fn more_sensors_than_can_be_paired_are_to_be_named() {
+        let record = drift(260);
+        let said = Problem::new(&[&record], &response(), &Options::default()).err().unwrap();
+        assert!(said.found.contains("260 temperatures") && said.expected.contains("--sensors"), "{said}");
+        let few = ["T0", "T7"].map(rtec_model::effect::Difference::single);
+        let named = Options { sensors: few.to_vec(), ..Options::default() };
+        assert!(Problem::new(&[&record], &response(), &named).is_ok());
+    }
+}
