@@ -1,4 +1,4 @@
-//! Three axes on a card in memory: the work that benchmarks time and whose instructions are counted.
+//! Three axes, or another number, on a card in memory: the work that benchmarks time and whose instructions are counted.
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::AxisConfig;
@@ -45,6 +45,8 @@ pub struct Workload {
 #[derive(Debug)]
 struct Wires {
     inputs: u64,
+    /// The lines of the axes that there are.
+    wired: u64,
     outputs: u64,
     t_ns: u64,
     step_ns: u64,
@@ -60,7 +62,8 @@ impl Card for Wires {
         if self.looks == self.looks_per_edge {
             self.looks = 0;
             // Gray code, all axes at once: no table, no loop, so that the count is the engine's.
-            self.inputs ^= if (self.inputs ^ self.inputs >> 1) & 1 == 0 { 0x111 } else { 0x222 };
+            let edge = if (self.inputs ^ self.inputs >> 1) & 1 == 0 { 0x11_1111 } else { 0x22_2222 };
+            self.inputs ^= edge & self.wired;
         }
         Ok(Sample::level(self.t_ns, self.inputs))
     }
@@ -82,20 +85,29 @@ impl Workload {
     /// # Errors
     /// The engine does not start.
     pub fn new(motion: Motion) -> Result<Self, StartError> {
+        Self::of(motion, AXES)
+    }
+
+    /// The same with so many axes, six at most.
+    ///
+    /// # Errors
+    /// The engine does not start.
+    pub fn of(motion: Motion, axes: u8) -> Result<Self, StartError> {
         let axis = |n| AxisConfig {
             lines: AxisLines::standard(n, false),
             max_correction_counts: i64::MAX,
             ..AxisConfig::default()
         };
-        let axes: Vec<AxisConfig> = (0..AXES).map(axis).collect();
+        let configured: Vec<AxisConfig> = (0..axes).map(axis).collect();
         let (step_ns, looks_per_edge) = motion.pace();
-        let mut wires = Wires { inputs: 0, outputs: 0, t_ns: 1, step_ns, looks: 0, looks_per_edge };
+        let wired = (1_u64 << (4 * u32::from(axes))) - 1;
+        let mut wires = Wires { inputs: 0, wired, outputs: 0, t_ns: 1, step_ns, looks: 0, looks_per_edge };
         let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
-        let mut engine = Engine::new(&mut wires, &axes, machine, &[])?;
+        let mut engine = Engine::new(&mut wires, &configured, machine, &[])?;
         let report = &mut |_| true;
         engine.start_homed(&mut wires, report)?;
         if motion == Motion::Correcting {
-            for axis in 0..AXES {
+            for axis in 0..axes {
                 let request = Request::Correct { axis, total_counts: i64::MAX / 2, large: true };
                 engine.take(request, &mut wires, report)?;
             }
@@ -128,12 +140,12 @@ mod tests {
 
     #[test]
     fn each_motion_is_what_it_says() {
-        for (name, motion) in Motion::ALL {
-            let mut work = Workload::new(motion).unwrap();
+        for (axes, (name, motion)) in [1, AXES, 6].into_iter().flat_map(|n| Motion::ALL.map(|m| (n, m))) {
+            let mut work = Workload::of(motion, axes).unwrap();
             work.looks(32_000).unwrap();
             let status = work.status();
             assert!(status.balanced() && !status.faults.any(), "{name}");
-            assert_eq!(status.axes().len(), usize::from(AXES));
+            assert_eq!(status.axes().len(), usize::from(axes));
             for axis in status.axes() {
                 assert!(!axis.faults.any() && axis.illegal == 0, "{name}: {axis:?}");
                 let (counts, insertions) = (axis.position_counts.unsigned_abs(), axis.insertions);

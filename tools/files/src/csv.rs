@@ -65,7 +65,7 @@ impl<R: Read> Reader<R> {
             InputError::at(&lines.file, lines.line, column, not_utf8(bad[0]), UTF8)
         })?;
         let row = Row { file: &lines.file, line: lines.line, text, parser, by: self.by };
-        if text.contains('"') {
+        if has_quote(text) {
             row.quotes_are_closed()?;
         }
         Ok(Some(row))
@@ -130,10 +130,17 @@ fn parser(by: u8) -> Parser {
     RefCell::new(csv_core::ReaderBuilder::new().delimiter(by).terminator(any).build())
 }
 
+fn has_quote(text: &str) -> bool {
+    memchr::memchr(b'"', text.as_bytes()).is_some()
+}
+
 /// A line without its comment and the blanks at its end; empty where nothing else is in it.
 fn content(line: &[u8]) -> &[u8] {
-    let comment =
-        if line.contains(&b'#') { outside_quotes(line).find(|(_, byte)| *byte == b'#') } else { None };
+    let comment = if memchr::memchr(b'#', line).is_some() {
+        outside_quotes(line).find(|(_, byte)| *byte == b'#')
+    } else {
+        None
+    };
     let comment = comment.map(|(at, _)| at);
     let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
     if text.trim_ascii_start().is_empty() { &[] } else { text }
@@ -181,7 +188,7 @@ impl<'a> Row<'a> {
     #[inline]
     #[must_use]
     pub fn cells(self) -> Cells<'a> {
-        Cells { row: self, next: Some(0), quotes: self.text.contains('"') }
+        Cells { row: self, next: Some(0), quotes: has_quote(self.text) }
     }
 
     /// The cells of a row that must have these columns.
@@ -348,6 +355,9 @@ impl<'a> Cell<'a> {
     /// There is none.
     #[inline]
     pub fn finite(&self) -> Result<f64, InputError> {
+        if let Some(number) = plain_decimal(self.text.as_bytes()) {
+            return Ok(number);
+        }
         let number = self.text.parse().ok().filter(|v: &f64| v.is_finite());
         number.ok_or_else(|| self.finding("a finite number"))
     }
@@ -357,6 +367,38 @@ impl<'a> Cell<'a> {
             if names.len() <= 60 { names.to_owned() } else { format!("{columns} fields, one per column") };
         self.finding(format!("the end of the row after {after}"))
     }
+}
+
+/// A number of digits with or without sign and point, so short that the digits and the power of ten are exact, and with
+/// them their quotient rounded once: what the standard library's parser says, in a third of its time. `None` for all others.
+#[inline]
+fn plain_decimal(text: &[u8]) -> Option<f64> {
+    const EXACT_DIGITS: usize = 15;
+    const TENS: [f64; EXACT_DIGITS + 1] =
+        [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
+    let (negative, digits) = match text {
+        [b'-', rest @ ..] => (true, rest),
+        _ => (false, text),
+    };
+    // One more for the point.
+    if digits.is_empty() || digits.len() > EXACT_DIGITS + 1 {
+        return None;
+    }
+    let (mut whole, mut point) = (0_u64, None);
+    for (at, byte) in digits.iter().enumerate() {
+        match byte.wrapping_sub(b'0') {
+            digit @ 0..=9 => whole = 10 * whole + u64::from(digit),
+            _ if *byte == b'.' && point.is_none() && digits.len() > 1 => point = Some(at),
+            _ => return None,
+        }
+    }
+    let behind = match point {
+        Some(at) => digits.len() - 1 - at,
+        None if digits.len() > EXACT_DIGITS => return None,
+        None => 0,
+    };
+    let number = whole as f64 / TENS[behind];
+    Some(if negative { -number } else { number })
 }
 
 /// The columns' names, from the first row.
@@ -530,6 +572,54 @@ pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The short way says what the standard library's parser says, to the last bit, or leaves the number to it.
+    #[test]
+    fn the_short_way_to_a_number_gives_the_same_one() {
+        for text in [
+            "0",
+            "-0",
+            "-0.0",
+            ".5",
+            "5.",
+            "007",
+            "999999999999999",
+            "0.00000000000001",
+            "99999999999999.9",
+            "123.4567",
+        ] {
+            let std: f64 = text.parse().unwrap();
+            assert_eq!(plain_decimal(text.as_bytes()).map(f64::to_bits), Some(std.to_bits()), "{text}");
+        }
+        for text in [
+            "",
+            "-",
+            ".",
+            "-.",
+            "+1",
+            "1e3",
+            "nan",
+            "inf",
+            "1.2.3",
+            "1_0",
+            "1,0",
+            "--1",
+            "9007199254740993",
+            "0.1234567890123456",
+            "٣",
+        ] {
+            assert_eq!(plain_decimal(text.as_bytes()), None, "{text}");
+        }
+        let mut random = 12345_u64;
+        for _ in 0..200_000 {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let (digits, places) = (random >> (14 + random % 50), (random >> 7) as usize % 14);
+            let text = format!("{:.places$}", digits as f64 / 10_f64.powi(places as i32));
+            if let Some(short) = plain_decimal(text.as_bytes()) {
+                assert_eq!(short.to_bits(), text.parse::<f64>().unwrap().to_bits(), "{text}");
+            }
+        }
+    }
 
     #[test]
     fn a_column_is_found_by_its_quoted_name() {

@@ -94,7 +94,7 @@ impl<R: Read> Lines<R> {
         let mut searched = 0;
         let length = loop {
             let unread = &self.buffer[self.start..self.end];
-            if let Some(at) = unread[searched..].iter().position(|&byte| byte == b'\n') {
+            if let Some(at) = memchr::memchr(b'\n', &unread[searched..]) {
                 break searched + at;
             }
             searched = unread.len();

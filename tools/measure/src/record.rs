@@ -202,12 +202,14 @@ fn parse_csv(path: &Path, bytes: &[u8], sidecar: &Sidecar) -> Result<Vec<Column>
         }
         header.place(&listed.name)?;
     }
+    // Rows as long as the header would be so many; they are mostly longer.
+    let rows = bytes.len() / header.text().len().max(1);
     let mut columns: Vec<Column> = Vec::new();
     for (slot, name) in slots.iter_mut().zip(header.names()) {
         if let Some(l) = sidecar.columns.iter().find(|c| c.name == name) {
             *slot = Some(columns.len());
             let (name, role, unit) = (l.name.clone(), l.role.clone(), l.unit.clone());
-            columns.push(Column { name, role, unit, data: Vec::new() });
+            columns.push(Column { name, role, unit, data: Vec::with_capacity(rows.min(1 << 20)) });
         }
     }
     while let Some(row) = reader.row()? {

@@ -151,6 +151,12 @@ pub(crate) fn command() -> Command {
         .after_help(list)
 }
 
+/// The command line with this verb alone, to take its words; none where there is no such verb.
+pub(crate) fn command_of(verb: &str) -> Option<Command> {
+    let own = crate::Verb::described(verb)?;
+    Some(crate::with_negative_values(Command::new("rtecctl").subcommand(own)))
+}
+
 /// What follows a usage error: an example of the verb and its list of names, where the error does not show them itself.
 pub(crate) fn next(verb: &str, said: &str) -> String {
     let Some((.., example, _)) = VERBS.iter().find(|v| v.0 == verb).filter(|_| !said.contains("Example:"))
@@ -165,6 +171,12 @@ pub(crate) fn next(verb: &str, said: &str) -> String {
         let _ = writeln!(text, "Names: rtecctl {verb} --list");
     }
     text
+}
+
+/// Verbs and their examples.
+#[cfg(test)]
+pub(crate) fn examples() -> impl Iterator<Item = (&'static str, &'static str)> {
+    VERBS.iter().filter(|v| v.0 != "help").map(|v| (v.0, v.2))
 }
 
 /// Doors: name, who comes through it, its verbs.

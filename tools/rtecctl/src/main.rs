@@ -35,8 +35,9 @@ mod reference;
 mod terminal;
 mod verbs;
 
-use clap::{FromArgMatches as _, Parser, Subcommand};
+use clap::{Args as _, FromArgMatches as _, Parser, Subcommand};
 use rtec_files::InputError;
+use std::ffi::OsString;
 use std::io::{ErrorKind, IsTerminal as _, Write as _};
 use std::process::ExitCode;
 
@@ -48,46 +49,71 @@ pub(crate) struct Cli {
     verb: Option<Verb>,
 }
 
-#[derive(Debug, Subcommand)]
-enum Verb {
-    Demo(verbs::demo::Args),
-    Bugreport(verbs::bugreport::Args),
-    Card(verbs::card::Args),
-    Characterise(verbs::characterise::Args),
-    Commission(verbs::commission::Args),
-    Completions(verbs::completions::Args),
-    Config(verbs::config::Args),
-    Designs(verbs::designs::Args),
-    Man(verbs::man::Args),
-    Ledger(verbs::ledger::Args),
-    Metrics(verbs::metrics::Args),
-    Status(verbs::status::Args),
-    Get(verbs::get::Args),
-    Home(verbs::home::Args),
-    Enable(verbs::enable::Args),
-    Example(verbs::example::Args),
-    Explain(verbs::explain::Args),
-    Disable(verbs::disable::Args),
-    Shadow(verbs::shadow::Args),
-    Correct(verbs::correct::Args),
-    Probe(verbs::probe::Args),
-    History(verbs::history::Args),
-    Hold(verbs::hold::Args),
-    Clear(verbs::clear::Args),
-    Log(verbs::log::Args),
-    Papers(verbs::papers::Args),
-    Park(verbs::park::Args),
-    Part(verbs::part::Args),
-    Model(verbs::model::Args),
-    Reconcile(verbs::reconcile::Args),
-    Replay(verbs::replay::Args),
-    Top(verbs::top::Args),
-    Trace(verbs::trace::Args),
-    Platform(verbs::platform::Args),
-    Selftest(verbs::selftest::Args),
-    Ship(verbs::ship::Args),
-    Simulate(verbs::simulate::Args),
-    Whoami(verbs::whoami::Args),
+// One line a verb: the variant, and the file of `verbs` that has its arguments and does it.
+macro_rules! verbs {
+    ($($verb:ident $file:ident,)*) => {
+        #[derive(Debug, Subcommand)]
+        enum Verb {
+            $($verb(verbs::$file::Args),)*
+        }
+
+        impl Verb {
+            /// The description of one verb, by its name.
+            pub(crate) fn described(name: &str) -> Option<clap::Command> {
+                match name {
+                    $(stringify!($file) => Some(verbs::$file::Args::augment_args(clap::Command::new(stringify!($file)))),)*
+                    _ => None,
+                }
+            }
+
+            fn run(&self) -> anyhow::Result<()> {
+                match self {
+                    $(Self::$verb(args) => verbs::$file::run(args),)*
+                }
+            }
+        }
+    };
+}
+
+verbs! {
+    Demo demo,
+    Bugreport bugreport,
+    Card card,
+    Characterise characterise,
+    Commission commission,
+    Completions completions,
+    Config config,
+    Designs designs,
+    Man man,
+    Ledger ledger,
+    Metrics metrics,
+    Status status,
+    Get get,
+    Home home,
+    Enable enable,
+    Example example,
+    Explain explain,
+    Disable disable,
+    Shadow shadow,
+    Correct correct,
+    Probe probe,
+    History history,
+    Hold hold,
+    Clear clear,
+    Log log,
+    Papers papers,
+    Park park,
+    Part part,
+    Model model,
+    Reconcile reconcile,
+    Replay replay,
+    Top top,
+    Trace trace,
+    Platform platform,
+    Selftest selftest,
+    Ship ship,
+    Simulate simulate,
+    Whoami whoami,
 }
 
 /// Why a command ends without success: the exit codes of the command contract that are not usage errors.
@@ -121,9 +147,25 @@ pub(crate) fn with_negative_values(command: clap::Command) -> clap::Command {
     names.into_iter().fold(command, |c, name| c.mut_subcommand(name, with_negative_values))
 }
 
+/// What is asked. Describing every verb takes longer than most verbs: the one that is named is described first, and all of
+/// them only where that one does not take the words, so that help and errors are always those of the whole.
+fn asked(words: &[OsString]) -> Result<clap::ArgMatches, clap::Error> {
+    let named = words.get(1).and_then(|w| help::command_of(w.to_str()?));
+    match named.map(|command| command.try_get_matches_from(words)) {
+        Some(Ok(matches)) => Ok(matches),
+        _ => help::command().try_get_matches_from(words),
+    }
+}
+
 fn main() -> ExitCode {
-    let asked = help::command().try_get_matches();
-    let cli = match asked.and_then(|matches| Cli::from_arg_matches(&matches)) {
+    let words: Vec<OsString> = std::env::args_os().collect();
+    if let [_, version] = &words[..]
+        && (version == "--version" || version == "-V")
+    {
+        println!("rtecctl {}", env!("CARGO_PKG_VERSION"));
+        return ExitCode::SUCCESS;
+    }
+    let cli = match asked(&words).and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
             // Where standard error takes nothing there is nowhere to say so.
@@ -144,46 +186,7 @@ fn main() -> ExitCode {
         say(&help::begin());
         return ExitCode::SUCCESS;
     };
-    let done = match verb {
-        Verb::Demo(args) => verbs::demo::run(&args),
-        Verb::Bugreport(args) => verbs::bugreport::run(&args),
-        Verb::Card(args) => verbs::card::run(&args),
-        Verb::Characterise(args) => verbs::characterise::run(&args),
-        Verb::Commission(args) => verbs::commission::run(&args),
-        Verb::Completions(args) => verbs::completions::run(&args),
-        Verb::Config(args) => verbs::config::run(&args),
-        Verb::Designs(args) => verbs::designs::run(&args),
-        Verb::Man(args) => verbs::man::run(&args),
-        Verb::Ledger(args) => verbs::ledger::run(&args),
-        Verb::Metrics(args) => verbs::metrics::run(&args),
-        Verb::Status(args) => verbs::status::run(&args),
-        Verb::Get(args) => verbs::get::run(&args),
-        Verb::Home(args) => verbs::home::run(&args),
-        Verb::Enable(args) => verbs::enable::run(&args),
-        Verb::Example(args) => verbs::example::run(&args),
-        Verb::Explain(args) => verbs::explain::run(&args),
-        Verb::Disable(args) => verbs::disable::run(&args),
-        Verb::Shadow(args) => verbs::shadow::run(&args),
-        Verb::Correct(args) => verbs::correct::run(&args),
-        Verb::Probe(args) => verbs::probe::run(&args),
-        Verb::History(args) => verbs::history::run(&args),
-        Verb::Hold(args) => verbs::hold::run(&args),
-        Verb::Clear(args) => verbs::clear::run(&args),
-        Verb::Log(args) => verbs::log::run(&args),
-        Verb::Papers(args) => verbs::papers::run(&args),
-        Verb::Park(args) => verbs::park::run(&args),
-        Verb::Part(args) => verbs::part::run(&args),
-        Verb::Model(args) => verbs::model::run(&args),
-        Verb::Reconcile(args) => verbs::reconcile::run(&args),
-        Verb::Replay(args) => verbs::replay::run(&args),
-        Verb::Top(args) => verbs::top::run(&args),
-        Verb::Trace(args) => verbs::trace::run(&args),
-        Verb::Platform(args) => verbs::platform::run(&args),
-        Verb::Selftest(args) => verbs::selftest::run(&args),
-        Verb::Ship(args) => verbs::ship::run(&args),
-        Verb::Simulate(args) => verbs::simulate::run(&args),
-        Verb::Whoami(args) => verbs::whoami::run(&args),
-    };
+    let done = verb.run();
     let Err(error) = done else { return ExitCode::SUCCESS };
     let colour = std::io::stderr().is_terminal() && terminal::colours_are_wanted();
     let text = rtec_files::words::whole(error.as_ref());
@@ -242,6 +245,7 @@ pub(crate) fn golden(name: &str, text: &str) {
 mod tests {
     use crate::help::command;
     use clap::error::ErrorKind;
+    use std::ffi::OsString;
 
     /// Every option of every command, given a negative number: it may be refused, but as a value.
     #[test]
@@ -265,6 +269,38 @@ mod tests {
             }
         });
         assert!(tried > 200, "{tried}");
+    }
+
+    /// What one verb's own description takes is what the whole command line takes from it.
+    #[test]
+    fn a_verb_alone_is_understood_as_among_all() {
+        let both = |line: &str| {
+            let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
+            let alone = crate::help::command_of(words[1].to_str().unwrap()).unwrap();
+            let alone = alone.try_get_matches_from(&words).map(|m| format!("{m:?}"));
+            (alone, command().try_get_matches_from(&words).map(|m| format!("{m:?}")))
+        };
+        for (name, example) in crate::help::examples() {
+            let (alone, among) = both(example);
+            assert!(name == "help" || alone.is_ok(), "{example}: {alone:?}");
+            assert_eq!(alone.ok(), among.ok(), "{example}");
+            assert!(both(&format!("rtecctl {name} --no-such-option")).0.is_err());
+        }
+        // Words that the verb does not take are answered by the whole.
+        for line in [
+            "rtecctl status --help",
+            "rtecctl help status",
+            "rtecctl statsu",
+            "rtecctl status --wacth",
+            "rtecctl correct x",
+        ] {
+            let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
+            let said = crate::asked(&words).unwrap_err().render().to_string();
+            assert_eq!(said, command().try_get_matches_from(&words).unwrap_err().render().to_string());
+        }
+        let version =
+            command().try_get_matches_from(["rtecctl", "--version"]).unwrap_err().render().to_string();
+        assert_eq!(version, format!("rtecctl {}\n", env!("CARGO_PKG_VERSION")));
     }
 
     fn for_all(c: &clap::Command, path: &mut Vec<String>, each: &mut dyn FnMut(&[String], &clap::Arg)) {

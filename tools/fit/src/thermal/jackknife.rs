@@ -47,7 +47,7 @@ pub(super) fn tuned(
     train: &[&Record],
     response: &Role,
 ) -> Result<Vec<Term>, InputError> {
-    let lags_s = best_lags(problem, &terms, &lags_of(problem, &terms), train, response, &|_, _| true)?;
+    let lags_s = best_lags(problem, &terms, &lags_of(problem, &terms), train, response, &|_| true)?;
     for k in 0..terms.len() {
         let Term::Thermal { lag: 1.., square: false, .. } = terms[k] else { continue };
         let lag = problem.with_lag(lags_s[k], train);
@@ -56,34 +56,33 @@ pub(super) fn tuned(
     Ok(terms)
 }
 
-/// The lag of each term, s, with which least squares on the rows that `take` chooses (number, block) leave least.
+/// The lag of each term, s, with which least squares on the blocks that `take` chooses leave least.
 fn best_lags(
     problem: &Problem,
     terms: &[Term],
     start_s: &[f64],
     train: &[&Record],
     response: &Role,
-    take: &dyn Fn(usize, usize) -> bool,
+    take: &dyn Fn(usize) -> bool,
 ) -> Result<Vec<f64>, InputError> {
     let mut lags_s = start_s.to_vec();
     let lagged: Vec<usize> = (0..terms.len())
         .filter(|k| matches!(terms[*k], Term::Thermal { lag: 1.., square: false, .. }))
         .collect();
+    let mut rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
+    let taken = rows.runs(&|i| take(rows.fold[i]));
     // With more than one, each beside the others, twice round.
     for _ in 0..lagged.len().min(2) {
         for &k in &lagged {
             let shared = shared(terms, k);
             let left = |ln: f64| {
-                let mut tried = lags_s.clone();
-                for j in &shared {
-                    tried[*j] = ln.exp();
-                }
-                let rows = Rows::with_lags(problem, terms, &tried, train, response)?;
-                let own = |i: usize| take(i, rows.fold[i]);
-                Ok::<_, InputError>(rows.solve(&own).map_or(f64::INFINITY, |c| rows.rms(&c, &own)))
+                rows.lag(problem, terms, &shared, ln.exp(), train)?;
+                let left = rows.solve_on(&taken).map_or(f64::INFINITY, |c| rows.rms_on(&c, &taken));
+                Ok::<_, InputError>(left)
             };
             let middle = start_s[k].ln();
             let ln = smallest(middle - REACH, middle + REACH, left)?;
+            rows.lag(problem, terms, &shared, ln.exp(), train)?;
             for j in &shared {
                 lags_s[*j] = ln.exp();
             }
@@ -139,7 +138,7 @@ fn shared(terms: &[Term], k: usize) -> Vec<usize> {
 fn smallest(
     mut lo: f64,
     mut hi: f64,
-    of: impl Fn(f64) -> Result<f64, InputError>,
+    mut of: impl FnMut(f64) -> Result<f64, InputError>,
 ) -> Result<f64, InputError> {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let (mut a, mut b) = (hi - GOLDEN * (hi - lo), lo + GOLDEN * (hi - lo));
@@ -169,7 +168,7 @@ pub(super) fn jackknife(
     let start_s = lags_of(problem, terms);
     let (mut parts, mut lags): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
     for f in 0..problem.folds {
-        let lags_s = best_lags(problem, terms, &start_s, train, response, &|_, fold| fold != f)?;
+        let lags_s = best_lags(problem, terms, &start_s, train, response, &|fold| fold != f)?;
         let rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
         if let Some(c) = rows.solve(&|i| rows.fold[i] != f) {
             parts.push(c);

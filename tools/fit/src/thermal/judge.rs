@@ -2,8 +2,9 @@
 
 use super::problem::Problem;
 use super::term::Term;
-use nalgebra::{DMatrix, DVector};
+use crate::statistics::dot;
 use rtec_measure::iso230::correlation;
+use std::ops::Range;
 
 /// A structure with its cross-validation.
 #[derive(Debug, Clone)]
@@ -41,7 +42,9 @@ impl Judged {
         let n = d.len() as f64;
         let mean = d.iter().sum::<f64>() / n;
         let var = d.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-        mean > (var / n).sqrt()
+        // What rounding alone makes better is no better: the same sums by other differences are the same structure.
+        let rounding = 1e-9 * other.mse.iter().sum::<f64>() / n;
+        mean > (var / n).sqrt().max(rounding)
     }
 
     /// This one, with more in it, earns what it has beyond `simpler`: blocks that it has not seen are better off, and what
@@ -91,110 +94,218 @@ pub(super) fn independent(series: impl Iterator<Item = f64>) -> f64 {
     n * (1.0 - phi) / (1.0 + phi)
 }
 
+/// A column about its mean over the folds and in its own scale, so that the normal equations keep their digits.
+struct Ready {
+    mean: f64,
+    scale: f64,
+    values: Vec<f64>,
+    weighted: Vec<f64>,
+}
+
+/// Columns beside one another, with what least squares on some folds asks of them: response, constant, then one per term.
+/// Terms come and go at the end; the products of those that stay are not made again.
+pub(super) struct Beside<'a> {
+    problem: &'a Problem,
+    folds: &'a [usize],
+    total: f64,
+    columns: Vec<Ready>,
+    /// Per fold and over all: products of every column with those up to itself, row after row.
+    products: Vec<Vec<f64>>,
+    all: Vec<f64>,
+}
+
+/// Least squares on the folds.
+pub(super) struct Solved {
+    /// Mean square per fold, each left out.
+    pub(super) mse: Vec<f64>,
+    /// Constant, then one coefficient per term.
+    pub(super) coefficients: Vec<f64>,
+    /// Mean square of what is left, as a share of the response's variance.
+    left: f64,
+}
+
+impl Solved {
+    /// Root of the mean over the folds.
+    pub(super) fn rms(&self) -> f64 {
+        (self.mse.iter().sum::<f64>() / self.mse.len() as f64).sqrt()
+    }
+}
+
+impl<'a> Beside<'a> {
+    /// Response and constant on some folds; `None` where the response does not vary.
+    pub(super) fn new(problem: &'a Problem, folds: &'a [usize]) -> Option<Self> {
+        let total = folds.iter().flat_map(|f| &problem.weight[problem.stretches[*f].clone()]).sum();
+        let products = vec![Vec::new(); folds.len()];
+        let mut beside = Self { problem, folds, total, columns: Vec::new(), products, all: Vec::new() };
+        beside.push(&problem.y)?;
+        let (values, weighted) = (vec![1.0; problem.y.len()], problem.weight.clone());
+        beside.enter(Ready { mean: 0.0, scale: 1.0, values, weighted });
+        Some(beside)
+    }
+
+    /// Puts a column at the end; `None` where it does not vary.
+    pub(super) fn push(&mut self, column: &[f64]) -> Option<()> {
+        let weight = &self.problem.weight;
+        let stretches = || self.folds.iter().map(|f| self.problem.stretches[*f].clone());
+        let mean = stretches().map(|s| dot(&weight[s.clone()], &column[s])).sum::<f64>() / self.total;
+        let mut values: Vec<f64> = column.iter().map(|v| v - mean).collect();
+        let mut weighted: Vec<f64> = values.iter().zip(weight).map(|(v, w)| v * w).collect();
+        let variance = stretches().map(|s| dot(&weighted[s.clone()], &values[s])).sum::<f64>() / self.total;
+        if variance <= 1e-18 {
+            return None;
+        }
+        let scale = variance.sqrt();
+        values.iter_mut().chain(&mut weighted).for_each(|v| *v /= scale);
+        self.enter(Ready { mean, scale, values, weighted });
+        Some(())
+    }
+
+    fn enter(&mut self, column: Ready) {
+        self.columns.push(column);
+        let new = &self.columns[self.columns.len() - 1];
+        let begin = self.all.len();
+        self.all.resize(begin + self.columns.len(), 0.0);
+        for (f, products) in self.folds.iter().zip(&mut self.products) {
+            let stretch = self.problem.stretches[*f].clone();
+            for (k, other) in self.columns.iter().enumerate() {
+                let product = dot(&new.weighted[stretch.clone()], &other.values[stretch.clone()]);
+                products.push(product);
+                self.all[begin + k] += product;
+            }
+        }
+    }
+
+    /// Takes the last column out again.
+    pub(super) fn pop(&mut self) {
+        let left = self.all.len() - self.columns.len();
+        self.columns.pop();
+        self.products.iter_mut().chain([&mut self.all]).for_each(|p| p.truncate(left));
+    }
+
+    /// Least squares on all folds, and judged by leaving out each in turn; `None` when the columns are dependent.
+    pub(super) fn solve(&self) -> Option<Solved> {
+        let response = &self.columns[0];
+        let mut roots = Vec::with_capacity(self.all.len());
+        let fit = least_squares(&self.all, &mut roots)?;
+        let left = left_over(&self.all, &fit) / self.total;
+        let mut mse = Vec::with_capacity(self.folds.len());
+        let mut others = vec![0.0; self.all.len()];
+        for own in &self.products {
+            others.iter_mut().zip(self.all.iter().zip(own)).for_each(|(o, (all, own))| *o = all - own);
+            let c = least_squares(&others, &mut roots)?;
+            mse.push(left_over(own, &c) * response.scale * response.scale / own[CONSTANT].max(1e-300));
+        }
+        let terms = &self.columns[2..];
+        let mut coefficients = vec![0.0];
+        coefficients.extend(fit[1..].iter().zip(terms).map(|(c, t)| c * response.scale / t.scale));
+        let means: f64 = coefficients[1..].iter().zip(terms).map(|(c, t)| c * t.mean).sum();
+        coefficients[0] = response.mean + fit[0] * response.scale - means;
+        Some(Solved { mse, coefficients, left })
+    }
+
+    /// What the solution leaves of the response, one value per bin of the folds.
+    fn residuals(&self, solved: &Solved) -> Vec<f64> {
+        let response = &self.columns[0];
+        let mut left: Vec<f64> = response.values.iter().map(|v| v * response.scale + response.mean).collect();
+        left.iter_mut().for_each(|v| *v -= solved.coefficients[0]);
+        for (term, c) in self.columns[2..].iter().zip(&solved.coefficients[1..]) {
+            let (gain, zero) = (c * term.scale, c * term.mean);
+            left.iter_mut().zip(&term.values).for_each(|(l, v)| *l -= gain * v + zero);
+        }
+        self.folds.iter().flat_map(|f| &left[self.problem.stretches[*f].clone()]).copied().collect()
+    }
+}
+
+/// Where the constant's product with itself stands: after the response's, and the constant's with the response.
+const CONSTANT: usize = 2;
+
+/// Where the products of the k-th column begin.
+const fn row(k: usize) -> usize {
+    k * (k + 1) / 2
+}
+
+/// The coefficients of constant and terms by these products (Cholesky, its roots kept in `roots`); `None` where columns are
+/// nearly one another.
+fn least_squares(products: &[f64], roots: &mut Vec<f64>) -> Option<Vec<f64>> {
+    roots.clear();
+    let mut solution: Vec<f64> = Vec::with_capacity(8);
+    // Row by row of the factor, with the forward substitution of the response beside it.
+    let mut begin = row(1);
+    while begin < products.len() {
+        let k = solution.len();
+        let own = &products[begin..begin + k + 2];
+        for j in 0..=k {
+            let (mine, theirs) = (roots.len() - j, row(j));
+            let inner: f64 = (0..j).map(|i| roots[mine + i] * roots[theirs + i]).sum();
+            let rest = own[j + 1] - inner;
+            if j < k {
+                roots.push(rest / roots[theirs + j]);
+            } else if rest > 1e-7 * products[CONSTANT] {
+                roots.push(rest.sqrt());
+            } else {
+                return None;
+            }
+        }
+        let mine = &roots[row(k)..];
+        let known: f64 = solution.iter().zip(mine).map(|(s, r)| s * r).sum();
+        solution.push((own[0] - known) / mine[k]);
+        begin += k + 2;
+    }
+    for k in (0..solution.len()).rev() {
+        let known: f64 = (k + 1..solution.len()).map(|i| roots[row(i) + k] * solution[i]).sum();
+        solution[k] = (solution[k] - known) / roots[row(k) + k];
+    }
+    Some(solution)
+}
+
+/// The sum of squares that these coefficients leave, by the products of the response, the constant and the terms.
+fn left_over(products: &[f64], coefficients: &[f64]) -> f64 {
+    let by = |k: usize| if k == 0 { -1.0 } else { coefficients[k - 1] };
+    let mut sum = 0.0;
+    for k in 0..=coefficients.len() {
+        let own = &products[row(k)..];
+        let beside: f64 = (0..k).map(|j| own[j] * by(j)).sum();
+        sum += by(k) * (2.0 * beside + by(k) * own[k]);
+    }
+    sum.max(0.0)
+}
+
 impl Problem {
     /// Fits the terms on the given folds and judges them by leaving out each in turn; `None` when the columns are
     /// dependent.
     pub(super) fn judge(&self, terms: &[Term], folds: &[usize]) -> Option<Judged> {
-        let columns: Vec<Vec<f64>> = terms.iter().map(|t| self.column(*t)).collect();
-        self.judge_columns(terms, &columns, folds)
-    }
-
-    pub(super) fn judge_columns(
-        &self,
-        terms: &[Term],
-        columns: &[Vec<f64>],
-        folds: &[usize],
-    ) -> Option<Judged> {
-        let p = columns.len() + 2;
-        let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
-        let total: f64 = rows.iter().map(|i| self.weight[*i]).sum();
-        let (mean, scale) = self.standard(columns, &rows, total)?;
-        let mut grams = self.grams(columns, &rows, &mean, &scale);
-        let mut all = DMatrix::<f64>::zeros(p, p);
-        for g in &mut grams {
-            g.fill_lower_triangle_with_upper_triangle();
-            all += &*g;
-        }
-        let solve = |g: &DMatrix<f64>| {
-            let c = g.view((0, 0), (p - 1, p - 1)).into_owned().cholesky()?;
-            // Columns that are nearly one another leave a diagonal near zero.
-            let least = c.l_dirty().diagonal().iter().map(|d| d * d).fold(f64::INFINITY, f64::min);
-            (least > 1e-7 * g[(0, 0)]).then(|| c.solve(&g.view((0, p - 1), (p - 1, 1)).into_owned()))
-        };
-        let rss = |g: &DMatrix<f64>, c: &DMatrix<f64>| {
-            let mut v = DVector::from_element(p, -1.0);
-            v.rows_mut(0, p - 1).copy_from(&c.column(0));
-            (v.transpose() * g * &v)[(0, 0)].max(0.0) * scale[p - 1] * scale[p - 1]
-        };
-        let fit = solve(&all)?;
-        let mut mse = Vec::with_capacity(folds.len());
-        for f in folds {
-            let c = solve(&(&all - &grams[*f]))?;
-            mse.push(rss(&grams[*f], &c) / grams[*f][(0, 0)].max(1e-300));
-        }
-        let left = rss(&all, &fit) / (total * scale[p - 1] * scale[p - 1]);
-        let mut coefficients: Vec<f64> = (0..p - 1).map(|j| fit[(j, 0)] * scale[p - 1] / scale[j]).collect();
-        coefficients[0] = mean[p - 1] + fit[(0, 0)] * scale[p - 1]
-            - (1..p - 1).map(|j| coefficients[j] * mean[j]).sum::<f64>();
-        let residual = |i: usize| {
-            self.y[i]
-                - coefficients[0]
-                - columns.iter().zip(&coefficients[1..]).map(|(u, c)| c * u[i]).sum::<f64>()
-        };
-        let independent = independent(rows.iter().map(|i| residual(*i))).max(folds.len() as f64);
+        let beside = self.beside(terms, folds)?;
+        let solved = beside.solve()?;
+        let independent = independent(beside.residuals(&solved).into_iter()).max(folds.len() as f64);
+        let Solved { mse, coefficients, left } = solved;
         let r = (1.0 - left).max(0.0).sqrt();
         Some(Judged { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
 
-    /// Mean and scale of the constant, of every column and of the response: with means taken off and scales made one, the
-    /// normal equations keep their digits. `None` where one does not vary.
-    fn standard(&self, columns: &[Vec<f64>], rows: &[usize], total: f64) -> Option<(Vec<f64>, Vec<f64>)> {
-        let p = columns.len() + 2;
-        let mut mean = vec![0.0; p];
-        let mut scale = vec![1.0; p];
-        for j in 1..p {
-            let v = if j + 1 == p { &self.y } else { &columns[j - 1] };
-            mean[j] = rows.iter().map(|i| self.weight[*i] * v[*i]).sum::<f64>() / total;
-            let var = rows.iter().map(|i| self.weight[*i] * (v[*i] - mean[j]).powi(2)).sum::<f64>() / total;
-            if var <= 1e-18 {
-                return None;
-            }
-            scale[j] = var.sqrt();
+    /// The columns of these terms on some folds; `None` where one of them does not vary.
+    pub(super) fn beside<'a>(&'a self, terms: &[Term], folds: &'a [usize]) -> Option<Beside<'a>> {
+        let mut beside = Beside::new(self, folds)?;
+        for term in terms {
+            beside.push(&self.column(*term))?;
         }
-        Some((mean, scale))
+        Some(beside)
     }
 
-    /// Per fold, the upper triangle of the products of constant, columns and response over its rows.
-    fn grams(&self, columns: &[Vec<f64>], rows: &[usize], mean: &[f64], scale: &[f64]) -> Vec<DMatrix<f64>> {
-        let p = columns.len() + 2;
-        let mut grams = vec![DMatrix::<f64>::zeros(p, p); self.folds];
-        let mut row = vec![1.0; p];
-        for &i in rows {
-            for j in 1..p {
-                let v = if j + 1 == p { self.y[i] } else { columns[j - 1][i] };
-                row[j] = (v - mean[j]) / scale[j];
-            }
-            let g = &mut grams[self.fold[i]];
-            for a in 0..p {
-                for b in a..p {
-                    g[(a, b)] += self.weight[i] * row[a] * row[b];
-                }
-            }
-        }
-        grams
+    /// The bins of these folds.
+    pub(super) fn stretches<'a>(&'a self, folds: &'a [usize]) -> impl Iterator<Item = Range<usize>> + 'a {
+        folds.iter().map(|f| self.stretches[*f].clone())
     }
 
     pub(super) fn gamma(&self, term: Term, folds: &[usize]) -> f64 {
         let u = self.column(term);
-        let rows = (0..u.len()).filter(|i| folds.contains(&self.fold[*i]));
-        let (x, y): (Vec<f64>, Vec<f64>) = rows.map(|i| (u[i], self.y[i])).unzip();
-        correlation(&x, &y)
+        let of = |v: &[f64]| self.stretches(folds).flat_map(|s| v[s].to_vec()).collect::<Vec<f64>>();
+        correlation(&of(&u), &of(&self.y))
     }
 
     /// Differences to the environment keep the sign of their own correlation: the sign is known, and a fit that
     /// turns it round lives on collinearity, as one with gains beyond reason does.
-    pub(super) fn physical(&self, judged: &Judged, folds: &[usize]) -> bool {
-        judged.terms.iter().zip(&judged.coefficients[1..]).all(|(t, c)| match t {
+    pub(super) fn physical(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
+        terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
             Term::Thermal { square: true, .. } => c.abs() <= self.plausible[1],
             Term::Thermal { minus, .. } => {
                 c.abs() <= self.plausible[0]
@@ -202,5 +313,117 @@ impl Problem {
             }
             _ => true,
         })
+    }
+
+    /// The same of a structure that was judged.
+    pub(super) fn is_physical(&self, judged: &Judged, folds: &[usize]) -> bool {
+        self.physical(&judged.terms, &judged.coefficients, folds)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test's own helpers
+
+    use super::*;
+    use crate::thermal::Options;
+    use nalgebra::{DMatrix, DVector};
+    use rtec_model::record::{Axis, Column, Kind, Record, Role};
+    use std::path::Path;
+
+    /// Rows of so many sensors; more rows than bins, so that the last bin weighs less.
+    fn drift(sensors: usize) -> Record {
+        let rows = || (0..1300_u32).map(f64::from);
+        let warm = |i: f64, k: f64| 8.0 * (i / (150.0 + 60.0 * k)).sin() + 0.05 * (k * i * i + i).sin();
+        let growth =
+            rows().map(|i| 5.0 + 1.3 * warm(i, 0.0) - 0.4 * warm(i, 1.0) + 0.3 * (1.7 * i * i).sin());
+        let mut columns = vec![Column::new("t", Role::Time, rows().map(|i| 60.0 * i).collect())];
+        columns.push(Column::new("e", Role::Error(Axis::new("z").unwrap()), growth.collect()));
+        for k in 0..sensors {
+            let degc = rows().map(|i| 20.0 + warm(i, k as f64) / (1.0 + k as f64)).collect();
+            columns.push(Column::new(&format!("T{k}"), Role::Temperature, degc));
+        }
+        Record::new(Path::new("drift.run.toml"), Kind::Drift, columns).unwrap()
+    }
+
+    fn response() -> Role {
+        Role::Error(Axis::new("z").unwrap())
+    }
+
+    fn difference(sensor: usize, lag: usize) -> Term {
+        Term::Thermal { sensor, minus: Some(2), lag, square: false }
+    }
+
+    /// Weighted least squares by another hand: singular values of all rows at once, each fold left out.
+    #[test]
+    fn a_structure_is_judged_as_by_singular_values() {
+        let record = drift(3);
+        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let folds = [0, 1, 3, 4, 6, 7, 8, 9];
+        let terms = [difference(0, 0), difference(1, 40)];
+        let judged = problem.judge(&terms, &folds).unwrap();
+        let columns = terms.map(|t| problem.column(t));
+        let solve = |bins: &[usize]| {
+            let root = |i: usize| problem.weight[i].sqrt();
+            let a = DMatrix::from_fn(bins.len(), 3, |n, k| {
+                root(bins[n]) * if k == 0 { 1.0 } else { columns[k - 1][bins[n]] }
+            });
+            let b = DVector::from_fn(bins.len(), |n, _| root(bins[n]) * problem.y[bins[n]]);
+            a.svd(true, true).solve(&b, 1e-12).unwrap()
+        };
+        let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-9 * b.abs().max(1.0), "{a} {b}");
+        let bins = |folds: &[usize]| problem.stretches(folds).flatten().collect::<Vec<usize>>();
+        let all = solve(&bins(&folds));
+        judged.coefficients.iter().zip(&all).for_each(|(a, b)| near(*a, *b));
+        for (f, mse) in folds.iter().zip(&judged.mse) {
+            let others: Vec<usize> = folds.iter().copied().filter(|o| o != f).collect();
+            let c = solve(&bins(&others));
+            let left = |i: usize| problem.y[i] - c[0] - c[1] * columns[0][i] - c[2] * columns[1][i];
+            let own = bins(&[*f]);
+            let sum: f64 = own.iter().map(|i| problem.weight[*i] * left(*i).powi(2)).sum();
+            near(*mse, sum / own.iter().map(|i| problem.weight[*i]).sum::<f64>());
+        }
+    }
+
+    /// A column that came and went leaves no trace; one that does not vary, or is another's double, is refused.
+    #[test]
+    fn columns_come_and_go() {
+        let record = drift(3);
+        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let folds: Vec<usize> = (0..problem.folds).collect();
+        let mut beside = problem.beside(&[difference(0, 0)], &folds).unwrap();
+        let before = beside.solve().unwrap();
+        beside.push(&problem.column(difference(1, 7))).unwrap();
+        assert!(beside.solve().unwrap().rms() < before.rms());
+        beside.pop();
+        assert_eq!(beside.solve().unwrap().mse, before.mse);
+        assert!(beside.push(&vec![3.0; problem.y.len()]).is_none());
+        beside.push(&problem.column(difference(0, 0))).unwrap();
+        assert!(beside.solve().is_none());
+    }
+
+    /// The same structure with its terms in another order leaves the same but for rounding, and so is no better.
+    #[test]
+    fn the_order_of_terms_is_no_gain() {
+        let record = drift(3);
+        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let folds: Vec<usize> = (0..problem.folds).collect();
+        let judge = |terms: &[Term]| problem.judge(terms, &folds).unwrap();
+        for lag in 0..60 {
+            let (a, b) = (difference(0, lag), difference(1, 30));
+            let (one, other) = (judge(&[a, b]), judge(&[b, a]));
+            assert!(!one.beats(&other) && !other.beats(&one), "{lag}");
+        }
+        assert!(judge(&[difference(0, 0), difference(1, 0)]).beats(&judge(&[difference(1, 0)])));
+    }
+
+    #[test]
+    fn more_sensors_than_can_be_paired_are_to_be_named() {
+        let record = drift(260);
+        let said = Problem::new(&[&record], &response(), &Options::default()).err().unwrap();
+        assert!(said.found.contains("260 temperatures") && said.expected.contains("--sensors"), "{said}");
+        let few = ["T0", "T7"].map(rtec_model::effect::Difference::single);
+        let named = Options { sensors: few.to_vec(), ..Options::default() };
+        assert!(Problem::new(&[&record], &response(), &named).is_ok());
     }
 }

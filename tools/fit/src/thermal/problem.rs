@@ -2,15 +2,23 @@
 
 use super::Options;
 use super::term::{Pair, Term};
+use crate::statistics::{dot, mean};
 use rtec_files::InputError;
 use rtec_model::effect::laws::thermal_growth;
-use rtec_model::effect::{Against, Dictionary, Lag, STANDARD_DEGC};
+use rtec_model::effect::{Against, Dictionary, Lag, Lags, STANDARD_DEGC};
 use rtec_model::record::{Axis, Record, Role};
+use std::ops::Range;
 
 /// Rows that the search sees at most: neighbours in time are averaged, temperatures change slowly.
 const BINS: usize = 512;
+/// Sensors whose differences are all looked at where nobody names any: their pairs grow with the square.
+const MOST_SENSORS: usize = 256;
 /// Lags tried, from one minute on, each this much longer than the one before.
 const LAG_STEP: f64 = 1.02;
+/// Of the lags, those that the screening of candidates looks at: every so many.
+const SCREEN_LAGS: usize = 28;
+/// Lags that one pass through the rows works out.
+const TOGETHER: usize = 8;
 
 /// All rows of the training records, ready for the search.
 pub(super) struct Problem {
@@ -26,13 +34,55 @@ pub(super) struct Problem {
     pub(super) taus: Vec<f64>,
     /// Per sensor and lag: one value per bin.
     pub(super) binned: Vec<Vec<Vec<f64>>>,
+    /// The lags that candidates are screened at.
+    pub(super) screened: Vec<Screened>,
     pub(super) y: Vec<f64>,
     pub(super) weight: Vec<f64>,
-    pub(super) fold: Vec<usize>,
+    /// The bins of each fold.
+    pub(super) stretches: Vec<Range<usize>>,
     pub(super) folds: usize,
     pub(super) coolant: Option<Vec<f64>>,
     pub(super) speed: Option<Vec<f64>>,
     pub(super) square: bool,
+}
+
+/// What the screening of candidates asks of a lag: many pairs, over and over.
+pub(super) struct Screened {
+    /// Per sensor one value per bin, about its mean.
+    pub(super) centred: Vec<Vec<f64>>,
+    /// Per pair and fold the sum of squares of their difference.
+    squares: Vec<Vec<f64>>,
+}
+
+impl Screened {
+    fn new(problem: &Problem, lag: usize) -> Self {
+        let centre = |lags: &Vec<Vec<f64>>| {
+            let mean = mean(&lags[lag]);
+            lags[lag].iter().map(|v| v - mean).collect::<Vec<f64>>()
+        };
+        let centred: Vec<Vec<f64>> = problem.binned.iter().map(centre).collect();
+        let mut squares = vec![Vec::new(); centred.len() * (centred.len() + 1)];
+        for (sensor, minus) in problem.offered.iter().chain(&problem.pairs) {
+            let of = |u: &[f64], i: usize| u[i] - minus.map_or(0.0, |m| centred[m][i]);
+            let d: Vec<f64> = (0..problem.y.len()).map(|i| of(&centred[*sensor], i)).collect();
+            let weighted: Vec<f64> = d.iter().zip(&problem.weight).map(|(d, w)| d * w).collect();
+            let fold = |s: &Range<usize>| dot(&weighted[s.clone()], &d[s.clone()]);
+            squares[place_of((*sensor, *minus), centred.len())] =
+                problem.stretches.iter().map(fold).collect();
+        }
+        Self { centred, squares }
+    }
+
+    /// The sum of squares of a difference over these folds.
+    pub(super) fn squares(&self, sensors: usize, pair: Pair, folds: &[usize]) -> f64 {
+        let own = &self.squares[place_of(pair, sensors)];
+        folds.iter().map(|f| own[*f]).sum()
+    }
+}
+
+/// A pair's place among all of so many sensors, each with any other or none.
+fn place_of((sensor, minus): Pair, sensors: usize) -> usize {
+    sensor * (sensors + 1) + minus.unwrap_or(sensors)
 }
 
 impl Problem {
@@ -46,6 +96,13 @@ impl Problem {
             None => Some(environment_of(&sensors, records)),
         };
         let explicit = !options.sensors.is_empty();
+        if !explicit && sensors.len() > MOST_SENSORS {
+            let found = format!("{} temperatures to choose from", sensors.len());
+            let expected = format!(
+                "{MOST_SENSORS} at most, whose pairs can all be looked at; --sensors names the differences to choose from"
+            );
+            return Err(InputError::whole(&first.path, found, expected));
+        }
         let (offered, pairs) = differences(first, response, options, &sensors, environment)?;
         let rows: usize = records.iter().map(|r| r.rows()).sum();
         if rows < 4 * options.folds || options.folds < 3 {
@@ -54,7 +111,7 @@ impl Problem {
         }
         let taus = lag_grid(records, options.lag);
         let bins = Bins::new(records, rows.div_ceil(BINS));
-        let binned = sensors.iter().map(|s| taus.iter().map(|tau| bins.sensor(s, *tau)).collect()).collect();
+        let binned = sensors.iter().map(|s| bins.sensor(s, &taus)).collect();
         // A dry run that logs no coolant is dry; one that logs no speed may have had any.
         let everywhere =
             |role: &Role| *role == Role::Coolant || records.iter().all(|r| r.column(role).is_some());
@@ -65,13 +122,15 @@ impl Problem {
             let known = options.base_has(&format!("{effect}.{axis}"));
             all.filter(|v| varies(v) && !explicit && !known)
         };
-        let n = bins.spans.len();
-        Ok(Self {
+        // Stretches of the same number of bins, or one more.
+        let begin = |fold: usize| (fold * bins.spans.len()).div_ceil(options.folds);
+        let mut problem = Self {
+            screened: Vec::new(),
             y: bins.column(response, |v| v),
             weight: bins.spans.iter().map(|(_, b)| b.len() as f64).collect(),
             coolant: optional(Role::Coolant, "coolant", |v| f64::from(v > 0.5)),
             speed: optional(Role::SpindleSpeed, "spindle_speed", |v| v / 1000.0),
-            fold: (0..n).map(|i| i * options.folds / n).collect(),
+            stretches: (0..options.folds).map(|f| begin(f)..begin(f + 1)).collect(),
             folds: options.folds,
             square: options.square,
             sensors,
@@ -82,7 +141,10 @@ impl Problem {
             explicit,
             taus,
             binned,
-        })
+        };
+        let screened = (0..problem.taus.len()).step_by(SCREEN_LAGS);
+        problem.screened = screened.map(|lag| Screened::new(&problem, lag)).collect();
+        Ok(problem)
     }
 
     /// A lag between those of the grid, as the last of them: its number.
@@ -90,7 +152,7 @@ impl Problem {
         let rows: usize = records.iter().map(|r| r.rows()).sum();
         let bins = Bins::new(records, rows.div_ceil(BINS));
         for (name, lags) in self.sensors.iter().zip(&mut self.binned) {
-            lags.push(bins.sensor(name, tau_s));
+            lags.extend(bins.sensor(name, &[tau_s]));
         }
         self.taus.push(tau_s);
         self.taus.len() - 1
@@ -232,7 +294,7 @@ fn differences(
 struct Bins<'a> {
     records: &'a [&'a Record],
     /// Number of the record, and its rows.
-    spans: Vec<(usize, std::ops::Range<usize>)>,
+    spans: Vec<(usize, Range<usize>)>,
 }
 
 impl<'a> Bins<'a> {
@@ -245,20 +307,46 @@ impl<'a> Bins<'a> {
         Self { records, spans }
     }
 
-    fn average(&self, of: &dyn Fn(&Record) -> Vec<f64>) -> Vec<f64> {
-        let data: Vec<Vec<f64>> = self.records.iter().map(|r| of(r)).collect();
-        let mean = |(n, b): &(usize, std::ops::Range<usize>)| {
-            data[*n][b.clone()].iter().sum::<f64>() / b.len() as f64
-        };
-        self.spans.iter().map(mean).collect()
+    /// A temperature behind each of these lags, those of no length among them: per lag one value per bin.
+    fn sensor(&self, name: &str, taus_s: &[f64]) -> Vec<Vec<f64>> {
+        let mut found = Vec::with_capacity(taus_s.len());
+        for some in taus_s.chunk_by(|a, b| (*a > 0.0) == (*b > 0.0)).flat_map(|c| c.chunks(TOGETHER)) {
+            if some[0] > 0.0 {
+                found.extend(self.lagged(name, some));
+            } else {
+                found.extend(
+                    some.iter().map(|_| self.average(&|r| r.temperature(name).unwrap_or_default().to_vec())),
+                );
+            }
+        }
+        found
     }
 
-    /// A temperature, behind a lag where there is one.
-    fn sensor(&self, name: &str, tau_s: f64) -> Vec<f64> {
-        self.average(&|r| {
+    /// A temperature behind a few lags, in one pass through the rows.
+    fn lagged(&self, name: &str, taus_s: &[f64]) -> Vec<Vec<f64>> {
+        let mut found = vec![Vec::with_capacity(self.spans.len()); taus_s.len()];
+        // Where they are fewer than go together, the last one again.
+        let mut lags = None;
+        for (record, span) in &self.spans {
+            let r = self.records[*record];
             let u = r.temperature(name).unwrap_or_default();
-            if tau_s > 0.0 { lagged(r.time_s(), u, tau_s) } else { u.to_vec() }
-        })
+            if span.start == 0 {
+                lags = Some(Lags::<TOGETHER>::new(std::array::from_fn(|k| taus_s[k.min(taus_s.len() - 1)])));
+            }
+            let Some(lags) = &mut lags else { continue };
+            let mut sums = [0.0; TOGETHER];
+            for (t, u) in r.time_s()[span.clone()].iter().zip(&u[span.clone()]) {
+                sums.iter_mut().zip(lags.next(*t, *u)).for_each(|(sum, v)| *sum += v);
+            }
+            found.iter_mut().zip(sums).for_each(|(bins, sum)| bins.push(sum / span.len() as f64));
+        }
+        found
+    }
+
+    fn average(&self, of: &dyn Fn(&Record) -> Vec<f64>) -> Vec<f64> {
+        let data: Vec<Vec<f64>> = self.records.iter().map(|r| of(r)).collect();
+        let mean = |(n, b): &(usize, Range<usize>)| data[*n][b.clone()].iter().sum::<f64>() / b.len() as f64;
+        self.spans.iter().map(mean).collect()
     }
 
     /// A column by its role, each value as `of` has it; zeros in a record that has none.

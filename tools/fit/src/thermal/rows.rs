@@ -2,11 +2,12 @@
 
 use super::problem::{Problem, lagged};
 use super::term::Term;
-use crate::statistics::quantile;
+use crate::statistics::{dot, quantile};
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_model::effect::STANDARD_DEGC;
 use rtec_model::record::{Record, Role};
+use std::ops::Range;
 
 /// All rows of all records under one another.
 pub(super) struct Rows {
@@ -51,24 +52,62 @@ impl Rows {
 
     /// Least squares on the rows that `take` chooses: constant, then one coefficient per column.
     pub(super) fn solve(&self, take: &dyn Fn(usize) -> bool) -> Option<Vec<f64>> {
-        let rows: Vec<usize> = (0..self.y.len()).filter(|i| take(*i)).collect();
-        let p = self.columns.len() + 1;
-        let n = rows.len() as f64;
-        if rows.is_empty() {
+        self.solve_on(&self.runs(take))
+    }
+
+    /// The same on these stretches of rows.
+    pub(super) fn solve_on(&self, taken: &[Range<usize>]) -> Option<Vec<f64>> {
+        let n = taken.iter().map(Range::len).sum::<usize>() as f64;
+        if taken.is_empty() {
             return None;
         }
-        let mean = |v: &[f64]| rows.iter().map(|i| v[*i]).sum::<f64>() / n;
-        let means: Vec<f64> = self.columns.iter().map(|c| mean(c)).collect();
-        let my = mean(&self.y);
-        if p == 1 {
+        let about = |v: &[f64]| {
+            let mean = taken.iter().map(|run| v[run.clone()].iter().sum::<f64>()).sum::<f64>() / n;
+            let mut own = Vec::with_capacity(v.len());
+            taken.iter().for_each(|run| own.extend(v[run.clone()].iter().map(|v| v - mean)));
+            (own, mean)
+        };
+        let (y, my) = about(&self.y);
+        let (columns, means): (Vec<Vec<f64>>, Vec<f64>) = self.columns.iter().map(|c| about(c)).unzip();
+        if columns.is_empty() {
             return Some(vec![my]);
         }
-        let a = DMatrix::from_fn(rows.len(), p - 1, |i, j| self.columns[j][rows[i]] - means[j]);
-        let b = DVector::from_fn(rows.len(), |i, _| self.y[rows[i]] - my);
-        let g = a.tr_mul(&a);
-        let c = g.cholesky()?.solve(&a.tr_mul(&b));
+        let g = DMatrix::from_fn(columns.len(), columns.len(), |i, j| dot(&columns[i], &columns[j]));
+        let b = DVector::from_fn(columns.len(), |i, _| dot(&columns[i], &y));
+        let c = g.cholesky()?.solve(&b);
         let constant = my - c.iter().zip(&means).map(|(c, m)| c * m).sum::<f64>();
         Some(std::iter::once(constant).chain(c.iter().copied()).collect())
+    }
+
+    /// The rows that `take` chooses, one stretch after the other.
+    pub(super) fn runs(&self, take: &dyn Fn(usize) -> bool) -> Vec<Range<usize>> {
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for i in (0..self.y.len()).filter(|i| take(*i)) {
+            match runs.last_mut() {
+                Some(run) if run.end == i => run.end += 1,
+                _ => runs.push(i..i + 1),
+            }
+        }
+        runs
+    }
+
+    /// Puts another lag, s, behind these terms.
+    pub(super) fn lag(
+        &mut self,
+        problem: &Problem,
+        terms: &[Term],
+        which: &[usize],
+        tau_s: f64,
+        records: &[&Record],
+    ) -> Result<(), InputError> {
+        let own: Vec<Term> = which.iter().map(|k| terms[*k]).collect();
+        which.iter().for_each(|k| self.columns[*k].clear());
+        for r in records {
+            for (k, column) in which.iter().zip(full_columns(problem, &own, &vec![tau_s; own.len()], r)?) {
+                self.columns[*k].extend(column);
+            }
+        }
+        Ok(())
     }
 
     pub(super) fn residual(&self, c: &[f64], i: usize) -> f64 {
@@ -89,9 +128,21 @@ impl Rows {
     }
 
     pub(super) fn rms(&self, c: &[f64], take: &dyn Fn(usize) -> bool) -> f64 {
-        let rows: Vec<f64> =
-            (0..self.y.len()).filter(|i| take(*i)).map(|i| self.residual(c, i).powi(2)).collect();
-        (rows.iter().sum::<f64>() / rows.len().max(1) as f64).sqrt()
+        self.rms_on(c, &self.runs(take))
+    }
+
+    /// The same on these stretches of rows.
+    pub(super) fn rms_on(&self, c: &[f64], taken: &[Range<usize>]) -> f64 {
+        let (mut sum, mut n) = (0.0, 0_usize);
+        for run in taken {
+            let mut left: Vec<f64> = self.y[run.clone()].iter().map(|y| y - c[0]).collect();
+            for (u, c) in self.columns.iter().zip(&c[1..]) {
+                left.iter_mut().zip(&u[run.clone()]).for_each(|(l, u)| *l -= c * u);
+            }
+            sum += dot(&left, &left);
+            n += left.len();
+        }
+        (sum / n.max(1) as f64).sqrt()
     }
 }
 
@@ -113,10 +164,8 @@ fn full_columns(
 ) -> Result<Vec<Vec<f64>>, InputError> {
     let lacks =
         |what: String| InputError::whole(&record.path, format!("no {what}"), "what the model was fitted on");
-    let sensor = |s: usize, tau: f64| {
-        let u = record.temperature(&problem.sensors[s]).ok_or_else(|| lacks(problem.sensors[s].clone()))?;
-        Ok::<_, InputError>(if tau > 0.0 { lagged(record.time_s(), u, tau) } else { u.to_vec() })
-    };
+    let sensor =
+        |s: usize| record.temperature(&problem.sensors[s]).ok_or_else(|| lacks(problem.sensors[s].clone()));
     let role = |role: Role, of: fn(f64) -> f64| {
         let data = record.data(&role).ok_or_else(|| lacks(role.to_string()))?;
         Ok::<_, InputError>(data.iter().map(|v| of(*v)).collect::<Vec<f64>>())
@@ -128,13 +177,17 @@ fn full_columns(
             Term::Coolant => Ok(wet(record)),
             Term::Speed => role(Role::SpindleSpeed, |v| v / 1000.0),
             Term::Thermal { sensor: s, minus, square, .. } => {
-                let mut u = sensor(s, *tau)?;
-                let m = minus.map(|m| sensor(m, *tau)).transpose()?;
-                for (i, v) in u.iter_mut().enumerate() {
-                    *v -= m.as_ref().map_or(STANDARD_DEGC, |m| m[i]);
-                    if square {
-                        *v *= *v;
-                    }
+                // The lag of a difference is the difference of the lags.
+                let mut u = sensor(s)?.to_vec();
+                match minus.map(sensor).transpose()? {
+                    Some(m) => u.iter_mut().zip(m).for_each(|(u, m)| *u -= m),
+                    None => u.iter_mut().for_each(|u| *u -= STANDARD_DEGC),
+                }
+                if *tau > 0.0 {
+                    u = lagged(record.time_s(), &u, *tau);
+                }
+                if square {
+                    u.iter_mut().for_each(|u| *u *= *u);
                 }
                 Ok(u)
             }

@@ -4,6 +4,7 @@ use super::judge::Judged;
 use super::problem::Problem;
 use super::report::{Dropped, Ranked, Round};
 use super::term::{Pair, Term, pair_of, relagged, squared};
+use crate::statistics::dot;
 use rtec_measure::iso230::correlation;
 
 /// Two sensors of a higher autocorrelation watch the same source of heat (WO 97/43703, "0.97 was selected").
@@ -11,9 +12,6 @@ pub const REDUNDANT: f64 = 0.97;
 
 /// Rounds of the refit; more were seldom needed (WO 97/43703).
 pub const ROUNDS: usize = 5;
-
-/// Of the lags, those that the screening of candidates looks at: every so many.
-const SCREEN_LAGS: usize = 28;
 
 /// The search of a lag begins with every so many of the grid.
 const COARSE: usize = 16;
@@ -180,7 +178,7 @@ impl Problem {
                 continue;
             };
             let bent = self.judge(&[structure.terms.as_slice(), &[square]].concat(), folds);
-            let bent = bent.filter(|b| self.physical(b, folds)).map(|b| self.retune(b, folds));
+            let bent = bent.filter(|b| self.is_physical(b, folds)).map(|b| self.retune(b, folds));
             structure = bent.filter(|b| b.is_bent(&structure)).unwrap_or(structure);
         }
         (rounds, structure, swaps)
@@ -210,7 +208,7 @@ impl Problem {
             }
             let mut terms = now.terms.clone();
             terms[k] = other;
-            if let Some(same) = self.judge(&terms, folds).filter(|j| self.physical(j, folds)) {
+            if let Some(same) = self.judge(&terms, folds).filter(|j| self.is_physical(j, folds)) {
                 now = same;
             }
         }
@@ -224,7 +222,7 @@ impl Problem {
             let plain = self.best_lag(&[], *s, *m, folds)?;
             let bent = squared(plain.terms[0]).filter(|_| self.square);
             let bent = bent.and_then(|q| self.judge(&[plain.terms[0], q], folds));
-            let bent = bent.filter(|b| self.physical(b, folds)).map(|b| self.retune(b, folds));
+            let bent = bent.filter(|b| self.is_physical(b, folds)).map(|b| self.retune(b, folds));
             Some(bent.filter(|b| b.is_bent(&plain)).unwrap_or(plain))
         });
         fits.min_by(|a, b| a.rms().total_cmp(&b.rms()))
@@ -238,7 +236,7 @@ impl Problem {
                 let keep = |(j, t): (usize, &Term)| (j != k && Some(*t) != bent).then_some(*t);
                 let terms: Vec<Term> = now.terms.iter().enumerate().filter_map(keep).collect();
                 let left = self.judge(&terms, folds).filter(|_| !terms.is_empty())?;
-                let left = Some(self.retune(left, folds)).filter(|j| self.physical(j, folds))?;
+                let left = Some(self.retune(left, folds)).filter(|j| self.is_physical(j, folds))?;
                 let square = matches!(now.terms[k], Term::Thermal { square: true, .. });
                 let earned =
                     if square { now.is_bent(&left) } else { now.earns(&left, LAG_CHOICES * candidates) };
@@ -301,7 +299,7 @@ impl Problem {
             extra.retain(|t| !now.terms.contains(t));
             next.extend(extra.into_iter().filter_map(|t| {
                 let judged = self.judge(&[now.terms.as_slice(), &[t]].concat(), folds)?;
-                self.physical(&judged, folds).then_some(judged)
+                self.is_physical(&judged, folds).then_some(judged)
             }));
             next.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
             // The patent asks R to improve by 1 %, which a term cannot do where R is above 0.99: a term stays where blocks
@@ -387,7 +385,7 @@ impl Problem {
     /// Of the offered, those whose growth goes the way that the hottest body's does: heat comes from there. Where
     /// that body says nothing, all.
     fn driven_by_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
-        let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
+        let rows: Vec<usize> = self.stretches(folds).flatten().collect();
         let warmth = |j: &Judged| {
             let Some((sensor, minus)) = pair_of(j.terms[0]) else { return 0.0 };
             let u = self.column(Term::Thermal { sensor, minus, lag: 0, square: false });
@@ -403,43 +401,53 @@ impl Problem {
 
     /// The candidates that explain most of what these terms leave, whatever their lag.
     fn screen(&self, terms: &[Term], candidates: &[Pair], folds: &[usize]) -> Vec<Pair> {
-        let rows: Vec<usize> = (0..self.y.len()).filter(|i| folds.contains(&self.fold[*i])).collect();
-        let pick = |v: &[f64]| rows.iter().map(|i| v[*i]).collect::<Vec<f64>>();
-        let weight = pick(&self.weight);
-        let dot =
-            |a: &[f64], b: &[f64]| a.iter().zip(b).zip(&weight).map(|((a, b), w)| w * a * b).sum::<f64>();
-        // An orthonormal basis of the constant and the terms; what is left of a column beside it.
-        let mut basis: Vec<Vec<f64>> = Vec::new();
-        let beside = |basis: &[Vec<f64>], mut v: Vec<f64>| {
-            for q in basis {
-                let c = dot(q, &v);
+        // An orthonormal basis of the constant and the terms, weighted, zero outside the folds; what is left beside it.
+        let mut weight = vec![0.0; self.y.len()];
+        self.stretches(folds).for_each(|s| weight[s.clone()].copy_from_slice(&self.weight[s]));
+        let weighted = |v: &[f64]| v.iter().zip(&weight).map(|(v, w)| v * w).collect::<Vec<f64>>();
+        let mut basis: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
+        let beside = |basis: &[(Vec<f64>, Vec<f64>)], mut v: Vec<f64>| {
+            for (q, weighted) in basis {
+                let c = dot(weighted, &v);
                 v.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
             }
             v
         };
-        let mut columns = vec![vec![1.0; rows.len()]];
-        columns.extend(terms.iter().map(|t| pick(&self.column(*t))));
+        let mut columns = vec![vec![1.0; self.y.len()]];
+        columns.extend(terms.iter().map(|t| self.column(*t)));
         for c in columns {
             let c = beside(&basis, c);
-            let norm = dot(&c, &c).sqrt();
+            let norm = dot(&weighted(&c), &c).sqrt();
             if norm > 0.0 {
-                basis.push(c.into_iter().map(|v| v / norm).collect());
+                let q: Vec<f64> = c.into_iter().map(|v| v / norm).collect();
+                let weighted = weighted(&q);
+                basis.push((q, weighted));
             }
         }
-        let left = beside(&basis, pick(&self.y));
-        let score = |(sensor, minus): Pair| {
-            let lags = (0..self.taus.len()).step_by(SCREEN_LAGS);
-            let of = lags.map(|lag| {
-                let column = pick(&self.column(Term::Thermal { sensor, minus, lag, square: false }));
-                let d = beside(&basis, column);
-                let (own, with) = (dot(&d, &d), dot(&d, &left));
-                if own > 1e-12 { with * with / own } else { 0.0 }
-            });
-            of.fold(0.0, f64::max)
-        };
-        let mut scored: Vec<_> = candidates.iter().map(|c| (*c, score(*c))).collect();
+        let left = weighted(&beside(&basis, self.y.clone()));
+        let mut scores = vec![0.0; candidates.len()];
+        for screened in &self.screened {
+            // Of each sensor what the basis says of it, and its product with what is left: a difference has the differences.
+            let of = |v: &Vec<f64>| {
+                let known: Vec<f64> = basis.iter().map(|(_, weighted)| dot(weighted, v)).collect();
+                (known, dot(&left, v))
+            };
+            let sensors: Vec<(Vec<f64>, f64)> = screened.centred.iter().map(of).collect();
+            for (score, (sensor, minus)) in scores.iter_mut().zip(candidates) {
+                let (known, with) = &sensors[*sensor];
+                let other = minus.map(|m| &sensors[m]);
+                let beside = |k: usize| known[k] - other.map_or(0.0, |(known, _)| known[k]);
+                let squares = screened.squares(self.sensors.len(), (*sensor, *minus), folds);
+                let own = squares - (0..known.len()).map(|k| beside(k).powi(2)).sum::<f64>();
+                let with = with - other.map_or(0.0, |(_, with)| *with);
+                if own > 1e-12 * squares.max(1.0) {
+                    *score = f64::max(*score, with * with / own);
+                }
+            }
+        }
+        let mut scored: Vec<_> = candidates.iter().zip(scores).collect();
         scored.sort_by(|a, b| b.1.total_cmp(&a.1));
-        scored.into_iter().take(SCREENED).map(|(c, _)| c).collect()
+        scored.into_iter().take(SCREENED).map(|(c, _)| *c).collect()
     }
 
     /// Sensors that these terms read.
@@ -456,9 +464,15 @@ impl Problem {
         for k in 0..now.terms.len() {
             let Term::Thermal { lag: at @ 1.., square: false, .. } = now.terms[k] else { continue };
             let terms = now.terms.clone();
-            let mut other =
-                |lag: usize| self.judge(&relagged(&terms, k, lag), folds).filter(|j| self.physical(j, folds));
-            now = self.nearer((at, now), &mut other).1;
+            let mut other = |lag: usize| {
+                let terms = relagged(&terms, k, lag);
+                let solved = self.beside(&terms, folds)?.solve()?;
+                self.physical(&terms, &solved.coefficients, folds).then(|| solved.rms())
+            };
+            let best = self.nearer((at, now.rms()), &mut other).0;
+            if best != at {
+                now = self.judge(&relagged(&terms, k, best), folds).unwrap_or(now);
+            }
         }
         now
     }
@@ -471,41 +485,39 @@ impl Problem {
         minus: Option<usize>,
         folds: &[usize],
     ) -> Option<Judged> {
-        let mut columns: Vec<Vec<f64>> = terms.iter().map(|t| self.column(*t)).collect();
+        let mut beside = self.beside(terms, folds)?;
+        let with = |lag: usize| [terms, &[Term::Thermal { sensor, minus, lag, square: false }]].concat();
         let mut at = |lag: usize| {
-            let term = Term::Thermal { sensor, minus, lag, square: false };
+            let all = with(lag);
+            let term = all[terms.len()];
             if terms.contains(&term) {
                 return None;
             }
-            columns.push(self.column(term));
-            let judged = self.judge_columns(&[terms, &[term]].concat(), &columns, folds);
-            columns.pop();
-            judged.filter(|j| self.physical(j, folds))
+            beside.push(&self.column(term))?;
+            let solved = beside.solve();
+            beside.pop();
+            solved.filter(|s| self.physical(&all, &s.coefficients, folds)).map(|s| s.rms())
         };
-        let without = at(0);
+        let without = at(0).and_then(|_| self.judge(&with(0), folds));
         let coarse = (1..self.taus.len()).step_by(COARSE).filter_map(|lag| Some((lag, at(lag)?)));
-        let coarse = coarse.min_by(|a, b| a.1.rms().total_cmp(&b.1.rms()));
-        let with = coarse.map(|best| self.nearer(best, &mut at).1);
-        match (without, with) {
+        let coarse = coarse.min_by(|a, b| a.1.total_cmp(&b.1));
+        let lagged = coarse.and_then(|best| self.judge(&with(self.nearer(best, &mut at).0), folds));
+        match (without, lagged) {
             (Some(a), Some(b)) => Some(if b.earns(&a, LAG_CHOICES) { b } else { a }),
             (a, b) => a.or(b),
         }
     }
 
-    /// From a lag to the best near it, by shorter and shorter steps of the grid.
-    fn nearer(
-        &self,
-        mut best: (usize, Judged),
-        at: &mut dyn FnMut(usize) -> Option<Judged>,
-    ) -> (usize, Judged) {
+    /// From a lag, and what it leaves, to the best near it, by shorter and shorter steps of the grid.
+    fn nearer(&self, mut best: (usize, f64), at: &mut dyn FnMut(usize) -> Option<f64>) -> (usize, f64) {
         for step in std::iter::successors(Some(COARSE / 2), |s| Some(s / 2)).take_while(|s| *s > 0) {
             let from = best.0;
             for lag in [from.saturating_sub(step), from + step] {
                 if (1..self.taus.len()).contains(&lag)
-                    && let Some(judged) = at(lag)
-                    && judged.rms() < best.1.rms()
+                    && let Some(rms) = at(lag)
+                    && rms < best.1
                 {
-                    best = (lag, judged);
+                    best = (lag, rms);
                 }
             }
         }

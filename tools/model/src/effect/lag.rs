@@ -29,13 +29,18 @@ impl Decay {
     }
 }
 
+/// Where of eight places what is known of a step stands.
+fn place_of(h_s: f64) -> usize {
+    (h_s.to_bits().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 61) as usize
+}
+
 /// The last few steps of different lengths: a record's rows are a step apart, but for rounding.
 #[derive(Debug, Default)]
 struct Decays([Decay; 8]);
 
 impl Decays {
     fn over(&mut self, h_s: f64, tau_s: f64) -> Decay {
-        let place = &mut self.0[(h_s.to_bits().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 61) as usize];
+        let place = &mut self.0[place_of(h_s)];
         if place.h_s.to_bits() != h_s.to_bits() {
             *place = Decay::over(h_s, tau_s);
         }
@@ -73,9 +78,69 @@ impl Lag {
     }
 }
 
+/// An input passed through several lags at once, row by row: to the last digit what as many [`Lag`]s say, in less time.
+#[derive(Debug)]
+pub struct Lags<const N: usize> {
+    taus_s: [f64; N],
+    /// The last step, and 1 − exp(−h/τ) of each lag over it; rows a step apart but for rounding have a few.
+    steps: [(f64, [f64; N]); 8],
+    /// Lagged values, input and time of the row before.
+    before: Option<([f64; N], f64, f64)>,
+}
+
+impl<const N: usize> Lags<N> {
+    /// Lags of these time constants, s.
+    #[must_use]
+    pub fn new(taus_s: [f64; N]) -> Self {
+        Self { taus_s, steps: [(0.0, [0.0; N]); 8], before: None }
+    }
+
+    /// The lagged inputs at the next row. Where time stands still they stay.
+    #[inline]
+    pub fn next(&mut self, t_s: f64, u: f64) -> [f64; N] {
+        let lagged = match self.before {
+            None => [u; N],
+            Some((mut y, u0, t0)) if t_s > t0 => {
+                let h_s = t_s - t0;
+                let (known_s, gone) = &mut self.steps[place_of(h_s)];
+                if known_s.to_bits() != h_s.to_bits() {
+                    *known_s = h_s;
+                    *gone = self.taus_s.map(|tau_s| Decay::over(h_s, tau_s).gone);
+                }
+                let s = (u - u0) / h_s;
+                for ((y, gone), tau_s) in y.iter_mut().zip(gone).zip(self.taus_s) {
+                    *y = u - s * tau_s * *gone + (*y - u0) * (1.0 - *gone);
+                }
+                y
+            }
+            Some((y, ..)) => y,
+        };
+        self.before = Some((lagged, u, t_s));
+        lagged
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Several at once are what they are one by one, whatever the steps: equal, uneven, none.
+    #[test]
+    fn several_lags_at_once_are_each_to_the_last_digit() {
+        let taus_s = [0.5, 30.0, 77.0, 4000.0];
+        let mut together = Lags::new(taus_s);
+        let mut single = taus_s.map(Lag::new);
+        let mut t_s = 0.0;
+        for i in 0..500_u32 {
+            t_s += if i % 50 == 0 { 0.0 } else { 0.1 + f64::from(i * i % 17) };
+            let u = 20.0 + f64::from(i * 7 % 31);
+            let each: Vec<f64> = single.iter_mut().map(|lag| lag.next(t_s, u)).collect();
+            assert_eq!(
+                together.next(t_s, u).map(f64::to_bits).as_slice(),
+                each.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+            );
+        }
+    }
 
     /// A step of the input: what is left of it has fallen to 1/e after one time constant, whatever the rows.
     #[test]

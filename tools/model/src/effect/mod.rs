@@ -45,7 +45,7 @@ pub use dictionary::Dictionary;
 pub(crate) use difference::read_difference;
 pub use difference::{Against, Difference, STANDARD_DEGC};
 pub use grid::{Extent, Point};
-pub use lag::Lag;
+pub use lag::{Lag, Lags};
 
 use crate::record::{Axis, Kind, Record, Role};
 use linear::Linear;

@@ -2,14 +2,14 @@
 
 use super::characterise::record::{Recorder, record};
 use crate::figures::with_half;
+use crate::terminal::patiently;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, SEED, find, html, reconcile};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::SystemTime;
 
 /// Find what the model of a machine lacks: name it, add it, show the gap shrink
 #[derive(Debug, clap::Args)]
@@ -82,7 +82,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
     let values: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
     if args.stage == Stage::Find {
-        let places = patiently(values, || find(&train, &machine))?;
+        let places = patiently(&format!("reconciling {values} measured values"), || find(&train, &machine))?;
         let document = json!({
             "where": places.iter().map(Place::to_json).collect::<Vec<_>>(), "level": args.level, "seed": SEED,
         });
@@ -91,7 +91,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
-    let answer = patiently(values, || reconcile(&train, &holdout, &machine, &options))?;
+    let answer = patiently(&format!("reconciling {values} measured values"), || {
+        reconcile(&train, &holdout, &machine, &options)
+    })?;
     for note in &answer.derived {
         eprintln!("note: {note}");
     }
@@ -139,25 +141,6 @@ fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) 
 /// A probability as a person reads it: permutations show none smaller than one in a thousand.
 fn chance(p: f64) -> String {
     if p <= 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
-}
-
-/// Nothing is said for so long, and then as often.
-const PATIENCE: Duration = Duration::from_secs(2);
-
-/// Does it, and says from time to time that it is still being done.
-fn patiently<T>(values: usize, work: impl FnOnce() -> T) -> T {
-    let start = Instant::now();
-    let (done, waiting) = mpsc::channel::<()>();
-    std::thread::scope(|scope| {
-        scope.spawn(move || {
-            while waiting.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
-                eprintln!("reconciling {values} measured values, {:.0} s …", start.elapsed().as_secs_f64());
-            }
-        });
-        let result = work();
-        drop(done);
-        result
-    })
 }
 
 fn found(places: &[Place]) -> String {

@@ -1,6 +1,7 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
 
 use crate::figures::with_bounds;
+use crate::terminal::patiently;
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
@@ -9,7 +10,7 @@ use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::Chart;
 use rtec_model::date;
 use rtec_model::machine::Machine;
-use rtec_model::record::Record;
+use rtec_model::record::{Record, Role};
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -92,7 +93,11 @@ impl Common {
     }
 
     fn fit(&self, holdout: &[PathBuf], asked: &Asked) -> anyhow::Result<Fit> {
-        let done = workflow::fit(read(&self.records)?, read(holdout)?, asked, &mut suspicions::say)?;
+        let (train, holdout) = (read(&self.records)?, read(holdout)?);
+        let rows: usize = train.iter().map(Record::rows).sum();
+        let sensors = train.first().map_or(0, |r| r.names(&Role::Temperature).count());
+        let what = format!("choosing among the differences of {sensors} sensors, {rows} rows");
+        let done = patiently(&what, || workflow::fit(train, holdout, asked, &mut suspicions::say))?;
         if let Some(path) = &self.plot {
             draw(path, &done.reports.iter().map(Report::chart).collect::<Vec<_>>())?;
         }

@@ -1,0 +1,39 @@
+//! What reading a record takes beside the `csv` crate on the same file, each once, in nanoseconds:
+//! `cargo bench --workspace --bench record_speed -- FILE.run.toml`. Prints, asserts nothing; `tests/cost.py records` asks it in turns with
+//! pandas.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    // Cargo adds `--bench` of its own.
+    let Some(file) = std::env::args().skip(1).find(|a| a != "--bench").map(PathBuf::from) else {
+        println!("record_speed: nothing to read without FILE.run.toml");
+        return Ok(());
+    };
+    let begun = Instant::now();
+    let record = rtec_measure::record::read(&file)?;
+    let ours = begun.elapsed();
+    let begun = Instant::now();
+    let columns = by_crate(&file.with_file_name(&record.file))?;
+    let theirs = begun.elapsed();
+    // Both have read the same numbers.
+    let sum = |columns: &mut dyn Iterator<Item = &Vec<f64>>| columns.flatten().sum::<f64>();
+    let own = sum(&mut record.columns.iter().map(|c| &c.data));
+    assert_eq!(own.to_bits(), sum(&mut columns.iter()).to_bits());
+    println!("{} {}", ours.as_nanos(), theirs.as_nanos());
+    Ok(())
+}
+
+/// The columns of a CSV as the `csv` crate gives its cells and the standard library their numbers.
+fn by_crate(file: &Path) -> Result<Vec<Vec<f64>>, Box<dyn std::error::Error>> {
+    let mut reader = csv::Reader::from_path(file)?;
+    let mut columns = vec![Vec::new(); reader.byte_headers()?.len()];
+    let mut row = csv::ByteRecord::new();
+    while reader.read_byte_record(&mut row)? {
+        for (column, cell) in columns.iter_mut().zip(&row) {
+            column.push(std::str::from_utf8(cell)?.parse()?);
+        }
+    }
+    Ok(columns)
+}
