@@ -74,6 +74,19 @@ pub struct Round {
     pub kept: Vec<InputError>,
 }
 
+impl Round {
+    /// What is printed of it: the places, and how many; or one JSON document, in a line.
+    #[must_use]
+    pub fn text(&self, json: bool) -> String {
+        if json {
+            let kept: Vec<String> = self.kept.iter().map(ToString::to_string).collect();
+            return format!("{}\n", serde_json::json!({"sent": self.sent, "kept": kept}));
+        }
+        let places = self.sent.iter().fold(String::new(), |all, place| all + place + "\n");
+        format!("{places}{} records sent, {} kept\n", self.sent.len(), self.kept.len())
+    }
+}
+
 /// Why sending ended early. What was sent before is sent; what was not waits.
 #[derive(Debug, thiserror::Error)]
 pub enum ShipError {
