@@ -1,7 +1,9 @@
-"""`rtecctl ship` to a store of another hand: s3rver (npm), which checks every signature, and moto, which keeps checksums."""
+"""`rtecctl ship` to stores of other hands: s3rver (npm), which is a disk that can be killed or full; before it a gate where
+botocore works out every signature again; and moto, which keeps checksums."""
 
 import base64
 import hashlib
+import http.server
 import os
 import shutil
 import signal
@@ -9,9 +11,14 @@ import socket
 import subprocess
 import threading
 import time
+import urllib.error
+import urllib.parse
 import urllib.request
 from pathlib import Path
 
+import botocore.auth
+import botocore.awsrequest
+import botocore.credentials
 import pytest
 import shop_data as data
 from conftest import ROOT, RTECCTL
@@ -108,6 +115,56 @@ class Cutting:
                 s.shutdown(socket.SHUT_RDWR)
             except OSError:
                 pass
+
+
+class Gate(http.server.BaseHTTPRequestHandler):
+    """Lets through to the store what botocore would have signed in the same way; refuses all else as a store does."""
+
+    store = None
+
+    def _pass(self):
+        address = urllib.parse.urlsplit(self.path)
+        query = dict(urllib.parse.parse_qsl(address.query))
+        signed = query["X-Amz-SignedHeaders"].split(";")
+        region = query["X-Amz-Credential"].split("/")[2]
+        own = botocore.auth.S3SigV4QueryAuth(
+            botocore.credentials.Credentials(KEY, SECRET), "s3", region, expires=int(query["X-Amz-Expires"])
+        )
+        request = botocore.awsrequest.AWSRequest(
+            self.command, f"http://{self.headers['Host']}{address.path}", {name: self.headers[name] for name in signed}
+        )
+        request.context["timestamp"] = query["X-Amz-Date"]
+        own._modify_request_before_signing(request)
+        signature = own.signature(own.string_to_sign(request, own.canonical_request(request)), request)
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        if signature != query["X-Amz-Signature"]:
+            return self._answer(403, b"<Error><Code>SignatureDoesNotMatch</Code><Message>no</Message></Error>")
+        onward = urllib.request.Request(f"{self.store.endpoint}{self.path}", body or None, method=self.command)
+        try:
+            with urllib.request.urlopen(onward) as answer:
+                self._answer(answer.status, answer.read())
+        except urllib.error.HTTPError as error:
+            self._answer(error.code, error.read())
+
+    do_GET = do_PUT = _pass
+
+    def _answer(self, status, body):
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def gate(store):
+    handler = type("ToStore", (Gate,), {"store": store})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
 
 
 @pytest.fixture(scope="module")
@@ -227,9 +284,9 @@ def test_again_and_again_goes_on_when_the_store_comes_back(tmp_path, ship):
         store.kill()
 
 
-def test_what_the_caller_mends_is_one_line_and_exit_code_2(store, ship, tmp_path):
-    spool = spool_of(tmp_path / "spool", 1)
-    said = ship(spool, "s3://plant/shop", store.endpoint, code=2, secret="hush-hush-hush").stderr
+def test_what_the_caller_mends_is_one_line_and_exit_code_2(store, gate, ship, tmp_path):
+    spool = spool_of(tmp_path / "spool", 1, "a name, with ü+& {n}")
+    said = ship(spool, "s3://plant/signed", gate, code=2, secret="hush-hush-hush").stderr
     assert "SignatureDoesNotMatch" in said and "AWS_SECRET_ACCESS_KEY" in said
     said = ship(spool, "s3://plant/shop", store.endpoint, code=2, key="nobody", secret="hush-hush-hush").stderr
     assert "InvalidAccessKeyId" in said
@@ -241,9 +298,12 @@ def test_what_the_caller_mends_is_one_line_and_exit_code_2(store, ship, tmp_path
     assert "expected s3://BUCKET" in ship(spool, "s3://P", store.endpoint, code=2).stderr
     assert "python -m rtec.shop ship" in ship(spool, "gs://plant", None, code=2).stderr
     assert "--endpoint" in ship(spool, tmp_path, store.endpoint, code=2).stderr
-    assert waiting(spool) == ["r0.run.toml"]
+    assert len(waiting(spool)) == 1
     # A store that nobody is at may be there the next time.
     assert "1 records wait" in ship(spool, "s3://plant", f"http://127.0.0.1:{free_port()}", code=3).stderr
+    # With the right pair the gate, too, lets it in.
+    ship(spool, "s3://plant/signed", gate)
+    all_there(store, 1, "signed")
 
 
 def test_a_full_store_keeps_the_spool(tmp_path, ship):
@@ -270,8 +330,10 @@ def test_a_full_store_keeps_the_spool(tmp_path, ship):
 
 def test_a_plants_own_certificate(tmp_path, ship):
     pem, key = tmp_path / "store.pem", tmp_path / "store.key"
-    subject = ["-subj", "/CN=store", "-addext", "subjectAltName=IP:127.0.0.1", "-days", "2"]
-    make = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", pem, *subject]
+    about = tmp_path / "about"
+    about.write_text("[req]\ndistinguished_name=dn\nx509_extensions=v3\n[dn]\n[v3]\nsubjectAltName=IP:127.0.0.1\n")
+    make = ["openssl", "req", "-x509", "-config", about, "-subj", "/CN=store", "-newkey", "rsa:2048", "-nodes", "-days", "2"]
+    make += ["-keyout", key, "-out", pem]
     subprocess.run(make, check=True, capture_output=True)
     store = Store(tmp_path / "store", "--key", str(key), "--cert", str(pem))
     try:

@@ -74,9 +74,12 @@ class Shop:
         return f"{self._root}/{key}"
 
     def _keys(self, folder: str) -> Iterator[str]:
-        if self._fs.exists(self._at(folder)):
-            for path in sorted(self._fs.find(self._at(folder))):
-                yield str(path)[len(self._root) + 1 :]
+        try:
+            found = self._fs.find(self._at(folder))
+        except FileNotFoundError:
+            return
+        for path in sorted(found):
+            yield str(path)[len(self._root) + 1 :]
 
     def read(self, key: str) -> bytes:
         """What stands at a place."""
@@ -140,8 +143,8 @@ class Shop:
     def _sent(self, key: str) -> rtec.Record:
         with tempfile.TemporaryDirectory() as folder:
             place, name = key.rsplit("/", 1)
-            for path in self._fs.ls(self._at(place), detail=False):
-                (Path(folder) / str(path).rsplit("/", 1)[1]).write_bytes(self._fs.cat_file(path))
+            for sent in self._keys(place):
+                (Path(folder) / sent.rsplit("/", 1)[1]).write_bytes(self.read(sent))
             return rtec.read_record(Path(folder) / name)
 
     def put_model(self, machine: str, model: rtec.Machine) -> None:
