@@ -157,7 +157,7 @@ def _again(
     radius: float | None,
     plane: tuple[str, str] | None,
 ) -> Record:
-    return record(path, kind, columns, radius_mm=radius, plane=plane, **about)
+    return record(path, kind, columns, radius_mm=radius, plane=plane, log=True, **about)
 
 
 def read_record(path: Place, *, log: bool = False) -> Record:
@@ -177,8 +177,9 @@ def record(
     zero: str | None = None,
     radius_mm: float | None = None,
     plane: tuple[str, str] | None = None,
+    log: bool = False,
 ) -> Record:
-    """Makes a record in memory; :meth:`Record.write` puts it into files.
+    """Makes a record in memory; :meth:`Record.write` puts it into files; ``log``: it need not have a response.
 
     ``columns``: for each name its role and values, and for a channel its unit:
     ``{"y": ("position.y", y_mm), "e": ("error.y", e_um), "p": ("channel", p, "bar")}``; or a DataFrame with ``roles`` by name
@@ -198,7 +199,7 @@ def record(
         raise ValueError("radius_mm and plane stand together: a ballbar's length and its two axes")
     circle = None if radius_mm is None or plane is None else (radius_mm, list(plane))
     inner = _rtec.Record(
-        os.fspath(path), kind, given, count_um=count_um, date=date, note=note, zero=zero, circle=circle
+        os.fspath(path), kind, given, count_um=count_um, date=date, note=note, zero=zero, circle=circle, log=log
     )
     return Record(inner)
 

@@ -28,6 +28,7 @@ class Record:
         note: str | None = None,
         zero: str | None = None,
         circle: tuple[float, list[str]] | None = None,
+        log: bool = False,
     ) -> Record: ...
     @staticmethod
     def read(path: str, *, log: bool = False) -> Record: ...

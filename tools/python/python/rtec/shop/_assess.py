@@ -46,13 +46,16 @@ class Assessment:
 def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -> dict[str, Any]:
     """One month of one machine. Never raises for what a record or model holds: that is a row."""
     start = time.process_time()
-    records, figures, noted = [], [], set()
+    records, figures, noted, logs = [], [], set(), 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rtec.InputWarning)
         for key in keys:
             row: dict[str, Any] = {"machine": machine, "month": month, "run": key.rsplit("/", 1)[1]}
             try:
                 run = shop.get(key)
+                if not run.responses:  # a log: kept, and nothing to judge
+                    logs += 1
+                    continue
                 found = rtec.history(run, machine).document
             except Exception as error:  # whatever a store holds: one row, not the end
                 figures.append(row | {"error": f"{type(error).__name__}: {error}"})
@@ -67,6 +70,8 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
         said: dict[str, Any] = {"machine": machine, "month": month, "runs": len(keys), "verdict": None, "error": None}
         effects: list[dict[str, Any]] = []
         try:
+            if not records and logs == len(keys):
+                return {"month": said | {"seconds": time.process_time() - start, "noted": []}, "effects": [], "figures": []}
             if not records:
                 raise ValueError("no record that can be read")
             verdict = rtec.reconcile(records, shop.model(machine), level=level)
@@ -184,7 +189,8 @@ def _machines(
     days: Mapping[str, Any] = dict(zip(life["machine"], life["days_left"]))
     by_machine = {name: group for name, group in effects.groupby("machine")}
     for machine, own in months.groupby("machine"):
-        last = own.iloc[-1]
+        judged = own[own["verdict"].notna() | own["error"].notna()]
+        last = (own if judged.empty else judged).iloc[-1]
         group = by_machine.get(machine)
         names = [] if group is None else sorted(set(group["effect"]))
         rows.append(

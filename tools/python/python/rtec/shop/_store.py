@@ -145,7 +145,7 @@ class Shop:
             place, name = key.rsplit("/", 1)
             for sent in self._keys(place):
                 (Path(folder) / sent.rsplit("/", 1)[1]).write_bytes(self.read(sent))
-            return rtec.read_record(Path(folder) / name)
+            return rtec.read_record(Path(folder) / name, log=True)
 
     def put_model(self, machine: str, model: rtec.Machine) -> None:
         """Puts a machine's model into the store."""
@@ -213,7 +213,7 @@ def _record(table: pa.Table, key: str) -> rtec.Record:
     plane = first["plane"].split(",") if first["plane"] else None
     about = {name: first[name] for name in ("count_um", "date", "note", "zero")}
     path = f"{key.rsplit('/', 1)[0]}/{first['run']}"
-    return rtec.record(path, first["kind"], columns, radius_mm=first["radius_mm"], plane=plane, **about)
+    return rtec.record(path, first["kind"], columns, radius_mm=first["radius_mm"], plane=plane, log=True, **about)
 
 
 def ship(spool: str | Path, shop: Shop, machine: str) -> list[str]:
