@@ -41,7 +41,9 @@ fn sidecars(folder: &Path) -> Vec<PathBuf> {
 fn told(daemon: &Daemon, kind: &str) -> Vec<String> {
     let mut client = rtec_control::client::Client::connect(daemon.socket()).unwrap();
     let request = rtec_control::protocol::ClientRequest::Observe { events_after: None };
-    let rtec_control::protocol::Response::Observed(seen) = client.ask(&request).unwrap() else { panic!("no answer") };
+    let rtec_control::protocol::Response::Observed(seen) = client.ask(&request).unwrap() else {
+        panic!("no answer")
+    };
     seen.events.into_iter().map(|e| e.event).filter(|e| e.kind == kind).map(|e| e.text).collect()
 }
 
@@ -68,13 +70,32 @@ fn gauge() -> String {
 fn recorded(directory: &Path, out: &str) -> Output {
     let mut command = Command::new(program("rtecctl"));
     command.current_dir(directory).args(["characterise", "record", "--out", out, "--feed", &gauge()]);
-    command.args(["--columns", "gx=error.x", "--period", "0.05", "--duration", "0.5", "--socket", "s", "--spool"]);
+    command.args([
+        "--columns",
+        "gx=error.x",
+        "--period",
+        "0.05",
+        "--duration",
+        "0.5",
+        "--socket",
+        "s",
+        "--spool",
+    ]);
     command.output().unwrap()
 }
 
 fn shipped(directory: &Path) -> Output {
     let mut command = Command::new(program("rtecctl"));
-    command.current_dir(directory).args(["ship", "--spool", "spool", "--to", "shop", "--machine", "mill-7", "--json"]);
+    command.current_dir(directory).args([
+        "ship",
+        "--spool",
+        "spool",
+        "--to",
+        "shop",
+        "--machine",
+        "mill-7",
+        "--json",
+    ]);
     command.output().unwrap()
 }
 

@@ -45,7 +45,7 @@ impl Record {
         let record = Self::log(path, kind, columns)?;
         if !record.columns.iter().any(|c| c.role.is_measured()) {
             let expected = "a column of role error.AXIS or force.AXIS";
-            return Err(InputError::whole(path, "no response".into(), expected));
+            return Err(InputError::whole(path, "no response", expected));
         }
         Ok(record)
     }

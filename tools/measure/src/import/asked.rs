@@ -130,11 +130,15 @@ impl Asked {
             Axis::new(name).ok_or_else(|| InputError::whole(file, found, "--axis with the axis' name"))
         };
         let columns = || {
-            let usage = |(found, expected)| InputError::whole(Path::new("--columns"), found, expected);
+            let usage =
+                |found: String, expected: String| InputError::whole(Path::new("--columns"), found, expected);
             if self.columns.is_empty() {
-                return Err(usage(("no --columns".to_owned(), "NAME=ROLE[:UNIT], as t=time:min")));
+                return Err(usage("no --columns".into(), "NAME=ROLE[:UNIT], as t=time:min".into()));
             }
-            self.columns.iter().map(|c| ImportColumn::parse(c).map_err(usage)).collect::<Result<Vec<_>, _>>()
+            self.columns
+                .iter()
+                .map(|c| ImportColumn::parse(c).map_err(|(f, e)| usage(f, e)))
+                .collect::<Result<Vec<_>, _>>()
         };
         let kind = || {
             Kind::parse(&self.kind).ok_or_else(|| {

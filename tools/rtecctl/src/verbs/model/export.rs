@@ -2,9 +2,9 @@
 
 use anyhow::Context;
 use rtec_files::InputError;
+use rtec_measure::export::Wanted;
 use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::export::order::{Name, Order};
-use rtec_measure::export::Wanted;
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
