@@ -5,6 +5,7 @@ import base64
 import hashlib
 import http.server
 import os
+import pickle
 import shutil
 import signal
 import socket
@@ -23,7 +24,8 @@ import pytest
 import shop_data as data
 from conftest import ROOT, RTECCTL
 
-from rtec.shop import Shop
+import rtec
+from rtec.shop import Shop, assess
 
 S3RVER = Path(os.environ.get("RTEC_S3RVER", ROOT / "target/python/s3rver/node_modules/s3rver/bin/s3rver.js"))
 # The only pair of keys that s3rver knows.
@@ -370,3 +372,55 @@ def test_the_store_holds_our_checksum(tmp_path, ship):
             assert found["ChecksumSHA256"] == base64.b64encode(hashlib.sha256(body).digest()).decode()
     finally:
         serving.stop()
+
+
+def test_from_the_daemon_to_the_shop(rtecctl, tmp_path):
+    """A probing run and a recorded one: kept by the daemon, sent, gathered; the first is a log, that nobody judges."""
+    for folder in ("spool", "store"):
+        (tmp_path / folder).mkdir()
+    axis = "count_um = 1.0\ntravel_mm = 40\nmax_correction_counts = 1000\nwindow_counts = 50\nmin_separation_ns = 500\n"
+    config = tmp_path / "rtec.toml"
+    config.write_text(
+        f"[machine]\nname = 'm1'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\n{axis}[control]\nsocket = 's'\nspool = 'spool'\n"
+    )
+    daemon = subprocess.Popen([RTECCTL.with_name("rtecd"), "--config", config], stderr=subprocess.DEVNULL)
+    gauge = socket.create_server(("127.0.0.1", 0))
+
+    def say():
+        near, _ = gauge.accept()
+        for n in range(100_000):
+            try:
+                near.sendall(f"gx {n % 7}.25\n".encode())
+            except OSError:
+                return
+            time.sleep(0.01)
+
+    threading.Thread(target=say, daemon=True).start()
+    at = ["--socket", tmp_path / "s"]
+    try:
+        while not (tmp_path / "s").exists():
+            assert daemon.poll() is None
+            time.sleep(0.05)
+        rtecctl("home", *at)
+        rtecctl("probe", "on", "--captures", "3", *at)
+        feed = ["--feed", f"127.0.0.1:{gauge.getsockname()[1]}", "--columns", "gx=error.x", "--period", "0.05"]
+        out = tmp_path / "drift.run.toml"
+        rtecctl("characterise", "record", "--out", out, *feed, "--duration", "0.5", *at, "--spool")
+    finally:
+        daemon.terminate()
+        assert daemon.wait() == 0
+    rtecctl("ship", "--spool", tmp_path / "spool", "--to", tmp_path / "store", "--machine", "m1")
+    shop = Shop(tmp_path / "store")
+    assert shop.gather() == []
+    runs = {run.key.rsplit("/", 1)[1].split("-")[0]: shop.get(run) for run in shop.runs()}
+    assert set(runs) == {"probing", "drift"}
+    assert runs["probing"].responses == [] and len(runs["probing"]) >= 3
+    # It goes to a worker and back.
+    assert pickle.loads(pickle.dumps(runs["probing"])).to_csv() == runs["probing"].to_csv()
+    assert runs["drift"]["gx"].tolist() == rtec.read_record(out)["gx"].tolist()
+    shop.put_model("m1", rtec.Machine.ideal("m1"))
+    found = assess(shop)
+    logs = found.months[found.months["month"] != "undated"]
+    assert len(logs) == 1 and logs["verdict"].isna().all() and logs["error"].isna().all()
+    assert not found.unreadable["run"].str.startswith("probing").any()
+    assert found.machines.iloc[0]["verdict"] == "nothing_missing"
