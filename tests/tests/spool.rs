@@ -163,6 +163,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
     let text = told(&daemon, "record_lost").remove(0);
     assert!(text.contains("trips is not kept") && text.contains("is no folder"), "{text}");
     until("the log", || daemon.log().contains(&text));
+    until("the record of commands", || daemon.expect(0, &["log"]).contains("trips is not kept"));
     // Before a client's run, not after it.
     let refused = recorded(directory.path(), "drift.run.toml");
     assert_eq!(refused.status.code(), Some(1));

@@ -256,7 +256,7 @@ const UNITS: [(&str, Unit); 2] = [("mm", Unit::Mm), ("inch", Unit::Inch)];
 
 /// Document, the table's text; what was said.
 #[pyfunction]
-pub(crate) fn export(
+pub(crate) fn export_table(
     py: Python<'_>,
     machine: Machine,
     asked: ExportAsked,

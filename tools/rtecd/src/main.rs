@@ -353,6 +353,9 @@ fn work<C: Card + Send + 'static>(
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);
     session.keep_the_rest(LOG_PATIENCE, log);
+    for happened in session.take_happened().iter().filter(|h| h.kind == "record_lost") {
+        audit.happened(happened, session.totals(&mut control));
+    }
     for (axis, status) in session.axes().iter().zip(ended.status.axes()) {
         let text = format!(
             "parked axis {}: completed {:+} counts, inverters {}",

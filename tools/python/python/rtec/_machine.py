@@ -141,7 +141,7 @@ class Machine:
             "axis_number": axis_number,
             "form": None if form is None else os.fspath(form),
         }
-        (document, text), said = _rtec.export(self._inner, asked)
+        (document, text), said = _rtec.export_table(self._inner, asked)
         return Table(document, text, say(said))
 
     def beyond(self, run: Record) -> Record:

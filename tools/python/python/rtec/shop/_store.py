@@ -163,11 +163,17 @@ class Shop:
 
     def attributes(self) -> dict[str, dict[str, str]]:
         """What ``machines.toml`` says of each machine."""
+        place = f"{self.url}/machines.toml"
         try:
             tables = tomllib.loads(self.read("machines.toml").decode())
         except FileNotFoundError:
             return {}
-        return {name: {k: str(v) for k, v in of.items()} for name, of in tables.items() if isinstance(of, dict)}
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{place}: found {error}, expected a table for each machine, once, as [lathe-4]") from error
+        for name, of in tables.items():
+            if not isinstance(of, dict):
+                raise ValueError(f"{place}: found {name} = {of!r} of no machine, expected it below a table as [lathe-4]")
+        return {name: {k: str(v) for k, v in of.items()} for name, of in tables.items()}
 
 
 def _opened(url: str, options: dict[str, Any]) -> Shop:
