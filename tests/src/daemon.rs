@@ -142,6 +142,12 @@ impl Daemon {
         self.log.lock().map(|log| log.clone()).unwrap_or_default()
     }
 
+    /// Its control socket.
+    #[must_use]
+    pub fn socket(&self) -> &Path {
+        &self.socket
+    }
+
     /// The daemon's process number.
     #[must_use]
     pub fn id(&self) -> u32 {

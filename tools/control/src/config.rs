@@ -32,6 +32,7 @@
 //! | | `operate`, `view` | – | `control-operate.sock`, `control-view.sock` | `{ socket, group, mode }` of the roles that may less, see [`crate::role`] |
 //! | | `state_file` | – | beside the socket | what a restart takes over |
 //! | | `log_file` | – | `/var/log/rtec/audit.log`, or beside the state file | the record of every command |
+//! | | `spool` | – | none | the folder that finished records are kept in, for `rtecctl ship` |
 //! | | `stale_ms` | ms | 500 | silence of the control side after which no insertion begins |
 //! | `[model]` | `file` | – | none | the machine model that shall run, once `rtecctl model load` has taken it |
 //! | | `period_ms` | ms | 10 | how often it is evaluated, 10 to 20 |
@@ -448,7 +449,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     }
 
     let control = control::read(source, &mut root, here);
-    notes.extend(control::notes(&control));
+    notes.extend(control::notes(&control, here));
     let model = read_model(source, &mut root, here);
     let sensors = if root.has("sensor") { sensors::read(source, &document.root()) } else { Vec::new() };
     root.finish(source);

@@ -20,7 +20,8 @@ impl ClientRequest {
             | Self::Shadow {}
             | Self::Probe { .. }
             | Self::Hold { .. }
-            | Self::Jog { .. } => Role::Operate,
+            | Self::Jog { .. }
+            | Self::Keep { .. } => Role::Operate,
             Self::Correct { .. }
             | Self::Clear {}
             | Self::ModelLoad { .. }

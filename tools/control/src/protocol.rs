@@ -136,6 +136,13 @@ pub enum ClientRequest {
     TableLoad(PartTable),
     /// No part table from now on.
     TableUnload {},
+    /// A finished run record for the spool folder: the descriptors of its sidecar and of its CSV come with this line. Without
+    /// any it is only asked whether records are kept.
+    Keep {
+        /// Their names, in that order.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        files: Vec<String>,
+    },
     /// Everything there is to see at this moment, in one answer.
     Observe {
         /// The number of the last event that is known already; all that are kept without it.

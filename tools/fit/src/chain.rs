@@ -199,12 +199,21 @@ pub fn fit(
     Ok((now, ChainReport { terms, rms_um, left_um }))
 }
 
-/// Writes a fitted chain: the file it was read from with its coefficients (and the intervals of those that the fit
-/// found) in place; comments and order stay.
+/// Writes a fitted chain, see [`text`].
 ///
 /// # Errors
 /// The file that it was read from is not there any more, or the new one cannot be written.
 pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Result<(), InputError> {
+    rtec_files::write::whole(to, text(from, chain, report)?.as_bytes())
+        .map_err(|e| InputError::whole(to, format!("error `{e}`"), "a file that can be written"))
+}
+
+/// A fitted chain: the file it was read from with its coefficients (and the intervals of those that the fit found) in
+/// place; comments and order stay.
+///
+/// # Errors
+/// The file that it was read from is not there any more.
+pub fn text(from: &Path, chain: &Chain, report: &ChainReport) -> Result<String, InputError> {
     let text = rtec_files::text::read(from)?;
     let mut doc: DocumentMut =
         text.parse().map_err(|e| InputError::whole(from, format!("{e}"), "the chain that was read"))?;
@@ -228,8 +237,7 @@ pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Res
             }
         }
     }
-    rtec_files::write::whole(to, doc.to_string().as_bytes())
-        .map_err(|e| InputError::whole(to, format!("error `{e}`"), "a file that can be written"))
+    Ok(doc.to_string())
 }
 
 /// The n-th table of an array of tables, in either of TOML's ways of writing one.

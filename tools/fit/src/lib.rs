@@ -7,7 +7,8 @@
 //! | `places` | what is left at a place every time |
 //! | [`quiet`] | temperatures without their sensors' noise |
 //! | `statistics` | means and ranks |
-//! | [`workflow`] | a fit from records as people give them, and its document
+//! | [`workflow`] | a fit from records as people give them, and its document |
+//! | [`validate`] | a model judged on records it has not seen |
 //! | [`chain`] | a chain's polynomials, fitted component by component |
 //!
 //! What must not live here: which effect is missing altogether (`rtec-reconcile`).
@@ -20,4 +21,5 @@ mod places;
 pub mod quiet;
 mod statistics;
 pub mod thermal;
+pub mod validate;
 pub mod workflow;

@@ -6,12 +6,14 @@
 //! | `beckhoff` | TF5200 and ISG kernel, `kw.ssfk.*` | Beckhoff Infosys, TF5200, 308695435 and 308687883 |
 //! | `siemens` | `$AA_ENC_COMP` | Siemens 6FC5397-1BP40-3BA1, K3, 4.4.2; 808D function manual, p. 106 |
 //! | `own` | a form of the user's own, from a file | |
+//! | `order` | what somebody orders, and what to know of it | |
 //!
 //! A controller takes the table's value between its points by a straight line, and beyond them as at the last one. What
 //! that leaves of the model is computed with the values as they are written, at places that fall into step with no period.
 
 pub mod beckhoff;
 pub mod linuxcnc;
+pub mod order;
 pub mod own;
 pub mod siemens;
 

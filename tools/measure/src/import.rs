@@ -12,8 +12,9 @@
 //! | `ecmc` | ecmc's ISO 230-2 test | |
 //! | `cmm` | tables of holes | |
 //!
-//! Private: `time` reads ISO 8601 times.
+//! `asked`: which of them, as somebody asks for it. Private: `time` reads ISO 8601 times.
 
+pub mod asked;
 mod cmm;
 mod ecmc;
 mod etalon;

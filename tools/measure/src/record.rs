@@ -35,16 +35,30 @@ pub fn read(path: &Path) -> Result<Record, InputError> {
 /// # Errors
 /// As [`read`], but for the response.
 pub fn read_log(path: &Path) -> Result<Record, InputError> {
-    let sidecar = Sidecar::read(path)?;
+    let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
     let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
     let bytes = rtec_files::text::bytes(&csv_path).map_err(|e| {
         let found = format!("`{}` ({})", csv_path.display(), e.found);
         sidecar.file_error.clone().with(found, "a CSV that can be read")
     })?;
-    let columns = parse_csv(&csv_path, &bytes, &sidecar)?;
+    of_parts(path, sidecar, &csv_path, &bytes)
+}
+
+/// Reads a log from the text of its sidecar and what stands in its CSV; `path` is the sidecar's.
+///
+/// # Errors
+/// As [`read_log`].
+pub fn parse_log(path: &Path, sidecar: &str, csv: &[u8]) -> Result<Record, InputError> {
+    let sidecar = Sidecar::parse(path, sidecar)?;
+    let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
+    of_parts(path, sidecar, &csv_path, csv)
+}
+
+fn of_parts(path: &Path, sidecar: Sidecar, csv_path: &Path, bytes: &[u8]) -> Result<Record, InputError> {
+    let columns = parse_csv(csv_path, bytes, &sidecar)?;
     let mut record = Record::of_checked(path, sidecar.kind, columns);
     record.file = sidecar.file;
-    record.sha256 = hex(&Sha256::digest(&bytes));
+    record.sha256 = hex(&Sha256::digest(bytes));
     (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
     record.zero = sidecar.zero;
     match sidecar.circle {
@@ -261,10 +275,9 @@ struct Sidecar {
 }
 
 impl Sidecar {
-    fn read(path: &Path) -> Result<Self, InputError> {
-        let text = rtec_files::text::read(path)?;
-        let mistaken = |e: InputError| FileKind::RunRecord.finding(path, &text, e);
-        let doc = Document::parse(path, &text).map_err(mistaken)?;
+    fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
+        let mistaken = |e: InputError| FileKind::RunRecord.finding(path, text, e);
+        let doc = Document::parse(path, text).map_err(mistaken)?;
         let root = doc.root();
         root.only(&["file", "kind", "count_um", "radius_mm", "plane", "date", "note", "zero", "columns"])
             .map_err(mistaken)?;

@@ -5,8 +5,9 @@
 //! from the store as it was sent leaves the spool, for `sent/` below it.
 
 use rtec_files::{InputError, write};
-use rtec_model::record::hex;
+use rtec_model::record::{Record, hex};
 use sha2::{Digest, Sha256};
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -74,6 +75,19 @@ pub struct Round {
     pub kept: Vec<InputError>,
 }
 
+impl Round {
+    /// What is printed of it: the places, and how many; or one JSON document, in a line.
+    #[must_use]
+    pub fn text(&self, json: bool) -> String {
+        if json {
+            let kept: Vec<String> = self.kept.iter().map(ToString::to_string).collect();
+            return format!("{}\n", serde_json::json!({"sent": self.sent, "kept": kept}));
+        }
+        let places = self.sent.iter().fold(String::new(), |all, place| all + place + "\n");
+        format!("{places}{} records sent, {} kept\n", self.sent.len(), self.kept.len())
+    }
+}
+
 /// Why sending ended early. What was sent before is sent; what was not waits.
 #[derive(Debug, thiserror::Error)]
 pub enum ShipError {
@@ -102,31 +116,51 @@ pub enum ShipError {
     },
 }
 
-/// Puts a written record into a spool: its CSV, then its sidecar, each whole; under the record's own name, or with a number
-/// behind it where another one waits under that name.
+/// Puts a written record into a spool, which is made where it is missing.
 ///
 /// # Errors
 /// The record cannot be read, the spool not be written.
 pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
-    let other = |e: InputError| io::Error::new(io::ErrorKind::InvalidData, e.to_string());
-    let mut record = super::record::read_log(sidecar).map_err(other)?;
-    std::fs::create_dir_all(spool)?;
-    let name = sidecar.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let stem = name.strip_suffix(".run.toml").unwrap_or(&name).to_owned();
+    let record = super::record::read_log(sidecar).map_err(no_record)?;
     let csv = std::fs::read(sidecar.parent().unwrap_or(Path::new("")).join(&record.file))?;
+    std::fs::create_dir_all(spool)?;
+    put(record, &csv, spool)
+}
+
+/// Puts a record into a spool that is there: its CSV, then its sidecar, each whole; under the record's own name, or with a
+/// number behind it where another one waits under that name.
+///
+/// # Errors
+/// The spool cannot be written: what was begun is taken away again.
+pub fn put(mut record: Record, csv: &[u8], spool: &Path) -> io::Result<PathBuf> {
+    let name = record.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = name.strip_suffix(".run.toml").unwrap_or(&name).to_owned();
     let mut n = 1;
     let at = loop {
         let tail = if n == 1 { String::new() } else { format!("-{n}") };
         let at = spool.join(format!("{stem}{tail}.run.toml"));
-        if !at.exists() {
-            break at;
+        super::record::at(&mut record, &at).map_err(no_record)?;
+        // The CSV's name is taken first, so that two who come at once take two.
+        match File::options().write(true).create_new(true).open(spool.join(&record.file)) {
+            Ok(_) if at.exists() => std::fs::remove_file(spool.join(&record.file))?,
+            Ok(_) => break at,
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(e) => return Err(e),
         }
         n += 1;
     };
-    super::record::at(&mut record, &at).map_err(other)?;
-    write::whole(&spool.join(&record.file), &csv)?;
-    write::whole(&at, super::record::to_sidecar(&record).as_bytes())?;
+    let csv_at = spool.join(&record.file);
+    let written = write::whole(&csv_at, csv)
+        .and_then(|()| write::whole(&at, super::record::to_sidecar(&record).as_bytes()));
+    if let Err(error) = written {
+        let _ = std::fs::remove_file(csv_at);
+        return Err(error);
+    }
     Ok(at)
+}
+
+fn no_record(finding: InputError) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, finding.to_string())
 }
 
 /// Sends what waits in a spool, one record after the other.

@@ -42,6 +42,19 @@ impl Record {
     /// The findings of a record on file: columns of unequal length, a role given twice, a value that is not
     /// finite, time running backwards, no response.
     pub fn new(path: &Path, kind: Kind, columns: Vec<Column>) -> Result<Self, InputError> {
+        let record = Self::log(path, kind, columns)?;
+        if !record.columns.iter().any(|c| c.role.is_measured()) {
+            let expected = "a column of role error.AXIS or force.AXIS";
+            return Err(InputError::whole(path, "no response", expected));
+        }
+        Ok(record)
+    }
+
+    /// The same, without a response where nobody measured one: a recorded shift, a probing run.
+    ///
+    /// # Errors
+    /// As [`Record::new`], but for the response.
+    pub fn log(path: &Path, kind: Kind, columns: Vec<Column>) -> Result<Self, InputError> {
         let whole = |found: String, expected: &str| InputError::whole(path, found, expected);
         for (i, c) in columns.iter().enumerate() {
             if columns[..i].iter().any(|d| d.name == c.name) {
@@ -64,9 +77,6 @@ impl Record {
                     return Err(InputError::at(path, row + 2, i + 1, found, expected));
                 }
             }
-        }
-        if !columns.iter().any(|c| c.role.is_measured()) {
-            return Err(whole("no response".into(), "a column of role error.AXIS or force.AXIS"));
         }
         if columns[0].data.is_empty() {
             return Err(whole("no rows".into(), "at least one"));

@@ -21,7 +21,7 @@ mod _rtec {
     use super::record::Record;
     #[pymodule_export]
     use super::work::{
-        designs, evaluate, example, fit, fit_named, history, part_errors, plan, prediction_picture,
-        reconcile, replay, simulate, where_they_disagree,
+        designs, evaluate, example, export_table, fit, fit_chain, fit_named, history, import_record,
+        part_errors, plan, prediction_picture, reconcile, replay, simulate, validate, where_they_disagree,
     };
 }

@@ -36,6 +36,7 @@ fn made(
     kind: &str,
     columns: Vec<(String, String, Option<String>, Vec<f64>)>,
     about: About,
+    log: bool,
 ) -> Result<Inner, Failure> {
     let bad = |found: String, expected: &str| InputError::whole(path, found, expected);
     let kinds = || Kind::ALL.map(|k| k.0).join(", ");
@@ -56,7 +57,8 @@ fn made(
     if columns.is_empty() {
         return Err(bad("no column".to_owned(), "a column of role error.AXIS or force.AXIS").into());
     }
-    let mut record = Inner::new(path, kind, columns)?;
+    let make = if log { Inner::log } else { Inner::new };
+    let mut record = make(path, kind, columns)?;
     if let Some(um) = about.count_um.filter(|um| !(um.is_finite() && *um > 0.0)) {
         return Err(bad(format!("count_um = {um}"), "a number above zero, µm").into());
     }
@@ -81,7 +83,7 @@ fn made(
 #[pymethods]
 impl Record {
     #[new]
-    #[pyo3(signature = (path, kind, columns, *, count_um=None, date=None, note=None, zero=None, circle=None))]
+    #[pyo3(signature = (path, kind, columns, *, count_um=None, date=None, note=None, zero=None, circle=None, log=false))]
     fn new(
         py: Python<'_>,
         path: PathBuf,
@@ -92,11 +94,12 @@ impl Record {
         note: Option<String>,
         zero: Option<String>,
         circle: Option<(f64, [String; 2])>,
+        log: bool,
     ) -> PyResult<Self> {
         let columns: Vec<_> =
             columns.into_iter().map(|(n, r, u, data)| (n, r, u, data.as_array().to_vec())).collect();
         let about = About { count_um, date, note, zero, circle };
-        quietly(py, || made(&path, &kind, columns, about)).map(|inner| Self { inner })
+        quietly(py, || made(&path, &kind, columns, about, log)).map(|inner| Self { inner })
     }
 
     #[staticmethod]

@@ -6,16 +6,22 @@ use crate::record::Record;
 use pyo3::prelude::*;
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
-use rtec_files::InputError;
 use rtec_files::trace::{RequestReader, TraceReader};
-use rtec_fit::thermal::prediction_chart;
+use rtec_files::{InputError, Said};
+use rtec_fit::chain::{self as chain_fit, ChainRun};
+use rtec_fit::thermal::{prediction_chart, residual_chart};
 use rtec_fit::workflow;
 use rtec_measure::evaluation::{self, Standard};
+use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::history::Limits;
 use rtec_measure::iso230::Conditions;
 use rtec_measure::plan::{PlanAxis, for_machine, markdown};
 use rtec_measure::plot::Picture;
+use rtec_measure::{export, import};
+use rtec_model::chain::Chain;
+use rtec_model::circle::Circle;
 use rtec_model::date;
+use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
 use rtec_reconcile::{Options, Place, SEED};
 use rtec_rt::axis::{AxisConfig, Design};
@@ -167,11 +173,177 @@ pub(crate) fn fit_named(
         for record in &done.records {
             let (before, after) = (base.beyond(record)?, done.machine.beyond(record)?);
             let both = before.responses().zip(after.responses());
-            pictures.extend(both.map(|(b, a)| {
-                Picture::from(rtec_fit::thermal::residual_chart(record, &b.role, &b.data, &a.data))
-            }));
+            pictures
+                .extend(both.map(|(b, a)| Picture::from(residual_chart(record, &b.role, &b.data, &a.data))));
         }
         Ok((pretty(&done.document()?)?, Machine { inner: done.machine }, drawn(pictures.iter())?))
+    })
+}
+
+/// Document, the chain's text, pictures.
+type FittedChain = (String, String, String);
+
+/// Components of a chain, on records and the points of the tool that they measured.
+#[pyfunction]
+pub(crate) fn fit_chain(
+    py: Python<'_>,
+    chain: PathBuf,
+    components: Vec<String>,
+    records: Vec<Record>,
+    tools_mm: Vec<Option<[f64; 3]>>,
+) -> PyResult<FittedChain> {
+    quietly(py, move || {
+        let from = Chain::read(&chain)?;
+        let records = inners(records);
+        if components.is_empty() || records.is_empty() {
+            return Err(bad("fit_chain", "nothing to fit", "components, and records that measure them"));
+        }
+        if let Some(point) = tools_mm.iter().flatten().find(|p| !p.iter().all(|v| v.is_finite())) {
+            return Err(bad("tool_mm", format!("{point:?}"), "x, y, z in mm"));
+        }
+        let runs: Vec<ChainRun<'_>> =
+            records.iter().zip(tools_mm).map(|(record, tool_mm)| ChainRun { record, tool_mm }).collect();
+        let (fitted, report) = chain_fit::fit(&from, &components, &runs)?;
+        let text = chain_fit::text(&chain, &fitted, &report)?;
+        let pictures = report.rms_um.iter().zip(&report.left_um).filter_map(|((of, response, _), left)| {
+            let record = records.iter().find(|r| r.path == *of)?;
+            Some(Picture::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
+        });
+        let pictures: Vec<Picture> = pictures.collect();
+        Ok((serde_json::to_string_pretty(&report)?, text, drawn(pictures.iter())?))
+    })
+}
+
+/// Document, pictures; what was said.
+#[pyfunction]
+pub(crate) fn validate(
+    py: Python<'_>,
+    machine: Machine,
+    records: Vec<Record>,
+) -> PyResult<((String, String), Vec<String>)> {
+    work(py, move |say| {
+        if records.is_empty() {
+            return Err(bad("validate", "no record", "records that the model has not seen"));
+        }
+        let found = rtec_fit::validate::validate(&machine.inner, &inners(records), say)?;
+        let pictures: Vec<Picture> = found.charts.into_iter().map(Picture::from).collect();
+        Ok((pretty(&found.document)?, drawn(pictures.iter())?))
+    })
+}
+
+/// What is asked of an export, as it comes over the border.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct ExportAsked {
+    axis: String,
+    from_mm: f64,
+    to_mm: f64,
+    step_mm: Option<f64>,
+    limit_um: f64,
+    max_points: Option<usize>,
+    temperatures_degc: Vec<(String, f64)>,
+    at_mm: Vec<(String, f64)>,
+    format: String,
+    unit: String,
+    axis_name: Option<String>,
+    encoder: u8,
+    reference_mm: Option<f64>,
+    axis_number: Option<u16>,
+    form: Option<PathBuf>,
+}
+
+const UNITS: [(&str, Unit); 2] = [("mm", Unit::Mm), ("inch", Unit::Inch)];
+
+/// Document, the table's text; what was said.
+#[pyfunction]
+pub(crate) fn export_table(
+    py: Python<'_>,
+    machine: Machine,
+    asked: ExportAsked,
+) -> PyResult<((String, String), Vec<String>)> {
+    work(py, move |say| {
+        let order = export::order::Order {
+            axis: asked.axis,
+            wanted: export::Wanted {
+                from_mm: asked.from_mm,
+                to_mm: asked.to_mm,
+                step_mm: asked.step_mm,
+                limit_um: asked.limit_um,
+                most: asked.max_points,
+            },
+            temperatures_degc: asked.temperatures_degc,
+            at_mm: asked.at_mm,
+            format: one_of("format", &asked.format, &export::order::Name::ALL)?,
+            unit: one_of("unit", &asked.unit, &UNITS)?,
+            axis_name: asked.axis_name,
+            encoder: asked.encoder,
+            reference_mm: asked.reference_mm,
+            axis_number: asked.axis_number,
+            form: asked.form,
+        };
+        let done = order.of(&machine.inner)?;
+        let file = machine.inner.path.display();
+        done.warnings.iter().for_each(|w| say(Said::Warning(format!("{file}: {w}"))));
+        done.notes.into_iter().for_each(|n| say(Said::Note(n)));
+        Ok((pretty(&done.document)?, done.text))
+    })
+}
+
+/// What is asked of an import, as it comes over the border.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct ImportAsked {
+    file: PathBuf,
+    format: String,
+    out: PathBuf,
+    axis: Option<String>,
+    columns: Vec<String>,
+    kind: String,
+    decimal_comma: Option<bool>,
+    log: bool,
+    period_s: Option<f64>,
+    numbered: bool,
+    unit: String,
+    form: Option<PathBuf>,
+    derive: bool,
+    radius_mm: Option<f64>,
+    plane: Option<[String; 2]>,
+}
+
+/// Another tool's file as a record, which is not written yet.
+#[pyfunction]
+pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Record, Vec<String>)> {
+    work(py, move |say| {
+        let circle = match (asked.radius_mm, asked.plane) {
+            (Some(radius_mm), Some([a, b])) => {
+                let axes = Axis::new(&a).zip(Axis::new(&b));
+                let (a, b) = axes.ok_or_else(|| bad("plane", format!("{a}, {b}"), "two axes, as x and y"))?;
+                Some(Circle { radius_mm, plane: [a, b] })
+            }
+            _ => None,
+        };
+        let asked = import::asked::Asked {
+            file: asked.file,
+            format: one_of("format", &asked.format, &import::asked::Name::ALL)?,
+            axis: asked.axis,
+            columns: asked.columns,
+            kind: asked.kind,
+            decimal_comma: asked.decimal_comma,
+            log: asked.log,
+            period_s: asked.period_s,
+            numbered: asked.numbered,
+            unit: one_of("unit", &asked.unit, &UNITS)?,
+            form: asked.form,
+            derive: asked.derive,
+            circle,
+            out: asked.out,
+        };
+        let inner = asked.read(say)?;
+        if let Some(note) = &inner.note {
+            say(Said::Note(note.clone()));
+        }
+        rtec_measure::plausible::said(std::slice::from_ref(&inner), say);
+        Ok(Record { inner })
     })
 }
 
@@ -224,10 +396,10 @@ pub(crate) fn reconcile(
         let options = Options { level, date: Some(day), unexplained, figures: true };
         let answer = rtec_reconcile::reconcile(&inners(train), &inners(holdout), &machine.inner, &options)?;
         for note in &answer.derived {
-            say(rtec_files::Said::Note(note.clone()));
+            say(Said::Note(note.clone()));
         }
         for s in &answer.suspicions {
-            say(rtec_files::Said::Warning(s.to_string()));
+            say(Said::Warning(s.to_string()));
         }
         let page = rtec_reconcile::html(&answer, machine.inner.name());
         let pictures = rtec_reconcile::pictures(&answer);

@@ -2,7 +2,9 @@
 
 import filecmp
 import json
+import warnings
 
+import numpy as np
 import pytest
 
 import rtec
@@ -158,3 +160,123 @@ def test_the_example_is_the_command_s(lathe, tmp_path):
         assert filecmp.cmp(lathe / name, tmp_path / "lathe" / name, shallow=False), name
     with pytest.raises(FileExistsError):
         rtec.example("lathe", tmp_path / "lathe")
+
+
+def test_a_model_is_judged_alike(spindle, mill, rtecctl, tmp_path):
+    for folder, code in ((spindle, 0), (mill, 1)):
+        later = sorted((folder / "holdout").glob("*.run.toml"))
+        records = [a for path in later for a in ("--record", path)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rtec.InputWarning)
+            judged = rtec.read_machine(folder / "machine.toml").validate(later)
+        code = 1 if judged.no_better else 0
+        done = rtecctl(
+            "model", "validate", "--machine", folder / "machine.toml", *records, "--json", code=code
+        )
+        assert judged.json == printed(done)
+        told = [line.replace("rtecctl: ", "note: ", 1) for line in done.stderr.splitlines()]
+        assert list(judged.said) == told[: len(judged.said)] and len(told) - len(judged.said) == code
+        assert len(judged.plots()) == len(judged.document["responses"]) > 0
+    with pytest.raises(rtec.InputError, match="no record"):
+        rtec.Machine.ideal("m").validate([])
+
+
+@pytest.mark.parametrize(
+    ("form", "given", "flags"),
+    [
+        ("linuxcnc", {}, []),
+        ("linuxcnc-type1", {"unit": "inch", "step_mm": 25.0}, ["--unit", "inch", "--step", "25"]),
+        ("csv", {"limit_um": 0.2}, ["--limit-um", "0.2"]),
+        ("ssfk", {"axis_number": 2}, ["--axis-number", "2"]),
+        ("siemens", {"axis_name": "Y1", "reference_mm": 0.0}, ["--axis-name", "Y1", "--reference-mm", "0"]),
+    ],
+)
+def test_a_controllers_table_is_exported_alike(mill, rtecctl, tmp_path, form, given, flags):
+    out, model = tmp_path / "cli.comp", mill / "machine.toml"
+    place = ["--axis", "y", "--from", "0", "--to", "400", "--format", form, "--out", out]
+    done = rtecctl("model", "export", "--machine", model, *place, *flags, "--json")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rtec.InputWarning)
+        table = rtec.read_machine(model).export("y", 0, 400, format=form, **given)
+    assert table.json == printed(done)
+    table.write(tmp_path / "python.comp")
+    assert filecmp.cmp(out, tmp_path / "python.comp", shallow=False)
+    told = [line if line.startswith("warning: ") else f"note: {line}" for line in done.stderr.splitlines()]
+    assert [line.replace(f"{out}: ", "") for line in told] == list(table.said)
+
+
+def test_what_a_format_needs_is_said(mill):
+    model = rtec.read_machine(mill / "machine.toml")
+    for form, option in (("ssfk", "axis-number"), ("siemens", "axis-name"), ("own", "form")):
+        with pytest.raises(rtec.InputError, match=f"no --{option}"):
+            model.export("y", 0, 400, format=form)
+    with pytest.raises(rtec.InputError, match="one of linuxcnc"):
+        model.export("y", 0, 400, format="fanuc")
+    with pytest.raises(rtec.InputError, match="axis"):
+        model.export("q", 0, 400)
+
+
+def test_another_tools_file_is_imported_alike(rtecctl, tmp_path):
+    table = tmp_path / "gauge.csv"
+    table.write_text("Zeit;z1;T 1\n0;0,0012;20,1\n1;0,0014;20,2\n2;0,0011;20,4\n3;0,0019;20,3\n", encoding="utf-8")
+    columns = {"Zeit": "time:min", "z1": "error.z:mm", "T 1": "temperature"}
+    flags = ["--columns", ",".join(f"{n}={r}" for n, r in columns.items()), "--decimal", "comma"]
+    out = tmp_path / "cli" / "gauge.run.toml"
+    out.parent.mkdir()
+    done = rtecctl("characterise", "import", table, "--format", "csv", *flags, "--out", out)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        run = rtec.import_record(table, "csv", tmp_path / "gauge-py.run.toml", columns=columns, decimal="comma")
+    assert run["z1"].tolist() == [1.2, 1.4, 1.1, 1.9] and run.time_s.tolist() == [0.0, 60.0, 120.0, 180.0]
+    written = run.write(out.with_name("python.run.toml"))
+    assert filecmp.cmp(out.with_name("gauge.csv"), out.with_name(written.file), shallow=False)
+    assert out.read_text().replace("gauge.csv", "python.csv") == out.with_name("python.run.toml").read_text()
+    assert len(seen) == done.stderr.count("warning: ")
+    with pytest.raises(rtec.InputError, match="no --columns"):
+        rtec.import_record(table, "csv", tmp_path / "x.run.toml")
+    with pytest.raises(rtec.InputError) as bad:
+        rtec.import_record(table, "csv", tmp_path / "x.run.toml", columns={"Zeit": "time", "z9": "error.z"})
+    assert bad.value.file == str(table) and "z9" in str(bad.value)
+    with pytest.raises(ValueError, match="comma"):
+        rtec.import_record(table, "csv", tmp_path / "x.run.toml", columns=columns, decimal=",")
+
+
+CHAIN = """tool_mm = [0.0, 0.0, 0.0] # the gauge line
+[[joint]]
+name = "x slide"
+branch = "tool"
+axis = "x"
+component = [{ of = "dx", terms = [{ p = 1, value = 0.0 }] }, { of = "ey", terms = [{ p = 1, value = 0.0 }] }]
+"""
+
+
+def test_a_chain_is_fitted_alike(rtecctl, tmp_path):
+    chain = tmp_path / "chain.toml"
+    chain.write_text(CHAIN)
+    rng = np.random.default_rng(4)
+    x = np.linspace(0.0, 400.0, 41)
+    # dx = 2 µm and ey = 5 µrad per 100 mm, seen at two heights of the tool.
+    points = [(0.0, 0.0, 0.0), (0.0, 0.0, -300.0)]
+    runs = []
+    for n, (_, _, z) in enumerate(points):
+        e = 2.0 * x / 100.0 + 5.0 * x / 100.0 * z / 1000.0 + rng.normal(0, 0.05, x.size)
+        columns = {"x": ("position.x", x), "e": ("error.x", e)}
+        runs.append(rtec.record(tmp_path / f"r{n}.run.toml", "positioning", columns).write())
+    parts = ["x slide.dx", "x slide.ey"]
+    fitted = rtec.fit_chain(chain, parts, list(zip(runs, points)))
+    records = [a for run, p in zip(runs, points) for a in ("--record", f"{run.path}@{','.join(map(str, p))}")]
+    out = tmp_path / "cli.toml"
+    flags = ["--component", ",".join(parts), *records, "--out", out, "--json"]
+    assert fitted.json == printed(rtecctl("model", "fit-chain", "--chain", chain, *flags))
+    fitted.write(tmp_path / "python.toml")
+    assert filecmp.cmp(out, tmp_path / "python.toml", shallow=False) and "# the gauge line" in fitted.text
+    values = [term["value"] for term in fitted.document["terms"]]
+    # Another hand's least squares of the same two columns.
+    lever = np.concatenate([np.full(x.size, z / 1000.0) for _, _, z in points])
+    both = np.tile(x, 2) / 100.0
+    measured = np.concatenate([run["e"] for run in runs])
+    free = np.column_stack([both, both * lever, *(np.repeat(np.eye(2), x.size, axis=0).T)])
+    assert np.allclose(values, np.linalg.lstsq(free, measured, rcond=None)[0][:2], rtol=1e-6)
+    assert len(fitted.plots()) == 2
+    with pytest.raises(rtec.InputError, match="slide"):
+        rtec.fit_chain(chain, ["y slide.dx"], runs)

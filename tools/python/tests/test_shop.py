@@ -13,6 +13,7 @@ import rtec
 pytest.importorskip("distributed")
 pytest.importorskip("pyarrow")
 
+import dask
 import pyarrow as pa
 import pyarrow.compute
 import pyarrow.dataset
@@ -147,6 +148,36 @@ def test_a_machine_without_a_model_is_a_row(tmp_path):
     found = assess(shop)
     assert "FileNotFoundError" in found.machines.iloc[0]["error"]
     assert len(found.figures) > 0
+
+
+def test_what_is_mistaken_is_said(tmp_path):
+    # A folder that is empty, or not there.
+    for at in (tmp_path, tmp_path / "nowhere"):
+        with pytest.warns(rtec.InputWarning, match="no record; what was sent to its inbox"):
+            found = assess(Shop(at))
+        assert found.machines.empty and found.shared.empty and found.unreadable.empty
+    shop = Shop(tmp_path / "shop")
+    put = shop.put("m1", data.run(1, "2026-05"))
+    shop.put_model("m1", data.model(1))
+    # A table that was cut off.
+    whole = shop.read(put.key)
+    shop.write(put.key.replace(".parquet", "x.parquet"), whole[: len(whole) // 2])
+    # A machine that is misspelt, twice, none.
+    shop.write("machines.toml", b'[m01]\nhall = "south"\n')
+    with pytest.warns(rtec.InputWarning, match=r"\[m01\] is a machine without a record; did you mean m1\?"):
+        found = assess(shop)
+    assert len(found.unreadable) == 1 and "expected a record as Parquet" in found.unreadable.iloc[0]["error"]
+    assert len(found.machines) == 1 and found.machines.iloc[0]["verdict"] is not None
+    for text, said in ((b"[m1]\n[m1]\n", "once, as"), (b'hall = "south"\n', "of no machine"), (b"\xff", "once, as")):
+        shop.write("machines.toml", text)
+        with pytest.raises(ValueError, match=f"machines.toml: found .*{said}"):
+            assess(shop)
+    shop.write("machines.toml", b"")
+    # Nobody is there.
+    with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
+        for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+            with pytest.raises(ConnectionError, match=f"{address}.*expected a scheduler of Dask"):
+                assess(shop, address)
 
 
 def _spool(folder, count):

@@ -79,7 +79,8 @@ impl Audit {
     /// Records what the machine did by itself, where somebody may ask for it later.
     pub(crate) fn happened(&mut self, happened: &Happened, after: Totals) {
         let Happened { axis, kind, text, .. } = happened;
-        if ["mode", "fault", "homed", "control_stale", "stood_still"].contains(&kind.as_str()) {
+        let asked_for_later = ["mode", "fault", "homed", "control_stale", "stood_still", "record_lost"];
+        if asked_for_later.contains(&kind.as_str()) {
             self.send(Entry { axis: axis.clone(), text: text.clone(), after, ..Entry::now(kind) });
         }
     }

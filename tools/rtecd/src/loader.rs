@@ -1,6 +1,7 @@
 //! Files that a request names, read and made ready by a thread of their own: one at a time, regular files only, within
 //! limits of size and time. The control side goes on meanwhile.
 
+use crate::keeper::{Kept, take_over};
 use rtec_control::protocol::PartTable;
 use rtec_correct::corrector::{Prepared, Preparer};
 use rtec_correct::sensors::Watch;
@@ -19,6 +20,8 @@ use std::time::{Duration, Instant};
 
 /// All files of a request together are no longer than this, bytes.
 const LONGEST: u64 = 2 << 20;
+/// And a record with its CSV: a day of twenty columns, each second.
+const LONGEST_RECORD: u64 = 64 << 20;
 /// A part has no more points.
 const POINTS: usize = 20_000;
 /// A load that takes longer is given up.
@@ -58,6 +61,8 @@ pub(crate) enum Job {
     },
     /// A part's errors.
     Table { table: PartTable, source: Source },
+    /// A finished record: its sidecar and its CSV, for the spool folder.
+    Keep { files: [PathBuf; 2], source: Source, folder: PathBuf },
 }
 
 /// What was read.
@@ -66,6 +71,8 @@ pub(crate) enum Loaded {
     Model { prepared: Box<Prepared>, warnings: Vec<String>, files: BTreeMap<PathBuf, String> },
     /// A part's errors.
     Table { table: PartTable, errors: FeatureErrors },
+    /// What became of a record.
+    Kept(Kept),
 }
 
 /// One load.
@@ -146,19 +153,30 @@ pub(crate) fn work(job: Job) -> Result<Loaded, InputError> {
             }
             Ok(Loaded::Table { table, errors })
         }
+        Job::Keep { files: [sidecar, csv], source, folder } => {
+            let reader = Reader::of(&source, LONGEST_RECORD);
+            let (text, rows) = (reader.read(&sidecar)?, reader.read(&csv)?);
+            Ok(Loaded::Kept(take_over(&sidecar, &text, &rows, &folder)?))
+        }
     }
 }
 
 /// Reads the files of one job, and knows what it has read.
 struct Reader<'s> {
     source: &'s Source,
+    longest: u64,
+    /// Bytes that may still come.
     left: Cell<u64>,
     taken: RefCell<BTreeMap<PathBuf, String>>,
 }
 
 impl<'s> Reader<'s> {
     fn new(source: &'s Source) -> Self {
-        Self { source, left: Cell::new(LONGEST), taken: RefCell::default() }
+        Self::of(source, LONGEST)
+    }
+
+    fn of(source: &'s Source, longest: u64) -> Self {
+        Self { source, longest, left: Cell::new(longest), taken: RefCell::default() }
     }
 
     fn read(&self, path: &Path) -> Result<String, InputError> {
@@ -189,7 +207,8 @@ impl<'s> Reader<'s> {
             let n = file.read_at(&mut buffer, content.len() as u64).map_err(unreadable)?;
             content.extend_from_slice(&buffer[..n]);
             if content.len() as u64 > self.left.get() {
-                let found = format!("more than {LONGEST} bytes in all");
+                let longest = self.longest;
+                let found = format!("more than {longest} bytes in all");
                 return Err(InputError::whole(path, found, "shorter files"));
             }
             if n == 0 {

@@ -5,6 +5,7 @@
 //! | `cards` | the card that the configuration names |
 //! | `temperatures` | the sensors' threads, and their log |
 //! | `history` | every change of the axes' ledgers, and how often each fault was latched |
+//! | `keeper` | finished records into the spool folder |
 //! | `start` | the engine as the last process left the machine |
 //! | `session` | requests of the protocol, carried out on the link |
 //! | `doors` | the listening sockets, one per role |
@@ -22,6 +23,7 @@ mod cards;
 mod client;
 mod doors;
 mod history;
+mod keeper;
 mod loader;
 mod log;
 mod manager;
@@ -330,6 +332,9 @@ fn work<C: Card + Send + 'static>(
         Audit::start(&log_file, outside.doors.seers).context("starting the record of commands")?;
     let mut session = Session::new(config, set_up, temperatures);
     session.take_up_model(log);
+    if let Some(trouble) = session.spool_trouble() {
+        log.say(Level::Warning, &trouble);
+    }
     if let Kind::Simulated(stand) = kind {
         session.stand_at(stand);
     }
@@ -347,6 +352,10 @@ fn work<C: Card + Send + 'static>(
     let served = server::serve(outside, &mut session, &mut running.control, log, &mut audit);
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);
+    session.keep_the_rest(LOG_PATIENCE, log);
+    for happened in session.take_happened().iter().filter(|h| h.kind == "record_lost") {
+        audit.happened(happened, session.totals(&mut control));
+    }
     for (axis, status) in session.axes().iter().zip(ended.status.axes()) {
         let text = format!(
             "parked axis {}: completed {:+} counts, inverters {}",

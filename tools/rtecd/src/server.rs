@@ -204,8 +204,11 @@ impl Desk<'_> {
             Err(text) => return clients[n].put(&Response::Bad { text }),
         };
         let client = &mut clients[n];
-        let loads = matches!(request, ClientRequest::ModelLoad { .. } | ClientRequest::TableLoad(_));
-        let files = if loads { client.take_files() } else { Vec::new() };
+        let with_files = matches!(
+            request,
+            ClientRequest::ModelLoad { .. } | ClientRequest::TableLoad(_) | ClientRequest::Keep { .. }
+        );
+        let files = if with_files { client.take_files() } else { Vec::new() };
         if let Some(refusal) = not_here(client, &request, urgency, &self.groups) {
             let (before, after) = (Totals::new(), Totals::new());
             self.record(&client.caller, json(&request), &refusal, None, before, after);

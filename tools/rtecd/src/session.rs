@@ -17,6 +17,7 @@ mod tests;
 use crate::audit::Totals;
 use crate::cards::Stand;
 use crate::history::History;
+use crate::keeper::{Keeper, Kept};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
 use crate::temperatures::Temperatures;
@@ -24,7 +25,7 @@ use loads::Wish;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_control::protocol::{ClientRequest, Happened, Numbered, Response, word};
 use rtec_correct::Corrector;
-use rtec_correct::sensors::Watch;
+use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_model::date;
 use rtec_model::record::Role;
 use rtec_rt::engine::Timing;
@@ -119,6 +120,7 @@ pub(crate) struct Session {
     /// The model's file is not what was taken last.
     model_refused: Option<String>,
     loader: Loader,
+    keeper: Keeper,
     /// What is to be done with the load that is running.
     wish: Option<Wish>,
     /// Looks at the card when a request was last left unanswered.
@@ -142,6 +144,10 @@ impl Session {
     fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
         let setups = config.axes.iter().map(ConfiguredAxis::law).collect();
         let (model, axes) = (&config.model, config.axes.len());
+        let temperature = |c: &SensorConfig| c.role == Role::Temperature;
+        let sensors = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
+        let sensors = sensors.map(|(n, c)| (n, c.name.clone())).collect();
+        let keeper = Keeper::new(config.control.spool.clone(), sensors);
         let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
         Self {
             config,
@@ -155,6 +161,7 @@ impl Session {
             stand: None,
             model_refused: None,
             loader: Loader::new(),
+            keeper,
             wish: None,
             unanswered: None,
             events: VecDeque::new(),
@@ -194,6 +201,9 @@ impl Session {
     /// Lets the corrector look, where it is due, and sends what it asks for.
     pub(crate) fn tick(&mut self, control: &mut ControlEnd, log: &mut Log) {
         self.history.look(&control.status());
+        while let Some(kept) = self.keeper.done() {
+            self.tell_kept(kept, control.status().t_ns, log);
+        }
         let now = self.time.now();
         self.stood_still(now, control, log);
         if now < self.due {
@@ -237,6 +247,29 @@ impl Session {
         self.tell(Happened { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
     }
 
+    /// What is to be mended before a record can be kept.
+    pub(crate) fn spool_trouble(&self) -> Option<String> {
+        self.keeper.trouble()
+    }
+
+    /// Says what became of a record.
+    fn tell_kept(&mut self, kept: Kept, t_ns: u64, log: &mut Log) {
+        let (level, kind, text) = match kept {
+            Ok(file) => (Level::Info, "record_kept", format!("record {}", file.display())),
+            Err(why) => (Level::Warning, "record_lost", why),
+        };
+        log.event(level, kind, &text);
+        self.tell(Happened { t_ns, axis: None, kind: kind.to_owned(), text, trip: None });
+    }
+
+    /// At the end: what was captured is written, within this time.
+    pub(crate) fn keep_the_rest(&mut self, patience: Duration, log: &mut Log) {
+        self.keeper.end(&self.config.axes);
+        while let Some(kept) = self.keeper.last(patience) {
+            self.tell_kept(kept, 0, log);
+        }
+    }
+
     /// Keeps an event for those who ask, and passes it on.
     fn tell(&mut self, happened: Happened) {
         self.event_count += 1;
@@ -273,7 +306,13 @@ impl Session {
                 trip.corrected_mm = trip.error_um.map(|um| trip.position_mm + um / 1000.0);
                 let degc = |w: &Watch| w.value_degc().filter(|_| w.config().role == Role::Temperature);
                 trip.degc = self.temperatures.sensors().iter().map(degc).collect();
+                self.keeper.trip(n, &self.config.axes, trip, self.temperatures.now_s());
             }
+        }
+        match event.kind {
+            EventKind::Mode(Mode::Probe) => self.keeper.begin(event.t_ns, self.temperatures.now_s()),
+            EventKind::Mode(_) => self.keeper.end(&self.config.axes),
+            _ => {}
         }
         let level = match event.kind {
             EventKind::Fault(_) => Level::Error,
@@ -346,6 +385,7 @@ impl Session {
                 let page = self.number(axis).map(|n| Response::Ledger(self.history.ledger(n, *from)));
                 return Answer::of(page);
             }
+            ClientRequest::Keep { files } => return self.keep(files, beside),
             ClientRequest::TableLoad(table) => return self.table_load(table, beside),
             ClientRequest::TableUnload {} => return Answer::Now(self.table_unload(log)),
             ClientRequest::Disable {} => plain(Request::Disable),

@@ -27,6 +27,8 @@ pub struct ControlConfig {
     pub state_file: Option<PathBuf>,
     /// The record of every command; `None` is as [`ControlConfig::log_path`] says.
     pub log_file: Option<PathBuf>,
+    /// The folder that finished records are kept in, for the shop; none without one.
+    pub spool: Option<PathBuf>,
     /// Silence of the control side after which no insertion begins, ms.
     pub stale_ms: u64,
 }
@@ -154,6 +156,7 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
     let view = door(source, "view", "view");
     let state_file = table.string(source, "state_file", "the path of the state file");
     let log_file = table.string(source, "log_file", "the path of the record of every command");
+    let spool = table.string(source, "spool", "the path of the folder for finished records");
     let stale_ms = table.integer(source, "stale_ms", 10..=60_000);
     let offset = table.offset;
     table.finish(source);
@@ -166,6 +169,7 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
         view,
         state_file: state_file.map(relative),
         log_file: log_file.map(relative),
+        spool: spool.map(relative),
         stale_ms: stale_ms.map_or(500, |s| s.value as u64),
     };
     if let Some(at) = log_file.filter(|_| config.log_path() == config.state_path()) {
@@ -200,9 +204,15 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
     config
 }
 
-/// What is allowed, and may be more than was meant.
-pub(super) fn notes(control: &ControlConfig) -> Vec<String> {
+/// What is allowed, and may be more than was meant. `here`: this computer is the one it is meant for.
+pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
     let mut notes = Vec::new();
+    if let Some(spool) = control.spool.as_ref().filter(|s| here && !s.is_dir()) {
+        notes.push(format!(
+            "[control] spool: {} is no folder here: no record is kept until it is one that the daemon may write to",
+            spool.display()
+        ));
+    }
     let sockets = control.sockets();
     for s in &sockets {
         if s.role > Role::View && s.mode & 0o006 != 0 {

@@ -4,9 +4,12 @@ Units stand in names: ``_um`` micrometres, ``_mm`` millimetres, ``_s`` seconds, 
 
 ========================================  ==========================================================
 run records                               :func:`read_record`, :func:`record`, :class:`Record`
+other tools' files                        :func:`import_record`
 machine models                            :func:`read_machine`, :class:`Machine`
 figures after ISO 230                     :func:`evaluate`
 sensors chosen, growth fitted             :func:`select_sensors`, :func:`fit`, :func:`fit_effects`
+a kinematic chain fitted                  :func:`fit_chain`
+a model judged; a controller's table      :meth:`Machine.validate`, :meth:`Machine.export`
 what a model lacks                        :func:`reconcile`, :func:`where_they_disagree`
 one machine's figures over time           :func:`history`
 a plan of runs, designs of insertion      :func:`plan`, :func:`designs`
@@ -23,6 +26,7 @@ Bad input raises :class:`InputError`, with file and line.
 """
 
 from rtec._results import (
+    ChainFit,
     Design,
     Evaluation,
     Fit,
@@ -33,24 +37,24 @@ from rtec._results import (
     Replay,
     Result,
     Simulation,
+    Table,
+    Validation,
     Verdict,
 )
 from rtec._rtec import Bug, InputError, RtecError
+from rtec._record import Record, import_record, read_record, record
+from rtec._machine import Machine, read_machine
 from rtec._functions import (
-    Machine,
-    Record,
     designs,
     evaluate,
     example,
     fit,
+    fit_chain,
     fit_effects,
     history,
     part_errors,
     plan,
-    read_machine,
-    read_record,
     reconcile,
-    record,
     replay,
     select_sensors,
     simulate,
@@ -61,6 +65,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Bug",
+    "ChainFit",
     "Design",
     "Evaluation",
     "Fit",
@@ -75,13 +80,17 @@ __all__ = [
     "Result",
     "RtecError",
     "Simulation",
+    "Table",
+    "Validation",
     "Verdict",
     "designs",
     "evaluate",
     "example",
     "fit",
+    "fit_chain",
     "fit_effects",
     "history",
+    "import_record",
     "part_errors",
     "plan",
     "read_machine",

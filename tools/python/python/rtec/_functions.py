@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import Any
 
 from rtec import _rtec
+from rtec._machine import Machine, a_machine
+from rtec._record import Place, Record, Runs, inners
 from rtec._results import (
+    ChainFit,
     Design,
     Evaluation,
     Fit,
@@ -25,294 +25,6 @@ from rtec._results import (
     say,
     whole,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-Place = str | os.PathLike[str]
-Numbers = NDArray[np.float64]
-
-
-class Record:
-    """One run: columns by name, rows in order of acquisition.
-
-    ``run["e"]`` gives a column as an array of shape ``(len(run),)``; its name is the CSV's, or its label
-    (``error.y``, ``temperature.T3``). Records do not change: what changes one gives another one.
-    """
-
-    def __init__(self, inner: _rtec.Record) -> None:
-        self._inner = inner
-
-    def __getitem__(self, name: str) -> Numbers:
-        return self._inner[name]
-
-    def __len__(self) -> int:
-        return len(self._inner)
-
-    def __repr__(self) -> str:
-        return repr(self._inner)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        columns = {name: (role, self[name], unit) for name, role, unit in self.columns}
-        about = {"count_um": self.count_um, "date": self.date, "note": self.note, "zero": self.zero}
-        radius, plane = self._inner.circle or (None, None)
-        return _again, (self.path, self.kind, columns, about, radius, plane)
-
-    @property
-    def path(self) -> str:
-        """The sidecar, as it was named."""
-        return self._inner.path
-
-    @property
-    def file(self) -> str:
-        """The CSV, as the sidecar names it."""
-        return self._inner.file
-
-    @property
-    def sha256(self) -> str:
-        """SHA-256 of the CSV; empty for a record made in memory."""
-        return self._inner.sha256
-
-    @property
-    def kind(self) -> str:
-        """``positioning``, ``drift``, ``ballbar``, ``plate``, ``dynamics``, ``probing``, ``feed_sweep`` or ``part``."""
-        return self._inner.kind
-
-    @property
-    def count_um(self) -> float | None:
-        """What one count is worth, µm."""
-        return self._inner.count_um
-
-    @property
-    def date(self) -> str | None:
-        """The day of the run, ``YYYY-MM-DD``."""
-        return self._inner.date
-
-    @property
-    def note(self) -> str | None:
-        """Free words about the run."""
-        return self._inner.note
-
-    @property
-    def zero(self) -> str | None:
-        """The name of the gauges' zero."""
-        return self._inner.zero
-
-    @property
-    def columns(self) -> list[tuple[str, str, str]]:
-        """Name, role and unit of each column, in the CSV's order."""
-        return self._inner.columns
-
-    @property
-    def responses(self) -> list[str]:
-        """Names of the columns that are errors or forces."""
-        return self._inner.responses
-
-    @property
-    def time_s(self) -> Numbers:
-        """Time of every row, s; the row's number where no time was logged."""
-        return self._inner.time_s
-
-    def select(self, rows: ArrayLike) -> Record:
-        """Some of its rows: numbers from 0, or a mask of shape ``(len(run),)``."""
-        wanted = np.asarray(rows)
-        if wanted.dtype == np.bool_:
-            if wanted.shape != (len(self),):
-                raise IndexError(f"a mask of shape {wanted.shape}, expected ({len(self)},)")
-            wanted = np.flatnonzero(wanted)
-        if wanted.size and (wanted.min() < 0 or wanted.ndim != 1):
-            raise IndexError("rows are numbers from 0, in one dimension")
-        return Record(self._inner.select([int(row) for row in wanted]))
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The columns as a DataFrame; roles and units stand in its ``attrs``."""
-        import pandas as pd
-
-        frame = pd.DataFrame({name: self[name] for name, _, _ in self.columns})
-        frame.attrs = {name: {"role": role, "unit": unit} for name, role, unit in self.columns}
-        return frame
-
-    def to_csv(self) -> str:
-        """The CSV's text; each number as the shortest decimal that reads back as the same."""
-        return self._inner.to_csv()
-
-    def to_sidecar(self) -> str:
-        """The text of ``NAME.run.toml``."""
-        return self._inner.to_sidecar()
-
-    def write(self, path: Place | None = None) -> Record:
-        """Writes sidecar and CSV, each whole or not at all; to ``path`` (``NAME.run.toml``) where it is given."""
-        return Record(self._inner.write(None if path is None else os.fspath(path)))
-
-    def suspicions(self) -> list[dict[str, Any]]:
-        """Mistakes that the record itself shows: ``column``, ``rows``, ``what``, ``text``."""
-        return list(json.loads(self._inner.suspicions()))
-
-
-def _again(
-    path: str,
-    kind: str,
-    columns: Mapping[str, tuple[Any, ...]],
-    about: Mapping[str, Any],
-    radius: float | None,
-    plane: tuple[str, str] | None,
-) -> Record:
-    return record(path, kind, columns, radius_mm=radius, plane=plane, **about)
-
-
-def read_record(path: Place, *, log: bool = False) -> Record:
-    """Reads a run record from its sidecar ``NAME.run.toml``; ``log``: it need not have a response."""
-    return Record(_rtec.Record.read(os.fspath(path), log=log))
-
-
-def record(
-    path: Place,
-    kind: str,
-    columns: Mapping[str, tuple[Any, ...]] | pd.DataFrame,
-    roles: Mapping[str, str] | None = None,
-    *,
-    count_um: float | None = None,
-    date: str | None = None,
-    note: str | None = None,
-    zero: str | None = None,
-    radius_mm: float | None = None,
-    plane: tuple[str, str] | None = None,
-) -> Record:
-    """Makes a record in memory; :meth:`Record.write` puts it into files.
-
-    ``columns``: for each name its role and values, and for a channel its unit:
-    ``{"y": ("position.y", y_mm), "e": ("error.y", e_um), "p": ("channel", p, "bar")}``; or a DataFrame with ``roles`` by name
-    (columns without a role are left out). Values are in the role's unit, one per row, finite. ``path`` is where it will stand.
-    """
-    if roles is not None:
-        columns = {name: (role, np.asarray(columns[name])) for name, role in roles.items()}
-    given: list[tuple[str, str, str | None, Numbers]] = []
-    for name, of in columns.items():
-        if not isinstance(of, tuple) or len(of) not in (2, 3):
-            raise TypeError(f"column {name!r}: expected (role, values) or (role, values, unit)")
-        values = np.ascontiguousarray(of[1], dtype=np.float64)
-        if values.ndim != 1:
-            raise ValueError(f"column {name!r}: values of shape {values.shape}, expected one dimension")
-        given.append((str(name), str(of[0]), of[2] if len(of) == 3 else None, values))
-    if (radius_mm is None) != (plane is None):
-        raise ValueError("radius_mm and plane stand together: a ballbar's length and its two axes")
-    circle = None if radius_mm is None or plane is None else (radius_mm, list(plane))
-    inner = _rtec.Record(
-        os.fspath(path), kind, given, count_um=count_um, date=date, note=note, zero=zero, circle=circle
-    )
-    return Record(inner)
-
-
-class Machine:
-    """A machine model: a named list of effects, the content of one ``machine.toml``."""
-
-    def __init__(self, inner: _rtec.Machine) -> None:
-        self._inner = inner
-
-    @staticmethod
-    def ideal(name: str) -> Machine:
-        """A machine without errors."""
-        return Machine(_rtec.Machine.ideal(name))
-
-    @staticmethod
-    def parse(text: str, path: Place | None = None) -> Machine:
-        """A model from the text of a ``machine.toml``; ``path`` for messages and for the files that it names."""
-        return Machine(_rtec.Machine.parse(text, None if path is None else os.fspath(path)))
-
-    def __repr__(self) -> str:
-        return repr(self._inner)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Machine.parse, (self.text, self.path)
-
-    @property
-    def name(self) -> str:
-        """The machine's name."""
-        return self._inner.name
-
-    @property
-    def path(self) -> str:
-        """The file, as it was named."""
-        return self._inner.path
-
-    @property
-    def sha256(self) -> str:
-        """SHA-256 of the file as it was read."""
-        return self._inner.sha256
-
-    @property
-    def sensors(self) -> list[str]:
-        """Sensors that its effects read."""
-        return self._inner.sensors
-
-    @property
-    def text(self) -> str:
-        """The text of its ``machine.toml``, comments and all."""
-        return self._inner.to_text()
-
-    @property
-    def json(self) -> str:
-        """What ``rtecctl model show --json`` prints."""
-        return self._inner.to_json()
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """``effects`` (name, law, parameters with value, unit and interval), ``fits``, ``chain``."""
-        return dict(json.loads(self.json))
-
-    @property
-    def effects(self) -> list[dict[str, Any]]:
-        """Its effects, in the file's order."""
-        return list(self.document["effects"])
-
-    def write(self, path: Place) -> None:
-        """Writes it whole or not at all; what would not be read again is not written."""
-        self._inner.write(os.fspath(path))
-
-    def predict(self, run: Record) -> dict[str, Numbers]:
-        """The sum of its effects at every row, by the response's column name: µm (N for forces), shape ``(len(run),)``."""
-        columns, said = self._inner.predict(run._inner)
-        say(said)
-        return columns
-
-    def predicted_csv(self, run: Record, *, interval: bool = False) -> str:
-        """The record's CSV with ``predicted_…`` columns, as ``rtecctl model predict`` writes it."""
-        text, said = self._inner.predicted_csv(run._inner, interval)
-        say(said)
-        return text
-
-    def half_widths_um(self, run: Record, response: str) -> Numbers | None:
-        """Half width of the 95 % interval of a response (``error.y``) at every row, µm; None where no fit states one."""
-        return self._inner.half_widths_um(run._inner, response)
-
-    def beyond(self, run: Record) -> Record:
-        """The record less what the model predicts of its responses."""
-        return Record(self._inner.beyond(run._inner))
-
-    def doubts(self, today: str | None = None) -> list[str]:
-        """What to know before it is trusted, on a day (``YYYY-MM-DD``; today where left out)."""
-        return self._inner.doubts(today)
-
-    def days_left(self, today: str | None = None) -> int | None:
-        """Days until the first of its fits is no longer good; None without fits."""
-        return self._inner.days_left(today)
-
-
-def read_machine(path: Place) -> Machine:
-    """Reads a ``machine.toml``, strictly: the first finding raises :class:`InputError`."""
-    return Machine(_rtec.Machine.read(os.fspath(path)))
-
-
-Runs = Record | Place | Iterable[Record | Place]
-
-
-def _records(runs: Runs) -> list[_rtec.Record]:
-    many: Iterable[Record | Place] = [runs] if isinstance(runs, (Record, str, os.PathLike)) else runs
-    return [run._inner if isinstance(run, Record) else read_record(run)._inner for run in many]
-
-
-def _machine(machine: Machine | Place) -> Machine:
-    return machine if isinstance(machine, Machine) else read_machine(machine)
 
 
 def evaluate(
@@ -330,7 +42,7 @@ def evaluate(
     for uncertainties and the reduction to 20 °C. ``norm``: a plate's fit makes squares (2) or fourth powers (4) small.
     """
     place = None if conditions is None else os.fspath(conditions)
-    (document, text, html, pictures), said = _rtec.evaluate(_records(runs), standard, place, one_way, norm)
+    (document, text, html, pictures), said = _rtec.evaluate(inners(runs), standard, place, one_way, norm)
     return Evaluation(document, pictures, say(said), text, html)
 
 
@@ -351,7 +63,7 @@ def _asked(
         "folds": folds,
         "lag": lag,
         "square": square,
-        "base": None if base is None else _machine(base)._inner,
+        "base": None if base is None else a_machine(base)._inner,
         "date": date,
         "valid_days": valid_days,
         "despite_suspicions": despite_suspicions,
@@ -370,7 +82,7 @@ def select_sensors(
 ) -> Fit:
     """Chooses sensors by correlation (CASC) and rounds of refitting; options as :func:`fit`."""
     asked = _asked(sensors, environment, folds, lag, square, base, "1970-01-01", 365, True)
-    (document, machine, pictures), said = _rtec.fit(_records(train), [], asked, True)
+    (document, machine, pictures), said = _rtec.fit(inners(train), [], asked, True)
     return Fit(document, pictures, say(said), Machine(machine))
 
 
@@ -394,7 +106,7 @@ def fit(
     ``base``: what is known already. ``date``: the day that the model carries.
     """
     asked = _asked(sensors, environment, folds, lag, square, base, date, valid_days, despite_suspicions)
-    (document, machine, pictures), said = _rtec.fit(_records(train), _records(holdout), asked, False)
+    (document, machine, pictures), said = _rtec.fit(inners(train), inners(holdout), asked, False)
     return Fit(document, pictures, say(said), Machine(machine))
 
 
@@ -409,8 +121,25 @@ def fit_effects(
 ) -> Fit:
     """Fits effects by name, by least squares: ``["scale.x", "thermal_expansion.x:T3-T20"]``."""
     asked = _asked((), None, 10, True, True, base, date, valid_days, despite_suspicions)
-    (document, machine, pictures), said = _rtec.fit_named(_records(train), list(effects), asked)
+    (document, machine, pictures), said = _rtec.fit_named(inners(train), list(effects), asked)
     return Fit(document, pictures, say(said), Machine(machine))
+
+
+def fit_chain(
+    chain: Place,
+    components: Sequence[str],
+    runs: Sequence[Record | Place | tuple[Record | Place, tuple[float, float, float]]],
+) -> ChainFit:
+    """Fits components of a kinematic chain, as ``["z slide.dx"]``, on the runs that measure them.
+
+    ``runs``: each a record, or a record with the tool's point (x, y, z) in mm that it measured, where that is not the chain's: the
+    same path at two points tells a rotation from a displacement.
+    """
+    given = [run if isinstance(run, tuple) else (run, None) for run in runs]
+    points = [None if point is None else [float(v) for v in point] for _, point in given]
+    records = inners([run for run, _ in given])
+    document, text, pictures = _rtec.fit_chain(os.fspath(chain), list(components), records, points)
+    return ChainFit(document, pictures, (), text)
 
 
 def reconcile(
@@ -429,7 +158,7 @@ def reconcile(
     ``out``: a folder for ``verdict.json``, ``model.toml`` and ``report.html``. ``date``: the day that added effects carry.
     """
     (document, model, html, pictures, laws), said = _rtec.reconcile(
-        _records(train), _machine(machine)._inner, _records(holdout), level, unexplained, date
+        inners(train), a_machine(machine)._inner, inners(holdout), level, unexplained, date
     )
     verdict = Verdict(document, pictures, say(said), Machine(model), html, laws)
     if out is not None:
@@ -445,7 +174,7 @@ def reconcile(
 
 def where_they_disagree(train: Runs, machine: Machine | Place, *, level: float = 0.01) -> Result:
     """The first stage of a reconciliation alone: where measured and simulated disagree."""
-    return Result(_rtec.where_they_disagree(_records(train), _machine(machine)._inner, level))
+    return Result(_rtec.where_they_disagree(inners(train), a_machine(machine)._inner, level))
 
 
 def plan(
@@ -533,7 +262,7 @@ def simulate(
     ``truth``: the machine as it is; ``known``: what the corrector knows of it, for a second run with compensation. Records will stand
     in the folder ``out``; they are not written yet.
     """
-    inner = [None if m is None else _machine(m)._inner for m in (truth, known)]
+    inner = [None if m is None else a_machine(m)._inner for m in (truth, known)]
     records, document = _rtec.simulate(name, inner[0], inner[1], seed, os.fspath(out))
     return Simulation(document, [Record(r) for r in records])
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rtec._functions import Machine, Record
+    from rtec._machine import Machine
+    from rtec._record import Record
 
 
 class InputWarning(UserWarning):
@@ -79,6 +80,41 @@ class Fit(Drawn):
     """A fit: how it was found (the document), and the model with it."""
 
     machine: Machine = field(default=None, repr=False)  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class ChainFit(Drawn):
+    """A chain's fit: ``terms`` with value and interval, ``rms_um`` before and after for each record and response."""
+
+    #: The chain's file with its coefficients in place; comments and order stay.
+    text: str = field(default="", repr=False)
+
+    def write(self, path: str | Path) -> None:
+        """Writes the chain whole or not at all."""
+        whole(path, self.text)
+
+
+@dataclass(frozen=True)
+class Validation(Drawn):
+    """A model judged on records: ``responses`` (``rms``, ``rms_without_model``, ``coverage`` …), ``no_better``, ``suspicions``."""
+
+    @property
+    def no_better(self) -> list[str]:
+        """Responses that the model explains no better than nothing does; `rtecctl` exits with 1 then."""
+        return list(self.document["no_better"])
+
+
+@dataclass(frozen=True)
+class Table(Result):
+    """A controller's table: ``points``, ``step_mm``, what it leaves of the model (``max_up_um``, ``rms_um`` …), ``warnings``."""
+
+    #: The file's text.
+    text: str = field(default="", repr=False)
+    said: tuple[str, ...] = ()
+
+    def write(self, path: str | Path) -> None:
+        """Writes the file whole or not at all."""
+        whole(path, self.text)
 
 
 @dataclass(frozen=True)

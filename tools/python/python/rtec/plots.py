@@ -15,7 +15,8 @@ from rtec._results import Drawn, Picture, say
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rtec._functions import Machine, Record
+    from rtec._machine import Machine
+    from rtec._record import Record
 
 #: Colours that colour-blind readers tell apart (Okabe and Ito), as in the reports.
 COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#505050"]

@@ -1,25 +1,31 @@
 //! `rtecctl ship`: finished records from a spool folder to the shop's store.
 
 use crate::Outcome;
-use rtec_measure::spool::{Folder, Round, ShipError, ship};
+use rtec_measure::spool::{Folder, ShipError, ship};
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
+use std::process::Command;
 use std::time::Duration;
 
-/// Send finished records from a spool folder to the shop's folder, each once and whole
+/// Send finished records from a spool folder to the shop's folder or S3-like store, each once and whole
 ///
 /// What the store gives back as it was sent leaves the spool, for `sent/` below it. A store that goes away loses nothing: what
-/// was not sent waits for the next time. Object stores are served by `python -m rtec.shop ship`.
+/// was not sent waits for the next time. A store of S3 is served by the program `rtec-ship` beside this one, with the same
+/// options; its key is read from the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY).
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The folder that `characterise record --spool` writes to
+    /// The folder that the daemon and `characterise record --spool` write to
     #[arg(long, value_name = "DIR")]
     spool: PathBuf,
-    /// The shop's folder: of this computer, or a share that is mounted; one that is missing is not made
-    #[arg(long, value_name = "DIR")]
+    /// The shop's folder: of this computer, or a share that is mounted; one that is missing is not made. Or s3://BUCKET/FOLDER
+    #[arg(long, value_name = "DIR|URL")]
     to: PathBuf,
     /// The machine's name in the shop: letters, digits, `.`, `_`, `-`
     #[arg(long)]
     machine: String,
+    /// The S3-like store's address [default: AWS_ENDPOINT_URL, else Amazon's of AWS_REGION]
+    #[arg(long, value_name = "URL")]
+    endpoint: Option<String>,
     /// Go on, and look again after so many seconds, also when the store was not there
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
     every: Option<u64>,
@@ -29,6 +35,18 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    match args.to.to_str().and_then(|to| to.split_once("://")) {
+        Some(("s3", _)) => return Err(handed_over(args).into()),
+        Some((other, _)) => {
+            let found = format!("--to: found `{other}://`, expected a folder or s3://BUCKET");
+            return Err(Outcome::Bad(format!("{found}; other stores: python -m rtec.shop ship")).into());
+        }
+        None if args.endpoint.is_some() => {
+            let found = format!("--to {} beside --endpoint", args.to.display());
+            return Err(Outcome::Bad(format!("found {found}, expected s3://BUCKET")).into());
+        }
+        None => {}
+    }
     loop {
         let done = once(args);
         let Some(seconds) = args.every else { return done };
@@ -42,26 +60,39 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
+/// The program beside this one that knows S3: it takes this process's place, and comes back only where it is not there.
+fn handed_over(args: &Args) -> Outcome {
+    let own = std::env::current_exe().unwrap_or_default();
+    let program = own.with_file_name("rtec-ship");
+    let mut command = Command::new(&program);
+    command.arg("--spool").arg(&args.spool).arg("--to").arg(&args.to).arg("--machine").arg(&args.machine);
+    if let Some(endpoint) = &args.endpoint {
+        command.arg("--endpoint").arg(endpoint);
+    }
+    if let Some(seconds) = args.every {
+        command.arg("--every").arg(seconds.to_string());
+    }
+    if args.json {
+        command.arg("--json");
+    }
+    let why = command.exec();
+    let mend = "it stands beside rtecctl in the package, and is built by `cargo build -p rtec-ship`";
+    Outcome::Bad(format!("{}: {why}: {mend}", program.display()))
+}
+
 fn once(args: &Args) -> anyhow::Result<()> {
     let away = |e: &std::io::Error| {
         Outcome::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()))
     };
     let store = Folder::open(&args.to).map_err(|e| away(&e))?;
-    let Round { sent, kept } = match ship(&args.spool, &store, &args.machine) {
+    let round = match ship(&args.spool, &store, &args.machine) {
         Ok(round) => round,
         Err(error @ ShipError::Store { .. }) => return Err(Outcome::Unreachable(error.to_string()).into()),
         Err(error) => return Err(Outcome::Bad(error.to_string()).into()),
     };
-    for finding in &kept {
+    for finding in &round.kept {
         eprintln!("warning: {finding}; it stays in the spool");
     }
-    let text = if args.json {
-        let kept: Vec<String> = kept.iter().map(ToString::to_string).collect();
-        format!("{}\n", serde_json::json!({"sent": sent, "kept": kept}))
-    } else {
-        let places = sent.iter().fold(String::new(), |all, place| all + place + "\n");
-        format!("{places}{} records sent, {} kept\n", sent.len(), kept.len())
-    };
-    crate::say(&text);
+    crate::say(&round.text(args.json));
     Ok(())
 }

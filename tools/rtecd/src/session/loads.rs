@@ -37,6 +37,7 @@ pub(crate) struct Wanted {
 pub(crate) enum Wish {
     Model(Wanted),
     Table,
+    Keep,
 }
 
 /// A name is not enough: the daemon may read what its caller may not.
@@ -47,6 +48,10 @@ fn by_name(file: &Path) -> Response {
         file.display()
     );
     Response::Refused { why: "no_descriptor".to_owned(), text, jumps: Vec::new() }
+}
+
+fn refused(why: &str, text: String) -> Response {
+    Response::Refused { why: why.to_owned(), text, jumps: Vec::new() }
 }
 
 impl Session {
@@ -65,7 +70,7 @@ impl Session {
             if configured.is_none() && kept.contains_key(&file) { Source::Kept(kept) } else { Source::Named };
         let why = match loader::work(self.model_job(file.clone(), source)) {
             Err(error) => error.to_string(),
-            Ok(Loaded::Table { .. }) => return,
+            Ok(Loaded::Table { .. } | Loaded::Kept(_)) => return,
             Ok(Loaded::Model { prepared, .. }) => {
                 let machine = prepared.machine();
                 match self.ended(machine).filter(|_| !meant) {
@@ -145,6 +150,31 @@ impl Session {
         self.begin(job, Wish::Model(wanted))
     }
 
+    /// Puts a finished record into the spool folder, once it has been read; without files it says whether it would.
+    pub(super) fn keep(&mut self, names: &[String], beside: Beside) -> Answer {
+        let Some(folder) = self.keeper.folder().map(Path::to_owned) else {
+            let text = "this daemon keeps no records: `spool = \"/var/spool/rtec\"` in [control] of its configuration names \
+                        the folder";
+            return Answer::Now(refused("no_spool", text.to_owned()));
+        };
+        match (self.keeper.trouble(), names, beside.files.len()) {
+            (Some(trouble), ..) => Answer::Now(refused("not_kept", trouble)),
+            (None, [], 0) => Answer::Now(Response::done()),
+            (None, [sidecar, csv], 2) => {
+                let files = [sidecar, csv].map(PathBuf::from);
+                let source = Source::Handed(files.iter().cloned().zip(beside.files).collect());
+                self.begin(Job::Keep { files, source, folder }, Wish::Keep)
+            }
+            (None, names, came) => {
+                let text = format!(
+                    "found {} names with {came} descriptors, expected two of each: a record's sidecar, then its CSV",
+                    names.len()
+                );
+                Answer::Now(Response::Bad { text })
+            }
+        }
+    }
+
     fn model_job(&mut self, file: PathBuf, source: Source) -> Job {
         self.temperatures.look();
         let (directory, now_s) = (self.directory(), self.temperatures.now_s());
@@ -165,19 +195,16 @@ impl Session {
     }
 
     fn begin(&mut self, job: Job, wish: Wish) -> Answer {
-        let refused = |why: &str, text: String| {
-            Answer::Now(Response::Refused { why: why.to_owned(), text, jumps: Vec::new() })
-        };
         if self.loader.busy() {
             let text = "another file is being loaded: ask again when it is done".to_owned();
-            return refused("loading", text);
+            return Answer::Now(refused("loading", text));
         }
         match self.loader.start(job) {
             Ok(ticket) => {
                 self.wish = Some(wish);
                 Answer::Later(ticket)
             }
-            Err(error) => refused("no_thread", format!("no thread to load it: {error}")),
+            Err(error) => Answer::Now(refused("no_thread", format!("no thread to load it: {error}"))),
         }
     }
 
@@ -190,14 +217,27 @@ impl Session {
         log: &mut Log,
     ) -> Option<(Ticket, Response, Option<String>)> {
         if let Some(ticket) = self.loader.overdue()
-            && self.wish.take().is_some()
+            && let Some(wish) = self.wish.take()
         {
-            let text = format!("loading took longer than {} s: nothing is loaded", PATIENCE.as_secs());
-            let refused = Response::Refused { why: "too_long".to_owned(), text, jumps: Vec::new() };
-            return Some((ticket, refused, None));
+            let means = match wish {
+                Wish::Keep => "the record may be in the spool folder, or not",
+                Wish::Model(_) | Wish::Table => "nothing is loaded",
+            };
+            let text = format!("loading took longer than {} s: {means}", PATIENCE.as_secs());
+            return Some((ticket, refused("too_long", text), None));
         }
         let (ticket, result) = self.loader.done()?;
-        let wish = self.wish.take()?;
+        let wish = self.wish.take();
+        if let Ok(Loaded::Kept(kept)) = result {
+            // It is there, or it is not: whoever waits.
+            let response = match &kept {
+                Ok(_) => Response::done(),
+                Err(text) => refused("not_kept", text.clone()),
+            };
+            self.tell_kept(kept, control.status().t_ns, log);
+            return Some((ticket, response, None));
+        }
+        let wish = wish?;
         if !waits(ticket) {
             return None;
         }
@@ -210,7 +250,7 @@ impl Session {
             (Ok(Loaded::Model { prepared, warnings, files }), Wish::Model(wanted)) => {
                 self.model_ready(*prepared, warnings, &files, &wanted, control, log)
             }
-            (Ok(Loaded::Model { .. }), Wish::Table) => return None,
+            (Ok(Loaded::Model { .. } | Loaded::Kept(_)), _) => return None,
         };
         Some((ticket, response, None))
     }
@@ -224,8 +264,6 @@ impl Session {
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Response {
-        let refused =
-            |why: &str, text: String| Response::Refused { why: why.to_owned(), text, jumps: Vec::new() };
         let machine = prepared.machine();
         let (sha256, file) = (machine.sha256().to_owned(), machine.path.clone());
         let Some(shown) = &wanted.take else {

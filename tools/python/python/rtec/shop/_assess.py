@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import groupby
 from typing import Any
 
@@ -46,13 +47,16 @@ class Assessment:
 def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -> dict[str, Any]:
     """One month of one machine. Never raises for what a record or model holds: that is a row."""
     start = time.process_time()
-    records, figures, noted = [], [], set()
+    records, figures, noted, logs = [], [], set(), 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rtec.InputWarning)
         for key in keys:
             row: dict[str, Any] = {"machine": machine, "month": month, "run": key.rsplit("/", 1)[1]}
             try:
                 run = shop.get(key)
+                if not run.responses:  # a log: kept, and nothing to judge
+                    logs += 1
+                    continue
                 found = rtec.history(run, machine).document
             except Exception as error:  # whatever a store holds: one row, not the end
                 figures.append(row | {"error": f"{type(error).__name__}: {error}"})
@@ -67,6 +71,8 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
         said: dict[str, Any] = {"machine": machine, "month": month, "runs": len(keys), "verdict": None, "error": None}
         effects: list[dict[str, Any]] = []
         try:
+            if not records and logs == len(keys):
+                return {"month": said | {"seconds": time.process_time() - start, "noted": []}, "effects": [], "figures": []}
             if not records:
                 raise ValueError("no record that can be read")
             verdict = rtec.reconcile(records, shop.model(machine), level=level)
@@ -107,15 +113,24 @@ def assess(
         (machine, month, [run.key for run in runs])
         for (machine, month), runs in groupby(shop.runs(), key=lambda run: (run.machine, run.month))
     ]
+    # Before the work, not after it.
+    attributes = _attributes(shop, {unit[0] for unit in units})
+    if not units:
+        text = f"{shop.url}: no record; what was sent to its inbox is taken among the records by Shop.gather()"
+        warnings.warn(text, rtec.InputWarning, stacklevel=2)
     if isinstance(client, str):
-        with Client(client) as own:
+        try:
+            own = Client(client)
+        except (OSError, ValueError) as error:
+            raise ConnectionError(f"{client}: {error}; expected a scheduler of Dask, as tcp://HOST:8786") from error
+        with own:
             done = _spread(own, shop, units, level)
     elif client is None:
         done = [judge(shop, *unit, level) for unit in units]
     else:
         done = _spread(client, shop, units, level)
     done.sort(key=lambda unit: (unit["month"]["machine"], unit["month"]["month"]))
-    return _over(shop, done, today, soon_days)
+    return _over(shop, done, attributes, today, soon_days)
 
 
 def _spread(client: Client, shop: Shop, units: list[tuple[str, str, list[str]]], level: float) -> list[dict[str, Any]]:
@@ -138,7 +153,19 @@ def _frame(rows: list[dict[str, Any]], columns: list[str]) -> pd.DataFrame:
     return frame.reindex(columns=[*columns, *(c for c in frame.columns if c not in columns)])
 
 
-def _over(shop: Shop, done: list[dict[str, Any]], today: str | None, soon_days: int) -> Assessment:
+def _attributes(shop: Shop, machines: set[str]) -> dict[str, dict[str, str]]:
+    attributes = shop.attributes()
+    for name in sorted(set(attributes) - machines) if machines else ():
+        near = get_close_matches(name, machines, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        text = f"{shop.url}/machines.toml: [{name}] is a machine without a record{hint}"
+        warnings.warn(text, rtec.InputWarning, stacklevel=3)
+    return attributes
+
+
+def _over(
+    shop: Shop, done: list[dict[str, Any]], attributes: dict[str, dict[str, str]], today: str | None, soon_days: int
+) -> Assessment:
     months = _frame(
         [unit["month"] for unit in done],
         ["machine", "month", "runs", "verdict", "gap_before_um", "gap_after_um", "error", "seconds", "noted"],
@@ -150,7 +177,6 @@ def _over(shop: Shop, done: list[dict[str, Any]], today: str | None, soon_days: 
     rows = [row for unit in done for row in unit["figures"]]
     figures = _frame(rows, ["machine", "month", "run", "figure", "date", "value", "error"])
     bad = figures["error"].notna()
-    attributes = shop.attributes()
     common = shared(effects, months, attributes)
     left = drifting(figures[~bad])
     lives = []
@@ -184,7 +210,8 @@ def _machines(
     days: Mapping[str, Any] = dict(zip(life["machine"], life["days_left"]))
     by_machine = {name: group for name, group in effects.groupby("machine")}
     for machine, own in months.groupby("machine"):
-        last = own.iloc[-1]
+        judged = own[own["verdict"].notna() | own["error"].notna()]
+        last = (own if judged.empty else judged).iloc[-1]
         group = by_machine.get(machine)
         names = [] if group is None else sorted(set(group["effect"]))
         rows.append(

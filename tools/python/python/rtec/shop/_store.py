@@ -74,9 +74,12 @@ class Shop:
         return f"{self._root}/{key}"
 
     def _keys(self, folder: str) -> Iterator[str]:
-        if self._fs.exists(self._at(folder)):
-            for path in sorted(self._fs.find(self._at(folder))):
-                yield str(path)[len(self._root) + 1 :]
+        try:
+            found = self._fs.find(self._at(folder))
+        except FileNotFoundError:
+            return
+        for path in sorted(found):
+            yield str(path)[len(self._root) + 1 :]
 
     def read(self, key: str) -> bytes:
         """What stands at a place."""
@@ -140,9 +143,9 @@ class Shop:
     def _sent(self, key: str) -> rtec.Record:
         with tempfile.TemporaryDirectory() as folder:
             place, name = key.rsplit("/", 1)
-            for path in self._fs.ls(self._at(place), detail=False):
-                (Path(folder) / str(path).rsplit("/", 1)[1]).write_bytes(self._fs.cat_file(path))
-            return rtec.read_record(Path(folder) / name)
+            for sent in self._keys(place):
+                (Path(folder) / sent.rsplit("/", 1)[1]).write_bytes(self.read(sent))
+            return rtec.read_record(Path(folder) / name, log=True)
 
     def put_model(self, machine: str, model: rtec.Machine) -> None:
         """Puts a machine's model into the store."""
@@ -160,11 +163,17 @@ class Shop:
 
     def attributes(self) -> dict[str, dict[str, str]]:
         """What ``machines.toml`` says of each machine."""
+        place = f"{self.url}/machines.toml"
         try:
             tables = tomllib.loads(self.read("machines.toml").decode())
         except FileNotFoundError:
             return {}
-        return {name: {k: str(v) for k, v in of.items()} for name, of in tables.items() if isinstance(of, dict)}
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{place}: found {error}, expected a table for each machine, once, as [lathe-4]") from error
+        for name, of in tables.items():
+            if not isinstance(of, dict):
+                raise ValueError(f"{place}: found {name} = {of!r} of no machine, expected it below a table as [lathe-4]")
+        return {name: {k: str(v) for k, v in of.items()} for name, of in tables.items()}
 
 
 def _opened(url: str, options: dict[str, Any]) -> Shop:
@@ -210,7 +219,7 @@ def _record(table: pa.Table, key: str) -> rtec.Record:
     plane = first["plane"].split(",") if first["plane"] else None
     about = {name: first[name] for name in ("count_um", "date", "note", "zero")}
     path = f"{key.rsplit('/', 1)[0]}/{first['run']}"
-    return rtec.record(path, first["kind"], columns, radius_mm=first["radius_mm"], plane=plane, **about)
+    return rtec.record(path, first["kind"], columns, radius_mm=first["radius_mm"], plane=plane, log=True, **about)
 
 
 def ship(spool: str | Path, shop: Shop, machine: str) -> list[str]:

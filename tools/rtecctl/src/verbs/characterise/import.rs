@@ -2,12 +2,11 @@
 
 use crate::verbs::suspicions;
 use anyhow::Context;
-use rtec_files::InputError;
+use rtec_files::Said;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::{self, Form, ImportColumn, Own};
-use rtec_measure::{derive::derive, record};
-use rtec_model::record::{Axis, Kind, Record};
-use std::path::{Path, PathBuf};
+use rtec_measure::import::asked::{Asked, Name};
+use rtec_measure::record;
+use std::path::PathBuf;
 
 /// Turn another tool's file into a run record
 #[derive(Debug, clap::Args)]
@@ -96,79 +95,41 @@ enum UnitName {
     Inch,
 }
 
-/// Whether two paths lead to one file that is there.
-fn same_file(a: &Path, b: &Path) -> bool {
-    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let text = match args.format {
-        Format::Rtl => import::any_text(&args.file, &rtec_files::text::bytes(&args.file)?)?,
-        _ => rtec_files::text::read(&args.file)?,
+    let asked = Asked {
+        file: args.file.clone(),
+        format: match args.format {
+            Format::EcmcDat => Name::EcmcDat,
+            Format::LinuxcncComp0 => Name::LinuxcncComp0,
+            Format::LinuxcncComp1 => Name::LinuxcncComp1,
+            Format::Csv => Name::Csv,
+            Format::Own => Name::Own,
+            Format::CmmPlate => Name::CmmPlate,
+            Format::Rtl => Name::Rtl,
+            Format::Etalon => Name::Etalon,
+            Format::Halsampler => Name::Halsampler,
+            Format::Shdr => Name::Shdr,
+        },
+        axis: args.axis.clone(),
+        columns: args.columns.clone(),
+        kind: args.kind.clone(),
+        decimal_comma: args.decimal.map(|d| d == Decimal::Comma),
+        log: args.log,
+        period_s: args.period_s,
+        numbered: args.numbered,
+        unit: match args.unit {
+            UnitName::Mm => Unit::Mm,
+            UnitName::Inch => Unit::Inch,
+        },
+        form: args.form.clone(),
+        derive: args.derive,
+        circle: args.circle.circle()?,
+        out: args.out.clone(),
     };
-    let (file, out) = (args.file.as_path(), args.out.as_path());
-    let axis = || -> Result<Axis, InputError> {
-        let name = args.axis.as_deref().unwrap_or_default();
-        let found = if name.is_empty() { "no --axis".to_owned() } else { format!("--axis {name}") };
-        Axis::new(name).ok_or_else(|| InputError::whole(file, found, "--axis with the axis' name"))
-    };
-    let columns = || {
-        let usage = |(found, expected)| InputError::whole(Path::new("--columns"), found, expected);
-        args.columns.iter().map(|c| ImportColumn::parse(c).map_err(usage)).collect::<Result<Vec<_>, _>>()
-    };
-    let kind = || {
-        Kind::parse(&args.kind).ok_or_else(|| {
-            let kinds = "positioning, drift, ballbar, plate, dynamics, probing, feed_sweep or part";
-            InputError::whole(Path::new("--kind"), format!("`{}`", args.kind), kinds)
-        })
-    };
-    let unit = match args.unit {
-        UnitName::Mm => Unit::Mm,
-        UnitName::Inch => Unit::Inch,
-    };
-    let form =
-        Form { decimal_comma: args.decimal.map(|d| d == Decimal::Comma), log: args.log, ..Form::default() };
-    let read = || -> Result<Record, InputError> {
-        Ok(match args.format {
-            Format::EcmcDat => import::ecmc_dat(file, &text, &axis()?, out)?,
-            Format::LinuxcncComp0 | Format::LinuxcncComp1 => {
-                import::linuxcnc_comp(file, &text, &axis()?, args.format == Format::LinuxcncComp1, unit, out)?
-            }
-            Format::Csv => import::table(file, &text, &columns()?, &form, kind()?, out)?,
-            Format::Own => {
-                let path = args.form.as_deref().unwrap_or(Path::new(""));
-                Own::parse(path, &rtec_files::text::read(path)?)?.read(file, &text, out)?
-            }
-            Format::CmmPlate => import::cmm_plate(file, &text, out)?,
-            Format::Rtl => import::rtl(file, &text, &axis()?, out)?,
-            Format::Etalon => import::etalon(file, &text, &axis()?, out)?,
-            Format::Halsampler => {
-                let sampling =
-                    import::Sampling { period_s: args.period_s.unwrap_or_default(), numbered: args.numbered };
-                import::halsampler(file, &text, &columns()?, &sampling, &form, kind()?, out)?
-            }
-            Format::Shdr => import::shdr(file, &text, &columns()?, kind()?, args.log, out)?,
-        })
-    };
-    // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
-    let mut record =
-        read().map_err(|e| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e })?;
-    if matches!(args.format, Format::LinuxcncComp0 | Format::LinuxcncComp1) {
-        let unit = if unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
-        eprintln!("positions and corrections were read in {unit}: --unit states another");
-    }
-    record = args.circle.apply(record)?;
-    if args.derive {
-        for note in derive(&mut record) {
-            eprintln!("{note}");
-            import::add_note(&mut record, &note);
-        }
-    }
-    let csv = out.parent().unwrap_or(Path::new("")).join(&record.file);
-    if same_file(&csv, file) || same_file(out, file) {
-        let found = format!("--out {}: its CSV would be written over the file to import", out.display());
-        return Err(InputError::whole(file, found, "another name or folder for --out").into());
-    }
+    let mut record = asked.read(&mut |said| match said {
+        Said::Note(text) => eprintln!("{text}"),
+        Said::Warning(text) => eprintln!("warning: {text}"),
+    })?;
     record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
     if let Some(note) = &record.note {
         eprintln!("note: {note}");

@@ -20,9 +20,11 @@ pub(crate) struct Args {
     /// The run record to write; its CSV stands beside it
     #[arg(long, value_name = "NAME.run.toml")]
     out: PathBuf,
-    /// Put the finished record into this folder too, for `rtecctl ship`
+    /// Put the finished record into this folder too, for `rtecctl ship`; without a folder the daemon keeps it, in its
+    /// configuration's `[control] spool`
     #[arg(long, value_name = "DIR")]
-    spool: Option<PathBuf>,
+    #[allow(clippy::option_option)] // a folder, the daemon's, or none
+    spool: Option<Option<PathBuf>>,
     #[command(flatten)]
     recorder: Recorder,
 }
@@ -114,10 +116,24 @@ fn usage(found: String, expected: &str) -> InputError {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let daemon = Daemon::at(args.recorder.socket.clone().flatten());
+    let keeps = matches!(args.spool, Some(None));
+    if keeps {
+        // Before the run, not after it.
+        daemon.ask(&ClientRequest::Keep { files: Vec::new() })?;
+    }
     record(&args.out, &args.recorder, false)?;
-    if let Some(spool) = &args.spool {
+    if let Some(Some(spool)) = &args.spool {
         rtec_measure::spool::add(&args.out, spool)
             .with_context(|| format!("writing to {}", spool.display()))?;
+    }
+    if keeps {
+        let csv = rtec_measure::record::read_log(&args.out)?.file;
+        let files = [args.out.clone(), args.out.with_file_name(csv)];
+        let open = [daemon::open(&files[0])?, daemon::open(&files[1])?];
+        let files = files.map(|f| daemon::absolute(&f)).to_vec();
+        let written = || format!("the record is in {}, and not in the daemon's spool", args.out.display());
+        daemon.ask_with(&ClientRequest::Keep { files }, &open).with_context(written)?;
     }
     Ok(())
 }

@@ -2,12 +2,10 @@
 
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_measure::export::linuxcnc::{LinuxCnc, Unit};
-use rtec_measure::export::own::Own;
-use rtec_measure::export::{Csv, Errors, Table, Wanted, beckhoff, siemens};
-use rtec_model::date;
+use rtec_measure::export::Wanted;
+use rtec_measure::export::linuxcnc::Unit;
+use rtec_measure::export::order::{Name, Order};
 use rtec_model::machine::Machine;
-use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Write one axis' errors as a table for a controller that compensates by itself
@@ -97,64 +95,6 @@ fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
     InputError::whole(Path::new("model export"), found, expected)
 }
 
-fn format(args: &Args) -> Result<Box<dyn rtec_measure::export::Format>, InputError> {
-    let unit = match args.unit {
-        UnitName::Mm => Unit::Mm,
-        UnitName::Inch => Unit::Inch,
-    };
-    let linuxcnc = matches!(args.format, Format::Linuxcnc | Format::LinuxcncType1);
-    if unit == Unit::Inch && !linuxcnc {
-        return Err(usage("--unit inch", "--unit with LinuxCNC's tables only; the others are in mm"));
-    }
-    let reference_mm = args.reference_mm.unwrap_or(0.0);
-    if !reference_mm.is_finite() {
-        return Err(usage(format!("--reference-mm {reference_mm}"), "a position in mm"));
-    }
-    Ok(match args.format {
-        Format::Linuxcnc | Format::LinuxcncType1 => {
-            Box::new(LinuxCnc { trims: args.format == Format::LinuxcncType1, unit })
-        }
-        Format::Ssfk => Box::new(beckhoff::Ssfk {
-            axis_number: args.axis_number.unwrap_or_default(),
-            most: args.max_points.unwrap_or(beckhoff::MOST),
-        }),
-        Format::Siemens => Box::new(siemens::EncComp {
-            axis: args.axis_name.clone().unwrap_or_default(),
-            reference_mm,
-            encoder: args.encoder,
-            most: args.max_points.unwrap_or(siemens::MOST),
-        }),
-        Format::Csv => Box::new(Csv),
-        Format::Own => {
-            let form = args.form.as_deref().unwrap_or(Path::new(""));
-            Box::new(Own::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
-        }
-    })
-}
-
-/// Where a table goes beyond what the model was stated or seen on.
-fn beyond(machine: &Machine, axis: &str, [from, to]: [f64; 2]) -> Vec<String> {
-    let mut found = machine.beyond_stated(|a| {
-        (a.as_str() == axis).then(|| (0..=100).map(|k| from + (to - from) * f64::from(k) / 100.0).collect())
-    });
-    let seen = machine.fits().iter().filter(|f| f.response == format!("error.{axis}"));
-    for [lo, hi] in seen.filter_map(|f| f.at_mm.as_ref()?.get(axis).copied()) {
-        let margin = 0.1 * (hi - lo);
-        if from < lo - margin || to > hi + margin {
-            found.push(format!(
-                "the model was fitted from {lo:.1} to {hi:.1} mm of {axis}, and the table goes from {from} to {to} mm: no record has shown what the \
-                 axis does there"
-            ));
-        }
-    }
-    found
-}
-
-/// A position in mm to the nanometre: 203.2, not 203.200 000 000 000 02.
-fn short(mm: f64) -> f64 {
-    (mm * 1e6).round() / 1e6
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let at = |p: &Path| p.canonicalize().ok();
@@ -168,87 +108,47 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         given.iter().map(pair).collect::<Result<Vec<_>, _>>()
     };
-    let temperatures = pairs("--temperatures", &args.temperatures, "SENSOR=degC, as T8=31.5")?;
-    let others = pairs("--at", &args.at, "AXIS=mm, as z=100")?;
-    let errors = Errors::of(&machine, &args.axis, &temperatures, &others)?;
-    let format = format(args)?;
-    let wanted = Wanted {
-        from_mm: args.from,
-        to_mm: args.to,
-        step_mm: args.step,
-        limit_um: args.limit_um,
-        most: args.max_points,
+    let order = Order {
+        axis: args.axis.clone(),
+        wanted: Wanted {
+            from_mm: args.from,
+            to_mm: args.to,
+            step_mm: args.step,
+            limit_um: args.limit_um,
+            most: args.max_points,
+        },
+        temperatures_degc: pairs("--temperatures", &args.temperatures, "SENSOR=degC, as T8=31.5")?,
+        at_mm: pairs("--at", &args.at, "AXIS=mm, as z=100")?,
+        format: match args.format {
+            Format::Linuxcnc => Name::Linuxcnc,
+            Format::LinuxcncType1 => Name::LinuxcncType1,
+            Format::Ssfk => Name::Ssfk,
+            Format::Siemens => Name::Siemens,
+            Format::Csv => Name::Csv,
+            Format::Own => Name::Own,
+        },
+        unit: match args.unit {
+            UnitName::Mm => Unit::Mm,
+            UnitName::Inch => Unit::Inch,
+        },
+        axis_name: args.axis_name.clone(),
+        encoder: args.encoder,
+        reference_mm: args.reference_mm,
+        axis_number: args.axis_number,
+        form: args.form.clone(),
     };
-    let table = Table::of(&errors, &wanted, &format.rules())?;
-    let text = format.text(&table)?;
-    let mut warnings = machine.doubts(date::today());
-    warnings.extend(errors.doubts()?);
-    warnings.extend(beyond(&machine, &args.axis, [args.from, args.to]));
-    let (left, points) = (table.left, table.points.len());
-    if table.between_um > args.limit_um {
-        warnings.push(format!(
-            "between its positions the table is up to {:.2} um off the model, more than the limit of {} um{}",
-            table.between_um,
-            args.limit_um,
-            if args.step.is_some() {
-                ": a smaller --step, or none"
-            } else {
-                ": the format takes no more positions"
-            }
-        ));
-    }
-    if table.end_mm() > args.to + 1e-9 {
-        warnings.push(format!(
-            "its last position, {} mm, is past --to {} mm: equal steps of {:.4} mm do not end there",
-            short(table.end_mm()),
-            args.to,
-            table.step_mm
-        ));
-    }
-    if left.max_um() > table.between_um + args.limit_um {
-        warnings.push(format!(
-            "one value serves both directions: what they differ by stays, up to {:.2} um in each",
-            left.max_um()
-        ));
-    }
-    rtec_files::write::whole(&args.out, text.as_bytes())
+    let done = order.of(&machine)?;
+    rtec_files::write::whole(&args.out, done.text.as_bytes())
         .with_context(|| format!("writing {}", args.out.display()))?;
-    for warning in &warnings {
+    for warning in &done.warnings {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
-    eprintln!(
-        "{}: axis {}, {points} positions, {:.4} mm apart, {} to {} mm",
-        args.out.display(),
-        table.axis,
-        table.step_mm,
-        short(table.points[0].position_mm),
-        short(table.end_mm())
-    );
-    eprintln!(
-        "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS",
-        left.max_up_um, left.max_down_um, left.rms_um
-    );
-    let held = errors.temperatures_degc()?;
-    if !held.is_empty() {
-        let of = |(name, degc): &(&str, f64)| format!("{name} {degc}");
-        let all = held.iter().map(of).collect::<Vec<_>>().join(", ");
-        eprintln!("it holds at these temperatures: {all} degC; --temperatures states others");
-    }
-    if table.constant_um != 0.0 {
-        eprintln!("{:+.2} um were taken out to make it zero at the reference point", table.constant_um);
-    }
-    for advice in format.advice(&table) {
-        eprintln!("{advice}");
+    for (n, note) in done.notes.iter().enumerate() {
+        let of = if n == 0 { format!("{}: ", args.out.display()) } else { String::new() };
+        eprintln!("{of}{note}");
     }
     if args.json {
-        let document = json!({
-            "axis": table.axis.as_str(), "points": points, "step_mm": table.step_mm,
-            "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
-            "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
-            "between_um": table.between_um, "constant_um": table.constant_um, "warnings": warnings,
-            "temperatures_degC": held.iter().copied().collect::<std::collections::BTreeMap<&str, f64>>(),
-        });
-        println!("{document:#}");
+        println!("{:#}", done.document);
     }
     Ok(())
 }

@@ -1,17 +1,17 @@
 //! `rtecctl model validate` and `rehearse`: a model on data it has not seen, and on a shift before it is loaded.
 
+use super::fit::draw;
 use crate::Outcome;
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
-use rtec_fit::thermal;
-use rtec_measure::plausible;
+use rtec_fit::validate;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Role};
-use serde_json::{Value, json};
+use rtec_model::record::Role;
+use serde_json::Value;
 use std::path::PathBuf;
 
 /// Judge a model on records: what is left, how often its interval holds, where it is asked too much
@@ -54,107 +54,25 @@ pub(crate) struct RehearseArgs {
     json: bool,
 }
 
-/// Less than this share of the rows within a 95 % interval is too little.
-const HOLDS: f64 = 0.9;
-
 pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
-    let mut found: Vec<Value> = Vec::new();
-    let mut worse: Vec<String> = Vec::new();
     let records =
         args.records.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
-    let doubts = plausible::said(&records, &mut suspicions::say);
-    for (path, record) in args.records.iter().zip(&records) {
-        let prediction = machine.predict(record)?;
-        let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
-        for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
-            let n = column.data.len() as f64;
-            let rms = |v: &mut dyn Iterator<Item = f64>| (v.map(|d| d * d).sum::<f64>() / n).sqrt();
-            let mean = column.data.iter().sum::<f64>() / n;
-            let left: Vec<f64> = column.data.iter().zip(predicted).map(|(m, p)| m - p).collect();
-            let (before, after) = (rms(&mut column.data.iter().copied()), rms(&mut left.iter().copied()));
-            let response = column.role.to_string();
-            let widths = machine.half_widths_um(record, &column.role);
-            let inside = widths
-                .as_ref()
-                .map(|w| left.iter().zip(w).filter(|(v, w)| v.abs() <= **w).count() as f64 / n);
-            // A run's own zero (homing, the gauge's set-up) is no model's to tell.
-            let zero = left.iter().sum::<f64>() / n;
-            let about_zero = widths
-                .as_ref()
-                .map(|w| left.iter().zip(w).filter(|(v, w)| (*v - zero).abs() <= **w).count() as f64 / n);
-            let width = widths.as_ref().map(|w| w.iter().sum::<f64>() / n);
-            if let Some(path) = &args.plot {
-                let path = if found.is_empty() {
-                    path.clone()
-                } else {
-                    path.with_extension(format!("{}.svg", found.len() + 1))
-                };
-                let svg =
-                    thermal::prediction_chart(record, column, predicted, widths.as_deref()).svg(1000, 520)?;
-                rtec_files::write::whole(&path, svg.as_bytes())
-                    .with_context(|| format!("writing {}", path.display()))?;
-            }
-            if let (Some(inside), Some(about)) = (inside, about_zero)
-                && inside < HOLDS
-                && about >= HOLDS
-            {
-                eprintln!(
-                    "rtecctl: {}: {response}: what is left is {zero:+.3} µm all along, the run's own zero (homing, the gauge's set-up) or a \
-                     lost count: the interval is of the shape, and holds {:.1} % about it",
-                    path.display(),
-                    100.0 * about
-                );
-            }
-            if after >= before && before > 0.0 {
-                worse.push(format!("{}: {response}", path.display()));
-                if let Some(why) = why_worse(column, predicted) {
-                    eprintln!("warning: {}: {response}: {why}", path.display());
-                }
-            }
-            found.push(json!({
-                "record": path, "response": response, "rms": after, "rms_without_model": before,
-                "sd": rms(&mut column.data.iter().map(|v| v - mean)), "mean_left": zero,
-                "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), "mean_half_width_um": width,
-                "coverage": inside, "coverage_about_mean": about_zero, "fitted_on_this_record": seen,
-            }));
-        }
-        for (effect, role) in &prediction.taken_as_zero {
-            eprintln!("warning: {}: no {role}, taken as zero for {effect}", path.display());
-        }
-        for warning in machine.out_of_range(record) {
-            eprintln!("warning: {}: {warning}", path.display());
-        }
-    }
-    for warning in machine.doubts(date::today()) {
-        eprintln!("warning: {}: {warning}", args.machine.display());
+    let found = validate::validate(&machine, &records, &mut suspicions::said)?;
+    if let Some(path) = &args.plot {
+        draw(path, &found.charts)?;
     }
     if args.json {
-        let mut document = json!({ "responses": found, "no_better": worse });
-        plausible::enter(&mut document, &doubts);
-        println!("{}", serde_json::to_string_pretty(&document)?);
+        println!("{}", serde_json::to_string_pretty(&found.document)?);
     } else {
-        for v in &found {
+        for v in found.document["responses"].as_array().into_iter().flatten() {
             print_judged(v);
         }
     }
-    if worse.is_empty() {
+    if found.no_better.is_empty() {
         return Ok(());
     }
-    Err(Outcome::No(format!("no better than without the model: {}", worse.join(", "))).into())
-}
-
-/// What a prediction that helps nothing looks like.
-fn why_worse(measured: &Column, predicted: &[f64]) -> Option<&'static str> {
-    let square = |v: &[f64]| v.iter().map(|p| p * p).sum::<f64>();
-    let both = square(predicted);
-    if both == 0.0 {
-        return Some("the model has no effect on it");
-    }
-    let along = measured.data.iter().zip(predicted).map(|(m, p)| m * p).sum::<f64>();
-    let (share, alike) = (along / both, along / (both * square(&measured.data)).sqrt());
-    (alike < -0.8 && (-2.0..-0.5).contains(&share))
-        .then_some("what is measured is the prediction with the other sign; error = actual minus nominal")
+    Err(Outcome::No(format!("no better than without the model: {}", found.no_better.join(", "))).into())
 }
 
 /// One response, in a line.

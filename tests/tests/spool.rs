@@ -1,0 +1,205 @@
+//! Finished records on their way from the daemon to the shop: a probing run that the daemon captured, a run that a client
+//! recorded and handed over; sent by `rtecctl ship`. A folder that is gone or full costs a record and is said, and nothing else.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use rtec_measure::record::{read, read_log};
+use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::disk::SmallDisk;
+use rtec_tests::skipped;
+use serde_json::Value;
+use std::io::Write;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::time::Duration;
+
+fn started(directory: &Path, spool: &str) -> Daemon {
+    let text = format!(
+        "[machine]\nname = 'mill 7'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 40\n\
+         max_correction_counts = 1000\nwindow_counts = 50\nmin_separation_ns = 500\n[control]\nspool = '{spool}'\n"
+    );
+    let file = directory.join("rtec.toml");
+    std::fs::write(&file, text).unwrap();
+    Daemon::start(&directory.join("s"), Some(&file))
+}
+
+/// Probes some trips; how many.
+fn probed(daemon: &Daemon) -> usize {
+    let text = daemon.expect(0, &["probe", "on", "--captures", "3", "--json"]);
+    serde_json::from_str::<Value>(&text).unwrap()["captures"].as_array().unwrap().len()
+}
+
+fn sidecars(folder: &Path) -> Vec<PathBuf> {
+    let all = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+    let mut found: Vec<PathBuf> = all.filter(|p| p.to_string_lossy().ends_with(".run.toml")).collect();
+    found.sort();
+    found
+}
+
+/// What the daemon says of records: kinds and texts of its events.
+fn told(daemon: &Daemon, kind: &str) -> Vec<String> {
+    let mut client = rtec_control::client::Client::connect(daemon.socket()).unwrap();
+    let request = rtec_control::protocol::ClientRequest::Observe { events_after: None };
+    let rtec_control::protocol::Response::Observed(seen) = client.ask(&request).unwrap() else {
+        panic!("no answer")
+    };
+    seen.events.into_iter().map(|e| e.event).filter(|e| e.kind == kind).map(|e| e.text).collect()
+}
+
+/// A gauge that says a reading every 10 ms, to everybody who asks.
+fn gauge() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let Ok(mut stream) = stream else { return };
+            std::thread::spawn(move || {
+                for n in 0.. {
+                    if writeln!(stream, "gx {}.25", n % 7).is_err() {
+                        return;
+                    }
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+            });
+        }
+    });
+    address
+}
+
+fn recorded(directory: &Path, out: &str) -> Output {
+    let mut command = Command::new(program("rtecctl"));
+    command.current_dir(directory).args(["characterise", "record", "--out", out, "--feed", &gauge()]);
+    command.args([
+        "--columns",
+        "gx=error.x",
+        "--period",
+        "0.05",
+        "--duration",
+        "0.5",
+        "--socket",
+        "s",
+        "--spool",
+    ]);
+    command.output().unwrap()
+}
+
+fn shipped(directory: &Path) -> Output {
+    let mut command = Command::new(program("rtecctl"));
+    command.current_dir(directory).args([
+        "ship",
+        "--spool",
+        "spool",
+        "--to",
+        "shop",
+        "--machine",
+        "mill-7",
+        "--json",
+    ]);
+    command.output().unwrap()
+}
+
+#[test]
+fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let (spool, shop) = (directory.path().join("spool"), directory.path().join("shop"));
+    std::fs::create_dir(&spool).unwrap();
+    std::fs::create_dir(&shop).unwrap();
+    let daemon = started(directory.path(), "spool");
+    daemon.expect(0, &["home"]);
+    let trips = probed(&daemon);
+    until("the probing run", || !sidecars(&spool).is_empty());
+    let probing = read_log(&sidecars(&spool)[0]).unwrap();
+    assert_eq!(probing.kind.name(), "probing");
+    let names: Vec<&str> = probing.columns.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(names, ["t", "position.x"]);
+    assert!(probing.rows() >= trips && probing.count_um == Some(1.0), "{} rows", probing.rows());
+    assert!(probing.time_s().windows(2).all(|w| w[0] < w[1]), "{:?}", probing.time_s());
+
+    // A client's record, and a second of the same name.
+    for n in 0..2 {
+        let out = recorded(directory.path(), "drift.run.toml");
+        assert_eq!(out.status.code(), Some(0), "{n}: {}", String::from_utf8_lossy(&out.stderr));
+    }
+    let kept = sidecars(&spool);
+    assert_eq!(kept.len(), 3, "{kept:?}");
+    let record = read(&spool.join("drift-2.run.toml")).unwrap();
+    assert_eq!(record.responses().count(), 1);
+    assert_eq!(record.columns, read(&directory.path().join("drift.run.toml")).unwrap().columns);
+    assert_eq!(told(&daemon, "record_kept").len(), 3);
+
+    // Probing that goes on when the daemon ends is written, too.
+    daemon.expect(0, &["probe", "on", "--captures", "0"]);
+    until("trips", || !told(&daemon, "trip").is_empty() && told(&daemon, "trip").len() > trips);
+    let (code, log) = daemon.end("TERM");
+    assert_eq!(code, Some(0), "{log}");
+    assert_eq!(sidecars(&spool).len(), 4, "{log}");
+
+    // The daemon sends nothing; `ship` does, each once.
+    let sent = shipped(directory.path());
+    let document: Value = serde_json::from_slice(&sent.stdout).unwrap();
+    assert_eq!((document["sent"].as_array().unwrap().len(), &document["kept"]), (4, &serde_json::json!([])));
+    assert!(sidecars(&spool).is_empty());
+    for place in document["sent"].as_array().unwrap() {
+        let there = sidecars(&shop.join(place.as_str().unwrap()));
+        assert_eq!(there.len(), 1);
+        read_log(&there[0]).unwrap();
+    }
+    let again: Value = serde_json::from_slice(&shipped(directory.path()).stdout).unwrap();
+    assert_eq!(again["sent"], serde_json::json!([]));
+}
+
+#[test]
+fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let spool = directory.path().join("spool");
+    let daemon = started(directory.path(), "spool");
+    until("the note", || daemon.log().contains("spool is no folder"));
+    daemon.expect(0, &["home"]);
+    probed(&daemon);
+    until("the event", || told(&daemon, "record_lost").len() == 1);
+    let text = told(&daemon, "record_lost").remove(0);
+    assert!(text.contains("trips is not kept") && text.contains("is no folder"), "{text}");
+    until("the log", || daemon.log().contains(&text));
+    until("the record of commands", || daemon.expect(0, &["log"]).contains("trips is not kept"));
+    // Before a client's run, not after it.
+    let refused = recorded(directory.path(), "drift.run.toml");
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("is no folder"));
+    assert!(!directory.path().join("drift.run.toml").exists());
+
+    let Some(disk) = SmallDisk::mount(&spool, 64) else {
+        return skipped("nothing can be mounted here (no root)");
+    };
+    disk.fill();
+    probed(&daemon);
+    until("the event", || told(&daemon, "record_lost").len() == 2);
+    let full = recorded(directory.path(), "drift.run.toml");
+    let said = String::from_utf8_lossy(&full.stderr).into_owned();
+    assert_eq!(full.status.code(), Some(1), "{said}");
+    assert!(said.contains("the record is in drift.run.toml") && said.contains("No space left"), "{said}");
+    read(&directory.path().join("drift.run.toml")).unwrap();
+    // Nothing half is there, the loop goes on, and with room again the next is kept.
+    assert_eq!(std::fs::read_dir(&spool).unwrap().count(), 1);
+    disk.free();
+    probed(&daemon);
+    until("the record", || sidecars(&spool).len() == 1);
+    let status = daemon.status();
+    assert_eq!((&status["balanced"], &status["rt"]["events_lost"]), (&true.into(), &0.into()), "{status}");
+    let (code, log) = daemon.end("TERM");
+    assert_eq!(code, Some(0), "{log}");
+}
+
+#[test]
+fn a_daemon_without_a_spool_says_how_to_have_one() {
+    let _alone = alone();
+    let directory = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(&directory.path().join("s"), None);
+    let refused = recorded(directory.path(), "drift.run.toml");
+    assert_eq!(refused.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(said.contains("spool = \"/var/spool/rtec\""), "{said}");
+    drop(daemon);
+}

@@ -1,0 +1,126 @@
+//! A model judged on records: what is left, how often its interval holds, where it is asked too much.
+
+use crate::thermal::prediction_chart;
+use rtec_files::{InputError, Said};
+use rtec_measure::plausible;
+use rtec_measure::plot::Chart;
+use rtec_model::date;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Column, Record};
+use serde_json::{Value, json};
+
+/// Less than this share of the rows within a 95 % interval is too little.
+const HOLDS: f64 = 0.9;
+
+/// What was found: one entry for each response of each record.
+#[derive(Debug)]
+pub struct Validation {
+    /// `{"responses", "no_better", "suspicions"}`, as `rtecctl model validate --json` prints it.
+    pub document: Value,
+    /// Responses that the model explains no better than nothing does.
+    pub no_better: Vec<String>,
+    /// Measured, predicted and the interval over time, one for each response.
+    pub charts: Vec<Chart>,
+}
+
+/// Judges a model on records that it has not seen.
+///
+/// # Errors
+/// A record lacks what an effect needs.
+pub fn validate(
+    machine: &Machine,
+    records: &[Record],
+    say: &mut dyn FnMut(Said),
+) -> Result<Validation, InputError> {
+    let (mut found, mut no_better, mut charts) = (Vec::new(), Vec::new(), Vec::new());
+    let doubts = plausible::said(records, say);
+    for record in records {
+        let path = record.path.display();
+        let prediction = machine.predict(record)?;
+        for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
+            let widths = machine.half_widths_um(record, &column.role);
+            charts.push(prediction_chart(record, column, predicted, widths.as_deref()));
+            let judged = judge(machine, record, column, predicted, widths.as_deref(), say);
+            if let Some(response) = judged.no_better {
+                no_better.push(response);
+            }
+            found.push(judged.figures);
+        }
+        for (effect, role) in &prediction.taken_as_zero {
+            say(Said::Warning(format!("{path}: no {role}, taken as zero for {effect}")));
+        }
+        for warning in machine.out_of_range(record) {
+            say(Said::Warning(format!("{path}: {warning}")));
+        }
+    }
+    for warning in machine.doubts(date::today()) {
+        say(Said::Warning(format!("{}: {warning}", machine.path.display())));
+    }
+    let mut document = json!({ "responses": found, "no_better": no_better });
+    plausible::enter(&mut document, &doubts);
+    Ok(Validation { document, no_better, charts })
+}
+
+/// One response.
+struct Judged {
+    figures: Value,
+    no_better: Option<String>,
+}
+
+fn judge(
+    machine: &Machine,
+    record: &Record,
+    column: &Column,
+    predicted: &[f64],
+    widths: Option<&[f64]>,
+    say: &mut dyn FnMut(Said),
+) -> Judged {
+    let (path, response) = (record.path.display(), column.role.to_string());
+    let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
+    let n = column.data.len() as f64;
+    let rms = |v: &mut dyn Iterator<Item = f64>| (v.map(|d| d * d).sum::<f64>() / n).sqrt();
+    let mean = column.data.iter().sum::<f64>() / n;
+    let left: Vec<f64> = column.data.iter().zip(predicted).map(|(m, p)| m - p).collect();
+    let (before, after) = (rms(&mut column.data.iter().copied()), rms(&mut left.iter().copied()));
+    // A run's own zero (homing, the gauge's set-up) is no model's to tell.
+    let zero = left.iter().sum::<f64>() / n;
+    let within = |about: f64| {
+        widths.map(|w| left.iter().zip(w).filter(|(v, w)| (*v - about).abs() <= **w).count() as f64 / n)
+    };
+    let (inside, about_zero) = (within(0.0), within(zero));
+    let width = widths.map(|w| w.iter().sum::<f64>() / n);
+    if let (Some(inside), Some(about)) = (inside, about_zero)
+        && inside < HOLDS
+        && about >= HOLDS
+    {
+        say(Said::Note(format!(
+            "{path}: {response}: what is left is {zero:+.3} µm all along, the run's own zero (homing, the gauge's set-up) or a \
+             lost count: the interval is of the shape, and holds {:.1} % about it",
+            100.0 * about
+        )));
+    }
+    let no_better = (after >= before && before > 0.0).then(|| format!("{path}: {response}"));
+    if let (Some(response), Some(why)) = (&no_better, why_worse(column, predicted)) {
+        say(Said::Warning(format!("{response}: {why}")));
+    }
+    let figures = json!({
+        "record": record.path, "response": response, "rms": after, "rms_without_model": before,
+        "sd": rms(&mut column.data.iter().map(|v| v - mean)), "mean_left": zero,
+        "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), "mean_half_width_um": width,
+        "coverage": inside, "coverage_about_mean": about_zero, "fitted_on_this_record": seen,
+    });
+    Judged { figures, no_better }
+}
+
+/// What a prediction that helps nothing looks like.
+fn why_worse(measured: &Column, predicted: &[f64]) -> Option<&'static str> {
+    let square = |v: &[f64]| v.iter().map(|p| p * p).sum::<f64>();
+    let both = square(predicted);
+    if both == 0.0 {
+        return Some("the model has no effect on it");
+    }
+    let along = measured.data.iter().zip(predicted).map(|(m, p)| m * p).sum::<f64>();
+    let (share, alike) = (along / both, along / (both * square(&measured.data)).sqrt());
+    (alike < -0.8 && (-2.0..-0.5).contains(&share))
+        .then_some("what is measured is the prediction with the other sign; error = actual minus nominal")
+}

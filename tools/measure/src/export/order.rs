@@ -1,0 +1,226 @@
+//! A table as somebody orders it: which format, for which axis, and what to know of what was written.
+
+use super::linuxcnc::{LinuxCnc, Unit};
+use super::own::Own;
+use super::{Csv, Errors, Format, Table, Wanted, beckhoff, siemens, usage};
+use rtec_files::InputError;
+use rtec_model::date;
+use rtec_model::machine::Machine;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The formats, as they are called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Name {
+    /// `COMP_FILE` of type 0.
+    Linuxcnc,
+    /// `COMP_FILE` of type 1.
+    LinuxcncType1,
+    /// Beckhoff TF5200 and ISG kernel.
+    Ssfk,
+    /// SINUMERIK.
+    Siemens,
+    /// Plain columns.
+    Csv,
+    /// A form of the user's own.
+    Own,
+}
+
+impl Name {
+    /// All of them, with the names that people write.
+    pub const ALL: [(&'static str, Self); 6] = [
+        ("linuxcnc", Self::Linuxcnc),
+        ("linuxcnc-type1", Self::LinuxcncType1),
+        ("ssfk", Self::Ssfk),
+        ("siemens", Self::Siemens),
+        ("csv", Self::Csv),
+        ("own", Self::Own),
+    ];
+}
+
+/// What is ordered.
+#[derive(Debug, Clone)]
+pub struct Order {
+    /// The axis.
+    pub axis: String,
+    /// From where to where, and how close.
+    pub wanted: Wanted,
+    /// Temperatures that the table holds for; others stand at 20 °C.
+    pub temperatures_degc: Vec<(String, f64)>,
+    /// Where the other axes stand, mm; others at 0.
+    pub at_mm: Vec<(String, f64)>,
+    /// What to write.
+    pub format: Name,
+    /// LinuxCNC: the machine's unit.
+    pub unit: Unit,
+    /// Siemens: the machine axis as the controller names it.
+    pub axis_name: Option<String>,
+    /// Siemens: number of the encoder.
+    pub encoder: u8,
+    /// Siemens, and forms that want a zero there: the reference point, mm.
+    pub reference_mm: Option<f64>,
+    /// ssfk: the controller's number of the axis.
+    pub axis_number: Option<u16>,
+    /// Own: the file that describes the form.
+    pub form: Option<PathBuf>,
+}
+
+/// What was made.
+#[derive(Debug, Clone)]
+pub struct Exported {
+    /// The file's text.
+    pub text: String,
+    /// `{"axis", "points", …}`, as `rtecctl model export --json` prints it.
+    pub document: Value,
+    /// What to know before it is used.
+    pub warnings: Vec<String>,
+    /// What was written and what it leaves, a line each; the first is of the file.
+    pub notes: Vec<String>,
+}
+
+impl Order {
+    fn format(&self) -> Result<Box<dyn Format>, InputError> {
+        let linuxcnc = matches!(self.format, Name::Linuxcnc | Name::LinuxcncType1);
+        if self.unit == Unit::Inch && !linuxcnc {
+            return Err(usage("--unit inch", "--unit with LinuxCNC's tables only; the others are in mm"));
+        }
+        let reference_mm = self.reference_mm.unwrap_or(0.0);
+        if !reference_mm.is_finite() {
+            return Err(usage(format!("--reference-mm {reference_mm}"), "a position in mm"));
+        }
+        let needs = |there: bool, option: &str| {
+            let expected = format!("--{option} with this format");
+            if there { Ok(()) } else { Err(usage(format!("no --{option}"), expected)) }
+        };
+        let most = self.wanted.most;
+        Ok(match self.format {
+            Name::Linuxcnc | Name::LinuxcncType1 => {
+                Box::new(LinuxCnc { trims: self.format == Name::LinuxcncType1, unit: self.unit })
+            }
+            Name::Ssfk => {
+                needs(self.axis_number.is_some(), "axis-number")?;
+                Box::new(beckhoff::Ssfk {
+                    axis_number: self.axis_number.unwrap_or_default(),
+                    most: most.unwrap_or(beckhoff::MOST),
+                })
+            }
+            Name::Siemens => {
+                needs(self.axis_name.is_some(), "axis-name")?;
+                needs(self.reference_mm.is_some(), "reference-mm")?;
+                Box::new(siemens::EncComp {
+                    axis: self.axis_name.clone().unwrap_or_default(),
+                    reference_mm,
+                    encoder: self.encoder,
+                    most: most.unwrap_or(siemens::MOST),
+                })
+            }
+            Name::Csv => Box::new(Csv),
+            Name::Own => {
+                needs(self.form.is_some(), "form")?;
+                let form = self.form.as_deref().unwrap_or(Path::new(""));
+                Box::new(Own::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
+            }
+        })
+    }
+
+    /// Makes the table of a model.
+    ///
+    /// # Errors
+    /// The model has no such axis or lacks what the table needs; the format cannot hold it.
+    pub fn of(&self, machine: &Machine) -> Result<Exported, InputError> {
+        let errors = Errors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm)?;
+        let format = self.format()?;
+        let table = Table::of(&errors, &self.wanted, &format.rules())?;
+        let text = format.text(&table)?;
+        let mut warnings = machine.doubts(date::today());
+        warnings.extend(errors.doubts()?);
+        warnings.extend(beyond(machine, &self.axis, [self.wanted.from_mm, self.wanted.to_mm]));
+        warnings.extend(self.coarse(&table));
+        let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
+        let mut notes = vec![
+            format!(
+                "axis {}, {points} positions, {:.4} mm apart, {} to {} mm",
+                table.axis,
+                table.step_mm,
+                short(table.points[0].position_mm),
+                short(table.end_mm())
+            ),
+            format!(
+                "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS",
+                left.max_up_um, left.max_down_um, left.rms_um
+            ),
+        ];
+        if !held.is_empty() {
+            let of = |(name, degc): &(&str, f64)| format!("{name} {degc}");
+            let all = held.iter().map(of).collect::<Vec<_>>().join(", ");
+            notes.push(format!("it holds at these temperatures: {all} degC; --temperatures states others"));
+        }
+        if table.constant_um != 0.0 {
+            let um = table.constant_um;
+            notes.push(format!("{um:+.2} um were taken out to make it zero at the reference point"));
+        }
+        notes.extend(format.advice(&table));
+        let document = json!({
+            "axis": table.axis.as_str(), "points": points, "step_mm": table.step_mm,
+            "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
+            "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
+            "between_um": table.between_um, "constant_um": table.constant_um, "warnings": warnings,
+            "temperatures_degC": held.iter().copied().collect::<BTreeMap<&str, f64>>(),
+        });
+        Ok(Exported { text, document, warnings, notes })
+    }
+
+    /// Where the table is coarser than was asked for.
+    fn coarse(&self, table: &Table) -> Vec<String> {
+        let (limit_um, to_mm, mut found) = (self.wanted.limit_um, self.wanted.to_mm, Vec::new());
+        if table.between_um > limit_um {
+            found.push(format!(
+                "between its positions the table is up to {:.2} um off the model, more than the limit of {limit_um} um{}",
+                table.between_um,
+                if self.wanted.step_mm.is_some() {
+                    ": a smaller --step, or none"
+                } else {
+                    ": the format takes no more positions"
+                }
+            ));
+        }
+        if table.end_mm() > to_mm + 1e-9 {
+            found.push(format!(
+                "its last position, {} mm, is past --to {to_mm} mm: equal steps of {:.4} mm do not end there",
+                short(table.end_mm()),
+                table.step_mm
+            ));
+        }
+        if table.left.max_um() > table.between_um + limit_um {
+            found.push(format!(
+                "one value serves both directions: what they differ by stays, up to {:.2} um in each",
+                table.left.max_um()
+            ));
+        }
+        found
+    }
+}
+
+/// Where a table goes beyond what the model was stated or seen on.
+fn beyond(machine: &Machine, axis: &str, [from, to]: [f64; 2]) -> Vec<String> {
+    let mut found = machine.beyond_stated(|a| {
+        (a.as_str() == axis).then(|| (0..=100).map(|k| from + (to - from) * f64::from(k) / 100.0).collect())
+    });
+    let seen = machine.fits().iter().filter(|f| f.response == format!("error.{axis}"));
+    for [lo, hi] in seen.filter_map(|f| f.at_mm.as_ref()?.get(axis).copied()) {
+        let margin = 0.1 * (hi - lo);
+        if from < lo - margin || to > hi + margin {
+            found.push(format!(
+                "the model was fitted from {lo:.1} to {hi:.1} mm of {axis}, and the table goes from {from} to {to} mm: no record has shown what the \
+                 axis does there"
+            ));
+        }
+    }
+    found
+}
+
+/// A position in mm to the nanometre: 203.2, not 203.200 000 000 000 02.
+fn short(mm: f64) -> f64 {
+    (mm * 1e6).round() / 1e6
+}

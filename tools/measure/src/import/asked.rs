@@ -1,0 +1,177 @@
+//! A file to import, as somebody names it: what it is, and what stands in it.
+
+use super::{Form, ImportColumn, Own, Sampling, add_note};
+use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
+use crate::derive::derive;
+use crate::export::linuxcnc::Unit;
+use rtec_files::{InputError, Said};
+use rtec_model::circle::Circle;
+use rtec_model::record::{Axis, Kind, Record};
+use std::path::{Path, PathBuf};
+
+/// The formats, as they are called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Name {
+    /// ecmc's ISO 230-2 data.
+    EcmcDat,
+    /// LinuxCNC's compensation file of type 0.
+    LinuxcncComp0,
+    /// The same of type 1.
+    LinuxcncComp1,
+    /// A table with a header line.
+    Csv,
+    /// A table as a file of the user's own describes it.
+    Own,
+    /// A coordinate measuring machine's table of holes.
+    CmmPlate,
+    /// Renishaw's `.rtl`.
+    Rtl,
+    /// Etalon's exchange format.
+    Etalon,
+    /// What LinuxCNC's halsampler prints.
+    Halsampler,
+    /// A log of `MTConnect`'s SHDR lines.
+    Shdr,
+}
+
+impl Name {
+    /// All of them, with the names that people write.
+    pub const ALL: [(&'static str, Self); 10] = [
+        ("ecmc-dat", Self::EcmcDat),
+        ("linuxcnc-comp0", Self::LinuxcncComp0),
+        ("linuxcnc-comp1", Self::LinuxcncComp1),
+        ("csv", Self::Csv),
+        ("own", Self::Own),
+        ("cmm-plate", Self::CmmPlate),
+        ("rtl", Self::Rtl),
+        ("etalon", Self::Etalon),
+        ("halsampler", Self::Halsampler),
+        ("shdr", Self::Shdr),
+    ];
+}
+
+/// What is to be imported.
+#[derive(Debug, Clone)]
+pub struct Asked {
+    /// The file.
+    pub file: PathBuf,
+    /// What it is.
+    pub format: Name,
+    /// The axis that was measured, where the file does not say.
+    pub axis: Option<String>,
+    /// Columns with their roles, as `t=time:min`.
+    pub columns: Vec<String>,
+    /// What kind of run it is, where the file does not say.
+    pub kind: String,
+    /// Numbers with a decimal comma; either where it is left out.
+    pub decimal_comma: Option<bool>,
+    /// A log, which need not have a response.
+    pub log: bool,
+    /// halsampler: seconds a sample.
+    pub period_s: Option<f64>,
+    /// halsampler: the sample's number in front.
+    pub numbered: bool,
+    /// LinuxCNC: the machine's unit.
+    pub unit: Unit,
+    /// Own: the file that describes the table.
+    pub form: Option<PathBuf>,
+    /// Velocity and acceleration from the positions are wanted.
+    pub derive: bool,
+    /// Ballbar: its circle.
+    pub circle: Option<Circle>,
+    /// Where the record will stand.
+    pub out: PathBuf,
+}
+
+impl Asked {
+    /// Reads the file as a record, which is not written yet.
+    ///
+    /// # Errors
+    /// The first finding in the file, or in what was said of it.
+    pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record, InputError> {
+        let (file, out) = (self.file.as_path(), self.out.as_path());
+        let text = match self.format {
+            Name::Rtl => any_text(file, &rtec_files::text::bytes(file)?)?,
+            _ => rtec_files::text::read(file)?,
+        };
+        // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
+        let mut record = self
+            .of_text(&text)
+            .map_err(|e| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e })?;
+        if matches!(self.format, Name::LinuxcncComp0 | Name::LinuxcncComp1) {
+            let unit = if self.unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
+            let text = format!("positions and corrections were read in {unit}: --unit states another");
+            say(Said::Note(text));
+        }
+        if let Some(circle) = self.circle.clone() {
+            record = record.with_circle(circle).map_err(|(found, expected)| {
+                InputError::whole(Path::new("--radius-mm, --plane"), found, expected)
+            })?;
+        }
+        if self.derive {
+            for note in derive(&mut record) {
+                say(Said::Note(note.clone()));
+                add_note(&mut record, &note);
+            }
+        }
+        let csv = out.parent().unwrap_or(Path::new("")).join(&record.file);
+        if same_file(&csv, file) || same_file(out, file) {
+            let found = format!("--out {}: its CSV would be written over the file to import", out.display());
+            return Err(InputError::whole(file, found, "another name or folder for --out"));
+        }
+        Ok(record)
+    }
+
+    fn of_text(&self, text: &str) -> Result<Record, InputError> {
+        let (file, out) = (self.file.as_path(), self.out.as_path());
+        let axis = || -> Result<Axis, InputError> {
+            let name = self.axis.as_deref().unwrap_or_default();
+            let found = if name.is_empty() { "no --axis".to_owned() } else { format!("--axis {name}") };
+            Axis::new(name).ok_or_else(|| InputError::whole(file, found, "--axis with the axis' name"))
+        };
+        let columns = || {
+            let usage =
+                |found: String, expected: String| InputError::whole(Path::new("--columns"), found, expected);
+            if self.columns.is_empty() {
+                return Err(usage("no --columns".into(), "NAME=ROLE[:UNIT], as t=time:min".into()));
+            }
+            self.columns
+                .iter()
+                .map(|c| ImportColumn::parse(c).map_err(|(f, e)| usage(f, e)))
+                .collect::<Result<Vec<_>, _>>()
+        };
+        let kind = || {
+            Kind::parse(&self.kind).ok_or_else(|| {
+                let kinds = "positioning, drift, ballbar, plate, dynamics, probing, feed_sweep or part";
+                InputError::whole(Path::new("--kind"), format!("`{}`", self.kind), kinds)
+            })
+        };
+        let form = Form { decimal_comma: self.decimal_comma, log: self.log, ..Form::default() };
+        Ok(match self.format {
+            Name::EcmcDat => ecmc_dat(file, text, &axis()?, out)?,
+            Name::LinuxcncComp0 | Name::LinuxcncComp1 => {
+                let trims = self.format == Name::LinuxcncComp1;
+                linuxcnc_comp(file, text, &axis()?, trims, self.unit, out)?
+            }
+            Name::Csv => table(file, text, &columns()?, &form, kind()?, out)?,
+            Name::Own => {
+                let path = self.form.as_deref().unwrap_or(Path::new("--form"));
+                Own::parse(path, &rtec_files::text::read(path)?)?.read(file, text, out)?
+            }
+            Name::CmmPlate => cmm_plate(file, text, out)?,
+            Name::Rtl => rtl(file, text, &axis()?, out)?,
+            Name::Etalon => etalon(file, text, &axis()?, out)?,
+            Name::Halsampler => {
+                let sampling =
+                    Sampling { period_s: self.period_s.unwrap_or_default(), numbered: self.numbered };
+                halsampler(file, text, &columns()?, &sampling, &form, kind()?, out)?
+            }
+            Name::Shdr => shdr(file, text, &columns()?, kind()?, self.log, out)?,
+        })
+    }
+}
+
+/// Whether two paths lead to one file that is there.
+fn same_file(a: &Path, b: &Path) -> bool {
+    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}

@@ -1,0 +1,168 @@
+"""Machine models: read, asked, judged, written."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from rtec import _rtec
+from rtec._record import Numbers, Place, Record, Runs, inners
+from rtec._results import Table, Validation, say
+
+
+class Machine:
+    """A machine model: a named list of effects, the content of one ``machine.toml``."""
+
+    def __init__(self, inner: _rtec.Machine) -> None:
+        self._inner = inner
+
+    @staticmethod
+    def ideal(name: str) -> Machine:
+        """A machine without errors."""
+        return Machine(_rtec.Machine.ideal(name))
+
+    @staticmethod
+    def parse(text: str, path: Place | None = None) -> Machine:
+        """A model from the text of a ``machine.toml``; ``path`` for messages and for the files that it names."""
+        return Machine(_rtec.Machine.parse(text, None if path is None else os.fspath(path)))
+
+    def __repr__(self) -> str:
+        return repr(self._inner)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Machine.parse, (self.text, self.path)
+
+    @property
+    def name(self) -> str:
+        """The machine's name."""
+        return self._inner.name
+
+    @property
+    def path(self) -> str:
+        """The file, as it was named."""
+        return self._inner.path
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the file as it was read."""
+        return self._inner.sha256
+
+    @property
+    def sensors(self) -> list[str]:
+        """Sensors that its effects read."""
+        return self._inner.sensors
+
+    @property
+    def text(self) -> str:
+        """The text of its ``machine.toml``, comments and all."""
+        return self._inner.to_text()
+
+    @property
+    def json(self) -> str:
+        """What ``rtecctl model show --json`` prints."""
+        return self._inner.to_json()
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """``effects`` (name, law, parameters with value, unit and interval), ``fits``, ``chain``."""
+        return dict(json.loads(self.json))
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """Its effects, in the file's order."""
+        return list(self.document["effects"])
+
+    def write(self, path: Place) -> None:
+        """Writes it whole or not at all; what would not be read again is not written."""
+        self._inner.write(os.fspath(path))
+
+    def predict(self, run: Record) -> dict[str, Numbers]:
+        """The sum of its effects at every row, by the response's column name: µm (N for forces), shape ``(len(run),)``."""
+        columns, said = self._inner.predict(run._inner)
+        say(said)
+        return columns
+
+    def predicted_csv(self, run: Record, *, interval: bool = False) -> str:
+        """The record's CSV with ``predicted_…`` columns, as ``rtecctl model predict`` writes it."""
+        text, said = self._inner.predicted_csv(run._inner, interval)
+        say(said)
+        return text
+
+    def half_widths_um(self, run: Record, response: str) -> Numbers | None:
+        """Half width of the 95 % interval of a response (``error.y``) at every row, µm; None where no fit states one."""
+        return self._inner.half_widths_um(run._inner, response)
+
+    def validate(self, runs: Runs) -> Validation:
+        """Judges it on records that it has not seen: what is left, how often its interval holds."""
+        (document, pictures), said = _rtec.validate(self._inner, inners(runs))
+        return Validation(document, pictures, say(said))
+
+    def export(
+        self,
+        axis: str,
+        from_mm: float,
+        to_mm: float,
+        *,
+        format: str = "linuxcnc",
+        step_mm: float | None = None,
+        limit_um: float = 0.5,
+        max_points: int | None = None,
+        temperatures: Mapping[str, float] | None = None,
+        at_mm: Mapping[str, float] | None = None,
+        unit: str = "mm",
+        axis_name: str | None = None,
+        encoder: int = 0,
+        reference_mm: float | None = None,
+        axis_number: int | None = None,
+        form: Place | None = None,
+    ) -> Table:
+        """One axis' errors as a table for a controller that compensates by itself.
+
+        ``format``: ``linuxcnc``, ``linuxcnc-type1``, ``ssfk`` (with ``axis_number``), ``siemens`` (with ``axis_name`` and
+        ``reference_mm``), ``csv`` or ``own`` (with ``form``). ``temperatures`` in °C by sensor, others stand at 20; ``at_mm``: where
+        the other axes stand, else 0. ``limit_um``: how far it may be off the model between its positions.
+        """
+        asked: dict[str, Any] = {
+            "axis": axis,
+            "from_mm": float(from_mm),
+            "to_mm": float(to_mm),
+            "step_mm": step_mm,
+            "limit_um": float(limit_um),
+            "max_points": max_points,
+            "temperatures_degc": [(name, float(v)) for name, v in (temperatures or {}).items()],
+            "at_mm": [(name, float(v)) for name, v in (at_mm or {}).items()],
+            "format": format,
+            "unit": unit,
+            "axis_name": axis_name,
+            "encoder": encoder,
+            "reference_mm": reference_mm,
+            "axis_number": axis_number,
+            "form": None if form is None else os.fspath(form),
+        }
+        (document, text), said = _rtec.export_table(self._inner, asked)
+        return Table(document, text, say(said))
+
+    def beyond(self, run: Record) -> Record:
+        """The record less what the model predicts of its responses."""
+        return Record(self._inner.beyond(run._inner))
+
+    def doubts(self, today: str | None = None) -> list[str]:
+        """What to know before it is trusted, on a day (``YYYY-MM-DD``; today where left out)."""
+        return self._inner.doubts(today)
+
+    def days_left(self, today: str | None = None) -> int | None:
+        """Days until the first of its fits is no longer good; None without fits."""
+        return self._inner.days_left(today)
+
+
+def read_machine(path: Place) -> Machine:
+    """Reads a ``machine.toml``, strictly: the first finding raises :class:`InputError`."""
+    return Machine(_rtec.Machine.read(os.fspath(path)))
+
+
+def a_machine(machine: Machine | Place) -> Machine:
+    return machine if isinstance(machine, Machine) else read_machine(machine)
+
+

@@ -1,0 +1,119 @@
+//! `rtec-ship`: what `rtecctl ship` hands an S3-like store to. What is sent, in which order, and when it leaves the spool is
+//! `rtec_measure::spool`'s; here is the store.
+
+// Before the module, so that all of it prints this way: standard error that takes nothing is no reason to stop.
+macro_rules! eprintln {
+    ($($what:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), $($what)*);
+    }};
+}
+
+mod s3;
+
+use clap::Parser;
+use rtec_measure::spool::{ShipError, ship};
+use rusty_s3::Credentials;
+use s3::{Address, S3, roots};
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// Send finished records from a spool folder to an S3-like store, each once and whole
+#[derive(Debug, Parser)]
+#[command(
+    version,
+    after_help = "Example: rtec-ship --spool /var/spool/rtec --to s3://plant/shop --machine mill-7 --endpoint https://store.plant:9000\n\
+        Environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN; AWS_ENDPOINT_URL_S3, AWS_ENDPOINT_URL or\n\
+        AWS_ENDPOINT; AWS_REGION or AWS_DEFAULT_REGION; AWS_CA_BUNDLE, a file of the plant's own certificates; HTTPS_PROXY, NO_PROXY\n\
+        Exit codes: 0 sent; 2 bad usage, a wrong key, no such bucket; 3 the store could not be reached, or takes nothing"
+)]
+struct Args {
+    /// The spool folder
+    #[arg(long, value_name = "DIR")]
+    spool: PathBuf,
+    /// The bucket, and a folder within it
+    #[arg(long, value_name = "s3://BUCKET/FOLDER")]
+    to: String,
+    /// The machine's name in the shop: letters, digits, `.`, `_`, `-`
+    #[arg(long)]
+    machine: String,
+    /// The store's address [default: by the environment; without it Amazon's of AWS_REGION]
+    #[arg(long, value_name = "URL")]
+    endpoint: Option<String>,
+    /// Go on, and look again after so many seconds, also when the store was not there
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
+    every: Option<u64>,
+    /// Print one JSON document (with --every one a line)
+    #[arg(long)]
+    json: bool,
+}
+
+/// Why a round failed: what the caller mends, or what may be gone the next time.
+enum Failure {
+    Bad(String),
+    Away(String),
+}
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Bad(said)) => {
+            eprintln!("rtec-ship: {said}");
+            ExitCode::from(2)
+        }
+        Err(Failure::Away(said)) => {
+            eprintln!("rtec-ship: {said}");
+            ExitCode::from(3)
+        }
+    }
+}
+
+fn run(args: &Args) -> Result<(), Failure> {
+    let env = |name: &str| std::env::var(name).ok();
+    let address = Address::parse(&args.to, args.endpoint.as_deref(), env).map_err(Failure::Bad)?;
+    let credentials = Credentials::from_env().ok_or_else(|| {
+        let found = "found no AWS_ACCESS_KEY_ID with AWS_SECRET_ACCESS_KEY";
+        Failure::Bad(format!("{found}, expected both in the environment; they stand in no file of ours"))
+    })?;
+    let bundle = env("AWS_CA_BUNDLE").filter(|f| !f.is_empty());
+    let roots = bundle.map(|file| {
+        let bytes = std::fs::read(&file).map_err(|e| e.to_string());
+        bytes.and_then(|b| roots(&b)).map_err(|e| Failure::Bad(format!("AWS_CA_BUNDLE: {file}: {e}")))
+    });
+    let store = S3::open(&address, credentials, roots.transpose()?).map_err(Failure::Bad)?;
+    loop {
+        let done = once(args, &store);
+        let Some(seconds) = args.every else { return done };
+        match done {
+            Err(Failure::Away(said)) => eprintln!("warning: {said}; looked at again in {seconds} s"),
+            Err(bad) => return Err(bad),
+            Ok(()) => {}
+        }
+        std::thread::sleep(Duration::from_secs(seconds));
+    }
+}
+
+fn once(args: &Args, store: &S3) -> Result<(), Failure> {
+    let round = ship(&args.spool, store, &args.machine).map_err(|error| match &error {
+        ShipError::Store { error: why, .. } if !mended_by_the_caller(why) => Failure::Away(error.to_string()),
+        _ => Failure::Bad(error.to_string()),
+    })?;
+    for finding in &round.kept {
+        eprintln!("warning: {finding}; it stays in the spool");
+    }
+    let mut out = io::stdout().lock();
+    match out.write_all(round.text(args.json).as_bytes()).and_then(|()| out.flush()) {
+        // A reader that has gone away is no error.
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => {
+            Err(Failure::Bad(format!("writing to standard output: {e}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn mended_by_the_caller(why: &io::Error) -> bool {
+    use io::ErrorKind::{InvalidInput, NotFound, PermissionDenied};
+    matches!(why.kind(), InvalidInput | NotFound | PermissionDenied)
+}
