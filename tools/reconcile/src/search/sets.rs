@@ -12,8 +12,10 @@ use std::ops::Range;
 /// Autocorrelation from row to row beyond which rows say the same thing over and over.
 const CLOSE: f64 = 0.8;
 
-/// Coefficients beside the rows: no fit of as many says anything.
-const MOST_CROWDED: f64 = 1.0 - 1e-12;
+/// Coefficients beside the rows of a response: a fit of more says nothing, however little it leaves, and each beyond that costs
+/// so many nats. Of so many that are chosen for what they explain, a search finds as many more as it may take.
+const MOST_CROWDED: f64 = 0.4;
+const BEYOND_CROWDED: f64 = 1e4;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -130,8 +132,10 @@ impl Search<'_, '_> {
     /// its rows, columns of noise shrink what is left of it by more than half a nat each.
     fn crowding(&self, response: usize, columns: f64) -> f64 {
         let nu = self.nu * self.rows_of[response] as f64 / self.stack.n as f64;
-        let share = (columns / nu.max(1.0)).min(MOST_CROWDED);
-        -0.5 * nu * ((1.0 - share).ln() + share)
+        let share = columns / nu.max(1.0);
+        let beyond = (share - MOST_CROWDED).max(0.0) * nu.max(1.0);
+        let share = share.min(MOST_CROWDED);
+        -0.5 * nu * ((1.0 - share).ln() + share) + BEYOND_CROWDED * beyond
     }
 
     /// The same for so many more of a hypothesis, beside those that a set has.
