@@ -5,7 +5,7 @@ use crate::answer::Answer;
 use crate::hypotheses::Hypotheses;
 use crate::naming;
 use crate::problem::{Known, Stack, known, rms};
-use crate::search::{Found, Search, Width};
+use crate::search::{Found, Search};
 use crate::tuning::{bend, is_wave, moved, retune};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -44,23 +44,16 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnab
     let mut model = Model { anchor: file.clone(), now: file.clone(), noise: 1.0 };
     retune(&stack, model.noise, &mut model.anchor, &mut model.now, &[]);
     let mut passes = PASSES;
-    // What will be searched again, for the noise's size or the model's values, is searched narrowly first.
-    let mut quick = stack.responses.len() > 1 || !file.is_empty();
     loop {
         let (all, waves) = Hypotheses::new(&stack, machine.dictionary());
         let mut search = Search::new(&stack, &all, &waves);
         stack.sigma = loop {
             let parameters = model.begin(&mut search);
-            let mut found = search.run(if quick { Width::QUICK } else { Width::WHOLE });
+            let found = search.run();
             if thinnable && search.oversampled(&found.any) {
                 return None;
             }
-            let mut pass = model.next(&search, &found, &parameters, passes == 0);
-            if pass.is_none() && quick {
-                quick = false;
-                found = search.run(Width::WHOLE);
-                pass = model.next(&search, &found, &parameters, passes == 0);
-            }
+            let pass = model.next(&search, &found, &parameters, passes == 0);
             let Some(pass) = pass else {
                 let answer = naming::conclude(&mut search, &found, &model.now, level);
                 return Some(model.scaled(Answer { file, ..answer }));

@@ -5,21 +5,12 @@ use super::offers::Offer;
 use super::sets::Set;
 
 /// How wide the search goes.
-#[derive(Clone, Copy)]
-pub(crate) struct Width {
-    /// Sets of each size that are grown: with a shape, of names alone.
-    beam: [usize; 2],
-    /// How many offers a set of names takes, named and unnamed, and how many one with a shape.
-    to_names: [usize; 2],
-    to_shapes: [usize; 2],
-}
+const BEAM_NAMED: usize = 3;
 
-impl Width {
-    /// What is answered from.
-    pub(crate) const WHOLE: Self = Self { beam: [2, 3], to_names: [7, 4], to_shapes: [3, 0] };
-    /// What the noise's size and the model's values are taken from.
-    pub(crate) const QUICK: Self = Self { beam: [1, 1], to_names: [3, 2], to_shapes: [2, 0] };
-}
+const BEAM_UNNAMED: usize = 2;
+/// How many offers a set of names takes, named and unnamed, and how many one with a shape.
+const OFFERS_TO_NAMES: [usize; 2] = [7, 4];
+const OFFERS_TO_SHAPES: [usize; 2] = [3, 0];
 
 /// Most effects that are looked for at once.
 const DEPTH: usize = 14;
@@ -38,14 +29,14 @@ pub(crate) struct Found {
 
 impl Search<'_, '_> {
     /// Beam search over sets of explanations.
-    pub(crate) fn run(&mut self, width: Width) -> Found {
+    pub(crate) fn run(&mut self) -> Found {
         let empty = self.empty();
         let mut beam = vec![empty.clone()];
         let mut found = Found { named: empty.clone(), any: empty.clone(), visited: vec![empty] };
         for _ in 0..DEPTH {
             let lifted = self.lifted(&beam);
             beam.extend(lifted);
-            let grown = self.grown(&beam, width);
+            let grown = self.grown(&beam);
             let before = found.any.score.max(found.named.score);
             let best = grown.iter().map(|s| s.score).fold(f64::NEG_INFINITY, f64::max);
             let names = grown.iter().filter(|s| self.named(s));
@@ -78,17 +69,17 @@ impl Search<'_, '_> {
     }
 
     /// Sets of one member more: the best few of names alone and the best few with a shape.
-    fn grown(&mut self, beam: &[Set], width: Width) -> Vec<Set> {
+    fn grown(&mut self, beam: &[Set]) -> Vec<Set> {
         self.forget_all_but(beam);
         self.meet_bank(beam.iter().flat_map(|s| s.ids.iter().copied()).chain([self.y]));
         let mut next: Vec<(usize, Offer)> = Vec::new();
         for (i, set) in beam.iter().enumerate() {
-            let [named, unnamed] = if self.named(set) { width.to_names } else { width.to_shapes };
+            let [named, unnamed] = if self.named(set) { OFFERS_TO_NAMES } else { OFFERS_TO_SHAPES };
             next.extend(self.offers(set, named, unnamed, i == 0).into_iter().map(|o| (i, o)));
         }
         next.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));
         let mut seen: Vec<Vec<usize>> = Vec::new();
-        let mut room = width.beam;
+        let mut room = [BEAM_UNNAMED, BEAM_NAMED];
         let mut grown = Vec::new();
         for (i, offer) in next {
             let set = &beam[i];
@@ -100,7 +91,7 @@ impl Search<'_, '_> {
                 continue;
             }
             seen.push(key);
-            let leads = room[usize::from(pure)] == width.beam[usize::from(pure)];
+            let leads = room[usize::from(pure)] == [BEAM_UNNAMED, BEAM_NAMED][usize::from(pure)];
             room[usize::from(pure)] -= 1;
             let set = self.take(set, &offer);
             // The others are polished once they lead.
@@ -139,7 +130,7 @@ mod tests {
         let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
         let mut search = Search::new(&stack, &all, &waves);
         search.begin(1.0, Vec::new(), stack.missing(&[]));
-        let found = search.run(Width::WHOLE);
+        let found = search.run();
         // What comes next takes out what only another one's values called for.
         let named = crate::simpler::slimmed(&mut search, found.named);
         let mut names: Vec<String> =

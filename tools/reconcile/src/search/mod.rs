@@ -23,7 +23,7 @@ mod targets;
 mod tones;
 
 pub(crate) use bank::Share;
-pub(crate) use beam::{Found, Width};
+pub(crate) use beam::Found;
 pub(crate) use sets::{AtPhi, Member, Set};
 
 use crate::gram::{Products, Vector};

@@ -369,3 +369,40 @@ pub(super) fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::Search;
+    use crate::hypotheses::Hypotheses;
+    use crate::problem::Stack;
+    use crate::testing::{noise, record};
+    use rtec_model::effect::Dictionary;
+
+    /// A map with a knot for every other row fits noise as it fits anything: it is worth less than nothing, whatever it leaves.
+    /// One of a quarter of the rows is judged by what it explains.
+    #[test]
+    fn more_coefficients_than_two_fifths_of_the_rows_say_nothing() {
+        let dice = noise(41, 60);
+        let records = [record(60, |i| dice[i as usize])];
+        let stack = Stack::new(&records);
+        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(1.0, Vec::new(), stack.missing(&[]));
+        let mut set = search.empty();
+        let (mut within, mut beyond) = (0, 0);
+        for h in 0..all.list.len() {
+            let Some(offer) = search.offer_of(&set, h) else { continue };
+            let next = search.take(&set, &offer);
+            let share = next.ids.len() as f64 / 60.0;
+            if share <= 0.4 {
+                assert!((next.score - offer.score).abs() < 1.0 && next.score > -500.0, "{share}: {}", next.score);
+                within += 1;
+                set = next;
+            } else if share > 0.5 {
+                assert!(next.score < -1e4 && offer.score < -1e4, "{share}: {} {}", next.score, offer.score);
+                beyond += 1;
+            }
+        }
+        assert!(within > 5 && beyond > 0, "{within} {beyond}");
+    }
+}
