@@ -115,6 +115,11 @@ fn main() -> anyhow::Result<ExitCode> {
             None => !right(o.mark) || o.covered.iter().any(|c| !c.1) || !o.suspicions.is_empty(),
         };
         outcomes.iter().filter(told).for_each(tell);
+        let mut longest: Vec<&Outcome> = outcomes.iter().collect();
+        longest.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+        for o in longest.into_iter().take(5) {
+            eprintln!("{:.2} s of processor: {} seed {}, {}", o.seconds, o.class.word(), o.case.seed, o.case.design);
+        }
     }
     if asked.json {
         println!("{:#}", table::json(&outcomes, !asked.bare));

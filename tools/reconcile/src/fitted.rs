@@ -38,6 +38,7 @@ impl Fitted {
     /// beyond chance: they stay as the file has them. A finding whose interval then holds zero is none: where as little is
     /// left without it, nothing is there; otherwise something is, but not this effect of this size.
     pub(crate) fn of(stack: &Stack<'_>, machine: &Machine, answer: &mut Answer) -> Self {
+        take_in(answer);
         let mut fitted = Self::once(stack, machine, answer);
         let mut sizeless = Vec::new();
         for place in (0..fitted.found).rev() {
@@ -148,6 +149,22 @@ impl Fitted {
         (*model, self.terms) = (machine, all);
         Some(laws)
     }
+}
+
+/// A finding that is one of the model's own effects, farther off than its value was trusted to be, is a correction to that one:
+/// the fit begins there, and no second one of the same name is fitted beside it.
+fn take_in(answer: &mut Answer) {
+    let Answer { findings, present, anchor, .. } = answer;
+    findings.retain(|f| {
+        let law = f.effect.description();
+        let linear = law.parameters.iter().all(|p| p.search == Search::Linear && !p.array);
+        let own = present.iter().position(|e| linear && e.identity() == f.effect.identity());
+        let Some(own) = own else { return true };
+        let sum = |e: &Effect| e.values().iter().zip(f.effect.values()).map(|(a, b)| a + b).collect::<Vec<_>>();
+        let (now, held) = (sum(&present[own]), sum(&anchor[own]));
+        // Out of the law's bounds it is no correction.
+        present[own].set_values(&now).and_then(|()| anchor[own].set_values(&held)).is_err()
+    });
 }
 
 /// Why an effect may be nothing.

@@ -1,10 +1,11 @@
 //! What a set of names leaves: too much of it, and the names are not the whole.
 
-use crate::cause::Shape;
+use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
 use crate::problem::rms;
 use crate::search::{Member, Search, Set};
-use rtec_model::effect::Effect;
+use rtec_model::effect::{Against, Difference, Effect, STANDARD_DEGC};
+use rtec_model::record::Record;
 
 /// Log odds by which a shape without a name must beat the best named explanation.
 const SHAPE_DECISIVE: f64 = 5.0;
@@ -20,6 +21,62 @@ const EXPLAINED: f64 = 0.25;
 const NEARLY_ALL: f64 = 0.05;
 /// What names leave is far above the noise where it is so many times what the best account leaves.
 const FAR: f64 = 1.5;
+
+/// A curve turns back where so much of the temperatures seen lies beyond its turning, on either side.
+const TURNED: f64 = 0.1;
+
+/// A set with a knee over the temperature in place of a growth that bends so far that it turns back within the temperatures
+/// seen, where the knee explains no less with no more values. Nothing grows and then shrinks as it warms: the parabola is the
+/// nearest that the law comes to another curve, which has no name.
+pub(crate) fn knee_instead(search: &mut Search<'_, '_>, named: &Set) -> Option<Set> {
+    let effects = search.effects(named);
+    for (i, effect) in effects.iter().enumerate() {
+        let Some(delta) = effect.as_ref().filter(|e| turns_back(search, e)).and_then(|e| e.delta.clone()) else {
+            continue;
+        };
+        let rest = search.without(named, i);
+        let values = named.members[i].columns();
+        let along: Vec<String> = delta.sensors().map(|s| format!("temperature.{s}")).collect();
+        let all = search.all;
+        let knees = all.atoms.iter().filter(|a| {
+            let over = |s: &Shape| matches!(&s.against[..], [one] if along.contains(one));
+            a.columns.len() <= values && a.cause.shape().is_some_and(over)
+        });
+        let knees: Vec<usize> = knees.map(|a| a.hypothesis).collect();
+        let each = (0..all.list.len()).filter(|h| knees.contains(h));
+        let best = each.filter_map(|h| search.offer_of(&rest, h)).max_by(|a, b| a.score.total_cmp(&b.score));
+        let Some(offer) = best else { continue };
+        let instead = search.take(&rest, &offer);
+        if instead.loglik >= named.loglik {
+            return Some(instead);
+        }
+    }
+    None
+}
+
+/// Whether a growth has its largest or least value well within the temperatures of its rows.
+fn turns_back(search: &Search<'_, '_>, effect: &Effect) -> bool {
+    let Some(delta) = effect.delta.as_ref().filter(|_| effect.coefficient_count() == 2) else { return false };
+    let (slope, bend) = (effect.scalar(0), effect.scalar(1));
+    let mut seen: Vec<f64> = search.stack.records.iter().flat_map(|r| differences(r, delta)).collect();
+    seen.sort_by(f64::total_cmp);
+    let at = |share: f64| seen.get((share * (seen.len().max(1) - 1) as f64) as usize);
+    let rises = |d: &f64| slope + 2.0 * bend * d > 0.0;
+    at(TURNED).zip(at(1.0 - TURNED)).is_some_and(|(cold, warm)| rises(cold) != rises(warm))
+}
+
+/// A temperature difference over a record's rows; empty where it lacks a sensor.
+fn differences(record: &Record, delta: &Difference) -> Vec<f64> {
+    let Some(warm) = record.temperature(&delta.sensor) else { return Vec::new() };
+    match &delta.against {
+        Against::Sensor(minus) => {
+            let minus = record.temperature(minus).unwrap_or_default();
+            warm.iter().zip(minus).map(|(t, m)| t - m).collect()
+        }
+        Against::Reference(degc) => warm.iter().map(|t| t - degc).collect(),
+        Against::Standard => warm.iter().map(|t| t - STANDARD_DEGC).collect(),
+    }
+}
 
 /// The member that does least on the rows that it acts on, where that is too little for a name.
 pub(crate) fn slightest(search: &Search<'_, '_>, named: &Set) -> Option<usize> {

@@ -4,7 +4,7 @@
 use crate::answer::{Answer, Finding, ROUNDS, Rival, Tried};
 use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
-use crate::leftover::{beyond_bounds, slightest, unexplained};
+use crate::leftover::{beyond_bounds, knee_instead, slightest, unexplained};
 use crate::search::{Found, Member, Search, Set};
 use crate::simpler::{DECISIVE, merged, plainer, slimmed, with_offset};
 use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC};
@@ -60,7 +60,11 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     }
     let (named, crowd) = without_crowds(search, named);
     let mut unexplained = unexplained(search, &named, &any, &chance, level);
-    let set = if unexplained.is_empty() { named } else { any.clone() };
+    let knee = if unexplained.is_empty() { knee_instead(search, &named) } else { None };
+    if let Some(knee) = &knee {
+        unexplained.extend(knee.members.iter().filter_map(|m| m.cause.shape().cloned()));
+    }
+    let set = if unexplained.is_empty() { named } else { knee.unwrap_or_else(|| any.clone()) };
     unexplained.extend(beyond);
     let (set, again) = without_crowds(search, set);
     unexplained.extend(crowd.into_iter().chain(again));

@@ -149,3 +149,53 @@ fn of_several_records_one_refutes_what_the_other_leaves_open() {
         both.ranking.iter().filter(|t| t.accepted).filter_map(|t| t.label.split(' ').next()).collect();
     assert_eq!(accepted, ["thermal_growth.z"]);
 }
+
+/// Targets from 0 to 400 mm, both ways, five times, with an error by place and noise.
+fn bidirectional(error: impl Fn(f64) -> f64) -> Record {
+    let mut normal = noise(9);
+    let up: Vec<f64> = (0..9).map(|i| 50.0 * f64::from(i)).collect();
+    let cycle: Vec<f64> = up.iter().chain(up.iter().rev()).copied().collect();
+    let p: Vec<f64> = (0..5).flat_map(|_| cycle.clone()).collect();
+    let e = p.iter().map(|p| error(*p) + 0.3 * normal()).collect();
+    let t = (0..p.len()).map(|i| 10.0 * i as f64).collect();
+    record(Kind::Positioning, vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)])
+}
+
+/// A scale that is farther off than a model's value is trusted to be is that scale, corrected, and no second one beside it.
+#[test]
+fn a_scale_beside_the_model_s_own_corrects_it() {
+    for known in [-5.0, 2.0, 10.0, 60.0] {
+        let run = bidirectional(|p| (known + 24.0) * 1e-3 * p);
+        let text = format!("name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = {known:.1}\n");
+        let machine = Machine::parse(Path::new("m.toml"), &text).unwrap();
+        let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
+        let refined: Vec<(String, f64)> =
+            r.refined.iter().map(|x| (x.after.0.name(), x.after.0.scalar(0))).collect();
+        assert!(r.effects.is_empty() && r.unexplained.is_empty(), "{known}: {} {:?}", r.verdict, names(&r));
+        assert_eq!(r.verdict, Verdict::NothingMissing);
+        assert_eq!((refined.len(), refined[0].0.as_str()), (1, "scale.x"), "{known}: {refined:?}");
+        assert!((refined[0].1 - known - 24.0).abs() < 1.0, "{known}: {refined:?}");
+        assert!(r.gap[0].train[1] < 0.4, "{known}: {:?}", r.gap[0].train);
+    }
+}
+
+/// Growth that begins at a temperature is no parabola that falls first; one that bends as growth does keeps its name.
+#[test]
+fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
+    let drift = |seed: u64, error: &dyn Fn(f64) -> f64| {
+        let mut normal = noise(seed);
+        let t: Vec<f64> = (0..120).map(|i| 60.0 * f64::from(i)).collect();
+        let degc: Vec<f64> = t.iter().map(|t| 20.0 + 4.0 * (t / 1300.0).sin()).collect();
+        let e = degc.iter().map(|d| error(d - 20.0) + 0.4 * normal()).collect();
+        record(Kind::Drift, vec![("t", "time", t), ("A", "temperature", degc), ("e", "error.x", e)])
+    };
+    let mut unknown = Vec::new();
+    for seed in 1..13 {
+        let knee = answer(drift(seed, &|d| 0.6 * (d - 0.6).max(0.0)));
+        unknown.push(knee.verdict == Verdict::UnknownEffect);
+        let growth = answer(drift(seed, &|d| 0.8 * d + 0.04 * d * d));
+        assert_eq!(names(&growth), ["thermal_growth.x"], "{seed}: {}", growth.verdict);
+    }
+    // The parabola fits some of them better by chance.
+    assert!(unknown.iter().filter(|u| **u).count() >= 8, "{unknown:?}");
+}

@@ -94,14 +94,28 @@ impl Search<'_, '_> {
             .flatten()
             .map(|(score, i, evidence)| self.bank_offer(i, score, evidence))
             .collect();
+        let tops = self.tops_of_kinds(set, &offers);
         for (i, wave) in self.waves.iter().enumerate() {
             if fresh {
                 self.find_peaks(set, i);
             }
-            offers.extend(self.wave(set, wave, &self.peaks.borrow()[i]));
+            let top = tops[usize::from(self.all.list[wave.hypothesis].named())];
+            offers.extend(self.wave(set, wave, &self.peaks.borrow()[i], nearest(set, top)));
         }
         offers.sort_by(|a, b| b.score.total_cmp(&a.score));
         offers
+    }
+
+    /// The best scores of shapes and of names that may join a set.
+    fn tops_of_kinds(&self, set: &Set, offers: &[Offer]) -> [f64; 2] {
+        let mut tops = [f64::NEG_INFINITY; 2];
+        for o in offers {
+            let top = &mut tops[usize::from(self.all.list[o.hypothesis].named())];
+            if o.score > *top && !self.repeats(set, o) {
+                *top = o.score;
+            }
+        }
+        tops
     }
 
     /// The set with an offer taken in.
@@ -221,7 +235,12 @@ impl Search<'_, '_> {
 /// Whether an offer is so near the best that refining it may make it the best: refined, an effect gains a few nats, or a
 /// share of what it gains anyway.
 fn near(set: &Set, top: f64, score: f64) -> bool {
-    score > top - NEAR_NATS.max(NEAR_SHARE * (top - set.score))
+    score > nearest(set, top)
+}
+
+/// The score from which on it is.
+fn nearest(set: &Set, top: f64) -> f64 {
+    top - NEAR_NATS.max(NEAR_SHARE * (top - set.score))
 }
 
 /// log(eᵃ + eᵇ)

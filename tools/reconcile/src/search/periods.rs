@@ -183,8 +183,8 @@ impl Search<'_, '_> {
         peaks(&mut power, from, step, list);
     }
 
-    /// The best period of a periodic hypothesis: each peak refined exactly.
-    pub(super) fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64]) -> Option<Offer> {
+    /// The best period of a periodic hypothesis: each peak refined exactly that may come to more than `least`.
+    pub(super) fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64], least: f64) -> Option<Offer> {
         let span = wave.span();
         if span <= 0.0 {
             return None;
@@ -192,7 +192,7 @@ impl Search<'_, '_> {
         // Independent frequencies: as many as the span resolves, and no more than make a difference at these places.
         let independent = wave.independent();
         let cost = self.wave_cost(wave);
-        let mut best = self.best_peak(set, wave, peaks, cost)?;
+        let mut best = self.best_peak(set, wave, peaks, [cost, least])?;
         let facts = wave.effect.as_ref().and_then(|e| e.description().searched.wave);
         if let Some(usual_mm) = facts.map(|w| w.usual_mm) {
             self.likeliest_alias(set, wave, &mut best, independent, usual_mm);
@@ -214,8 +214,8 @@ impl Search<'_, '_> {
     }
 
     /// The best frequency near the peaks that a wave's law allows.
-    fn best_peak(&self, set: &Set, wave: &Wave, peaks: &[f64], cost: f64) -> Option<Tone> {
-        let mut tops = self.tops(set, wave, peaks, cost);
+    fn best_peak(&self, set: &Set, wave: &Wave, peaks: &[f64], [cost, least]: [f64; 2]) -> Option<Tone> {
+        let mut tops = self.tops(set, wave, peaks, [cost, least]);
         tops.retain(|t| t.0 > f64::NEG_INFINITY);
         // What looks the same as a wave that no scale has may be one that it has; what only explains less is not.
         let least = tops.first()?.0 - NO_WORSE;
@@ -225,14 +225,15 @@ impl Search<'_, '_> {
     }
 
     /// Every peak refined, and what looks the same as it at nearly even places; the best first, with their scores.
-    fn tops(&self, set: &Set, wave: &Wave, peaks: &[f64], cost: f64) -> Vec<(f64, f64)> {
+    /// Those that cannot come to `least` are left as they are.
+    fn tops(&self, set: &Set, wave: &Wave, peaks: &[f64], [cost, least]: [f64; 2]) -> Vec<(f64, f64)> {
         let span = wave.span();
         // What a wave that explains nothing scores.
         let nothing = set.loglik - self.price(set, wave.hypothesis, cost, 2);
         let mut best = f64::NEG_INFINITY;
         let mut tops: Vec<(f64, f64)> = Vec::new();
         let mut refined = |f0: &f64, tops: &mut Vec<(f64, f64)>| {
-            let bound = best.max(set.score - HOPELESS);
+            let bound = best.max(set.score - HOPELESS).max(least);
             let grid = wave.effect.as_ref().and_then(|_| pitch(&wave.places, GRID_SHARE / f0));
             let eval = |f: f64| {
                 // On a grid whose pitch is a whole number of periods a wave is a constant or a slow bow, and no wave.
@@ -321,7 +322,7 @@ impl Search<'_, '_> {
         let score = |f: f64| self.wave_score(rest, wave, f, cost);
         let mine = score(own);
         let peaks = self.peaks.borrow()[i].clone();
-        let mut all: Vec<f64> = self.tops(rest, wave, &peaks, cost).iter().map(|t| t.1).collect();
+        let mut all: Vec<f64> = self.tops(rest, wave, &peaks, [cost, f64::NEG_INFINITY]).iter().map(|t| t.1).collect();
         if let Some(pitch) = pitch(&wave.places, GRID_SHARE / own) {
             all.extend(aliases(own, pitch, [wave.from.max(0.5 / wave.span()), wave.to], LISTED));
         }

@@ -12,8 +12,10 @@ use std::ops::Range;
 /// Autocorrelation from row to row beyond which rows say the same thing over and over.
 const CLOSE: f64 = 0.8;
 
-/// Coefficients beside the rows: no fit of as many says anything.
-const MOST_CROWDED: f64 = 1.0 - 1e-12;
+/// Coefficients beside the rows of a response: a fit of more says nothing, however little it leaves, and each beyond that costs
+/// so many nats. Of so many that are chosen for what they explain, a search finds as many more as it may take.
+const MOST_CROWDED: f64 = 0.4;
+const BEYOND_CROWDED: f64 = 1e4;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -130,8 +132,10 @@ impl Search<'_, '_> {
     /// its rows, columns of noise shrink what is left of it by more than half a nat each.
     fn crowding(&self, response: usize, columns: f64) -> f64 {
         let nu = self.nu * self.rows_of[response] as f64 / self.stack.n as f64;
-        let share = (columns / nu.max(1.0)).min(MOST_CROWDED);
-        -0.5 * nu * ((1.0 - share).ln() + share)
+        let share = columns / nu.max(1.0);
+        let beyond = (share - MOST_CROWDED).max(0.0) * nu.max(1.0);
+        let share = share.min(MOST_CROWDED);
+        -0.5 * nu * ((1.0 - share).ln() + share) + BEYOND_CROWDED * beyond
     }
 
     /// The same for so many more of a hypothesis, beside those that a set has.
@@ -364,4 +368,41 @@ pub(super) fn sharpened(r: &[f64], phi: f64, segments: &[std::ops::Range<usize>]
         out[s.end - 1] -= phi * phi * r[s.end - 1];
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Search;
+    use crate::hypotheses::Hypotheses;
+    use crate::problem::Stack;
+    use crate::testing::{noise, record};
+    use rtec_model::effect::Dictionary;
+
+    /// A map with a knot for every other row fits noise as it fits anything: it is worth less than nothing, whatever it leaves.
+    /// One of a quarter of the rows is judged by what it explains.
+    #[test]
+    fn more_coefficients_than_two_fifths_of_the_rows_say_nothing() {
+        let dice = noise(41, 60);
+        let records = [record(60, |i| dice[i as usize])];
+        let stack = Stack::new(&records);
+        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(1.0, Vec::new(), stack.missing(&[]));
+        let mut set = search.empty();
+        let (mut within, mut beyond) = (0, 0);
+        for h in 0..all.list.len() {
+            let Some(offer) = search.offer_of(&set, h) else { continue };
+            let next = search.take(&set, &offer);
+            let share = next.ids.len() as f64 / 60.0;
+            if share <= 0.4 {
+                assert!((next.score - offer.score).abs() < 1.0 && next.score > -500.0, "{share}: {}", next.score);
+                within += 1;
+                set = next;
+            } else if share > 0.5 {
+                assert!(next.score < -1e4 && offer.score < -1e4, "{share}: {} {}", next.score, offer.score);
+                beyond += 1;
+            }
+        }
+        assert!(within > 5 && beyond > 0, "{within} {beyond}");
+    }
 }
