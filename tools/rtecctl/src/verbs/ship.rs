@@ -17,7 +17,7 @@ pub(crate) struct Args {
     /// The folder that the daemon and `characterise record --spool` write to
     #[arg(long, value_name = "DIR")]
     spool: PathBuf,
-    /// The shop's folder: of this computer, or a share that is mounted; one that is missing is not made. Or s3://BUCKET/FOLDER
+    /// The shop's folder: of this computer, or a share that is mounted; one that is missing is not made. Or `s3://BUCKET/FOLDER`
     #[arg(long, value_name = "DIR|URL")]
     to: PathBuf,
     /// The machine's name in the shop: letters, digits, `.`, `_`, `-`
