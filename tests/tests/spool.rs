@@ -26,8 +26,8 @@ fn started(directory: &Path, spool: &str) -> Daemon {
 
 /// Probes some trips; how many.
 fn probed(daemon: &Daemon) -> usize {
-    let text = daemon.expect(0, &["probe", "on", "--captures", "3", "--json"]);
-    serde_json::from_str::<Value>(&text).unwrap()["captures"].as_array().unwrap().len()
+    let out = daemon.user(&["probe", "on", "--captures", "3", "--json"]);
+    serde_json::from_slice::<Value>(&out.stdout).unwrap()["captures"].as_array().unwrap().len()
 }
 
 fn sidecars(folder: &Path) -> Vec<PathBuf> {

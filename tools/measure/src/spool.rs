@@ -121,7 +121,7 @@ pub enum ShipError {
 /// # Errors
 /// The record cannot be read, the spool not be written.
 pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
-    let record = super::record::read_log(sidecar).map_err(no_record)?;
+    let record = super::record::read_log(sidecar).map_err(|e| no_record(&e))?;
     let csv = std::fs::read(sidecar.parent().unwrap_or(Path::new("")).join(&record.file))?;
     std::fs::create_dir_all(spool)?;
     put(record, &csv, spool)
@@ -139,7 +139,7 @@ pub fn put(mut record: Record, csv: &[u8], spool: &Path) -> io::Result<PathBuf> 
     let at = loop {
         let tail = if n == 1 { String::new() } else { format!("-{n}") };
         let at = spool.join(format!("{stem}{tail}.run.toml"));
-        super::record::at(&mut record, &at).map_err(no_record)?;
+        super::record::at(&mut record, &at).map_err(|e| no_record(&e))?;
         // The CSV's name is taken first, so that two who come at once take two.
         match File::options().write(true).create_new(true).open(spool.join(&record.file)) {
             Ok(_) if at.exists() => std::fs::remove_file(spool.join(&record.file))?,
@@ -159,7 +159,7 @@ pub fn put(mut record: Record, csv: &[u8], spool: &Path) -> io::Result<PathBuf> 
     Ok(at)
 }
 
-fn no_record(finding: InputError) -> io::Error {
+fn no_record(finding: &InputError) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, finding.to_string())
 }
 

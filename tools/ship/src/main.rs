@@ -39,7 +39,7 @@ struct Args {
     /// The machine's name in the shop: letters, digits, `.`, `_`, `-`
     #[arg(long)]
     machine: String,
-    /// The store's address [default: by the environment; without it Amazon's of AWS_REGION]
+    /// The store's address [default: by the environment; without it Amazon's of `AWS_REGION`]
     #[arg(long, value_name = "URL")]
     endpoint: Option<String>,
     /// Go on, and look again after so many seconds, also when the store was not there

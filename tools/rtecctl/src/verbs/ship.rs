@@ -11,19 +11,19 @@ use std::time::Duration;
 ///
 /// What the store gives back as it was sent leaves the spool, for `sent/` below it. A store that goes away loses nothing: what
 /// was not sent waits for the next time. A store of S3 is served by the program `rtec-ship` beside this one, with the same
-/// options; its key is read from the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY).
+/// options; its key is read from the environment (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`).
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The folder that the daemon and `characterise record --spool` write to
     #[arg(long, value_name = "DIR")]
     spool: PathBuf,
-    /// The shop's folder: of this computer, or a share that is mounted; one that is missing is not made. Or s3://BUCKET/FOLDER
+    /// The shop's folder: of this computer, or a share that is mounted; one that is missing is not made. Or `s3://BUCKET/FOLDER`
     #[arg(long, value_name = "DIR|URL")]
     to: PathBuf,
     /// The machine's name in the shop: letters, digits, `.`, `_`, `-`
     #[arg(long)]
     machine: String,
-    /// The S3-like store's address [default: AWS_ENDPOINT_URL, else Amazon's of AWS_REGION]
+    /// The S3-like store's address [default: `AWS_ENDPOINT_URL`, else Amazon's of `AWS_REGION`]
     #[arg(long, value_name = "URL")]
     endpoint: Option<String>,
     /// Go on, and look again after so many seconds, also when the store was not there

@@ -219,11 +219,13 @@ impl Session {
         if let Some(ticket) = self.loader.overdue()
             && let Some(wish) = self.wish.take()
         {
-            let means = match wish {
-                Wish::Keep => "the record may be in the spool folder, or not",
-                Wish::Model(_) | Wish::Table => "nothing is loaded",
+            let s = PATIENCE.as_secs();
+            let text = match wish {
+                Wish::Keep => {
+                    format!("keeping took longer than {s} s: the record may be in the spool folder, or not")
+                }
+                Wish::Model(_) | Wish::Table => format!("loading took longer than {s} s: nothing is loaded"),
             };
-            let text = format!("loading took longer than {} s: {means}", PATIENCE.as_secs());
             return Some((ticket, refused("too_long", text), None));
         }
         let (ticket, result) = self.loader.done()?;
