@@ -1,6 +1,6 @@
 //! What a set of names leaves: too much of it, and the names are not the whole.
 
-use crate::cause::{Cause, Shape};
+use crate::cause::Shape;
 use crate::chance::Chance;
 use crate::problem::rms;
 use crate::search::{Member, Search, Set};
