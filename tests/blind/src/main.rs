@@ -118,7 +118,13 @@ fn main() -> anyhow::Result<ExitCode> {
         let mut longest: Vec<&Outcome> = outcomes.iter().collect();
         longest.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
         for o in longest.into_iter().take(5) {
-            eprintln!("{:.2} s of processor: {} seed {}, {}", o.seconds, o.class.word(), o.case.seed, o.case.design);
+            eprintln!(
+                "{:.2} s of processor: {} seed {}, {}",
+                o.seconds,
+                o.class.word(),
+                o.case.seed,
+                o.case.design
+            );
         }
     }
     if asked.json {

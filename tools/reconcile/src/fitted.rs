@@ -160,10 +160,15 @@ fn take_in(answer: &mut Answer) {
         let linear = law.parameters.iter().all(|p| p.search == Search::Linear && !p.array);
         let own = present.iter().position(|e| linear && e.identity() == f.effect.identity());
         let Some(own) = own else { return true };
-        let sum = |e: &Effect| e.values().iter().zip(f.effect.values()).map(|(a, b)| a + b).collect::<Vec<_>>();
-        let (now, held) = (sum(&present[own]), sum(&anchor[own]));
+        let moved = |e: &Effect| {
+            let values: Vec<f64> = e.values().iter().zip(f.effect.values()).map(|(a, b)| a + b).collect();
+            let mut moved = e.clone();
+            moved.set_values(&values).is_ok().then_some(moved)
+        };
         // Out of the law's bounds it is no correction.
-        present[own].set_values(&now).and_then(|()| anchor[own].set_values(&held)).is_err()
+        let Some((now, held)) = moved(&present[own]).zip(moved(&anchor[own])) else { return true };
+        (present[own], anchor[own]) = (now, held);
+        false
     });
 }
 

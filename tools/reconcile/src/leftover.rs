@@ -1,6 +1,6 @@
 //! What a set of names leaves: too much of it, and the names are not the whole.
 
-use crate::cause::{Cause, Shape};
+use crate::cause::Shape;
 use crate::chance::Chance;
 use crate::problem::rms;
 use crate::search::{Member, Search, Set};
@@ -31,7 +31,8 @@ const TURNED: f64 = 0.1;
 pub(crate) fn knee_instead(search: &mut Search<'_, '_>, named: &Set) -> Option<Set> {
     let effects = search.effects(named);
     for (i, effect) in effects.iter().enumerate() {
-        let Some(delta) = effect.as_ref().filter(|e| turns_back(search, e)).and_then(|e| e.delta.clone()) else {
+        let Some(delta) = effect.as_ref().filter(|e| turns_back(search, e)).and_then(|e| e.delta.clone())
+        else {
             continue;
         };
         let rest = search.without(named, i);

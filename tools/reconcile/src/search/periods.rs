@@ -322,7 +322,8 @@ impl Search<'_, '_> {
         let score = |f: f64| self.wave_score(rest, wave, f, cost);
         let mine = score(own);
         let peaks = self.peaks.borrow()[i].clone();
-        let mut all: Vec<f64> = self.tops(rest, wave, &peaks, [cost, f64::NEG_INFINITY]).iter().map(|t| t.1).collect();
+        let mut all: Vec<f64> =
+            self.tops(rest, wave, &peaks, [cost, f64::NEG_INFINITY]).iter().map(|t| t.1).collect();
         if let Some(pitch) = pitch(&wave.places, GRID_SHARE / own) {
             all.extend(aliases(own, pitch, [wave.from.max(0.5 / wave.span()), wave.to], LISTED));
         }

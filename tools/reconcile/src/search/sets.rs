@@ -395,7 +395,11 @@ mod tests {
             let next = search.take(&set, &offer);
             let share = next.ids.len() as f64 / 60.0;
             if share <= 0.4 {
-                assert!((next.score - offer.score).abs() < 1.0 && next.score > -500.0, "{share}: {}", next.score);
+                assert!(
+                    (next.score - offer.score).abs() < 1.0 && next.score > -500.0,
+                    "{share}: {}",
+                    next.score
+                );
                 within += 1;
                 set = next;
             } else if share > 0.5 {
