@@ -102,7 +102,7 @@ impl Problem {
     pub(super) fn select(&self, folds: &[usize]) -> Option<Selection> {
         let mut singles: Vec<Judged> =
             self.offered.iter().filter_map(|(s, m)| self.best_lag(&[], *s, *m, folds)).collect();
-        singles.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
+        singles.sort_by_key(|j| self.merit(j));
         let sources = self.driven_by_the_source(singles.clone(), folds);
         let best = sources.first()?.clone();
         // What the data cannot tell from the best; of these the one nearest to the source of heat.
@@ -161,6 +161,13 @@ impl Problem {
         let passed_over =
             both.filter(|o| differences(o) <= differences(&structure) && o.gain_over(&structure) > 0.0);
         Some(Selection { structure, rounds, swaps, kept, dropped, tied, passed_over })
+    }
+
+    /// By this the better one comes first: what it leaves to nine digits. Where the same sums are said by other differences
+    /// rounding does not decide, but which reads the environment: that one's gain is the body's own.
+    fn merit(&self, j: &Judged) -> (i64, bool) {
+        let of_two = pair_of(j.terms[j.terms.len() - 1]).is_some_and(|(_, minus)| minus != self.environment);
+        ((j.rms().ln() * 1e9).round() as i64, of_two)
     }
 
     /// The rounds, with terms exchanged and those taken out that the later ones made idle.
@@ -225,7 +232,7 @@ impl Problem {
             let bent = bent.filter(|b| self.is_physical(b, folds)).map(|b| self.retune(b, folds));
             Some(bent.filter(|b| b.is_bent(&plain)).unwrap_or(plain))
         });
-        fits.min_by(|a, b| a.rms().total_cmp(&b.rms()))
+        fits.min_by_key(|j| self.merit(j))
     }
 
     /// Without the terms that do not earn their place beside the others.
@@ -243,7 +250,7 @@ impl Problem {
                 (!earned).then_some(left)
             };
             let idle = (0..now.terms.len()).filter_map(rest);
-            let Some(best) = idle.min_by(|a, b| a.rms().total_cmp(&b.rms())) else { break };
+            let Some(best) = idle.min_by_key(|j| self.merit(j)) else { break };
             now = best;
         }
         now
@@ -301,7 +308,7 @@ impl Problem {
                 let judged = self.judge(&[now.terms.as_slice(), &[t]].concat(), folds)?;
                 self.is_physical(&judged, folds).then_some(judged)
             }));
-            next.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
+            next.sort_by_key(|j| self.merit(j));
             // The patent asks R to improve by 1 %, which a term cannot do where R is above 0.99: a term stays where blocks
             // that it has not seen are better off with it, by more than chance makes the best of so many.
             let choices = LAG_CHOICES * (offered.len() + 1);
@@ -367,7 +374,7 @@ impl Problem {
                 let screened = self.screen(&rest, &offered, folds);
                 let fits = screened.iter().filter_map(|(s, m)| self.best_lag(&rest, *s, *m, folds));
                 let few = fits.filter(|j| Self::sensor_count(&j.terms) <= SENSORS);
-                let best = few.min_by(|a, b| a.rms().total_cmp(&b.rms()));
+                let best = few.min_by_key(|j| self.merit(j));
                 if let Some(best) = best.filter(|b| b.beats(&now)) {
                     let out = now.terms[k];
                     now = self.retune(best, folds);
