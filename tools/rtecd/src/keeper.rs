@@ -79,7 +79,7 @@ impl Keeper {
             if run.trips.len() == TRIPS {
                 let next = Run { began_ns: trip.at_ns[0], began_s: now_s, trips: Vec::new() };
                 let full = std::mem::replace(run, next);
-                self.write(full, axes);
+                self.write(&full, axes);
                 return self.trip(axis, axes, trip, now_s);
             }
             let (position_mm, degc) = (vec![None; axes.len()], trip.degc.clone());
@@ -93,11 +93,11 @@ impl Keeper {
     /// Probing has ended: what was captured is written.
     pub(crate) fn end(&mut self, axes: &[ConfiguredAxis]) {
         if let Some(run) = self.run.take().filter(|r| !r.trips.is_empty()) {
-            self.write(run, axes);
+            self.write(&run, axes);
         }
     }
 
-    fn write(&mut self, run: Run, axes: &[ConfiguredAxis]) {
+    fn write(&mut self, run: &Run, axes: &[ConfiguredAxis]) {
         let Some(folder) = self.folder.clone() else { return };
         let trips = run.trips.len();
         let lost = move |why: &str| format!("a probing run of {trips} trips is not kept: {why}");
@@ -107,7 +107,7 @@ impl Keeper {
             let _ = done.send(Err(lost(&format!("{} does not answer", folder.display()))));
             return;
         }
-        let Some(record) = record(&run, axes, &self.sensors) else {
+        let Some(record) = record(run, axes, &self.sensors) else {
             let _ = done.send(Err(lost("no axis was seen at every trip")));
             return;
         };
@@ -208,7 +208,9 @@ fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Op
     let name = format!("probing-{}-{time}.run.toml", day.replace('-', ""));
     let mut record = Record::of_checked(Path::new(&name), Kind::Probing, columns);
     record.date = Some(day);
-    record.count_um = counts_um.iter().all(|um| *um == counts_um[0]).then(|| counts_um[0]);
+    // One for all axes, or none: they are as configured, not computed.
+    counts_um.dedup_by(|a, b| a.to_bits() == b.to_bits());
+    record.count_um = Some(counts_um[0]).filter(|_| counts_um.len() == 1);
     record.note = Some("captured by rtecd while probing, without correction".to_owned());
     Some(record)
 }

@@ -207,7 +207,9 @@ impl<'a> Beside<'a> {
     fn residuals(&self, solved: &Solved) -> Vec<f64> {
         let response = &self.columns[0];
         let mut left: Vec<f64> = response.values.iter().map(|v| v * response.scale + response.mean).collect();
-        left.iter_mut().for_each(|v| *v -= solved.coefficients[0]);
+        for v in &mut left {
+            *v -= solved.coefficients[0];
+        }
         for (term, c) in self.columns[2..].iter().zip(&solved.coefficients[1..]) {
             let (gain, zero) = (c * term.scale, c * term.mean);
             left.iter_mut().zip(&term.values).for_each(|(l, v)| *l -= gain * v + zero);

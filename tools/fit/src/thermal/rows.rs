@@ -64,7 +64,9 @@ impl Rows {
         let about = |v: &[f64]| {
             let mean = taken.iter().map(|run| v[run.clone()].iter().sum::<f64>()).sum::<f64>() / n;
             let mut own = Vec::with_capacity(v.len());
-            taken.iter().for_each(|run| own.extend(v[run.clone()].iter().map(|v| v - mean)));
+            for run in taken {
+                own.extend(v[run.clone()].iter().map(|v| v - mean));
+            }
             (own, mean)
         };
         let (y, my) = about(&self.y);
@@ -101,7 +103,9 @@ impl Rows {
         records: &[&Record],
     ) -> Result<(), InputError> {
         let own: Vec<Term> = which.iter().map(|k| terms[*k]).collect();
-        which.iter().for_each(|k| self.columns[*k].clear());
+        for k in which {
+            self.columns[*k].clear();
+        }
         for r in records {
             for (k, column) in which.iter().zip(full_columns(problem, &own, &vec![tau_s; own.len()], r)?) {
                 self.columns[*k].extend(column);
@@ -187,7 +191,9 @@ fn full_columns(
                     u = lagged(record.time_s(), &u, *tau);
                 }
                 if square {
-                    u.iter_mut().for_each(|u| *u *= *u);
+                    for u in &mut u {
+                        *u *= *u;
+                    }
                 }
                 Ok(u)
             }
