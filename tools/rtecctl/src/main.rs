@@ -244,6 +244,7 @@ pub(crate) fn golden(name: &str, text: &str) {
 #[cfg(test)]
 mod tests {
     use crate::help::command;
+    use clap::FromArgMatches as _;
     use clap::error::ErrorKind;
     use std::ffi::OsString;
 
@@ -277,8 +278,11 @@ mod tests {
         let both = |line: &str| {
             let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
             let alone = crate::help::command_of(words[1].to_str().unwrap()).unwrap();
-            let alone = alone.try_get_matches_from(&words).map(|m| format!("{m:?}"));
-            (alone, command().try_get_matches_from(&words).map(|m| format!("{m:?}")))
+            let understood = |command: clap::Command| {
+                let matches = command.try_get_matches_from(&words)?;
+                crate::Cli::from_arg_matches(&matches).map(|cli| format!("{cli:?}"))
+            };
+            (understood(alone), understood(command()))
         };
         for (name, example) in crate::help::examples() {
             let (alone, among) = both(example);
