@@ -4,6 +4,7 @@ import io
 import os
 import signal
 import threading
+import urllib.request
 
 import numpy as np
 import pytest
@@ -249,6 +250,8 @@ def test_an_object_store(tmp_path):
         }
         import s3fs
 
+        # What it serves is one for all that this process has served.
+        urllib.request.urlopen(urllib.request.Request(f"http://{host}:{port}/moto-api/reset", method="POST")).close()
         s3fs.S3FileSystem(**options).mkdir("plant")
         shop = Shop("s3://plant/shop", **options)
         assert len(ship(_spool(tmp_path / "spool", 2), shop, "m1")) == 2
