@@ -174,8 +174,25 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     }
     let waiting = waiting(spool).map_err(|error| ShipError::Spool { path: spool.to_owned(), error })?;
     let mut round = Round::default();
+    if !waiting.is_empty() {
+        // Before the first is sent, not after it: what cannot be put aside would be sent again and again.
+        let sent = spool.join(SENT);
+        let tried = sent.join(".tried");
+        let made = std::fs::create_dir_all(&sent)
+            .and_then(|()| std::fs::write(&tried, ""))
+            .and_then(|()| std::fs::remove_file(&tried));
+        // One who sends beside this one may have taken it away already.
+        match made {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(ShipError::Spool { path: sent, error });
+            }
+            _ => {}
+        }
+    }
     for (n, sidecar) in waiting.iter().enumerate() {
         let (name, csv) = match super::record::read_log(sidecar) {
+            // Another one who sends from this spool has sent it.
+            Err(_) if !sidecar.exists() => continue,
             Ok(record) => {
                 (sidecar.file_name().unwrap_or_default().to_string_lossy().into_owned(), record.file)
             }
@@ -184,10 +201,13 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
                 continue;
             }
         };
-        let of = |path: PathBuf| {
-            std::fs::read(&path).map(|b| (path.clone(), b)).map_err(|error| ShipError::Spool { path, error })
+        let of = |path: PathBuf| match std::fs::read(&path) {
+            Ok(bytes) => Ok(Some((path, bytes))),
+            Err(_) if !sidecar.exists() => Ok(None),
+            Err(error) => Err(ShipError::Spool { path, error }),
         };
-        let files = [of(spool.join(&csv))?, of(sidecar.clone())?];
+        let (Some(data), Some(words)) = (of(spool.join(&csv))?, of(sidecar.clone())?) else { continue };
+        let files = [data, words];
         let digest =
             hex(&files.iter().fold(Sha256::new(), |h, f| h.chain_update(Sha256::digest(&f.1))).finalize());
         let place = format!("inbox/{machine}/{}", &digest[..DIGITS]);
@@ -209,7 +229,11 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
         std::fs::create_dir_all(&sent).map_err(|_| aside(&sent))?;
         // The sidecar first: without it nothing waits.
         for (from, file) in [(&files[1].0, &name), (&files[0].0, &csv)] {
-            std::fs::rename(from, sent.join(file)).map_err(|_| aside(from))?;
+            match std::fs::rename(from, sent.join(file)) {
+                // Another one who sends from this spool has put it aside, the same files to the same place.
+                Err(e) if e.kind() == io::ErrorKind::NotFound && sent.join(file).exists() => {}
+                done => done.map_err(|_| aside(from))?,
+            }
         }
         round.sent.push(place);
     }
@@ -331,6 +355,63 @@ mod tests {
         record(spool.path(), "c", 4.0);
         assert!(matches!(ship(spool.path(), &store, "m"), Err(ShipError::Store { left: 1, .. })));
         assert!(matches!(ship(spool.path(), &store, "../m"), Err(ShipError::Name(_))));
+    }
+
+    /// A store beside which somebody else sends from the same spool.
+    struct Beside<'a> {
+        spool: &'a Path,
+        store: &'a Folder,
+        calls: Cell<usize>,
+        at: usize,
+    }
+
+    impl Beside<'_> {
+        fn call(&self) {
+            self.calls.set(self.calls.get() + 1);
+            if self.calls.get() == self.at {
+                ship(self.spool, self.store, "m").unwrap();
+            }
+        }
+    }
+
+    impl Store for Beside<'_> {
+        fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
+            self.call();
+            self.store.put(key, bytes)
+        }
+
+        fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>> {
+            self.call();
+            self.store.get(key)
+        }
+    }
+
+    #[test]
+    fn two_who_send_from_one_spool_lose_nothing_and_stop_at_nothing() {
+        for at in 1..=14 {
+            let (spool, to) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+            for (name, value) in [("a", 1.0), ("b", 2.0), ("c", 3.0)] {
+                record(spool.path(), name, value);
+            }
+            let folder = Folder::open(to.path()).unwrap();
+            let store = Beside { spool: spool.path(), store: &folder, calls: Cell::new(0), at };
+            let round = ship(spool.path(), &store, "m").unwrap();
+            assert!(round.kept.is_empty(), "{at}: {:?}", round.kept);
+            assert!(waiting(spool.path()).unwrap().is_empty(), "{at}");
+            assert_eq!(std::fs::read_dir(to.path().join("inbox/m")).unwrap().count(), 3, "{at}");
+            assert_eq!(std::fs::read_dir(spool.path().join(SENT)).unwrap().count(), 3, "{at}");
+        }
+    }
+
+    #[test]
+    fn a_spool_that_cannot_be_written_sends_nothing() {
+        let (spool, to) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        record(spool.path(), "a", 1.0);
+        // A file where the folder of what was sent should be.
+        std::fs::write(spool.path().join(SENT), "").unwrap();
+        let store = Folder::open(to.path()).unwrap();
+        assert!(matches!(ship(spool.path(), &store, "m"), Err(ShipError::Spool { .. })));
+        assert!(std::fs::read_dir(to.path()).unwrap().next().is_none());
     }
 
     #[test]

@@ -64,7 +64,8 @@ impl Record {
                 return Err(whole(format!("role `{}` twice", c.role), "each role once"));
             }
             if !c.role.takes(&c.unit) {
-                return Err(whole(format!("unit `{}` of role `{}`", c.unit, c.role), "the role's unit"));
+                let own = c.role.unit().map_or("a unit".to_owned(), |u| format!("`{u}`, the role's unit"));
+                return Err(whole(format!("unit `{}` of role `{}`", c.unit, c.role), &own));
             }
             if c.data.len() != columns[0].data.len() {
                 return Err(whole(

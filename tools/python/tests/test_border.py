@@ -212,3 +212,39 @@ def test_no_points_bring_more_than_an_error(tmp_path, points, radius, tip):
         rtec.part_errors(file, radius_mm=radius, tip_mm=tip)
     except allowed:
         pass
+
+
+def test_what_numpy_would_take_for_other_numbers_is_refused_or_converted():
+    seconds = np.arange(5)
+    e = np.array([0.5, 1.5, 2.25, 3.5, 4.75])
+
+    def made(time, error=e):
+        return rtec.record("d.run.toml", "drift", {"t": ("time", time), "e": ("error.z", error)})
+
+    for unit in ["s", "ms", "us", "ns"]:
+        assert made(seconds.astype("timedelta64[s]").astype(f"timedelta64[{unit}]")).time_s.tolist() == seconds.tolist()
+    assert made(60 * seconds.astype("timedelta64[m]")).time_s.tolist() == (3600 * seconds).tolist()
+    day = np.datetime64("2026-05-01")
+    for unit in ["s", "ms", "us", "ns"]:
+        with pytest.raises(TypeError, match="expected seconds since the run began"):
+            made((day + seconds.astype("timedelta64[s]")).astype(f"datetime64[{unit}]"))
+    for values in [seconds.astype("timedelta64[s]"), e + 1j, e.astype(str)]:
+        with pytest.raises(TypeError, match="column 'e'"):
+            made(seconds, values)
+    with pytest.raises(ValueError, match="masked"):
+        made(seconds, np.ma.masked_array(np.where(e > 3, -9999, e), e > 3))
+    assert made(seconds, np.ma.masked_array(e)).columns == made(seconds).columns
+
+
+def test_a_record_is_written_as_a_record(tmp_path):
+    run = rtec.record("d.run.toml", "drift", {"t": ("time", [0.0, 1.0]), "e": ("error.z", [0.5, 1.5])})
+    for name in ["z.csv", ".run.toml", "d.toml"]:
+        with pytest.raises((ValueError, rtec.InputError), match="NAME.run.toml"):
+            run.write(tmp_path / name)
+    with pytest.raises(rtec.InputError, match="NAME.run.toml"):
+        rtec.record("z.csv", "drift", {"e": ("error.z", [0.5, 1.5])}).write()
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ValueError, match="folds -3"):
+        rtec.fit(run, folds=-3)
+    with pytest.raises(rtec.InputError, match="expected `um`"):
+        rtec.record("d.run.toml", "drift", {"e": ("error.z", [0.5, 1.5], "mm")})

@@ -259,3 +259,25 @@ def test_an_object_store(tmp_path):
         assert shop.get(shop.runs()[1]).to_csv() == data.run(1, "2026-05").to_csv()
     finally:
         serving.stop()
+
+
+def test_a_record_that_was_changed_after_it_was_sent_is_not_judged_beside_itself(tmp_path):
+    shop = Shop(tmp_path / "store")
+    shop.put_model("m1", rtec.Machine.ideal("m1"))
+    run = data.run(1, "2026-05")
+    name = run.responses[0]
+
+    def again(values):
+        columns = {n: (role, values if n == name else run[n]) for n, role, _ in run.columns}
+        return rtec.record(run.path, run.kind, columns, count_um=run.count_um, date=run.date, note=run.note)
+
+    shop.put("m1", run)
+    # Measured once more: another run of that name.
+    shop.put("m1", again(run[name] + np.random.default_rng(5).normal(0, 0.05, len(run))))
+    assert assess(shop).unreadable.empty
+    changed = run[name].copy()
+    changed[2] += 99.5
+    shop.put("m1", again(changed))
+    found = assess(shop)
+    assert len(found.unreadable) == 2 and found.unreadable["error"].str.contains(f"{len(run) - 1} of {len(run)} rows").all()
+    assert found.machines.iloc[0]["error"] is None

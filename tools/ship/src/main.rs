@@ -27,7 +27,7 @@ use std::time::Duration;
     after_help = "Example: rtec-ship --spool /var/spool/rtec --to s3://plant/shop --machine mill-7 --endpoint https://store.plant:9000\n\
         Environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN; AWS_ENDPOINT_URL_S3, AWS_ENDPOINT_URL or\n\
         AWS_ENDPOINT; AWS_REGION or AWS_DEFAULT_REGION; AWS_CA_BUNDLE, a file of the plant's own certificates; HTTPS_PROXY, NO_PROXY\n\
-        Exit codes: 0 sent; 2 bad usage, a wrong key, no such bucket; 3 the store could not be reached, or takes nothing"
+        Exit codes: 0 sent; 1 a record that is none stays in the spool; 2 bad usage, a wrong key, no such bucket; 3 the store could not be reached, or takes nothing"
 )]
 struct Args {
     /// The spool folder
@@ -54,11 +54,17 @@ struct Args {
 enum Failure {
     Bad(String),
     Away(String),
+    /// Not the store's: records that are none stay in the spool.
+    Kept(String),
 }
 
 fn main() -> ExitCode {
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Kept(said)) => {
+            eprintln!("rtec-ship: {said}");
+            ExitCode::from(1)
+        }
         Err(Failure::Bad(said)) => {
             eprintln!("rtec-ship: {said}");
             ExitCode::from(2)
@@ -88,6 +94,8 @@ fn run(args: &Args) -> Result<(), Failure> {
         let Some(seconds) = args.every else { return done };
         match done {
             Err(Failure::Away(said)) => eprintln!("warning: {said}; looked at again in {seconds} s"),
+            // Said already.
+            Err(Failure::Kept(_)) => {}
             Err(bad) => return Err(bad),
             Ok(()) => {}
         }
@@ -109,7 +117,8 @@ fn once(args: &Args, store: &S3) -> Result<(), Failure> {
         Err(e) if e.kind() != io::ErrorKind::BrokenPipe => {
             Err(Failure::Bad(format!("writing to standard output: {e}")))
         }
-        _ => Ok(()),
+        _ if round.kept.is_empty() => Ok(()),
+        _ => Err(Failure::Kept(format!("{} records stay in {}", round.kept.len(), args.spool.display()))),
     }
 }
 

@@ -57,6 +57,8 @@ def _asked(
     valid_days: int,
     despite_suspicions: bool,
 ) -> dict[str, Any]:
+    if folds < 0 or valid_days < 0:
+        raise ValueError(f"found folds {folds}, valid_days {valid_days}, expected neither below 0")
     return {
         "sensors": list(sensors),
         "environment": environment,

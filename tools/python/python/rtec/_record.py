@@ -129,7 +129,10 @@ class Record:
 
     def write(self, path: Place | None = None) -> Record:
         """Writes sidecar and CSV, each whole or not at all; to ``path`` (``NAME.run.toml``) where it is given."""
-        return Record(self._inner.write(None if path is None else os.fspath(path)))
+        to = os.fspath(self.path if path is None else path)
+        if os.path.basename(to) == ".run.toml":
+            raise ValueError(f"found the file {to!r}, expected NAME.run.toml")
+        return Record(self._inner.write(to))
 
     def suspicions(self) -> list[dict[str, Any]]:
         """Mistakes that the record itself shows: ``column``, ``rows``, ``what``, ``text``."""
@@ -145,6 +148,19 @@ def _again(
     plane: tuple[str, str] | None,
 ) -> Record:
     return record(path, kind, columns, radius_mm=radius, plane=plane, log=True, **about)
+
+
+def _numbers(name: str, role: str, values: Any) -> Numbers:
+    """Values as numbers of the role's unit. What numpy would turn into numbers of another meaning is refused."""
+    if np.ma.isMaskedArray(values) and np.ma.getmaskarray(values).any():
+        raise ValueError(f"column {name!r}: found masked values, expected a number in every row: leave those rows out")
+    found = np.asarray(values)
+    if found.dtype.kind == "m" and role == "time":
+        found = found / np.timedelta64(1, "s")
+    if found.dtype.kind in "mMcSU":
+        expected = "seconds since the run began, as (t - t[0])" if found.dtype.kind == "M" else "numbers"
+        raise TypeError(f"column {name!r}: found values of type {found.dtype}, expected {expected}")
+    return np.ascontiguousarray(found, dtype=np.float64)
 
 
 def read_record(path: Place, *, log: bool = False) -> Record:
@@ -170,7 +186,7 @@ def record(
 
     ``columns``: for each name its role and values, and for a channel its unit:
     ``{"y": ("position.y", y_mm), "e": ("error.y", e_um), "p": ("channel", p, "bar")}``; or a DataFrame with ``roles`` by name
-    (columns without a role are left out). Values are in the role's unit, one per row, finite. ``path`` is where it will stand.
+    (columns without a role are left out). Values are in the role's unit, one per row, finite; a time may be ``timedelta64``. ``path`` is where it will stand.
     """
     if roles is not None:
         columns = {name: (role, np.asarray(columns[name])) for name, role in roles.items()}
@@ -178,7 +194,7 @@ def record(
     for name, of in columns.items():
         if not isinstance(of, tuple) or len(of) not in (2, 3):
             raise TypeError(f"column {name!r}: expected (role, values) or (role, values, unit)")
-        values = np.ascontiguousarray(of[1], dtype=np.float64)
+        values = _numbers(str(name), str(of[0]), of[1])
         if values.ndim != 1:
             raise ValueError(f"column {name!r}: values of shape {values.shape}, expected one dimension")
         given.append((str(name), str(of[0]), of[2] if len(of) == 3 else None, values))

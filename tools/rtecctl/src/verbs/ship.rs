@@ -94,5 +94,8 @@ fn once(args: &Args) -> anyhow::Result<()> {
         eprintln!("warning: {finding}; it stays in the spool");
     }
     crate::say(&round.text(args.json));
-    Ok(())
+    if round.kept.is_empty() || args.every.is_some() {
+        return Ok(());
+    }
+    Err(Outcome::No(format!("{} records stay in {}", round.kept.len(), args.spool.display())).into())
 }

@@ -171,7 +171,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let mut file = std::fs::File::create(&part).with_context(|| format!("creating {}", part.display()))?;
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
     writeln!(file, "{}", rtec_files::csv::header_line(names.iter().copied()))?;
-    let start = Instant::now();
+    let (start, begun) = (Instant::now(), rtec_model::date::format(rtec_model::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
     let mut came_s = vec![0.0; columns.len()];
@@ -242,6 +242,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     }
     // Every value was checked as it came.
     let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
+    record.date = Some(begun);
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
