@@ -94,10 +94,9 @@ fn run(args: &Args) -> Result<(), Failure> {
         let Some(seconds) = args.every else { return done };
         match done {
             Err(Failure::Away(said)) => eprintln!("warning: {said}; looked at again in {seconds} s"),
-            // Said already.
-            Err(Failure::Kept(_)) => {}
+            // What stays was said.
+            Ok(()) | Err(Failure::Kept(_)) => {}
             Err(bad) => return Err(bad),
-            Ok(()) => {}
         }
         std::thread::sleep(Duration::from_secs(seconds));
     }
