@@ -241,11 +241,16 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         eprintln!("warning: {incomplete} of {rows} rows are missing: not everything had a new reading");
     }
     // Every value was checked as it came.
-    let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
-    record.date = Some(begun);
+    let mut record = dated(args.circle.apply(Record::of_checked(out, kind, columns))?, begun);
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+/// With the day that it began on.
+fn dated(mut record: Record, day: String) -> Record {
+    record.date = Some(day);
+    record
 }
 
 /// A line of the feed that cannot be read; the same again and again is said once.
