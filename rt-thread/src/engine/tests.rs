@@ -1,0 +1,147 @@
+//! The engine's short path beside its careful one, whatever is asked of them.
+
+use super::*;
+use proptest::prelude::*;
+use rtec_driver::card::AxisLines;
+
+/// Lines in memory, looked at when the test says.
+#[derive(Debug, Default)]
+struct Lines {
+    t_ns: u64,
+    inputs: u64,
+    outputs: u64,
+    tells: bool,
+}
+
+impl Card for Lines {
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        Ok(Sample::level(self.t_ns, self.inputs))
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        Ok(self.tells.then_some(self.t_ns + 20))
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// What comes before a look: edges of two axes, the machine's own lines, a request.
+#[derive(Debug, Clone, Copy)]
+enum Before {
+    Steps(i8, i8),
+    Probe,
+    Disable,
+    Stale(bool),
+    Latch,
+    Request(Request),
+}
+
+fn request() -> impl Strategy<Value = Request> {
+    let axis = 0..2_u8;
+    prop_oneof![
+        8 => (axis.clone(), -6..=6_i64)
+            .prop_map(|(axis, total_counts)| Request::Correct { axis, total_counts, large: true }),
+        1 => (axis.clone(), 0..2_i64).prop_map(|(axis, position_counts)| Request::Home { axis, position_counts }),
+        2 => (axis, 0..2_i64)
+            .prop_map(|(axis, position_counts)| Request::ConfirmHome { axis, position_counts }),
+        3 => Just(Request::Enable),
+        1 => Just(Request::Disable),
+        1 => Just(Request::Shadow),
+        1 => any::<bool>().prop_map(Request::Probe),
+        1 => any::<bool>().prop_map(Request::Hold),
+        2 => Just(Request::Clear),
+    ]
+}
+
+fn before() -> impl Strategy<Value = Before> {
+    let step = || prop_oneof![6 => Just(1_i8), 1 => Just(-1), 3 => Just(0), 1 => Just(2)];
+    prop_oneof![
+        40 => (step(), step()).prop_map(|(x, y)| Before::Steps(x, y)),
+        1 => Just(Before::Probe),
+        1 => Just(Before::Disable),
+        1 => any::<bool>().prop_map(Before::Stale),
+        1 => Just(Before::Latch),
+        6 => request().prop_map(Before::Request),
+    ]
+}
+
+fn step(inputs: &mut u64, axis: u8, counts: i8) {
+    let lines = AxisLines::standard(axis, false);
+    let state = lines.scale(*inputs);
+    let next = if counts == 2 { state.inverted(3) } else { state.next(counts > 0) };
+    for (bit, level) in [(lines.a, next.a()), (lines.b, next.b())] {
+        *inputs = *inputs & !(1 << bit) | u64::from(level) << bit;
+    }
+}
+
+/// An engine, and one that is made to look at every edge with care.
+#[derive(Debug)]
+struct One {
+    engine: Engine,
+    card: Lines,
+    told: Vec<Event>,
+    careful: bool,
+}
+
+impl One {
+    fn new(tells: bool, careful: bool) -> Self {
+        let axis = |n| AxisConfig {
+            lines: AxisLines::standard(n, false),
+            max_accel_counts_s2: 1e9,
+            ..AxisConfig::default()
+        };
+        let mut card = Lines { t_ns: 1, tells, ..Lines::default() };
+        let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
+        let mut engine = Engine::new(&mut card, &[axis(0), axis(1)], machine, &[]).unwrap();
+        engine.start_homed(&mut card, &mut |_| true).unwrap();
+        Self { engine, card, told: Vec::new(), careful }
+    }
+
+    fn look(&mut self, before: Before, gap_ns: u64) {
+        let Self { engine, card, told, careful } = self;
+        let mut report = |event| {
+            told.push(event);
+            true
+        };
+        let own = engine.machine.lines;
+        match before {
+            Before::Steps(x, y) => {
+                for (axis, counts) in [(0, x), (1, y)].into_iter().filter(|(_, counts)| *counts != 0) {
+                    step(&mut card.inputs, axis, counts);
+                }
+            }
+            Before::Probe => card.inputs ^= own.probe.map_or(0, |bit| 1 << bit),
+            Before::Disable => card.inputs ^= own.disable.map_or(0, |bit| 1 << bit),
+            Before::Stale(stale) => engine.set_control_stale(stale, &mut report),
+            Before::Latch => engine.latch(Some(1), Fault::PollGap, card, &mut report).unwrap(),
+            Before::Request(request) => engine.take(request, card, &mut report).unwrap(),
+        }
+        if *careful {
+            engine.axes.iter_mut().for_each(AxisEngine::take_care);
+        }
+        card.t_ns += gap_ns;
+        engine.poll(card, u64::MAX, &mut report).unwrap();
+    }
+}
+
+proptest! {
+    /// Whatever is asked of it, an engine that counts edges calmly does what one does that looks at each with care.
+    #[test]
+    fn calm_edges_change_nothing_whatever_is_asked(
+        looks in prop::collection::vec((before(), 100_u64..2000), 1..400),
+        tells in any::<bool>(),
+    ) {
+        let [mut calm, mut careful] = [false, true].map(|careful| One::new(tells, careful));
+        for (before, gap_ns) in looks {
+            for one in [&mut calm, &mut careful] {
+                one.look(before, gap_ns);
+            }
+            prop_assert_eq!(&calm.told, &careful.told);
+            prop_assert_eq!(&calm.card.outputs, &careful.card.outputs);
+            prop_assert_eq!(format!("{:?}", calm.engine.status()), format!("{:?}", careful.engine.status()));
+        }
+    }
+}
