@@ -86,6 +86,13 @@ impl Round {
         let places = self.sent.iter().fold(String::new(), |all, place| all + place + "\n");
         format!("{places}{} records sent, {} kept\n", self.sent.len(), self.kept.len())
     }
+
+    /// What is no record and stays in the spool, in a line; none where nothing does.
+    #[must_use]
+    pub fn stays(&self, spool: &Path) -> Option<String> {
+        let n = self.kept.len();
+        (n > 0).then(|| format!("{n} records stay in {}", spool.display()))
+    }
 }
 
 /// Why sending ended early. What was sent before is sent; what was not waits.

@@ -116,8 +116,7 @@ fn once(args: &Args, store: &S3) -> Result<(), Failure> {
         Err(e) if e.kind() != io::ErrorKind::BrokenPipe => {
             Err(Failure::Bad(format!("writing to standard output: {e}")))
         }
-        _ if round.kept.is_empty() => Ok(()),
-        _ => Err(Failure::Kept(format!("{} records stay in {}", round.kept.len(), args.spool.display()))),
+        _ => round.stays(&args.spool).map_or(Ok(()), |stays| Err(Failure::Kept(stays))),
     }
 }
 

@@ -94,8 +94,8 @@ fn once(args: &Args) -> anyhow::Result<()> {
         eprintln!("warning: {finding}; it stays in the spool");
     }
     crate::say(&round.text(args.json));
-    if round.kept.is_empty() || args.every.is_some() {
-        return Ok(());
+    match round.stays(&args.spool) {
+        Some(stays) if args.every.is_none() => Err(Outcome::No(stays).into()),
+        _ => Ok(()),
     }
-    Err(Outcome::No(format!("{} records stay in {}", round.kept.len(), args.spool.display())).into())
 }
