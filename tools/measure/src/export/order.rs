@@ -5,7 +5,7 @@ use super::own::Own;
 use super::{Csv, Errors, Format, Table, Wanted, beckhoff, siemens, usage};
 use rtec_files::InputError;
 use rtec_model::date;
-use rtec_model::machine::Machine;
+use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -209,8 +209,7 @@ fn beyond(machine: &Machine, axis: &str, [from, to]: [f64; 2]) -> Vec<String> {
     });
     let seen = machine.fits().iter().filter(|f| f.response == format!("error.{axis}"));
     for [lo, hi] in seen.filter_map(|f| f.at_mm.as_ref()?.get(axis).copied()) {
-        let margin = 0.1 * (hi - lo);
-        if from < lo - margin || to > hi + margin {
+        if !FitNote::reaches([lo, hi], [from, to]) {
             found.push(format!(
                 "the model was fitted from {lo:.1} to {hi:.1} mm of {axis}, and the table goes from {from} to {to} mm: no record has shown what the \
                  axis does there"

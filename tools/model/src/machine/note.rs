@@ -167,12 +167,16 @@ impl FitNote {
             return false;
         }
         let Some(at) = &self.at_mm else { return true };
-        Self::places(&[record]).iter().all(|(axis, [l, h])| {
-            at.get(axis).is_some_and(|[from, to]| {
-                let margin = 0.1 * (to - from);
-                *l >= from - margin && *h <= to + margin
-            })
-        })
+        Self::places(&[record])
+            .iter()
+            .all(|(axis, [l, h])| at.get(axis).is_some_and(|seen| Self::reaches(*seen, [*l, *h])))
+    }
+
+    /// Whether places seen, mm, tell of this stretch of the axis: within them, or a tenth of them beyond.
+    #[must_use]
+    pub fn reaches([from, to]: [f64; 2], [low, high]: [f64; 2]) -> bool {
+        let margin = 0.1 * (to - from);
+        low >= from - margin && high <= to + margin
     }
 
     /// The kind of a record as an interval knows it: a drift in which an axis moves is like no other.
