@@ -12,6 +12,18 @@ use std::io::Write;
 use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 
+/// So many random cases, times `RTEC_CASES` (1).
+///
+/// # Panics
+/// It is no number.
+#[must_use]
+pub fn cases(n: u64) -> u64 {
+    let times = |text: String| {
+        text.parse::<u64>().unwrap_or_else(|_| panic!("RTEC_CASES: found {text:?}, expected a number"))
+    };
+    n * std::env::var("RTEC_CASES").map_or(1, times)
+}
+
 /// Notes that a test could not run, and why. The test is to end after it.
 ///
 /// # Panics

@@ -1,5 +1,5 @@
-//! Two hundred random machines: what a fit of equation 1 says of laws that are known, and of axes without any. Machines,
-//! heat and noise are made here, by formulas of their own.
+//! Eighty random machines: what a fit of equation 1 says of laws that are known, and of axes without any. Machines, heat and
+//! noise are made here, by formulas of their own. `RTEC_CASES=3` takes three times as many, `RTEC_FIRST` others.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -7,6 +7,7 @@ use rtec_fit::thermal::{self, Options};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::Path;
+use test_needs::cases;
 use test_needs::dice::Dice;
 
 /// The law of an axis: of the bearing's difference to the air, maybe bent, maybe late.
@@ -151,7 +152,7 @@ fn judged(seed: u64) -> Vec<(&'static str, bool)> {
 
 #[test]
 fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
-    let machines: u64 = std::env::var("RTEC_MACHINES").ok().and_then(|v| v.parse().ok()).unwrap_or(200);
+    let machines = cases(80);
     let first: u64 = std::env::var("RTEC_FIRST").ok().and_then(|v| v.parse().ok()).unwrap_or(0);
     let mut counts: BTreeMap<&str, [u32; 2]> = BTreeMap::new();
     let halves = std::thread::scope(|s| {
@@ -173,7 +174,9 @@ fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
     assert!(share("nothing where there is nothing") >= 0.97);
     // A law that was put on another sensor counts as missed.
     for what in ["µm/K in its interval", "µm/K² in its interval", "lag in its interval"] {
-        assert!((0.9..=0.98).contains(&share(what)), "{what}: {}", share(what));
+        // All of thirty may be held by intervals of 95 %; of many more that would be too wide ones.
+        let too_wide = counts[what].iter().sum::<u32>() > 60 && share(what) > 0.98;
+        assert!(share(what) >= 0.9 && !too_wide, "{what}: {}", share(what));
     }
     assert!(share("no square where there is none") >= 0.95 && share("a square where there is one") >= 0.8);
     assert!(share("the right difference") >= 0.95 && share("no other beside it") >= 0.9);

@@ -11,6 +11,7 @@ use rtec_model::record::{Axis, Record};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
+use test_needs::cases;
 
 /// A machine of a plane, and its figures by the names of the intervals.
 fn machine(noise: &mut Noise, [a, b]: [&str; 2], number: u32) -> (String, BTreeMap<String, f64>) {
@@ -81,9 +82,9 @@ fn one_way_the_intervals_hold_the_truth_or_nothing_is_given() {
     for (feeds, given) in [(&[20.0][..], 1), (&[10.0, 50.0][..], 3)] {
         let mut noise = Noise(70);
         let mut held = BTreeMap::new();
-        for number in 0..60 {
+        for number in 0..cases(30) {
             let plane = PLANES[number as usize % 3];
-            let (effects, truth) = machine(&mut noise, plane, number / 3);
+            let (effects, truth) = machine(&mut noise, plane, number as u32 / 3);
             let records: Vec<Record> = feeds
                 .iter()
                 .map(|feed| {
@@ -112,9 +113,9 @@ fn one_way_the_intervals_hold_the_truth_or_nothing_is_given() {
 fn a_circle_that_begins_where_an_axis_turns_invents_no_reversal() {
     let mut noise = Noise(71);
     let mut held = BTreeMap::new();
-    for number in 0..60 {
+    for number in 0..cases(30) {
         let plane = PLANES[number as usize % 3];
-        let (effects, truth) = machine(&mut noise, plane, number / 3);
+        let (effects, truth) = machine(&mut noise, plane, number as u32 / 3);
         // A twentieth of a turn before it, in which the axis still moves out, is run and not recorded.
         let before = TAU / 20.0;
         let run = Run { plane, from: -before, rows: 360, ..Run::both(150.0, 20.0) };

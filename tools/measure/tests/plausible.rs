@@ -7,6 +7,7 @@ use rtec_measure::plausible::{What, steps_of, suspicions, unusable};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::f64::consts::TAU;
 use std::path::Path;
+use test_needs::cases;
 use test_needs::dice::Dice;
 
 fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
@@ -709,11 +710,11 @@ fn lively_drift(m: &Machine, d: &mut Dice) -> Vec<Record> {
 
 #[test]
 fn each_mistake_is_said_and_its_clean_twin_is_not() {
-    const TURNS: u64 = 25;
+    let turns = cases(15);
     let (mut said, mut all, mut wrong, mut clean) = (0, 0, 0, 0);
     for (k, (name, make, mistake, what, of)) in PAIRS.iter().enumerate() {
         let (mut own, mut missed, mut false_ones) = (0_u32, Vec::new(), Vec::new());
-        for turn in 0..TURNS {
+        for turn in 0..turns {
             let mut d = Dice::new(1000 * k as u64 + turn);
             let machine = Machine::random(&mut d);
             let records = make(&machine, &mut d);
@@ -730,9 +731,9 @@ fn each_mistake_is_said_and_its_clean_twin_is_not() {
                 missed.push((turn, found.iter().map(ToString::to_string).collect::<Vec<_>>()));
             }
         }
-        all += TURNS as u32;
+        all += turns as u32;
         said += own;
-        println!("{name:38} {own:3} of {TURNS}; clean twins suspected: {}", false_ones.len());
+        println!("{name:38} {own:3} of {turns}; clean twins suspected: {}", false_ones.len());
         missed.iter().take(2).for_each(|m| println!("    missed {m:?}"));
         false_ones.iter().take(3).for_each(|f| println!("    clean: {f}"));
     }
