@@ -48,7 +48,8 @@ impl Drive {
         loop {
             if self.motion.now_ns() >= self.until_ns {
                 self.throttle = dice.unit() * 2.0 - 1.0;
-                self.until_ns = self.motion.now_ns() + 10_000.0 + dice.unit() * 2e6;
+                // From turning round a few counts on to full speed: 10 µs to 50 ms.
+                self.until_ns = self.motion.now_ns() + 10_f64.powf(4.0 + 3.7 * dice.unit());
             }
             if let Some(edge) = self.motion.step(self.throttle) {
                 return edge;
