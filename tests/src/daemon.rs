@@ -10,7 +10,7 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -303,12 +303,12 @@ pub struct Machine {
 
 /// Time between two edges. Slow, and the separation in [`CONFIG`] long: daemon and controller are ordinary processes
 /// here, and each must see every single change of the other.
-const EDGE: Duration = Duration::from_millis(300);
+pub const EDGE: Duration = Duration::from_millis(120);
 
 /// A configuration for a [`Machine`]; `CARD` stands for the file of registers.
 pub const CONFIG: &str = "[machine]\nname = 'bench'\n[card]\nbackend = 'mapped'\nfile = 'CARD'\nhold = 'out28'\n\
     probe = 'in28'\ndisable = 'in29'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\n\
-    window_counts = 50\nmin_separation_ns = 40000000\nmax_accel_counts_s2 = 9\nhysteresis_counts = 0.2\n\
+    window_counts = 50\nmin_separation_ns = 16000000\nmax_accel_counts_s2 = 56\nhysteresis_counts = 0.2\n\
     lines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }\n";
 
 impl Machine {
@@ -417,10 +417,17 @@ impl Drop for Machine {
     }
 }
 
-/// Each daemon keeps a CPU busy: one at a time.
-pub fn alone() -> MutexGuard<'static, ()> {
-    static ONE: Mutex<()> = Mutex::new(());
-    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+/// Each daemon keeps a CPU busy, and those that drive a [`Machine`] must not look too late.
+static ROOM: RwLock<()> = RwLock::new(());
+
+/// The only daemon of this program.
+pub fn alone() -> RwLockWriteGuard<'static, ()> {
+    ROOM.write().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Beside others: for a daemon that simulates its machine itself.
+pub fn among_others() -> RwLockReadGuard<'static, ()> {
+    ROOM.read().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A bench: machine and controller on a card of shared memory, in a directory with the daemon's configuration and socket.

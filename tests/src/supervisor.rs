@@ -244,6 +244,8 @@ pub struct Trial {
     pub kills: u32,
     /// Of the random moments and totals.
     pub seed: u64,
+    /// A kill that is not aimed comes within this of the last start; what comes later is the same again.
+    pub within: Duration,
 }
 
 /// What a trial has seen without objection.
@@ -327,8 +329,8 @@ impl Trial {
             }
 
             let aimed = n % 4 == 3;
-            // Within four edges or so: what comes later is the same again.
-            let end = Instant::now() + Duration::from_millis(below(1200));
+            let within_ms = self.within.as_millis() as u64;
+            let end = Instant::now() + Duration::from_millis(below(within_ms));
             let begun = Instant::now();
             loop {
                 supervisor.listen(&mut service)?;
@@ -357,7 +359,7 @@ impl Trial {
             machine.look_twice();
             cut = machine.halfway();
             let left = machine.offset();
-            std::thread::sleep(Duration::from_millis(below(600)));
+            std::thread::sleep(Duration::from_millis(below(within_ms / 2)));
             let inverted = machine.inverted();
             ensure!(cut || machine.offset() == left, "kill {n}: a jump while nobody was there");
             writeln!(

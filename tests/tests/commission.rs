@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::daemon::{Daemon, among_others, program, until};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -19,7 +19,7 @@ fn config(simulated: &str) -> String {
 
 #[test]
 fn right_and_everything_that_can_be_wrong_is_named() {
-    let _alone = alone();
+    let _room = among_others();
     for (simulated, verdict) in [
         ("", "right"),
         ("simulated = { count_um = -1.0 }", "wrong_sign"),
@@ -78,7 +78,7 @@ fn jog(socket: &Path, to_mm: f64) -> [f64; 2] {
 /// in the controller's count is said.
 #[test]
 fn whoever_leaves_in_the_middle_leaves_nothing_requested() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("rtec.toml");
     std::fs::write(&file, config("")).unwrap();

@@ -7,6 +7,7 @@ use rtec_tests::daemon::program;
 use rtec_tests::{pages, root};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::time::Instant;
 
 fn programs() -> PathBuf {
     let rtecctl = program("rtecctl");
@@ -26,11 +27,12 @@ fn every_command_of_readme_and_guide_prints_what_stands_there() {
             let Some(file) = waiting.lock().unwrap().pop() else { break };
             let name = file.strip_prefix(root()).unwrap_or(&file).display().to_string();
             let page = std::fs::read_to_string(&file).unwrap();
-            let folder = tempfile::tempdir().unwrap();
+            let (folder, begun) = (tempfile::tempdir().unwrap(), Instant::now());
             let judged = pages::run(&page, &programs, folder.path()).and_then(|(actual, commands)| {
                 *run.lock().unwrap() += commands;
                 pages::judge(&file, actual)
             });
+            eprintln!("{:6.1} s  {name}", begun.elapsed().as_secs_f64());
             if let Err(why) = judged {
                 wrong.lock().unwrap().push((name, why));
             }

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::{root, skipped};
 use serde_json::Value;
 use std::fmt::Write as _;
@@ -86,7 +86,7 @@ fn metrics(socket: &Path) -> Command {
 
 #[test]
 fn judges_read_both_forms_and_find_the_same_as_in_the_status() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
     let daemon = Daemon::enabled(&socket);
@@ -148,7 +148,7 @@ fn judges_read_both_forms_and_find_the_same_as_in_the_status() {
 
 #[test]
 fn a_collector_finds_a_whole_file_even_when_the_daemon_is_gone() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
     let file = directory.path().join("rtec.prom");
@@ -176,7 +176,7 @@ fn a_collector_finds_a_whole_file_even_when_the_daemon_is_gone() {
 
 #[test]
 fn served_is_metrics_only_on_loopback_or_a_socket() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
     let daemon = Daemon::start(&socket, None);
@@ -299,7 +299,7 @@ fn named(rules: &str) -> Vec<&str> {
 
 #[test]
 fn what_the_rules_ask_for_is_there() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);
     let config = "[machine]\nname='m'\n[card]\nbackend='mock'\n[[axis]]\nname='x'\ncount_um=1\ntravel_mm=40\n\
@@ -326,7 +326,7 @@ fn a_prometheus_scrapes_it_and_fires_on_a_latched_fault() {
     if !there("prometheus", "prometheus") {
         return;
     }
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
     let daemon = Daemon::enabled(&socket);

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{Daemon, alone, until};
+use rtec_tests::daemon::{Daemon, among_others, until};
 use rtec_tests::sensors::Sensors;
 use serde_json::Value;
 use std::path::Path;
@@ -44,7 +44,7 @@ const GROWTH: &str =
 
 #[test]
 fn a_model_is_shown_taken_explained_held_and_unloaded() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let sensors = Sensors::start(23.0);
     let scale = "[[effect]]\nname = \"scale.x\"\nppm = 1000.0\n";
@@ -139,10 +139,10 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
 /// has changed meanwhile is not run.
 #[test]
 fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let sensors = Sensors::start(20.0);
-    let lag = GROWTH.replace("growth", "lag") + "tau_s = 40.0\n";
+    let lag = GROWTH.replace("growth", "lag") + "tau_s = 12.0\n";
     let file = set_up(directory.path(), &sensors, &lag);
     let socket = directory.path().join("s");
     let ready = |daemon: &Daemon| {
@@ -188,7 +188,7 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
 /// A model whose validity has ended is taken only by somebody who says that it is meant; that is remembered with it.
 #[test]
 fn an_expired_model_is_refused_unless_it_is_meant() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let sensors = Sensors::start(23.0);
     let fit = "[[fit]]\nresponse = \"error.x\"\ndate = \"2001-01-01\"\nvalid_until = \"2002-01-01\"\nrms_um = 1\n\

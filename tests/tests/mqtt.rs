@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::skipped;
 use std::io::{BufRead, BufReader, Read};
 use std::net::{TcpListener, TcpStream};
@@ -67,7 +67,7 @@ fn a_client_hears_faults_the_daemons_restart_and_the_brokers() {
             return skipped(&format!("no {program} (Debian: {package})"));
         }
     }
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
     let daemon = Daemon::enabled(&socket);

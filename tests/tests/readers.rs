@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_files::trace::TraceReader;
-use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, available};
 use rtec_tests::ledger::walk;
 use serde_json::Value;
@@ -28,7 +28,7 @@ fn corrected() -> (tempfile::TempDir, Daemon) {
 
 #[test]
 fn a_ledger_replays_to_the_same_totals() {
-    let _alone = alone();
+    let _room = among_others();
     let (directory, daemon) = corrected();
     let out = directory.path().join("ledger");
     let name = |file: &str| out.join(file).to_str().unwrap().to_owned();
@@ -81,7 +81,7 @@ fn a_ledger_replays_to_the_same_totals() {
 
 #[test]
 fn one_value_and_a_document_a_line() {
-    let _alone = alone();
+    let _room = among_others();
     let (directory, daemon) = corrected();
     let get = |name: &str| daemon.expect(0, &["get", name]);
     assert_eq!(get("axes.x.completed"), "20\n");
@@ -116,7 +116,7 @@ fn one_value_and_a_document_a_line() {
 
 #[test]
 fn a_bug_report_is_for_its_owner_and_whole() {
-    let _alone = alone();
+    let _room = among_others();
     let (directory, daemon) = corrected();
     let config = directory.path().join("rtec.toml");
     std::fs::write(&config, "[machine]\nname = \"m\"\npassword = \"hunter2\"\n").unwrap();
@@ -172,7 +172,7 @@ fn a_bug_report_is_for_its_owner_and_whole() {
 
 #[test]
 fn refusals_say_their_figures_and_clear_what_it_released() {
-    let _alone = alone();
+    let _room = among_others();
     let (_directory, daemon) = corrected();
     let said = daemon.expect(1, &["correct", "x", "900"]);
     assert!(
@@ -209,7 +209,7 @@ fn refusals_say_their_figures_and_clear_what_it_released() {
 
 #[test]
 fn a_total_beyond_the_warning_limit_is_taken_and_says_so() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("rtec.toml");
     std::fs::write(
@@ -242,7 +242,7 @@ fn full(args: &[&str], socket: &std::path::Path) -> Option<i32> {
 
 #[test]
 fn outputs_that_take_nothing_are_an_error_and_no_panic() {
-    let _alone = alone();
+    let _room = among_others();
     let (directory, daemon) = corrected();
     let socket = directory.path().join("s");
     let help = Command::new(program("rtecctl")).arg("--help").output().unwrap();
@@ -298,7 +298,7 @@ fn outputs_that_take_nothing_are_an_error_and_no_panic() {
 
 #[test]
 fn what_follows_ends_with_its_reader() {
-    let _alone = alone();
+    let _room = among_others();
     let (directory, _daemon) = corrected();
     for args in [&["log", "--follow"][..], &["log", "--follow", "--json"], &["status", "--watch"]] {
         let mut follow = Command::new(program("rtecctl"))

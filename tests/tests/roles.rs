@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::skipped;
 use serde_json::Value;
 use std::io::{BufRead, Write};
@@ -92,7 +92,7 @@ fn each_role_may_do_what_it_is_for_and_nothing_else() {
     if !root() {
         return skipped("to be another user takes root");
     }
-    let _alone = alone();
+    let _room = among_others();
     let group = Command::new("id").args(["-gn", "nobody"]).output().unwrap();
     let group = String::from_utf8(group.stdout).unwrap();
     let group = group.trim();
@@ -150,7 +150,7 @@ fn who_has_no_group_reaches_nothing() {
     if !root() {
         return skipped("to be another user takes root");
     }
-    let _alone = alone();
+    let _room = among_others();
     let directory = place();
     let _daemon = Daemon::start(&directory.path().join("s"), None);
     let run = nobody(directory.path(), &["status"]);
@@ -172,7 +172,7 @@ fn what_the_caller_cannot_read_is_not_read_for_him() {
     if !root() {
         return skipped("to be another user takes root");
     }
-    let _alone = alone();
+    let _room = among_others();
     let directory = place();
     let at = |name: &str| directory.path().join(name);
     std::fs::write(at("secret"), "the combination is 4 8 15\n").unwrap();
@@ -213,7 +213,7 @@ fn what_the_caller_cannot_read_is_not_read_for_him() {
 
 #[test]
 fn the_record_tells_who_did_what_and_shows_what_was_done_to_it() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
     let daemon = Daemon::enabled(&socket);

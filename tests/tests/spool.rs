@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_measure::record::{read, read_log};
-use rtec_tests::daemon::{Daemon, alone, program, until};
+use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::disk::SmallDisk;
 use rtec_tests::skipped;
 use serde_json::Value;
@@ -101,7 +101,7 @@ fn shipped(directory: &Path) -> Output {
 
 #[test]
 fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let (spool, shop) = (directory.path().join("spool"), directory.path().join("shop"));
     std::fs::create_dir(&spool).unwrap();
@@ -152,7 +152,7 @@ fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
 
 #[test]
 fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let spool = directory.path().join("spool");
     let daemon = started(directory.path(), "spool");
@@ -194,7 +194,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
 
 #[test]
 fn a_daemon_without_a_spool_says_how_to_have_one() {
-    let _alone = alone();
+    let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let daemon = Daemon::start(&directory.path().join("s"), None);
     let refused = recorded(directory.path(), "drift.run.toml");

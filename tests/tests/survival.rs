@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_tests::daemon::{Bench, CONFIG, Daemon, Machine, alone, program, until};
+use rtec_tests::daemon::{Bench, CONFIG, Daemon, EDGE, Machine, alone, program, until};
 use rtec_tests::disk::SmallDisk;
 use rtec_tests::skipped;
 use rtec_tests::supervisor::Trial;
@@ -27,7 +27,7 @@ fn killed_twenty_times_it_leaves_no_jump_and_no_illegal_state() {
     let rtecd = program("rtecd");
     let given = |name: &str| std::env::var(name).ok().map(|v| v.parse::<u64>().expect("a number"));
     let (kills, seed) = (given("RTEC_KILLS").unwrap_or(20) as u32, given("RTEC_SEED").unwrap_or(7));
-    let trial = Trial { rtecd, config: at("rtec.toml"), socket: at("s"), kills, seed };
+    let trial = Trial { rtecd, config: at("rtec.toml"), socket: at("s"), kills, seed, within: 4 * EDGE };
     let tally = trial.run(&machine, std::io::stderr()).unwrap();
     println!("{tally:?}");
     assert!(tally.kills == kills && tally.halfway >= kills / 4 && tally.inverted >= 1, "{tally:?}");
@@ -232,8 +232,8 @@ fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
     bench.correct(2);
     assert_eq!(bench.user(&["correct", "x", "40"]).0, Some(0));
     let stopped = Stopped::thread(daemon.id() as i32);
-    // Beyond `stale_ms`, and what was begun is finished.
-    bench.edges(4);
+    // Beyond `stale_ms`, half a second, and what was begun is finished.
+    bench.edges(1500 / EDGE.as_millis() as u32);
     until("an insertion is finished", || !bench.machine.halfway());
     let frozen = bench.machine.offset();
     bench.edges(6);

@@ -55,7 +55,8 @@ fn main() -> anyhow::Result<()> {
         (Some(card), None) => Machine::start(&card),
         (None, None) => unreachable!("clap requires one of them"),
     };
-    let tally = Trial { rtecd, config, socket, kills, seed }.run(&machine, std::io::stderr())?;
+    let within = Duration::from_millis(1200);
+    let tally = Trial { rtecd, config, socket, kills, seed, within }.run(&machine, std::io::stderr())?;
     println!(
         "{} kills ({} between two inversions, {} with the inverters on), {} descriptors kept: no illegal transition, no \
          jump, every ledger balanced or latched ({})",
