@@ -323,7 +323,9 @@ fn intervals_hold_the_truth_on_random_machines() {
     assert!((0.93..=0.97).contains(&(f64::from(n) / f64::from(all))), "{n} of {all}");
     for (name, (n, all)) in held {
         let share = f64::from(n) / f64::from(all);
-        assert!(all > 50 && (0.90..=0.99).contains(&share), "{name}: {n} of {all}");
+        // Of some thirty, chance alone takes a share of 95 % as far as this.
+        let (least, most) = if all > 50 { (0.90, 0.99) } else { (0.85, 1.0) };
+        assert!(all > 25 && (least..=most).contains(&share), "{name}: {n} of {all}");
     }
 }
 
