@@ -284,6 +284,18 @@ impl<'a> Cells<'a> {
     }
 }
 
+impl Cells<'_> {
+    /// The next cell's number, where the cell is a plain decimal and nothing else; it is then behind us.
+    #[inline]
+    fn plain_number(&mut self) -> Option<f64> {
+        let start = self.next.filter(|_| !self.quotes)?;
+        let rest = &self.row.text.as_bytes()[start..];
+        let (number, length) = leading_decimal(rest, self.row.by)?;
+        self.next = (length < rest.len()).then_some(start + length + 1);
+        Some(number)
+    }
+}
+
 impl<'a> Iterator for Cells<'a> {
     type Item = Cell<'a>;
 
@@ -369,36 +381,51 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// A number of digits with or without sign and point, so short that the digits and the power of ten are exact, and with
-/// them their quotient rounded once: what the standard library's parser says, with less work. `None` for all others.
+/// [`leading_decimal`] that is all of a text.
 #[inline]
 fn plain_decimal(text: &[u8]) -> Option<f64> {
+    // A line's end is in no cell.
+    leading_decimal(text, b'\n').filter(|(_, length)| *length == text.len()).map(|(number, _)| number)
+}
+
+/// A number of digits with or without sign and point, from a text's first byte to `by` or its end, and its length in bytes. So
+/// short that the digits and the power of ten are exact, and with them their quotient rounded once: what the standard
+/// library's parser says, with less work. `None` for all others.
+#[inline]
+fn leading_decimal(text: &[u8], by: u8) -> Option<(f64, usize)> {
     const EXACT_DIGITS: usize = 15;
     const TENS: [f64; EXACT_DIGITS + 1] =
         [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
-    let (negative, digits) = match text {
-        [b'-', rest @ ..] => (true, rest),
-        _ => (false, text),
-    };
-    // One more for the point.
-    if digits.is_empty() || digits.len() > EXACT_DIGITS + 1 {
-        return None;
-    }
-    let (mut whole, mut point) = (0_u64, None);
+    let negative = text.first() == Some(&b'-');
+    let digits = &text[usize::from(negative)..];
+    let (mut whole, mut point, mut length) = (0_u64, None, digits.len());
     for (at, byte) in digits.iter().enumerate() {
         match byte.wrapping_sub(b'0') {
-            digit @ 0..=9 => whole = 10 * whole + u64::from(digit),
-            _ if *byte == b'.' && point.is_none() && digits.len() > 1 => point = Some(at),
+            // What is too long to be exact is not asked for below.
+            digit @ 0..=9 => whole = whole.wrapping_mul(10).wrapping_add(u64::from(digit)),
+            _ if *byte == by => {
+                length = at;
+                break;
+            }
+            _ if *byte == b'.' && point.is_none() => point = Some(at),
             _ => return None,
         }
     }
-    let behind = match point {
-        Some(at) => digits.len() - 1 - at,
-        None if digits.len() > EXACT_DIGITS => return None,
-        None => 0,
-    };
+    let behind = point.map_or(0, |at| length - 1 - at);
+    if !(1..=EXACT_DIGITS).contains(&(length - usize::from(point.is_some()))) {
+        return None;
+    }
     let number = whole as f64 / TENS[behind];
-    Some(if negative { -number } else { number })
+    Some((if negative { -number } else { number }, length + usize::from(negative)))
+}
+
+/// What stands in a cell, as [`Header::each_number`] gives it.
+#[derive(Debug)]
+pub enum Field<'a> {
+    /// A plain decimal: what [`Cell::finite`] would say.
+    Number(f64),
+    /// Anything, with its place.
+    Cell(Cell<'a>),
 }
 
 /// The columns' names, from the first row.
@@ -530,6 +557,41 @@ impl Header {
                 return Err(cell.beyond(columns, &self.text));
             }
             take(columns, cell)?;
+            columns += 1;
+        }
+        match self.names.get(columns) {
+            Some((missing, _)) => Err(row.short(columns, self.names.len(), missing)),
+            None => Ok(()),
+        }
+    }
+
+    /// As [`Header::each`] of a row that is mostly numbers: a plain decimal is offered as a number first, and as a cell where `take`
+    /// says that it does not take that.
+    ///
+    /// # Errors
+    /// As [`Header::each`].
+    #[inline]
+    pub fn each_number<'a>(
+        &self,
+        row: Row<'a>,
+        mut take: impl FnMut(usize, Field<'a>) -> Result<bool, InputError>,
+    ) -> Result<(), InputError> {
+        let (mut cells, mut columns) = (row.cells(), 0);
+        loop {
+            let before = cells.next;
+            let number = if columns < self.names.len() { cells.plain_number() } else { None };
+            let taken = match number {
+                Some(number) => take(columns, Field::Number(number))?,
+                None => false,
+            };
+            if !taken {
+                cells.next = before;
+                let Some(cell) = cells.next() else { break };
+                if columns == self.names.len() {
+                    return Err(cell.beyond(columns, &self.text));
+                }
+                take(columns, Field::Cell(cell))?;
+            }
             columns += 1;
         }
         match self.names.get(columns) {
