@@ -397,35 +397,29 @@ fn leading_decimal(text: &[u8], by: u8) -> Option<(f64, usize)> {
     const TENS: [f64; EXACT_DIGITS + 1] =
         [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
     let negative = text.first() == Some(&b'-');
-    let digits = &text[usize::from(negative)..];
-    let (mut whole, mut point, mut length) = (0_u64, None, digits.len());
-    for (at, byte) in digits.iter().enumerate() {
-        match byte.wrapping_sub(b'0') {
-            // What is too long to be exact is not asked for below.
-            digit @ 0..=9 => whole = whole.wrapping_mul(10).wrapping_add(u64::from(digit)),
-            _ if *byte == by => {
-                length = at;
-                break;
-            }
-            _ if *byte == b'.' && point.is_none() => point = Some(at),
-            _ => return None,
+    // What is too long to be exact may overflow here: it is not asked for below.
+    let digits = |mut whole: u64, mut at: usize| {
+        while let Some(digit) = text.get(at).map(|byte| byte.wrapping_sub(b'0')).filter(|digit| *digit <= 9) {
+            whole = whole.wrapping_mul(10).wrapping_add(u64::from(digit));
+            at += 1;
         }
+        (whole, at)
+    };
+    let first = usize::from(negative);
+    let (mut whole, mut end) = digits(0, first);
+    let mut count = end - first;
+    let mut behind = 0;
+    if text.get(end) == Some(&b'.') && by != b'.' {
+        let point = end;
+        (whole, end) = digits(whole, point + 1);
+        behind = end - point - 1;
+        count += behind;
     }
-    let behind = point.map_or(0, |at| length - 1 - at);
-    if !(1..=EXACT_DIGITS).contains(&(length - usize::from(point.is_some()))) {
+    if !(1..=EXACT_DIGITS).contains(&count) || text.get(end).is_some_and(|byte| *byte != by) {
         return None;
     }
     let number = whole as f64 / TENS[behind];
-    Some((if negative { -number } else { number }, length + usize::from(negative)))
-}
-
-/// What stands in a cell, as [`Header::each_number`] gives it.
-#[derive(Debug)]
-pub enum Field<'a> {
-    /// A plain decimal: what [`Cell::finite`] would say.
-    Number(f64),
-    /// Anything, with its place.
-    Cell(Cell<'a>),
+    Some((if negative { -number } else { number }, end))
 }
 
 /// The columns' names, from the first row.
@@ -565,32 +559,30 @@ impl Header {
         }
     }
 
-    /// As [`Header::each`] of a row that is mostly numbers: a plain decimal is offered as a number first, and as a cell where `take`
-    /// says that it does not take that.
+    /// As [`Header::each`] of a row that is mostly numbers: `number` is offered each that is a plain decimal (what
+    /// [`Cell::finite`] would say) and says whether it takes it; `cell` is given every other. Both work on `to`.
     ///
     /// # Errors
     /// As [`Header::each`].
     #[inline]
-    pub fn each_number<'a>(
+    pub fn each_number<'a, T>(
         &self,
         row: Row<'a>,
-        mut take: impl FnMut(usize, Field<'a>) -> Result<bool, InputError>,
+        to: &mut T,
+        number: impl Fn(&mut T, usize, f64) -> bool,
+        cell: impl Fn(&mut T, usize, Cell<'a>) -> Result<(), InputError>,
     ) -> Result<(), InputError> {
         let (mut cells, mut columns) = (row.cells(), 0);
         loop {
             let before = cells.next;
-            let number = if columns < self.names.len() { cells.plain_number() } else { None };
-            let taken = match number {
-                Some(number) => take(columns, Field::Number(number))?,
-                None => false,
-            };
-            if !taken {
+            let plain = if columns < self.names.len() { cells.plain_number() } else { None };
+            if !plain.is_some_and(|v| number(to, columns, v)) {
                 cells.next = before;
-                let Some(cell) = cells.next() else { break };
+                let Some(other) = cells.next() else { break };
                 if columns == self.names.len() {
-                    return Err(cell.beyond(columns, &self.text));
+                    return Err(other.beyond(columns, &self.text));
                 }
-                take(columns, Field::Cell(cell))?;
+                cell(to, columns, other)?;
             }
             columns += 1;
         }

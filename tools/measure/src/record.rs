@@ -1,7 +1,7 @@
 //! Run records on file: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
 
 use rtec_files::InputError;
-use rtec_files::csv::{self, Field, Reader};
+use rtec_files::csv::{self, Reader};
 use rtec_files::toml::{Document, Table};
 use rtec_model::circle::Circle;
 use rtec_model::date;
@@ -227,29 +227,28 @@ fn parse_csv(path: &Path, bytes: &[u8], sidecar: &Sidecar) -> Result<Vec<Column>
         }
     }
     let ranges: Vec<Option<[f64; 2]>> = columns.iter().map(|c| range_alone(&c.role)).collect();
-    while let Some(row) = reader.row()? {
-        header.each_number(row, |place, field| {
-            let Some(slot) = slots[place] else { return Ok(true) };
-            let column = &mut columns[slot];
-            let cell = match field {
-                Field::Cell(cell) => cell,
-                Field::Number(v) => {
-                    let good = match ranges[slot] {
-                        Some([low, high]) => v >= low && v <= high,
-                        None => check(&column.role, v, column.data.last().copied()).is_ok(),
-                    };
-                    if good {
-                        column.data.push(v);
-                    }
-                    return Ok(good);
-                }
-            };
-            let v = cell.finite().map_err(|e| header.named(place, e))?;
-            let checked = check(&column.role, v, column.data.last().copied());
-            checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
+    let number = |columns: &mut Vec<Column>, place: usize, v: f64| {
+        let Some(slot) = slots[place] else { return true };
+        let column = &mut columns[slot];
+        let good = match ranges[slot] {
+            Some([low, high]) => v >= low && v <= high,
+            None => check(&column.role, v, column.data.last().copied()).is_ok(),
+        };
+        if good {
             column.data.push(v);
-            Ok(true)
-        })?;
+        }
+        good
+    };
+    let cell = |columns: &mut Vec<Column>, place: usize, cell: csv::Cell<'_>| {
+        let Some(column) = slots[place].map(|slot| &mut columns[slot]) else { return Ok(()) };
+        let v = cell.finite().map_err(|e| header.named(place, e))?;
+        let checked = check(&column.role, v, column.data.last().copied());
+        checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
+        column.data.push(v);
+        Ok(())
+    };
+    while let Some(row) = reader.row()? {
+        header.each_number(row, &mut columns, number, cell)?;
     }
     if columns.first().is_none_or(|c| c.data.is_empty()) {
         return Err(header.no_rows());
