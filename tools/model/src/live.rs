@@ -115,7 +115,8 @@ struct Item {
     reading: usize,
     /// Where each component goes among the sums.
     to: [usize; 2],
-    pair: bool,
+    /// A pair has two.
+    components: usize,
     /// It fades, or stands only while probing: what it is worth is not its value alone.
     weighed: bool,
     probing_only: bool,
@@ -248,10 +249,10 @@ impl Live {
                 (None, _) => 2 * count + 1,
             };
             let coefficients = effect.coefficients();
-            let pair = law.naming == Naming::Pair;
+            let components = if law.naming == Naming::Pair { 2 } else { 1 };
             let weighed = effect.range_k.is_some() || law.probing == Probing::Only;
             let quick = match coefficients[..] {
-                [only] if !pair && !weighed => effect.law().stateless().map(|basis| (basis, only)),
+                [only] if components == 1 && !weighed => effect.law().stateless().map(|basis| (basis, only)),
                 _ => None,
             };
             items.push(Item {
@@ -259,7 +260,7 @@ impl Live {
                 quick,
                 reading,
                 to: [to(0), to(1)],
-                pair,
+                components,
                 weighed,
                 probing_only: law.probing == Probing::Only,
                 lagged: law.lag.is_some(),
@@ -322,7 +323,7 @@ impl Live {
                 }
                 item.now[component] = value;
                 self.sums[item.to[component]] += value;
-                if !item.pair || component == 1 {
+                if component + 1 == item.components {
                     break;
                 }
                 // Both components of a pair start from the same state.

@@ -175,7 +175,9 @@ proptest! {
             };
             live.evaluate(&frame);
             let mut sums = Sums::default();
-            plain.iter_mut().for_each(|p| p.add(&frame, &mut sums));
+            for p in &mut plain {
+                p.add(&frame, &mut sums);
+            }
             // A zero has no sign here: what is added to nothing is what it was.
             let bits = |v: &[f64]| v.iter().map(|v| (v + 0.0).to_bits()).collect::<Vec<_>>();
             prop_assert_eq!(bits(live.errors_um()), bits(&sums.0));

@@ -5,6 +5,9 @@ use std::collections::HashSet;
 type Point = (f64, f64);
 type Pixel = (i32, i32);
 
+/// A column of pixels, and the first, lowest, highest and last point in it: number, point, height.
+type Column = (i32, [(usize, Point, i32); 4]);
+
 /// Fewer are drawn as they are.
 const MANY: usize = 2000;
 
@@ -20,9 +23,8 @@ pub(super) fn line(points: &[Point], pixel: impl Fn(&Point) -> Pixel) -> Vec<Poi
         return finite(points).collect();
     }
     let mut kept = Vec::new();
-    // First, lowest, highest, last of the present column, each with its number.
-    let mut column: Option<(i32, [(usize, Point, i32); 4])> = None;
-    let mut close = |column: Option<(i32, [(usize, Point, i32); 4])>| {
+    let mut column: Option<Column> = None;
+    let mut close = |column: Option<Column>| {
         let Some((_, mut four)) = column else { return };
         four.sort_by_key(|(number, ..)| *number);
         let before = kept.len();
