@@ -284,6 +284,18 @@ impl<'a> Cells<'a> {
     }
 }
 
+impl Cells<'_> {
+    /// The next cell's number, where the cell is a plain decimal and nothing else; it is then behind us.
+    #[inline]
+    fn plain_number(&mut self) -> Option<f64> {
+        let start = self.next.filter(|_| !self.quotes)?;
+        let rest = &self.row.text.as_bytes()[start..];
+        let (number, length) = leading_decimal(rest, self.row.by)?;
+        self.next = (length < rest.len()).then_some(start + length + 1);
+        Some(number)
+    }
+}
+
 impl<'a> Iterator for Cells<'a> {
     type Item = Cell<'a>;
 
@@ -369,36 +381,45 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// A number of digits with or without sign and point, so short that the digits and the power of ten are exact, and with
-/// them their quotient rounded once: what the standard library's parser says, with less work. `None` for all others.
+/// [`leading_decimal`] that is all of a text.
 #[inline]
 fn plain_decimal(text: &[u8]) -> Option<f64> {
+    // A line's end is in no cell.
+    leading_decimal(text, b'\n').filter(|(_, length)| *length == text.len()).map(|(number, _)| number)
+}
+
+/// A number of digits with or without sign and point, from a text's first byte to `by` or its end, and its length in bytes. So
+/// short that the digits and the power of ten are exact, and with them their quotient rounded once: what the standard
+/// library's parser says, with less work. `None` for all others.
+#[inline]
+fn leading_decimal(text: &[u8], by: u8) -> Option<(f64, usize)> {
     const EXACT_DIGITS: usize = 15;
     const TENS: [f64; EXACT_DIGITS + 1] =
         [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
-    let (negative, digits) = match text {
-        [b'-', rest @ ..] => (true, rest),
-        _ => (false, text),
+    let negative = text.first() == Some(&b'-');
+    // What is too long to be exact may overflow here: it is not asked for below.
+    let digits = |mut whole: u64, mut at: usize| {
+        while let Some(digit) = text.get(at).map(|byte| byte.wrapping_sub(b'0')).filter(|digit| *digit <= 9) {
+            whole = whole.wrapping_mul(10).wrapping_add(u64::from(digit));
+            at += 1;
+        }
+        (whole, at)
     };
-    // One more for the point.
-    if digits.is_empty() || digits.len() > EXACT_DIGITS + 1 {
+    let first = usize::from(negative);
+    let (mut whole, mut end) = digits(0, first);
+    let mut count = end - first;
+    let mut behind = 0;
+    if text.get(end) == Some(&b'.') && by != b'.' {
+        let point = end;
+        (whole, end) = digits(whole, point + 1);
+        behind = end - point - 1;
+        count += behind;
+    }
+    if !(1..=EXACT_DIGITS).contains(&count) || text.get(end).is_some_and(|byte| *byte != by) {
         return None;
     }
-    let (mut whole, mut point) = (0_u64, None);
-    for (at, byte) in digits.iter().enumerate() {
-        match byte.wrapping_sub(b'0') {
-            digit @ 0..=9 => whole = 10 * whole + u64::from(digit),
-            _ if *byte == b'.' && point.is_none() && digits.len() > 1 => point = Some(at),
-            _ => return None,
-        }
-    }
-    let behind = match point {
-        Some(at) => digits.len() - 1 - at,
-        None if digits.len() > EXACT_DIGITS => return None,
-        None => 0,
-    };
     let number = whole as f64 / TENS[behind];
-    Some(if negative { -number } else { number })
+    Some((if negative { -number } else { number }, end))
 }
 
 /// The columns' names, from the first row.
@@ -530,6 +551,39 @@ impl Header {
                 return Err(cell.beyond(columns, &self.text));
             }
             take(columns, cell)?;
+            columns += 1;
+        }
+        match self.names.get(columns) {
+            Some((missing, _)) => Err(row.short(columns, self.names.len(), missing)),
+            None => Ok(()),
+        }
+    }
+
+    /// As [`Header::each`] of a row that is mostly numbers: `number` is offered each that is a plain decimal (what
+    /// [`Cell::finite`] would say) and says whether it takes it; `cell` is given every other. Both work on `to`.
+    ///
+    /// # Errors
+    /// As [`Header::each`].
+    #[inline]
+    pub fn each_number<'a, T>(
+        &self,
+        row: Row<'a>,
+        to: &mut T,
+        number: impl Fn(&mut T, usize, f64) -> bool,
+        cell: impl Fn(&mut T, usize, Cell<'a>) -> Result<(), InputError>,
+    ) -> Result<(), InputError> {
+        let (mut cells, mut columns) = (row.cells(), 0);
+        loop {
+            let before = cells.next;
+            let plain = if columns < self.names.len() { cells.plain_number() } else { None };
+            if !plain.is_some_and(|v| number(to, columns, v)) {
+                cells.next = before;
+                let Some(other) = cells.next() else { break };
+                if columns == self.names.len() {
+                    return Err(other.beyond(columns, &self.text));
+                }
+                cell(to, columns, other)?;
+            }
             columns += 1;
         }
         match self.names.get(columns) {

@@ -1,9 +1,7 @@
-//! How fast: a model of thirty effects at one instant, a record read, a fit of 78 h of sixteen sensors. Prints, asserts
+//! How fast: a record read, a fit of 78 h of sixteen sensors. Prints, asserts
 //! nothing: `cargo bench -p rtec-fit`.
 
 use rtec_fit::thermal::{self, Options};
-use rtec_model::effect::{Dictionary, Difference, Effect, Need};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::hint::black_box;
 use std::path::Path;
@@ -24,28 +22,6 @@ fn median_ns(runs: usize, mut run: impl FnMut()) -> f64 {
         .collect();
     times.sort_by(f64::total_cmp);
     times[times.len() / 2]
-}
-
-/// One effect of every law of the dictionary (thirty).
-fn every_law() -> Vec<Effect> {
-    let d = Dictionary::default();
-    let mut effects = Vec::new();
-    for law in d.laws() {
-        let name = &law.describe().name;
-        let name = match law.describe().naming {
-            rtec_model::effect::Naming::Plain => name.clone(),
-            rtec_model::effect::Naming::One => format!("{name}.x"),
-            rtec_model::effect::Naming::Two | rtec_model::effect::Naming::Pair => format!("{name}.x.z"),
-            rtec_model::effect::Naming::Three => format!("{name}.x.y.z"),
-            rtec_model::effect::Naming::Channel => format!("{name}.x.load"),
-        };
-        let mut e = d.effect(&name).expect("the dictionary's own names");
-        if e.description().needs.contains(&Need::Delta) {
-            e.delta = Some(Difference::pair("T1", "T2"));
-        }
-        effects.push(e);
-    }
-    effects
 }
 
 fn log(rows: usize, sensors: usize) -> Record {
@@ -79,34 +55,6 @@ fn log(rows: usize, sensors: usize) -> Record {
 }
 
 fn main() {
-    let effects = every_law();
-    let layout = Layout {
-        axes: vec![axis("x"), axis("y"), axis("z")],
-        sensors: vec!["T1".into(), "T2".into()],
-        channels: vec!["load".into()],
-    };
-    let mut live = Live::new(&effects, layout).expect("everything is in the layout");
-    let mut t = 0.0_f64;
-    let per_1000 = median_ns(200, || {
-        for _ in 0..1000 {
-            t += 0.01;
-            let axes = [
-                AxisNow::moving(100.0 * t.sin(), t.cos()),
-                AxisNow::moving(t, 1.0),
-                AxisNow::moving(2.0, -1.0),
-            ];
-            live.evaluate(&Frame {
-                t_s: t,
-                axes: &axes,
-                temperatures_degc: &[25.0, 20.0],
-                channels: &[1.0],
-                ..Frame::default()
-            });
-            black_box(live.errors_um());
-        }
-    });
-    println!("live: {} effects in {:.2} µs", effects.len(), per_1000 / 1e6);
-
     let dir = tempfile::tempdir().expect("a temporary directory");
     for (rows, sensors) in [(5000, 23), (4681, 16)] {
         let mut record = log(rows, sensors);

@@ -2,6 +2,7 @@
 
 mod look;
 mod polar;
+mod thin;
 mod vectors;
 
 pub use polar::Polar;
@@ -286,7 +287,13 @@ impl Chart {
         let width_of_bar = if self.x_names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
         for (i, s) in self.series.iter().enumerate() {
             let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
-            let points = s.points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite());
+            let pixel = |p: &(f64, f64)| chart.plotting_area().map_coordinate(p);
+            let points = match s.style {
+                Style::Line => thin::line(&s.points, pixel),
+                Style::Dots => thin::dots(&s.points, pixel),
+                Style::Bars | Style::Band => thin::finite(&s.points).collect(),
+            }
+            .into_iter();
             match (s.style, look::dash(place)) {
                 (Style::Line, None) => {
                     chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?;
@@ -309,7 +316,8 @@ impl Chart {
                 }
                 (Style::Band, _) => {
                     let (lower, upper) = s.points.split_at(s.points.len() / 2);
-                    let around: Vec<_> = lower.iter().chain(upper.iter().rev()).copied().collect();
+                    let (lower, upper) = (thin::line(lower, pixel), thin::line(upper, pixel));
+                    let around: Vec<_> = lower.into_iter().chain(upper.into_iter().rev()).collect();
                     chart.draw_series(std::iter::once(Polygon::new(around, colour.mix(0.2).filled())))?;
                 }
             }

@@ -1,6 +1,7 @@
 //! A model evaluated at one instant: what the corrector asks every 10–20 ms and the simulator at every step.
 //!
-//! Everything is looked up by name once, in [`Live::new`]; [`Live::evaluate`] allocates nothing.
+//! Everything is looked up by name once, in [`Live::new`]; [`Live::evaluate`] allocates nothing. Effects that read the same
+//! (axes, temperature difference, channel) read it from one place, which is filled once an instant ([`Reading`]).
 //!
 //! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades: what the held
 //! part leaves out, u = |gain|·excess, is weighed against the model's own uncertainty h (half width of its prediction
@@ -11,7 +12,8 @@
 
 use crate::chain::Chain;
 use crate::effect::{
-    Against, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC, State, sign,
+    Against, Basis, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC,
+    State, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
@@ -82,28 +84,45 @@ impl Frame<'_> {
     }
 }
 
+/// Places in a frame of what an effect reads.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Places {
+    /// Of the name's axes among the layout's.
+    axes: [Option<usize>; 3],
+    /// Of the sensor and of the one to take off.
+    sensor: Option<usize>,
+    minus: Option<usize>,
+    reference: f64,
+    channel: Option<usize>,
+}
+
+/// What the effects of the same places read at an instant.
+#[derive(Debug, Clone)]
+struct Reading {
+    places: Places,
+    /// Filled at every instant. Time and ΔT of a thermal one stand still while one of its axes is held.
+    now: Input,
+}
+
 /// An effect with everything it reads looked up.
 #[derive(Debug, Clone)]
 struct Item {
     effect: Effect,
     coefficients: Vec<f64>,
-    /// Places of the name's axes among the layout's.
-    axes: [Option<usize>; 3],
-    /// Places of the sensor and of the one to take off.
-    sensor: Option<usize>,
-    minus: Option<usize>,
-    reference: f64,
-    channel: Option<usize>,
-    probing_only: bool,
+    /// Where it is one coefficient times a function of what is read, on one axis, weighed by nothing: those two.
+    quick: Option<(Basis, f64)>,
+    /// Which of the readings is its own.
+    reading: usize,
+    /// Where each component goes among the sums.
+    to: [usize; 2],
+    /// A pair has two.
     components: usize,
-    quantity: Quantity,
-    /// It has no axis: its error is radial.
-    plain: bool,
+    /// It fades, or stands only while probing: what it is worth is not its value alone.
+    weighed: bool,
+    probing_only: bool,
     lagged: bool,
     state: State,
     half_width_um: f64,
-    /// ΔT and time of the last instant at which it was not held.
-    thermal: (f64, f64),
     /// What each component is worth now.
     now: [f64; 2],
     /// How far ΔT is outside the range it was fitted on, K, and what is left of the effect for it.
@@ -139,12 +158,12 @@ struct LiveChain {
 #[derive(Debug, Clone)]
 pub struct Live {
     layout: Layout,
+    readings: Vec<Reading>,
     items: Vec<Item>,
     chain: Option<LiveChain>,
     scratch: Vec<f64>,
-    errors_um: Vec<f64>,
-    forces_n: Vec<f64>,
-    radial_um: f64,
+    /// Errors of the layout's axes, µm; their forces, N; the radial error; what acts on no axis of the layout.
+    sums: Vec<f64>,
 }
 
 impl Live {
@@ -189,8 +208,9 @@ impl Live {
     /// # Errors
     /// A sensor or channel that the layout does not have. An axis that it does not have reads as zero.
     pub fn new<'e>(effects: impl IntoIterator<Item = &'e Effect>, layout: Layout) -> Result<Self, Missing> {
-        let mut items = Vec::new();
+        let (mut items, mut readings) = (Vec::new(), Vec::<Reading>::new());
         let mut longest = 0;
+        let count = layout.axes.len();
         for effect in effects {
             let find = |what: &str, names: &[String], name: &str| {
                 names.iter().position(|n| n == name).ok_or_else(|| Missing {
@@ -216,38 +236,44 @@ impl Live {
             }
             let channel = effect.channel().map(|c| find("channel", &layout.channels, c)).transpose()?;
             longest = longest.max(effect.coefficient_count());
+            let places = Places { axes, sensor, minus, reference, channel };
+            let reading = readings.iter().position(|r| r.places == places).unwrap_or_else(|| {
+                readings.push(Reading { places, now: Input::default() });
+                readings.len() - 1
+            });
             let law = effect.description();
+            let to = |component: usize| match (axes[component], law.quantity) {
+                (Some(a), Quantity::Error) => a,
+                (Some(a), Quantity::Force) => count + a,
+                (None, _) if law.naming == Naming::Plain => 2 * count,
+                (None, _) => 2 * count + 1,
+            };
+            let coefficients = effect.coefficients();
+            let components = if law.naming == Naming::Pair { 2 } else { 1 };
+            let weighed = effect.range_k.is_some() || law.probing == Probing::Only;
+            let quick = match coefficients[..] {
+                [only] if components == 1 && !weighed => effect.law().stateless().map(|basis| (basis, only)),
+                _ => None,
+            };
             items.push(Item {
-                coefficients: effect.coefficients(),
-                axes,
-                sensor,
-                minus,
-                reference,
-                channel,
+                coefficients,
+                quick,
+                reading,
+                to: [to(0), to(1)],
+                components,
+                weighed,
                 probing_only: law.probing == Probing::Only,
-                components: if law.naming == Naming::Pair { 2 } else { 1 },
-                quantity: law.quantity,
-                plain: law.naming == Naming::Plain,
                 lagged: law.lag.is_some(),
                 state: State::default(),
                 half_width_um: DEFAULT_HALF_WIDTH_UM,
-                thermal: (0.0, 0.0),
                 now: [0.0; 2],
                 outside_k: 0.0,
                 weight: 1.0,
                 effect: effect.clone(),
             });
         }
-        let axes = layout.axes.len();
-        Ok(Self {
-            layout,
-            items,
-            chain: None,
-            scratch: vec![0.0; longest],
-            errors_um: vec![0.0; axes],
-            forces_n: vec![0.0; axes],
-            radial_um: 0.0,
-        })
+        let (scratch, sums) = (vec![0.0; longest], vec![0.0; 2 * count + 2]);
+        Ok(Self { layout, readings, items, chain: None, scratch, sums })
     }
 
     /// The layout it was made for.
@@ -268,56 +294,41 @@ impl Live {
     /// # Panics
     /// When the frame has fewer values than the layout has names.
     pub fn evaluate(&mut self, frame: &Frame<'_>) {
-        self.errors_um.fill(0.0);
-        self.forces_n.fill(0.0);
-        self.radial_um = 0.0;
+        for reading in &mut self.readings {
+            reading.fill(frame);
+        }
+        self.sums.fill(0.0);
         for item in &mut self.items {
-            let at = |n: usize| item.axes[n].map_or(AxisNow::default(), |a| frame.axes[a]);
-            let first = at(0);
-            let (mut delta_k, mut t_s) = (0.0, frame.t_s);
-            if let Some(s) = item.sensor {
-                if !item.axes.iter().any(|a| frame.holds(*a)) {
-                    let from = item.minus.map_or(item.reference, |m| frame.temperatures_degc[m]);
-                    item.thermal = (frame.temperatures_degc[s] - from, frame.t_s);
-                }
-                (delta_k, t_s) = item.thermal;
+            let now = &self.readings[item.reading].now;
+            if let Some((basis, coefficient)) = item.quick {
+                let mut value = [0.0];
+                basis(now, 0, &mut value);
+                item.now[0] = coefficient * value[0];
+                self.sums[item.to[0]] += item.now[0];
+                continue;
             }
-            let input = Input {
-                t_s,
-                p_mm: [first.position_mm, at(1).position_mm, at(2).position_mm],
-                dir: first.direction,
-                v_mm_s: first.velocity_mm_s,
-                a_mm_s2: first.acceleration_mm_s2,
-                load_n: first.load_n,
-                delta_k,
-                rpm: frame.rpm,
-                coolant: frame.coolant,
-                angle_rad: frame.angle_rad,
-                channel: item.channel.map_or(0.0, |c| frame.channels[c]),
-            };
             let basis = &mut self.scratch[..item.coefficients.len()];
-            let before = if item.components == 2 { item.state } else { State::default() };
-            for component in 0..item.components {
-                // Both components of a pair start from the same state.
-                if component == 1 {
-                    item.state = before;
-                }
-                item.effect.law().basis(&item.effect, &input, component, &mut item.state, basis);
-                let value = match (&*item.coefficients, &*basis) {
-                    // Most laws have one, and a loop costs more than it does.
+            let mut component = 0;
+            loop {
+                let before = item.state;
+                item.effect.law().basis(&item.effect, now, component, &mut item.state, basis);
+                let mut value = match (&*item.coefficients, &*basis) {
+                    // Most laws have one or two, and a loop costs more than they do.
                     ([c], [b]) => c * b,
+                    ([c, d], [a, b]) => c * a + d * b,
                     (all, basis) => all.iter().zip(basis).map(|(c, b)| c * b).sum(),
                 };
-                let value = if item.probing_only && !frame.probing { 0.0 } else { value };
-                item.fade(delta_k);
-                let value = value * item.weight;
-                item.now[component] = value;
-                match (item.axes[component], item.quantity) {
-                    (Some(a), Quantity::Error) => self.errors_um[a] += value,
-                    (Some(a), Quantity::Force) => self.forces_n[a] += value,
-                    (None, _) if item.plain => self.radial_um += value,
-                    (None, _) => {}
+                if item.weighed {
+                    value = item.weigh(value, now.delta_k, frame.probing);
                 }
+                item.now[component] = value;
+                self.sums[item.to[component]] += value;
+                if component + 1 == item.components {
+                    break;
+                }
+                // Both components of a pair start from the same state.
+                item.state = before;
+                component = 1;
             }
         }
         if let Some(live) = &mut self.chain {
@@ -342,7 +353,7 @@ impl Live {
             live.now_um = live.chain.error_um(position, delta);
             for (place, e) in live.out.iter().zip(live.now_um) {
                 if let Some(a) = place {
-                    self.errors_um[*a] += e;
+                    self.sums[*a] += e;
                 }
             }
         }
@@ -351,19 +362,20 @@ impl Live {
     /// Error of every axis of the layout at the last instant, µm.
     #[must_use]
     pub fn errors_um(&self) -> &[f64] {
-        &self.errors_um
+        &self.sums[..self.layout.axes.len()]
     }
 
     /// Force of every axis of the layout at the last instant, N.
     #[must_use]
     pub fn forces_n(&self) -> &[f64] {
-        &self.forces_n
+        let axes = self.layout.axes.len();
+        &self.sums[axes..2 * axes]
     }
 
     /// Radial error of the probe's and the part's own effects at the last instant, µm.
     #[must_use]
     pub fn radial_um(&self) -> f64 {
-        self.radial_um
+        self.sums[2 * self.layout.axes.len()]
     }
 
     /// Every effect with what it was worth at the last instant.
@@ -383,7 +395,43 @@ impl Live {
     }
 }
 
+impl Reading {
+    fn fill(&mut self, frame: &Frame<'_>) {
+        let Places { axes, sensor, minus, reference, channel } = &self.places;
+        let nowhere = AxisNow::default();
+        let at = |n: usize| axes[n].map_or(&nowhere, |a| &frame.axes[a]);
+        let first = at(0);
+        let mut thermal = (0.0, frame.t_s);
+        if let Some(s) = *sensor {
+            thermal = (self.now.delta_k, self.now.t_s);
+            if !axes.iter().any(|a| frame.holds(*a)) {
+                let from = minus.map_or(*reference, |m| frame.temperatures_degc[m]);
+                thermal = (frame.temperatures_degc[s] - from, frame.t_s);
+            }
+        }
+        self.now = Input {
+            t_s: thermal.1,
+            p_mm: [first.position_mm, at(1).position_mm, at(2).position_mm],
+            dir: first.direction,
+            v_mm_s: first.velocity_mm_s,
+            a_mm_s2: first.acceleration_mm_s2,
+            load_n: first.load_n,
+            delta_k: thermal.0,
+            rpm: frame.rpm,
+            coolant: frame.coolant,
+            angle_rad: frame.angle_rad,
+            channel: channel.map_or(0.0, |c| frame.channels[c]),
+        };
+    }
+}
+
 impl Item {
+    /// What is left of a value outside the range that it was fitted on, or while nothing is probed.
+    fn weigh(&mut self, value: f64, delta_k: f64, probing: bool) -> f64 {
+        self.fade(delta_k);
+        if self.probing_only && !probing { 0.0 } else { value * self.weight }
+    }
+
     /// How far ΔT (after the lag, where there is one) is outside, and what is left of the effect for it.
     fn fade(&mut self, delta_k: f64) {
         let Some([lo, hi]) = self.effect.range_k else { return };

@@ -271,6 +271,12 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
     }
 }
 
+/// The range that [`check`] asks of a value of this role where it asks nothing else.
+#[must_use]
+pub fn range_alone(role: &Role) -> Option<[f64; 2]> {
+    (!matches!(role, Role::Time | Role::Direction(_))).then(|| limits::possible(role))
+}
+
 /// [`limits::possible`] in words.
 fn possible_text(role: &Role) -> &'static str {
     match role {

@@ -33,6 +33,9 @@ const FEWEST_TO_LEARN: usize = 8;
 const FEW: usize = 30;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
+/// More rows are not looked at: an effect's value is then known to a hundredth of the noise, and what a search takes grows with rows times
+/// candidates, to minutes and a gigabyte.
+const MOST_ROWS: usize = 20_000;
 
 /// The first stage alone: where measured and simulated disagree.
 ///
@@ -144,6 +147,11 @@ pub fn reconcile(
         for g in &mut gap {
             g.doubted = true;
         }
+    }
+    if at_least_every(train) > 1 {
+        left_out.push(format!(
+            "of {rows} rows one of every {every}, drawn: {MOST_ROWS} at most are looked at, which say the same"
+        ));
     }
     let mut said = doubts.said;
     left_out.extend(
@@ -416,17 +424,40 @@ impl Analysed {
 /// The analysis of every nth row, n the least power of two at which noise and effects are told apart: rows much closer
 /// than the noise forgets (a filtered force, sampled fast) say the same thing over and over.
 fn thinned<'r>(train: &'r [Record], machine: &Machine, level: f64) -> (Answer, Cow<'r, [Record]>, usize) {
-    let mut every = 1;
-    let mut used = Cow::Borrowed(train);
+    let first = at_least_every(train);
+    let bounded: Cow<'r, [Record]> = match first {
+        1 => Cow::Borrowed(train),
+        _ => train.iter().map(|r| r.select(&drawn(r.rows(), first))).collect(),
+    };
+    let mut beyond = 1;
+    let mut used = bounded.clone();
     loop {
         let rows: usize = used.iter().map(Record::rows).sum();
         if let Some(answer) = analyse(&used, machine, level, rows >= 2 * FEWEST_ROWS) {
-            return (answer, used, every);
+            return (answer, used, first * beyond);
         }
-        every *= 2;
-        let of = |r: &Record| r.select(&(0..r.rows()).step_by(every).collect::<Vec<_>>());
-        used = train.iter().map(of).collect();
+        beyond *= 2;
+        let of = |r: &Record| r.select(&(0..r.rows()).step_by(beyond).collect::<Vec<_>>());
+        used = bounded.iter().map(of).collect();
     }
+}
+
+/// One row of how many is looked at before anything is known of them: the least power of two that leaves [`MOST_ROWS`] at most.
+fn at_least_every(records: &[Record]) -> usize {
+    let rows: usize = records.iter().map(Record::rows).sum();
+    rows.div_ceil(MOST_ROWS).next_power_of_two()
+}
+
+/// One row of each stretch of so many, at a place in it that a fixed sequence draws: rows an equal number apart may all be of one
+/// target, or of one way.
+fn drawn(rows: usize, every: usize) -> Vec<usize> {
+    (0..rows)
+        .step_by(every)
+        .map(|from| {
+            let dice = (from as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            from + (dice >> 33) as usize % every.min(rows - from)
+        })
+        .collect()
 }
 
 /// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
@@ -511,6 +542,42 @@ mod tests {
         run.count_um = Some(2.0);
         assert!((whole_counts(&effect, &[run.clone()], &[0.5, 0.0]).scalar(0) - 10.0).abs() < 1e-12);
         assert!((whole_counts(&effect, &[run], &[0.1, 0.0]).scalar(0) - 9.7).abs() < 1e-12);
+    }
+
+    /// Of very many rows some are looked at, which is said; what is found and its share are those of the whole.
+    #[test]
+    fn of_very_many_rows_as_many_as_are_needed_are_looked_at() {
+        let rows = 2 * MOST_ROWS + 1;
+        let dice = noise(7, rows);
+        let mut run = record(rows, |i| dice[i as usize]);
+        let p = run.columns[1].data.clone();
+        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
+            *e += 120.0 * p / 1000.0;
+        }
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        let (f, half) = &r.effects[0];
+        assert_eq!((r.verdict, f.effect.name().as_str()), (Verdict::Named, "scale.x"), "{}", r.to_json());
+        assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && half[0] < 1.0);
+        assert!(r.every >= 4 && r.left_out.iter().any(|l| l.contains("one of every")), "{:?}", r.left_out);
+        assert_eq!(r.traces[0].time_s.len(), rows);
+    }
+
+    /// Whatever the length: one of each stretch, in order; not always the same place of it.
+    #[test]
+    fn rows_are_drawn_one_of_each_stretch() {
+        for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {
+            let of = drawn(rows, every);
+            assert_eq!(of.len(), rows.div_ceil(every));
+            assert!(
+                of.iter().enumerate().all(|(n, row)| row / every == n && *row < rows),
+                "{rows} by {every}"
+            );
+        }
+        let places = drawn(80_000, 8).into_iter().fold([0; 8], |mut of, row| {
+            of[row % 8] += 1;
+            of
+        });
+        assert!(places.iter().all(|n| (1000..1500).contains(n)), "{places:?}");
     }
 
     /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.

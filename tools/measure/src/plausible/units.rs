@@ -133,12 +133,32 @@ fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
     if steps.iter().copied().fold(0.0, f64::max) > 0.2 * size {
         return None;
     }
+    shortest_window(t, &c.data, size / 2.0)
+}
+
+/// Shortest time in which the values come to lie so far apart. Each row goes into the window once and out once: the rows that can
+/// still be its highest or its lowest wait in order.
+fn shortest_window(t: &[f64], data: &[f64], apart: f64) -> Option<f64> {
     let mut shortest = f64::INFINITY;
-    for i in 0..t.len() {
-        // The ends of a half of the range that begins here.
-        let far = c.data[i..].iter().position(|v| (v - c.data[i]).abs() >= size / 2.0);
-        if let Some(k) = far {
-            shortest = shortest.min(t[i + k] - t[i]);
+    let (mut highest, mut lowest) = (VecDeque::new(), VecDeque::new());
+    let mut from = 0;
+    for (j, &v) in data.iter().enumerate().filter(|(_, v)| v.is_finite()) {
+        while highest.back().is_some_and(|&k: &usize| data[k] <= v) {
+            highest.pop_back();
+        }
+        while lowest.back().is_some_and(|&k: &usize| data[k] >= v) {
+            lowest.pop_back();
+        }
+        highest.push_back(j);
+        lowest.push_back(j);
+        while let (Some(&high), Some(&low)) = (highest.front(), lowest.front())
+            && data[high] - data[low] >= apart
+        {
+            from = from.max(high.min(low));
+            shortest = shortest.min(t[j] - t[from]);
+            from += 1;
+            highest.pop_front_if(|k| *k < from);
+            lowest.pop_front_if(|k| *k < from);
         }
     }
     shortest.is_finite().then_some(shortest)

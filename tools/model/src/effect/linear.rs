@@ -1,13 +1,12 @@
 //! Laws that are one function of what is read, times one parameter each (or two): no state, no shape parameter.
 
-use super::{Description, Effect, Input, Law, Out, State};
+use super::{Basis, Description, Effect, Input, Law, Out, State};
 
 /// A law whose parameters are all linear.
 #[derive(Debug)]
 pub(super) struct Linear {
     pub(super) description: Description,
-    /// The basis of each parameter at one instant, for the component (of a pair) that is asked for.
-    pub(super) basis: fn(&Input, usize, Out<'_>),
+    pub(super) basis: Basis,
 }
 
 impl Law for Linear {
@@ -17,5 +16,9 @@ impl Law for Linear {
 
     fn basis(&self, _: &Effect, now: &Input, component: usize, _: &mut State, out: Out<'_>) {
         (self.basis)(now, component, out);
+    }
+
+    fn stateless(&self) -> Option<Basis> {
+        Some(self.basis)
     }
 }

@@ -93,6 +93,9 @@ pub struct State {
 /// Where basis values or slopes go: `out[k]` for coefficient or parameter k.
 pub type Out<'a> = &'a mut [f64];
 
+/// The basis of each coefficient at one instant, for the component (of a pair) that is asked for.
+pub type Basis = fn(&Input, usize, Out<'_>);
+
 /// A kind of effect.
 pub trait Law: fmt::Debug + Send + Sync {
     /// What it says about itself.
@@ -101,6 +104,12 @@ pub trait Law: fmt::Debug + Send + Sync {
     /// The basis values at one instant for `component` (0; 1 is the second axis of a pair), after moving the state
     /// on to that instant. `out` has [`Effect::coefficient_count`] places.
     fn basis(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>);
+
+    /// [`Law::basis`] where it hangs on nothing but what is read: no state, no value of the effect. Who asks at every instant
+    /// may keep it and ask it alone.
+    fn stateless(&self) -> Option<Basis> {
+        None
+    }
 
     /// The derivative of the effect by every parameter value, as [`Law::basis`] moves the state on. The default
     /// serves laws whose parameters are all linear.
