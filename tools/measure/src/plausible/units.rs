@@ -4,6 +4,7 @@ use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
 use crate::iso230::{Round, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::collections::VecDeque;
 
 /// No part of a machine tool warms through half of what it warms at all in less, s.
 const HALF_WARM_S: f64 = 40.0;
@@ -140,13 +141,12 @@ fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
 /// still be its highest or its lowest wait in order.
 fn shortest_window(t: &[f64], data: &[f64], apart: f64) -> Option<f64> {
     let mut shortest = f64::INFINITY;
-    let (mut highest, mut lowest) = (VecDeque::new(), VecDeque::new());
-    let mut from = 0;
+    let (mut highest, mut lowest) = (VecDeque::<usize>::new(), VecDeque::<usize>::new());
     for (j, &v) in data.iter().enumerate().filter(|(_, v)| v.is_finite()) {
-        while highest.back().is_some_and(|&k: &usize| data[k] <= v) {
+        while highest.back().is_some_and(|&k| data[k] <= v) {
             highest.pop_back();
         }
-        while lowest.back().is_some_and(|&k: &usize| data[k] >= v) {
+        while lowest.back().is_some_and(|&k| data[k] >= v) {
             lowest.pop_back();
         }
         highest.push_back(j);
@@ -154,11 +154,14 @@ fn shortest_window(t: &[f64], data: &[f64], apart: f64) -> Option<f64> {
         while let (Some(&high), Some(&low)) = (highest.front(), lowest.front())
             && data[high] - data[low] >= apart
         {
-            from = from.max(high.min(low));
-            shortest = shortest.min(t[j] - t[from]);
-            from += 1;
-            highest.pop_front_if(|k| *k < from);
-            lowest.pop_front_if(|k| *k < from);
+            // One of the two is this row; the other leaves the window.
+            let first = high.min(low);
+            shortest = shortest.min(t[j] - t[first]);
+            for rows in [&mut highest, &mut lowest] {
+                while rows.front().is_some_and(|&k| k <= first) {
+                    rows.pop_front();
+                }
+            }
         }
     }
     shortest.is_finite().then_some(shortest)
@@ -196,3 +199,30 @@ fn circle(record: &Record, out: &mut Vec<Suspicion>) {
 
 /// A radius stated so far off that of the positions is of another circle.
 const OTHER_RADIUS: f64 = 0.03;
+
+#[cfg(test)]
+mod tests {
+    use super::shortest_window;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// What every pair of rows says, one by one.
+        #[test]
+        fn the_shortest_window_is_that_of_all_pairs(
+            steps in prop::collection::vec((0_u8..4, -3_i8..=3), 1..60),
+            apart in 1_u8..9,
+        ) {
+            let (mut t, mut data, mut at, mut v) = (vec![], vec![], 0.0, 0.0);
+            for (dt, dv) in steps {
+                at += f64::from(dt);
+                v += f64::from(dv);
+                t.push(at);
+                data.push(v);
+            }
+            let apart = f64::from(apart);
+            let pairs = (0..t.len()).flat_map(|i| (i..t.len()).map(move |j| (i, j)));
+            let plain = pairs.filter(|&(i, j)| (data[j] - data[i]).abs() >= apart).map(|(i, j)| t[j] - t[i]);
+            prop_assert_eq!(shortest_window(&t, &data, apart), plain.reduce(f64::min));
+        }
+    }
+}
