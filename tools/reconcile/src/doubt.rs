@@ -66,7 +66,8 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     };
     let mut of_train = plausible::suspicions(&train);
     against_model(&train, &mut of_train);
-    let mut together = plausible::suspicions(&[&train[..], &holdout].concat());
+    let mut together =
+        if holdout.is_empty() { Vec::new() } else { plausible::suspicions(&[&train[..], &holdout].concat()) };
     together.retain(|s| !of_train.contains(s));
     // What only the hold-outs' side of a pair shows of a training record is said, and no more.
     let (mut of_holdout, beside): (Vec<_>, Vec<_>) =
