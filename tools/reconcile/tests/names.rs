@@ -197,7 +197,7 @@ fn positions_in_another_unit_are_said_where_no_straight_line_does_as_well() {
             c.data.iter_mut().enumerate().for_each(|(i, v)| *v = f(i, *v));
         };
         of(&mut run, "e", &|i, e| e + said[i]);
-        let right = reconcile(&[run.clone()], &[], &machine, &Options::default()).unwrap();
+        let right = reconcile(std::slice::from_ref(&run), &[], &machine, &Options::default()).unwrap();
         assert!(right.suspicions.is_empty(), "{:?}", right.suspicions);
         of(&mut run, "p", &|_, p| p / by);
         let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
