@@ -63,6 +63,13 @@ fn a_name_is_exchanged_only_for_a_better_one() {
     }
 }
 
+/// A bug once: a wave that the data held three times as likely as no wave was named beside a rotation that is certain.
+#[test]
+fn beside_what_is_certain_only_what_the_data_decide_for_is_named() {
+    let (good, bad) = right(Hides::One, 26_000_229..26_000_230);
+    assert_eq!(good, 1, "{bad:#?}");
+}
+
 /// A bug once: coolant that drift outweighed was found and dropped as too slight, and nothing was missing.
 #[test]
 fn what_is_certain_beside_drift_is_named() {

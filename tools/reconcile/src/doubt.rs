@@ -4,6 +4,7 @@
 
 use crate::answer::Answer;
 use crate::gap::{self, Gap, Trace};
+use crate::gram::{self, Cholesky};
 use crate::problem::{Stack, rms};
 use crate::suspected::{ALIKE, about, centred, is_sensor, simulated, whole};
 use crate::swapped::{exchanged, swapped_alike};
@@ -17,6 +18,10 @@ const UNLIKE: f64 = 0.3;
 const OPPOSITE: f64 = 0.45;
 /// The same for what changes the model's side alone: so much of the variance that was left is left.
 const BETTER: f64 = 0.2;
+/// Positions are in another unit only where straight lines over them leave so many times the variance that the unit leaves; no
+/// machine has lines steeper than this, µm/mm (the bound of a scale and of a squareness).
+const NO_PLAINER: f64 = 1.2;
+const STEEPEST: f64 = 1.0;
 /// A row is wild that is so many robust standard deviations off; more than this share of them are no wild rows.
 const WILD: f64 = 20.0;
 const MOST_WILD: f64 = 0.12;
@@ -61,7 +66,8 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     };
     let mut of_train = plausible::suspicions(&train);
     against_model(&train, &mut of_train);
-    let mut together = plausible::suspicions(&[&train[..], &holdout].concat());
+    let mut together =
+        if holdout.is_empty() { Vec::new() } else { plausible::suspicions(&[&train[..], &holdout].concat()) };
     together.retain(|s| !of_train.contains(s));
     // What only the hold-outs' side of a pair shows of a training record is said, and no more.
     let (mut of_holdout, beside): (Vec<_>, Vec<_>) =
@@ -206,8 +212,12 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
             return Some(told(What::Direction, &name(&direction), text.to_owned()));
         }
         let position = |r: &Role| matches!(r, Role::Position(_));
+        let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
+        let line = (beside_lines(record, &missing) / rms(&y).max(1e-300)).powi(2);
         for (by, unit) in [(1e3, "m"), (1e-3, "µm"), (25.4, "inch")] {
-            if better(&changed(&position, by)) {
+            let other = changed(&position, by);
+            // A scale that is farther off than the model says is the plainer answer.
+            if better(&other) && line > NO_PLAINER * (1.0 - share(1.0, &simulated(&other, &c.role, machine))) {
                 let text = format!("the run agrees with the model only with positions {by} times these: given in {unit}, called mm?");
                 return Some(told(What::Unit, &name(&position), text));
             }
@@ -216,6 +226,26 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
             told(What::Swapped, &a, format!("the run agrees with the model only with {a} and {b} exchanged"))
         })
     })
+}
+
+/// RMS of what straight lines over the positions leave of what the model leaves; all of it where a machine has no such lines.
+fn beside_lines(record: &Record, missing: &[f64]) -> f64 {
+    let moved = |c: &&Column| matches!(c.role, Role::Position(_));
+    let lines: Vec<Vec<f64>> = record.columns.iter().filter(moved).map(|c| centred(&c.data)).collect();
+    let k = lines.len();
+    let products: Vec<f64> = lines.iter().flat_map(|a| lines.iter().map(|b| gram::dot(a, b))).collect();
+    let factor = Cholesky::new(&products, k);
+    let mut slopes: Vec<f64> = lines.iter().map(|a| gram::dot(a, missing)).collect();
+    factor.forward(&mut slopes);
+    factor.backward(&mut slopes);
+    if slopes.iter().any(|um_per_mm| um_per_mm.abs() > STEEPEST) {
+        return rms(missing);
+    }
+    let mut left = missing.to_vec();
+    for (line, slope) in lines.iter().zip(&slopes) {
+        gram::minus(&mut left, *slope, line);
+    }
+    rms(&left)
 }
 
 /// Rows of each record that an answer leaves far off all others: single ones, and few. From 0.

@@ -182,9 +182,14 @@ fn pruned(search: &Search<'_, '_>, named: Set, chance: &Chance, level: f64) -> S
         }
         let mut rests: Vec<Set> = (0..named.members.len()).map(|i| search.without(&named, i)).collect();
         let evidence: Vec<f64> = rests.iter().map(|rest| search.gain(rest, &named)).collect();
-        let weakest = (0..evidence.len()).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
         let alone = named.members.len() == 1;
-        if let Some(w) = weakest.filter(|w| chance.of_name(evidence[*w], alone) > level) {
+        let constant =
+            |i: usize| search.all.list[named.members[i].hypothesis].law().is_some_and(|law| law.constant);
+        // Beside others a name is given where the data decide for it; a constant may be another one's own zero.
+        let slight = |i: usize| !alone && !constant(i) && evidence[i] < DECISIVE;
+        let falls = |i: &usize| slight(*i) || chance.of_name(evidence[*i], alone) > level;
+        let weakest = (0..evidence.len()).filter(falls).min_by(|a, b| evidence[*a].total_cmp(&evidence[*b]));
+        if let Some(w) = weakest {
             named = rests.swap_remove(w);
             continue;
         }

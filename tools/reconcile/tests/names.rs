@@ -5,6 +5,7 @@
 mod noise;
 
 use noise::noise;
+use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
@@ -164,18 +165,43 @@ fn bidirectional(error: impl Fn(f64) -> f64) -> Record {
 /// A scale that is farther off than a model's value is trusted to be is that scale, corrected, and no second one beside it.
 #[test]
 fn a_scale_beside_the_model_s_own_corrects_it() {
-    for known in [-5.0, 2.0, 10.0, 60.0] {
+    // At 1 ppm there is 25 times as much in the data: as if the positions were inches, and as a straight line says as well.
+    for known in [-5.0, 1.0, 2.0, 10.0, 60.0] {
         let run = bidirectional(|p| (known + 24.0) * 1e-3 * p);
         let text = format!("name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = {known:.1}\n");
         let machine = Machine::parse(Path::new("m.toml"), &text).unwrap();
         let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
         let refined: Vec<(String, f64)> =
             r.refined.iter().map(|x| (x.after.0.name(), x.after.0.scalar(0))).collect();
+        assert!(r.suspicions.is_empty(), "{known}: {:?}", r.suspicions);
         assert!(r.effects.is_empty() && r.unexplained.is_empty(), "{known}: {} {:?}", r.verdict, names(&r));
         assert_eq!(r.verdict, Verdict::NothingMissing);
         assert_eq!((refined.len(), refined[0].0.as_str()), (1, "scale.x"), "{known}: {refined:?}");
         assert!((refined[0].1 - known - 24.0).abs() < 1.0, "{known}: {refined:?}");
         assert!(r.gap[0].train[1] < 0.4, "{known}: {:?}", r.gap[0].train);
+    }
+}
+
+/// Positions in inches under a model with more than straight lines, and positions in metres under one of lines alone: no line is
+/// that steep.
+#[test]
+fn positions_in_another_unit_are_said_where_no_straight_line_does_as_well() {
+    let inch = "[[effect]]\nname = \"position_map.x\"\nknots_mm = [0.0, 100.0, 200.0, 300.0, 400.0]\num = [0.0, 6.0, -4.0, 5.0, 0.0]\n";
+    for (known, by, more) in [("12.0", 25.4, inch), ("12.0", 1e3, "")] {
+        let text = format!("name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = {known}\n{more}");
+        let machine = Machine::parse(Path::new("m.toml"), &text).unwrap();
+        let mut run = bidirectional(|_| 0.0);
+        let said = machine.predict(&run).unwrap().columns.remove(0).1;
+        let of = |run: &mut Record, name: &str, f: &dyn Fn(usize, f64) -> f64| {
+            let c = run.columns.iter_mut().find(|c| c.name == name).unwrap();
+            c.data.iter_mut().enumerate().for_each(|(i, v)| *v = f(i, *v));
+        };
+        of(&mut run, "e", &|i, e| e + said[i]);
+        let right = reconcile(std::slice::from_ref(&run), &[], &machine, &Options::default()).unwrap();
+        assert!(right.suspicions.is_empty(), "{:?}", right.suspicions);
+        of(&mut run, "p", &|_, p| p / by);
+        let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
+        assert_eq!(r.suspicions.iter().map(|s| s.what).collect::<Vec<_>>(), [What::Unit], "{by}");
     }
 }
 

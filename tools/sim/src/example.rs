@@ -174,12 +174,21 @@ mod tests {
             ]
         );
         let truth = example.machine("true.toml").unwrap();
+        let mut noise: Vec<Vec<f64>> = Vec::new();
         for record in &once {
             let said = truth.predict(record).unwrap();
             for (column, (name, um)) in record.responses().zip(&said.columns) {
                 let off = column.data.iter().zip(um).fold(0.0_f64, |w, (e, p)| w.max((e - p).abs()));
                 let most = um.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
                 assert!(off < 0.8 && most > 2.0, "{name}: {off} µm off, {most} µm at most");
+                noise.push(column.data.iter().zip(um).map(|(e, p)| e - p).collect());
+            }
+        }
+        // No run is the noise of another once more.
+        for (k, a) in noise.iter().enumerate() {
+            for b in &noise[k + 1..] {
+                let same = a.iter().zip(b).filter(|(a, b)| (*a - *b).abs() < 1e-3).count();
+                assert!(same < a.len().min(b.len()) / 20, "{same} rows alike");
             }
         }
         assert_eq!(once, example.records(Path::new("s")).unwrap());

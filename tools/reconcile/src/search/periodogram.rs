@@ -5,22 +5,52 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;
 use std::cell::RefCell;
 
+/// Values of a periodogram that are looked at together.
+const STRETCH: usize = 64;
+
 /// The three highest peaks of a periodogram, added to a list of frequencies.
 pub(super) fn peaks(power: &mut [f64], from: f64, step: f64, list: &mut Vec<f64>) {
+    let mut highest: Vec<f64> = power.chunks(STRETCH).map(largest).collect();
     for _ in 0..3 {
-        let mut top = 0;
-        for (i, p) in power.iter().enumerate() {
-            if *p > power[top] {
-                top = i;
-            }
-        }
+        let top = first_of_largest(power, &highest);
         let f = from + step * top as f64;
         if !list.iter().any(|g: &f64| (g - f).abs() < 2.0 * step) {
             list.push(f);
         }
-        let end = (top + 5).min(power.len());
-        power[top.saturating_sub(4)..end].fill(0.0);
+        let (begin, end) = (top.saturating_sub(4), (top + 5).min(power.len()));
+        power[begin..end].fill(0.0);
+        for stretch in begin / STRETCH..end.div_ceil(STRETCH) {
+            highest[stretch] = largest(&power[stretch * STRETCH..power.len().min((stretch + 1) * STRETCH)]);
+        }
     }
+}
+
+/// The largest of some values, in several lanes.
+fn largest(values: &[f64]) -> f64 {
+    let mut lanes = [f64::NEG_INFINITY; 8];
+    let larger = |a: f64, b: f64| if b > a { b } else { a };
+    let chunks = values.chunks_exact(lanes.len());
+    let rest = chunks.remainder().iter().copied().fold(f64::NEG_INFINITY, larger);
+    for chunk in chunks {
+        for (lane, value) in lanes.iter_mut().zip(chunk) {
+            *lane = larger(*lane, *value);
+        }
+    }
+    lanes.into_iter().fold(rest, larger)
+}
+
+/// Where the first of the largest values is, by those of each stretch.
+fn first_of_largest(power: &[f64], highest: &[f64]) -> usize {
+    let mut best = 0;
+    for (i, h) in highest.iter().enumerate() {
+        if *h > highest[best] {
+            best = i;
+        }
+    }
+    let stretch = &power[best * STRETCH..];
+    let within = stretch.iter().take(STRETCH).position(|p| *p >= highest[best]);
+    // Where nothing is a number the first stands for all.
+    within.map_or(0, |within| best * STRETCH + within)
 }
 
 thread_local! {
@@ -118,4 +148,34 @@ const LEAST_WHOLE: f32 = 0.05;
 fn room(least: usize) -> usize {
     let whole = least.next_power_of_two().max(64);
     if whole / 4 * 3 >= least { whole / 4 * 3 } else { whole }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::noise;
+
+    /// As by looking at every value each time.
+    #[test]
+    fn the_three_highest_peaks_are_found() {
+        for n in [9, 63, 64, 65, 500] {
+            for seed in 1..20 {
+                let power: Vec<f64> = noise(seed, n).iter().map(|x| (4.0 * x * x).round()).collect();
+                let mut slow = Vec::new();
+                let mut left = power.clone();
+                for _ in 0..3 {
+                    let most = left.iter().copied().fold(0.0, f64::max);
+                    let top = left.iter().position(|p| *p >= most).unwrap_or(0);
+                    if slow.iter().all(|f: &f64| (f - top as f64).abs() >= 2.0) {
+                        slow.push(top as f64);
+                    }
+                    let end = (top + 5).min(n);
+                    left[top.saturating_sub(4)..end].fill(0.0);
+                }
+                let mut found = Vec::new();
+                peaks(&mut power.clone(), 0.0, 1.0, &mut found);
+                assert_eq!(found, slow, "{n} values, seed {seed}");
+            }
+        }
+    }
 }

@@ -143,9 +143,15 @@ impl Search<'_, '_> {
             let count = ((wave.to - from) / step).ceil().max(2.0) as usize;
             let mut u = sharpened(&residual, phi, &self.stack.ranges)[wave.rows.clone()].to_vec();
             wave.shared(&mut u);
+            // In parts: a transform of all of it would leave the processor's cache, and its factors take as long to plan.
+            let part = count.div_ceil(count.div_ceil(MOST_FREQUENCIES as usize));
             let mut transform = self.transform.borrow_mut();
-            let sums = transform.sums(&x, &u, from, step, count);
-            let mut power: Vec<f64> = sums.map(|z| f64::from(z.norm_sqr())).collect();
+            let mut power: Vec<f64> = Vec::with_capacity(count);
+            while power.len() < count {
+                let (from, part) = (from + step * power.len() as f64, part.min(count - power.len()));
+                let sums = transform.sums(&x, &u, from, step, part);
+                power.extend(sums.map(|z| f64::from(z.norm_sqr())));
+            }
             peaks(&mut power, from, step, list);
         }
     }

@@ -1,6 +1,6 @@
 //! What heat does to a machine: spindle cycles, tool changes, drilling.
 
-use super::runs::{Log, Row, both, digits, feed, nothing, places};
+use super::runs::{Log, Row, both, digits, feed, nothing, places, seed_of};
 use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, Setting};
 use crate::errors::NAMES;
 use crate::gcode::Block;
@@ -31,9 +31,9 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
 
 /// What the five gauges show: the near ones where the tool is, the far ones where a tilt of the true machine's chain takes the
 /// mandrel as well.
-fn gauged(rows: &[Row], setting: &Setting<'_>) -> Vec<Gauged> {
+fn gauged(rows: &[Row], setting: &Setting<'_>, run: &str) -> Vec<Gauged> {
     let arcsec = |um: f64| um / (GAUGE_SPACING_MM * 1e3) * 648_000.0 / std::f64::consts::PI;
-    let mut noise = Noise::new(setting.seed, 0x6A06E);
+    let mut noise = Noise::new(seed_of(setting, run), 0x6A06E);
     let chain = setting.truth.chain();
     let far = chain.map(|c| c.with_tool_moved([0.0, 0.0, GAUGE_SPACING_MM]));
     let row = |r: &Row| {
@@ -71,16 +71,9 @@ fn difference(degc: &[f64], of: &Difference) -> f64 {
 pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
-        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| soak(sim, log, FIGURE_9, coolant))?;
+        let runs = both(setting, setting.spec, [0.0; 3], name, |sim, log| soak(sim, log, FIGURE_9, coolant))?;
         let x = |r: &Row| r.now.t_s / 60.0;
-        runs.publish(
-            setting,
-            name,
-            Kind::Drift,
-            (&places(setting.spec), 0.1),
-            ("time (min)", &x),
-            &mut findings,
-        )?;
+        runs.publish(setting, Kind::Drift, (&places(setting.spec), 0.1), ("time (min)", &x), &mut findings)?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time (min)", "temperature (°C)");
         for sensor in ["T8", "T9", "T13", "T18", "T20"] {
             let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
@@ -88,7 +81,7 @@ pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
             chart = chart.with(Series::new(sensor, Style::Line, points));
         }
         findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
-        let gauged = gauged(&runs.logs[0].rows, setting);
+        let gauged = gauged(&runs.logs[0].rows, setting, name);
         let line = |g: &Gauged| {
             let cells = std::iter::once(g.t_s).chain(g.um).chain(g.tilt_arcsec);
             cells.map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(",") + "\n"
@@ -115,10 +108,12 @@ const PRODUCTION: &[(f64, f64)] = &[
 
 pub(super) fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let runs = both(setting, setting.spec, [0.0; 3], |sim, log| soak(sim, log, PRODUCTION, true))?;
+    let runs = both(setting, setting.spec, [0.0; 3], "production-cycle", |sim, log| {
+        soak(sim, log, PRODUCTION, true)
+    })?;
     let x = |r: &Row| r.now.t_s / 60.0;
     let axes = &places(setting.spec)[..];
-    runs.publish(setting, "production-cycle", Kind::Drift, (axes, 0.1), ("time (min)", &x), &mut findings)?;
+    runs.publish(setting, Kind::Drift, (axes, 0.1), ("time (min)", &x), &mut findings)?;
     Ok(findings)
 }
 
@@ -126,7 +121,7 @@ pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentE
     let mut findings = nothing();
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
-    let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
+    let runs = both(setting, setting.spec, [0.0; 3], "tool-change-repeatability", |sim, log| {
         let mut moves = Noise::new(setting.seed, 0x7001);
         let reference = [50.0, 20.0, -100.0];
         for cycle in 1..=10 {
@@ -143,14 +138,7 @@ pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentE
     let x = |r: &Row| r.cycle;
     // How well the holder seats in the spindle: a micrometre or so in each direction.
     let what = (&[0, 1, 2][..], 1.2);
-    runs.publish(
-        setting,
-        "tool-change-repeatability",
-        Kind::Positioning,
-        what,
-        ("tool change", &x),
-        &mut findings,
-    )?;
+    runs.publish(setting, Kind::Positioning, what, ("tool change", &x), &mut findings)?;
     Ok(findings)
 }
 
@@ -171,7 +159,8 @@ pub(super) fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, Ex
         let x = if left { -11.0 } else { 9.0 } + cycle as f64;
         [x * inch, if low { -3.0 * inch } else { 3.0 * inch }, 0.0]
     };
-    let runs = both(setting, setting.spec, [0.0, 0.0, 100.0], |sim, log| {
+    let name = if warm { "drilling-warm" } else { "drilling" };
+    let runs = both(setting, setting.spec, [0.0, 0.0, 100.0], name, |sim, log| {
         sim.machine.load([Block::Coolant { on: true }]);
         if warm {
             soak(sim, 180.0)?;
@@ -197,8 +186,7 @@ pub(super) fn drilling(setting: &Setting<'_>, warm: bool) -> Result<Findings, Ex
         Ok(())
     })?;
     let x = |r: &Row| r.now.t_s / 60.0;
-    let name = if warm { "drilling-warm" } else { "drilling" };
-    runs.publish(setting, name, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &x), &mut findings)?;
+    runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &x), &mut findings)?;
     // As table 7: deviations with reference to hole 1.
     let mut table = Map::new();
     for (log, label) in runs.logs.iter().zip(["without", "with"]) {

@@ -35,7 +35,7 @@ pub fn over_a_part(
 ) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     let mut insertions = 0;
-    let runs = both(setting, spec, [0.0; 3], |sim, log| {
+    let runs = both(setting, spec, [0.0; 3], "linear-error-240um", |sim, log| {
         sim.machine.load([feed(along(0, length_mm), mm_min)]);
         while !sim.machine.finished() {
             // A row every millimetre.
@@ -47,14 +47,7 @@ pub fn over_a_part(
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(
-        setting,
-        "linear-error-240um",
-        Kind::Positioning,
-        (&[0], 0.0),
-        ("position (mm)", &x),
-        &mut findings,
-    )?;
+    runs.publish(setting, Kind::Positioning, (&[0], 0.0), ("position (mm)", &x), &mut findings)?;
     findings.summary.insert("insertions".to_owned(), json!(insertions));
     Ok(findings)
 }
@@ -67,7 +60,7 @@ pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, Experime
         crate::computer::Computer::i8051().configure(Design::Original, rtec_rt::axis::AxisConfig::default());
     (spec.detect_ns, spec.write_ns) = (nine.detect_ns + nine.guard_ns, 500);
     let (mut waited, mut entering) = (0, Vec::new());
-    let runs = both(setting, &spec, [0.0; 3], |sim, log| {
+    let runs = both(setting, &spec, [0.0; 3], "rapid-catch-up", |sim, log| {
         let rapid = [
             Block::Rapid { to: [400.0, 0.0, 0.0] },
             feed([410.0, 0.0, 0.0], 500.0),
@@ -85,14 +78,7 @@ pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, Experime
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(
-        setting,
-        "rapid-catch-up",
-        Kind::Positioning,
-        (&[0], 0.0),
-        ("position (mm)", &x),
-        &mut findings,
-    )?;
+    runs.publish(setting, Kind::Positioning, (&[0], 0.0), ("position (mm)", &x), &mut findings)?;
     let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
     let worst = runs.logs.iter().flat_map(|l| &l.rows).map(pending).fold(0.0, f64::max);
     let in_part = entering.iter().fold(0.0_f64, |w, e| w.max(e.abs()));

@@ -21,7 +21,8 @@ pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, Exp
         // WO 97/43703, text before table 2: 64 in/min.
         let mm_min = 64.0 * 25.4;
         let over = 4.0;
-        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
+        let name = format!("linear-displacement-{}", axis.name);
+        let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
             sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
             for cycle in 0..5 {
                 for up in [true, false] {
@@ -40,9 +41,8 @@ pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, Exp
             }
             Ok(())
         })?;
-        let name = format!("linear-displacement-{}", axis.name);
         let x = |r: &Row| r.now.position_mm[p];
-        runs.publish(setting, &name, Kind::Positioning, (&[p], 0.1), ("position (mm)", &x), &mut findings)?;
+        runs.publish(setting, Kind::Positioning, (&[p], 0.1), ("position (mm)", &x), &mut findings)?;
     }
     Ok(findings)
 }
@@ -57,7 +57,8 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
             let feed_mm_s = inches * 25.4 / 60.0;
             let mut start = [0.0; AXES];
             start[i] = radius;
-            let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
+            let name = format!("ballbar-{}{}-{inches}", NAMES[i], NAMES[j]);
+            let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
                 sim.run([Block::Rapid { to: start }])?;
                 for clockwise in [false, true] {
                     let arc =
@@ -78,11 +79,9 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
                 }
                 Ok(())
             })?;
-            let name = format!("ballbar-{}{}-{inches}", NAMES[i], NAMES[j]);
             let x = |r: &Row| r.angle.unwrap_or(0.0);
             runs.publish(
                 setting,
-                &name,
                 Kind::Ballbar,
                 (&[i.min(j), i.max(j)], 0.1),
                 ("angle, rad", &x),
@@ -95,7 +94,7 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
 
 pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
+    let runs = both(setting, setting.spec, [0.0; 3], "plate", |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
                 let column = if row % 2 == 0 { k } else { 8 - k };
@@ -108,14 +107,15 @@ pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, "plate", Kind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), &mut findings)?;
+    runs.publish(setting, Kind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), &mut findings)?;
     Ok(findings)
 }
 
 pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
-        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
+        let name = format!("feed-sweep-{}", axis.name);
+        let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
             let half = 60.0;
             sim.run([Block::Rapid { to: along(p, -half) }])?;
             for (n, mm_min) in
@@ -136,9 +136,8 @@ pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
             }
             Ok(())
         })?;
-        let name = format!("feed-sweep-{}", axis.name);
         let x = |r: &Row| r.now.velocity_mm_s[p];
-        runs.publish(setting, &name, Kind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), &mut findings)?;
+        runs.publish(setting, Kind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), &mut findings)?;
     }
     Ok(findings)
 }
@@ -146,7 +145,8 @@ pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
 pub(super) fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
-        let runs = both(setting, setting.spec, [0.0; 3], |sim, log| {
+        let name = format!("dynamics-{}", axis.name);
+        let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
             for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
                 for way in [40.0 + 10.0 * n as f64, -40.0] {
                     sim.machine.load([feed(along(p, way), mm_min)]);
@@ -159,9 +159,8 @@ pub(super) fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentErro
             }
             Ok(())
         })?;
-        let name = format!("dynamics-{}", axis.name);
         let x = |r: &Row| r.now.t_s;
-        runs.publish(setting, &name, Kind::Dynamics, (&[p], 5.0), ("time, s", &x), &mut findings)?;
+        runs.publish(setting, Kind::Dynamics, (&[p], 5.0), ("time, s", &x), &mut findings)?;
     }
     Ok(findings)
 }

@@ -1,6 +1,6 @@
 //! The loop of NISTIR 4854: a nose turned and probed.
 
-use super::runs::{SUFFIXES, digits, nothing};
+use super::runs::{SUFFIXES, digits, nothing, seed_of};
 use super::{ExperimentError, Findings, Setting};
 use crate::turning::Setup;
 use rtec_files::InputError;
@@ -37,16 +37,12 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
 /// semi-finish cut's own probing finds.
 pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let setup = Setup {
-        machine: setting.truth.clone(),
-        design: "c".to_owned(),
-        seed: setting.seed,
-        ..Setup::default()
-    };
+    let setup = Setup { machine: setting.truth.clone(), design: "c".to_owned(), ..Setup::default() };
     let (mut records, mut figures) = (Vec::new(), Map::new());
     let knows = std::iter::once(None).chain(setting.known.map(Some));
     for ((suffix, label), known) in SUFFIXES.into_iter().zip(["without", "with"]).zip(knows) {
-        let setup = Setup { model: known.cloned(), ..setup.clone() };
+        let seed = seed_of(setting, &format!("hemisphere{suffix}"));
+        let setup = Setup { model: known.cloned(), seed, ..setup.clone() };
         let turned = setup.turn_nose(!suffix.is_empty())?;
         let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
         // A session whose trips are all there has a record.

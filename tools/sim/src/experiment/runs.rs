@@ -133,19 +133,30 @@ impl Log {
 
 /// Both runs of an experiment: without and, where something is known of the machine, with compensation.
 pub(super) struct Both {
+    name: String,
     pub(super) logs: Vec<Log>,
     pub(super) channels: Vec<String>,
+}
+
+/// The seed of one run: runs of one experiment, and experiments of one seed, share no noise. FNV-1a of the run's name.
+pub(super) fn seed_of(setting: &Setting<'_>, run: &str) -> u64 {
+    let hash = |h: u64, byte: u8| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3);
+    let mixed = run.bytes().fold(0xCBF2_9CE4_8422_2325 ^ setting.seed, hash);
+    // Who is given it counts up from it.
+    mixed >> 1
 }
 
 pub(super) fn both(
     setting: &Setting<'_>,
     spec: &Spec,
     at_mm: [f64; AXES],
+    name: &str,
     mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
 ) -> Result<Both, ExperimentError> {
-    let mut done = Both { logs: Vec::new(), channels: Vec::new() };
-    for known in std::iter::once(None).chain(setting.known.map(Some)) {
-        let mut sim = Sim::new(spec, setting.truth, known, at_mm, setting.seed)?;
+    let mut done = Both { name: name.to_owned(), logs: Vec::new(), channels: Vec::new() };
+    for (known, suffix) in std::iter::once(None).chain(setting.known.map(Some)).zip(SUFFIXES) {
+        let seed = seed_of(setting, &format!("{name}{suffix}"));
+        let mut sim = Sim::new(spec, setting.truth, known, at_mm, seed)?;
         let mut log = Log::default();
         run(&mut sim, &mut log)?;
         done.logs.push(log);
@@ -159,7 +170,6 @@ impl Both {
     pub(super) fn publish(
         &self,
         setting: &Setting<'_>,
-        name: &str,
         kind: Kind,
         (axes, noise_um): (&[usize], f64),
         x: (&str, &dyn Fn(&Row) -> f64),
@@ -167,14 +177,14 @@ impl Both {
     ) -> Result<(), ExperimentError> {
         let mut records = Vec::new();
         for (log, suffix) in self.logs.iter().zip(SUFFIXES) {
-            let path = setting.out.join(format!("{name}{suffix}.run.toml"));
-            let stream = 0x10 + suffix.len() as u64;
-            let noise = Noise::new(setting.seed, stream);
+            let run = format!("{}{suffix}", self.name);
+            let path = setting.out.join(format!("{run}.run.toml"));
+            let noise = Noise::new(seed_of(setting, &run), 0x10);
             let mut what = Measured { axes, noise_um, noise, channels: &self.channels };
             let record = log.record(&path, kind, &mut what)?;
             records.push((record, log.rows.iter().map(x.1).collect()));
         }
-        findings.publish(setting, name, records, x.0)
+        findings.publish(setting, &self.name, records, x.0)
     }
 }
 
