@@ -1,7 +1,5 @@
 //! `rtecctl papers`: every table and figure of the sources is there, and what stands beside it was computed.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Output};

@@ -1,7 +1,5 @@
 //! `rtecctl characterise record` and `evaluate` as a person runs them.
 
-#![allow(clippy::unwrap_used)] // a test's own helpers
-
 use std::io::Write;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};

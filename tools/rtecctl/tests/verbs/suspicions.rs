@@ -1,7 +1,5 @@
 //! What a record shows of mistakes is said where records are read, and a fit does not learn from it.
 
-#![allow(clippy::unwrap_used)] // a test's own helpers
-
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::path::Path;

@@ -1,8 +1,6 @@
 //! Exported tables in a whole LinuxCNC: what it adds to the motors' command, read back at the tables' points and between them, both
 //! directions, both types, millimetres and inches, against the model's laws written down here.
 
-#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
-
 use std::path::Path;
 use std::process::Command;
 

@@ -1,7 +1,5 @@
 //! `model export`: tables read back and applied by another program, spacing, limits, and everything that must be refused.
 
-#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
-
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Output};

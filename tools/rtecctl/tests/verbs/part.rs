@@ -1,14 +1,11 @@
 //! `rtecctl part`: the contract of `part errors`, exit codes, and all steps one after the other through their files.
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
 
-mod parts;
-
-use parts::{drawing, json, part, taper};
+use crate::parts::{drawing, json, part, taper};
 
 #[test]
 fn part_errors_keeps_its_contract() {

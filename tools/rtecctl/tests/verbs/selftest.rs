@@ -166,7 +166,7 @@ fn text_and_histogram_file_have_the_shape_of_cyclictest() {
 fn the_configuration_s_axes_have_their_own_rates() {
     let dir = tempfile::tempdir().expect("a directory");
     let file = dir.path().join("rtec.toml");
-    let text = include_str!("../../control/src/default.toml");
+    let text = include_str!("../../../control/src/default.toml");
     std::fs::write(&file, text).expect("a writable directory");
     let names: Vec<String> =
         rtec_control::config::Config::embedded().axes.into_iter().map(|a| a.name).collect();

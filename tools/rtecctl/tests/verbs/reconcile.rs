@@ -1,5 +1,4 @@
 //! `rtecctl reconcile --live`: a run from the recorder's own feed, and the verdict, in one command.
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::io::Write as _;
 use std::net::TcpListener;

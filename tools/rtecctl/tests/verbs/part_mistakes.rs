@@ -1,12 +1,9 @@
 //! People's mistakes at `rtecctl part`: each is refused, or said.
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use serde_json::Value;
 use std::fmt::Write as _;
 
-mod parts;
-
-use parts::{drawing, json, part, taper};
+use crate::parts::{drawing, json, part, taper};
 
 /// A diameter for a radius, and the tip's diameter for its radius: the commonest slips, both said.
 #[test]

@@ -1,7 +1,5 @@
 //! `rtecctl example`: the same files each time, nothing of the user's written over, and the first commands of its README.
 
-#![allow(clippy::unwrap_used)]
-
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -1,7 +1,5 @@
 //! `characterise import`, as it is typed: real files and what other programs wrote.
 
-#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
-
 use std::path::Path;
 use std::process::{Command, Output};
 

@@ -1,7 +1,5 @@
 //! `rtecctl trace` as a user meets it, and on a real axis's record.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_driver::quadrature::Decoder;
 use rtec_files::trace::TraceReader;
 use std::process::{Command, Output};

@@ -1,7 +1,5 @@
 //! `rtecctl replay` as a user meets it. `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -1,7 +1,5 @@
 //! The commands that a metrologist types, from a machine's characterisation to its correction.
 
-#![allow(clippy::unwrap_used)] // a test's own helpers
-
 use serde_json::Value;
 use std::path::Path;
 use std::process::Command;

@@ -1,7 +1,5 @@
 //! What verbs print for a person: no JSON without --json, and things called what they are.
 
-#![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers
-
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
