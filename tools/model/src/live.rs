@@ -1,7 +1,7 @@
 //! A model evaluated at one instant: what the corrector asks every 10–20 ms and the simulator at every step.
 //!
 //! Everything is looked up by name once, in [`Live::new`]; [`Live::evaluate`] allocates nothing. Effects that read the same
-//! (axes, temperature difference, channel) read it from one place, which is filled once an instant ([`Reading`]).
+//! (axes, temperature difference, channel) read it from one place, which is filled once an instant (`Reading`).
 //!
 //! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades: what the held
 //! part leaves out, u = |gain|·excess, is weighed against the model's own uncertainty h (half width of its prediction

@@ -150,7 +150,8 @@ pub fn reconcile(
     }
     if at_least_every(train) > 1 {
         left_out.push(format!(
-            "of {rows} rows one of every {every}, drawn: {MOST_ROWS} at most are looked at, which say the same"
+            "of {rows} rows one of every {every}, drawn: {MOST_ROWS} at most are looked at; what shows in few rows (a wild value, a \
+             spike where an axis turns) may be missed"
         ));
     }
     let mut said = doubts.said;
