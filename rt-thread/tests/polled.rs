@@ -14,7 +14,7 @@
 //! | shaky | a scale with a tenth of the hysteresis that was told, an axis with three times the acceleration | within |
 //! | planted | within its limits, but for a pair of edges planted where the engine cannot see it | within |
 //!
-//! `RTEC_POLLED_EDGES` sets how many edges are run through (default 400 000).
+//! `RTEC_POLLED_EDGES` sets how many edges are run through (default 400 000), `RTEC_SEED` with which axes it begins (1).
 
 #![allow(clippy::unwrap_used)]
 
@@ -23,6 +23,7 @@ use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{Event, EventKind, Fault, Request};
 use std::collections::BTreeMap;
+use test_needs::asked;
 use test_needs::dice::Dice;
 use test_needs::motion::Motion;
 
@@ -351,14 +352,10 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
     tally.hidden.mirrored += rig.hidden.mirrored;
 }
 
-fn edges_asked() -> u64 {
-    std::env::var("RTEC_POLLED_EDGES").map_or(400_000, |n| n.parse().expect("RTEC_POLLED_EDGES: a number"))
-}
-
 fn run(class: Class, share: u64) -> Tally {
-    let edges = edges_asked() / share;
+    let edges = asked("RTEC_POLLED_EDGES", 400_000) / share;
     let mut tally = Tally::default();
-    let mut seed = 1;
+    let mut seed = asked("RTEC_SEED", 1);
     while tally.edges < edges {
         campaign(class, seed << 8 | class as u64, 20_000.min(edges), &mut tally);
         seed += 1;

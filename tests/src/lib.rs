@@ -38,4 +38,4 @@ pub fn root() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
 }
 
-pub use test_needs::{shared, skipped};
+pub use test_needs::{asked, shared, skipped};

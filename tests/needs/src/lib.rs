@@ -18,10 +18,18 @@ use std::path::{Path, PathBuf};
 /// It is no number.
 #[must_use]
 pub fn cases(n: u64) -> u64 {
-    let times = |text: String| {
-        text.parse::<u64>().unwrap_or_else(|_| panic!("RTEC_CASES: found {text:?}, expected a number"))
-    };
-    n * std::env::var("RTEC_CASES").map_or(1, times)
+    n * asked("RTEC_CASES", 1)
+}
+
+/// The number that an environment variable gives, else `otherwise`.
+///
+/// # Panics
+/// What it gives is no number.
+#[must_use]
+pub fn asked(variable: &str, otherwise: u64) -> u64 {
+    std::env::var(variable).map_or(otherwise, |text| {
+        text.parse().unwrap_or_else(|_| panic!("{variable}: found {text:?}, expected a number"))
+    })
 }
 
 /// Notes that a test could not run, and why. The test is to end after it.

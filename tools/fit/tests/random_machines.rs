@@ -1,5 +1,5 @@
 //! Eighty random machines: what a fit of equation 1 says of laws that are known, and of axes without any. Machines, heat and
-//! noise are made here, by formulas of their own. `RTEC_CASES=3` takes three times as many, `RTEC_FIRST` others.
+//! noise are made here, by formulas of their own. `RTEC_CASES=3` takes three times as many, `RTEC_SEED` others.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -7,8 +7,8 @@ use rtec_fit::thermal::{self, Options};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::Path;
-use test_needs::cases;
 use test_needs::dice::Dice;
+use test_needs::{asked, cases};
 
 /// The law of an axis: of the bearing's difference to the air, maybe bent, maybe late.
 #[derive(Debug, Clone, Copy)]
@@ -153,7 +153,7 @@ fn judged(seed: u64) -> Vec<(&'static str, bool)> {
 #[test]
 fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
     let machines = cases(80);
-    let first: u64 = std::env::var("RTEC_FIRST").ok().and_then(|v| v.parse().ok()).unwrap_or(0);
+    let first = asked("RTEC_SEED", 0);
     let mut counts: BTreeMap<&str, [u32; 2]> = BTreeMap::new();
     let halves = std::thread::scope(|s| {
         let half =

@@ -17,7 +17,7 @@
 //! that puts a count in doubt outlives the process; no
 //! insertion begins unless the mode is RUN, nor while the control side is silent.
 //!
-//! `RTEC_HISTORIES` says how many (default 200), `RTEC_HISTORY` which one alone. Not drawn: power cuts (the inverters are
+//! `RTEC_HISTORIES` says how many (default 200), `RTEC_SEED` which is the first. Not drawn: power cuts (the inverters are
 //! lost with the file), sockets and the record of commands, which have processes of their own in `tests/`.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
@@ -39,6 +39,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use test_needs::asked;
 use test_needs::dice::Dice;
 
 const STALE_MS: u64 = 60;
@@ -201,7 +202,7 @@ impl Judge {
     }
 
     fn wrong(&mut self, what: &str, m: &Machine) {
-        self.wrong.push(format!("RTEC_HISTORY={} at {} ns: {what}", self.seed, m.t_ns));
+        self.wrong.push(format!("RTEC_SEED={} at {} ns: {what}", self.seed, m.t_ns));
     }
 }
 
@@ -304,7 +305,7 @@ impl Life {
 
     /// One history alone is told.
     fn tell(&self, what: &str) {
-        if number("RTEC_HISTORY").is_some() {
+        if asked("RTEC_HISTORIES", 200) == 1 {
             println!("{:>10.3} ms {what}", self.now_ns() as f64 * 1e-6);
         }
     }
@@ -637,21 +638,15 @@ fn history(seed: u64, planted: Option<Planted>, tally: &mut Tally) -> (Vec<Strin
     tally.edges += m.axes.iter().map(|a| a.edges).sum::<u64>();
     let mut wrong = judge.wrong.clone();
     if (0..2).any(|n| judge.trusted[n] && judge.lost[n].is_some()) {
-        wrong.push(format!("RTEC_HISTORY={seed}: a count is lost at the end, and no fault is latched"));
+        wrong.push(format!("RTEC_SEED={seed}: a count is lost at the end, and no fault is latched"));
     }
     (wrong, judge.digest)
 }
 
-fn number(name: &str) -> Option<u64> {
-    std::env::var(name).ok()?.parse().ok()
-}
-
 #[test]
 fn no_history_loses_a_count_in_silence() {
-    let seeds = match number("RTEC_HISTORY") {
-        Some(seed) => seed..seed + 1,
-        None => 1..1 + number("RTEC_HISTORIES").unwrap_or(200),
-    };
+    let first = asked("RTEC_SEED", 1);
+    let seeds = first..first + asked("RTEC_HISTORIES", 200);
     let mut tally = Tally::default();
     let mut wrong = Vec::new();
     for seed in seeds {

@@ -1,8 +1,6 @@
 //! `tests/fetch-data`: the measured data, from a server that is ours here. Needs the data itself, of which it makes what the
 //! owners' servers have.
 
-#![allow(clippy::unwrap_used)]
-
 use rtec_tests::{root, shared};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -1,7 +1,5 @@
 //! A real axis's recorded motion as edges, corrections requested throughout: `rtecctl trace`, then `rtecctl replay`.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::{daemon::program, shared};
 use serde_json::Value;
 use std::fmt::Write;

@@ -1,7 +1,5 @@
 //! Cards that are more than a word of lines, and the card's commands beside a running daemon.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_driver::mapped::Registers;
 use rtec_driver::profile::Width;
 use rtec_driver::quadrature::State;

@@ -1,7 +1,5 @@
 //! The judges agree with right traces and catch wrong ones; `.ci/run` installs them and lets nothing be skipped.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_driver::replay::TracePoint;
 use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, Verdict, available, sigrok};

@@ -1,7 +1,5 @@
 //! The machine model in a real `rtecd`: taken, explained, carried over a restart, refused when it has changed.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Daemon, among_others, until};
 use rtec_tests::sensors::Sensors;
 use serde_json::Value;

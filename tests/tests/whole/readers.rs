@@ -1,7 +1,5 @@
 //! What reads the daemon for others: ledger, one value, a document a line, a bug report; and the words of refusals.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_files::trace::TraceReader;
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, available};

@@ -1,7 +1,5 @@
 //! What a user sees of a real `rtecd`: the way from start to correction, every bad input and fault, crash and restart.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Bench, CONFIG, Daemon, alone, program, until, user};
 use serde_json::Value;
 use std::fmt::Write as _;

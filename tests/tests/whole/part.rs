@@ -1,8 +1,6 @@
 //! The process-intermittent loop through a real `rtecd`: a simulated turning centre behind its mock card, whose
 //! controller runs the probing program and the finish cut; everything else is done by `rtecctl`.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_part::contour::nose;
 use rtec_part::unit::Unit;
 use rtec_sim::turning::Setup;

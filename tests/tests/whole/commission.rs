@@ -1,7 +1,5 @@
 //! `rtecctl commission` on a simulated machine that is as configured, and on those that are not.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};

@@ -1,8 +1,6 @@
 //! `rtec-mqtt` at a real broker, seen by a real client: Debian's mosquitto and `mosquitto_sub`. A fault arrives, the daemon
 //! restarts, the broker restarts, the bridge dies.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::skipped;
 use std::io::{BufRead, BufReader, Read};

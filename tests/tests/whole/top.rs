@@ -1,7 +1,5 @@
 //! `rtecctl top` in a real terminal: tmux runs it, types into it and reads the screen.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Daemon, alone, program, until};
 use rtec_tests::skipped;
 use std::path::{Path, PathBuf};

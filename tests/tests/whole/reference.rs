@@ -1,8 +1,6 @@
 //! The guide's hand-written reference: what the code reads and writes stands on its page. `verbs.md` and `effects.md` are made
 //! from the code (`rtecctl`, `rtec-model`), `rtec-toml.md` and `protocol.md` are held against it in `rtec-control`.
 
-#![allow(clippy::unwrap_used)]
-
 use rtec_control::protocol::word;
 use rtec_measure::plausible::What;
 use rtec_model::record::{Axis, Kind, Role};

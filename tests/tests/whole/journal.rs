@@ -1,8 +1,6 @@
 //! The journal's fields, as a real journald stores them and `journalctl` finds them: in a mount namespace of its own, so that
 //! the computer's journal is left alone.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{alone, program};
 use rtec_tests::skipped;
 use serde_json::Value;

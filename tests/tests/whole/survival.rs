@@ -1,12 +1,10 @@
 //! What `rtecd` survives, and what the MTC sees of it (laws 2 and 3): kills at any moment, a control side that stalls or is
 //! flooded, full disks, stepped clocks. Not one jump, not one illegal transition; the ledger balances or a fault is latched.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Bench, CONFIG, Daemon, EDGE, Machine, alone, program, until};
 use rtec_tests::disk::SmallDisk;
-use rtec_tests::skipped;
 use rtec_tests::supervisor::Trial;
+use rtec_tests::{asked, skipped};
 use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -25,8 +23,7 @@ fn killed_twenty_times_it_leaves_no_jump_and_no_illegal_state() {
     std::fs::write(at("rtec.toml"), CONFIG.replace("CARD", "card")).unwrap();
     let machine = Machine::start(&at("card"));
     let rtecd = program("rtecd");
-    let given = |name: &str| std::env::var(name).ok().map(|v| v.parse::<u64>().expect("a number"));
-    let (kills, seed) = (given("RTEC_KILLS").unwrap_or(20) as u32, given("RTEC_SEED").unwrap_or(7));
+    let (kills, seed) = (asked("RTEC_KILLS", 20) as u32, asked("RTEC_SEED", 7));
     let trial = Trial { rtecd, config: at("rtec.toml"), socket: at("s"), kills, seed, within: 4 * EDGE };
     let tally = trial.run(&machine, std::io::stderr()).unwrap();
     println!("{tally:?}");

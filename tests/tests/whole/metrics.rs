@@ -1,8 +1,6 @@
 //! Metrics of a real `rtecd`, judged by programs that are not ours: promtool, the Python client's strict `OpenMetrics` parser,
 //! and a Prometheus that scrapes them and fires the rules that we ship.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::{root, skipped};
 use serde_json::Value;
@@ -258,7 +256,7 @@ fn every_shipped_rule_fires_and_is_quiet() {
         return;
     }
     let (shipped, samples) =
-        (root().join("udev/plant/rtec-alerts.yml"), root().join("tests/tests/metrics/alerts.yml"));
+        (root().join("udev/plant/rtec-alerts.yml"), root().join("tests/tests/whole/metrics/alerts.yml"));
     let rules = std::fs::read_to_string(&shipped).unwrap();
     let cases = std::fs::read_to_string(&samples).unwrap();
     assert!(alerts(&rules).len() >= 10, "{rules}");

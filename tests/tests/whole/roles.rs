@@ -1,8 +1,6 @@
 //! Who may ask `rtecd` for what: every role tries every verb as another user; and the record of it, read, checked, tampered
 //! with.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::skipped;
 use serde_json::Value;

@@ -1,8 +1,6 @@
 //! Finished records on their way from the daemon to the shop: a probing run that the daemon captured, a run that a client
 //! recorded and handed over; sent by `rtecctl ship`. A folder that is gone or full costs a record and is said, and nothing else.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_measure::record::{read, read_log};
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::disk::SmallDisk;

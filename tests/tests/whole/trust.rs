@@ -1,7 +1,5 @@
 //! What a plant must be able to count on: one request, one client, one lost record or one late card stops nothing else.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::{Bench, CONFIG, Daemon, alone, program, until};
 use rtec_tests::disk::SmallDisk;
 use rtec_tests::skipped;

@@ -1,8 +1,6 @@
 //! The closed loop of reconciliation, through `rtecctl` alone: a machine with something hidden is corrected by a model
 //! that lacks it; what was measured is reconciled; corrected again, the parts are better.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_tests::daemon::program;
 use serde_json::Value;
 use std::path::Path;

@@ -1,7 +1,5 @@
 //! The engine, judged by counters that are not ours: what the MTC is sent counts as scale counts plus completed.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
-
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::AxisConfig;
