@@ -87,8 +87,6 @@ struct Rig {
     flying: Option<(u64, u64)>,
     next_gap: Option<u64>,
     max_gap_ns: u64,
-    /// One look in so many is late by far.
-    late: u64,
     edges_between: u64,
     ours_between: bool,
     mirrored: bool,
@@ -122,7 +120,6 @@ impl Rig {
             flying: None,
             next_gap: None,
             max_gap_ns,
-            late: if class == Class::Late { 200_000 } else { u64::MAX },
             edges_between: 0,
             ours_between: false,
             mirrored: false,
@@ -132,7 +129,7 @@ impl Rig {
     }
 
     fn levels(&self) -> u64 {
-        CYCLE[self.scale.rem_euclid(4) as usize]
+        CYCLE[(self.scale & 3) as usize]
     }
 
     /// What the MTC makes of the signals now.
@@ -193,9 +190,11 @@ impl Rig {
         }
     }
 
+    /// Asked for at every look, a hundred times an edge: nothing is divided.
     fn gap_ns(&mut self) -> u64 {
-        let gap = self.dice.within(20, self.max_gap_ns);
-        if self.dice.one_in(self.late) { gap * self.dice.within(2, 20_000) } else { gap }
+        let gap = 20 + self.dice.below(self.max_gap_ns as usize - 19) as u64;
+        let late = self.class == Class::Late && self.dice.one_in(200_000);
+        if late { gap * self.dice.within(2, 20_000) } else { gap }
     }
 }
 

@@ -34,9 +34,9 @@ impl Dice {
         lo + (hi - lo) * self.unit()
     }
 
-    /// From 0 to n - 1.
+    /// From 0 to n - 1; nothing is divided.
     pub fn below(&mut self, n: usize) -> usize {
-        (self.unit() * n as f64) as usize
+        ((u128::from(self.bits()) * n as u128) >> 64) as usize
     }
 
     /// True in this share of the times.
