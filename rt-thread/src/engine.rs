@@ -375,17 +375,16 @@ impl Engine {
                         self.edge_to_done_ns.record(ns);
                     }
                     if !look.permit.shadow {
-                        let lines = axis.lines();
-                        let bit = if toggle == 1 { lines.invert_a } else { lines.invert_b };
-                        mask |= 1 << bit;
-                        value |= u64::from(axis.inverters() & toggle != 0) << bit;
+                        let (line, level) = axis.output(toggle);
+                        mask |= line;
+                        value |= level;
                     }
                 }
             }
             wake_ns = wake_ns.min(axis.wake_ns());
         }
         self.wake_ns = wake_ns;
-        if mask != 0 || faulted {
+        if (mask != 0 || faulted) && self.journal.is_some() {
             self.note();
         }
         if wrote != 0 {
