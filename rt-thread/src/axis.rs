@@ -279,7 +279,8 @@ pub(crate) struct AxisEngine {
     capture: Option<Capture>,
     /// Nothing to do before this, ns, unless a line changes.
     wake_ns: u64,
-    /// Nothing is under way, waited for or to begin, and no request has come since: an edge is counted, and that is all.
+    /// Nothing is under way, waited for or to begin, and no request but a total has come since: an edge is counted, and
+    /// that is all.
     calm: bool,
     /// Mask of its lines in the input word, of A alone, and of A and B.
     input_mask: u64,
@@ -403,7 +404,7 @@ impl AxisEngine {
         (self.wake_ns, self.calm) = (0, false);
     }
 
-    /// A request of whatever kind has come: the next edge is looked at with care.
+    /// A request other than a total has come: the next edge is looked at with care.
     pub(crate) fn take_care(&mut self) {
         self.calm = false;
     }
@@ -525,7 +526,8 @@ impl AxisEngine {
         }
         self.not_believed = 0;
         self.requested = total;
-        self.wake();
+        // An edge may open an insertion for it, or the axis has been at rest for long enough; nothing else is due sooner.
+        self.set_wake_time();
         if total.unsigned_abs() >= self.config.warn_counts.unsigned_abs() {
             Answer::AcceptedWithWarning
         } else {
