@@ -143,6 +143,15 @@ struct Unsettled {
     done_ns: Option<u64>,
 }
 
+/// What an axis has to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Due {
+    /// These inverters are to be toggled now: bit 0 A, bit 1 B; one of them.
+    Now(u8),
+    /// Nothing before this, ns, unless a line changes.
+    At(u64),
+}
+
 /// In which order a real edge and an inversion reached the XOR gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Order {
@@ -240,6 +249,7 @@ pub(crate) struct AxisEngine {
     config: AxisConfig,
     gate: Gate,
     min_interval_ns: u64,
+    busy_ns: u64,
     scale: Decoder,
     /// Position of the place where the counters were zeroed.
     home_counts: i64,
@@ -269,11 +279,18 @@ pub(crate) struct AxisEngine {
     capture: Option<Capture>,
     /// Nothing to do before this, ns, unless a line changes.
     wake_ns: u64,
-    /// Nothing is under way, waited for or to begin, and no request has come since: an edge is counted, and that is all.
+    /// Nothing is under way, waited for or to begin, and no request but a total has come since: an edge is counted, and
+    /// that is all.
     calm: bool,
-    /// Mask of its lines in the input word, and of A alone.
+    /// Mask of its lines in the input word, of A alone, and of A and B.
     input_mask: u64,
     a_mask: u64,
+    scale_mask: u64,
+    /// A and B in the input word as they were at the last look that counted.
+    scale_inputs: u64,
+    /// What the next count in the direction of the last one changes: the line in the input word, and the signal. No line at
+    /// all where the last edge had no direction.
+    onward: (u64, Signal),
     insertions: u64,
     waited_for_gate: u64,
     overlaps: u64,
@@ -295,6 +312,8 @@ pub(crate) struct Found {
 
 /// The period before the second edge: the axis is taken to come from rest, as it stood when it was homed.
 const REST: u64 = u64::MAX;
+/// No change of lines: after an edge without a direction none goes on as before.
+const NOWHERE: (u64, Signal) = (u64::MAX, Signal::A);
 /// A capture that finds no further edge is complete after this time: the axis has stopped.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
@@ -315,6 +334,7 @@ impl AxisEngine {
             config,
             gate: config.gate()?,
             min_interval_ns: interval as u64,
+            busy_ns: config.busy_ns(),
             scale: Decoder::new(found.scale),
             home_counts: 0,
             wire: Wire {
@@ -348,6 +368,9 @@ impl AxisEngine {
             calm: false,
             input_mask: config.lines.input_mask(),
             a_mask: 1 << config.lines.a,
+            scale_mask: 1 << config.lines.a | 1 << config.lines.b,
+            scale_inputs: 0,
+            onward: NOWHERE,
             insertions: 0,
             waited_for_gate: 0,
             overlaps: 0,
@@ -358,8 +381,12 @@ impl AxisEngine {
         })
     }
 
-    pub(crate) const fn lines(&self) -> &AxisLines {
-        &self.config.lines
+    /// Mask and level of the output line of a signal (1 A, 2 B) that has been toggled.
+    #[inline]
+    pub(crate) const fn output(&self, toggled: u8) -> (u64, u64) {
+        let lines = &self.config.lines;
+        let mask = 1 << if toggled == 1 { lines.invert_a } else { lines.invert_b };
+        (mask, if self.wire.inverters & toggled == 0 { 0 } else { mask })
     }
 
     /// Mask of its lines in the input word.
@@ -377,7 +404,7 @@ impl AxisEngine {
         (self.wake_ns, self.calm) = (0, false);
     }
 
-    /// A request of whatever kind has come: the next edge is looked at with care.
+    /// A request other than a total has come: the next edge is looked at with care.
     pub(crate) fn take_care(&mut self) {
         self.calm = false;
     }
@@ -401,11 +428,6 @@ impl AxisEngine {
         let wire = self.real.unwrap_or(self.wire);
         let half = matches!(wire.inverters, 1 | 2);
         (wire.inverters, if half { wire.mtc_count - self.scale.count() } else { wire.completed })
-    }
-
-    /// The inverters, those of the copy in shadow mode.
-    pub(crate) const fn inverters(&self) -> u8 {
-        self.wire.inverters
     }
 
     fn pending(&self) -> i64 {
@@ -504,7 +526,8 @@ impl AxisEngine {
         }
         self.not_believed = 0;
         self.requested = total;
-        self.wake();
+        // An edge may open an insertion for it, or the axis has been at rest for long enough; nothing else is due sooner.
+        self.set_wake_time();
         if total.unsigned_abs() >= self.config.warn_counts.unsigned_abs() {
             Answer::AcceptedWithWarning
         } else {
@@ -551,28 +574,27 @@ impl AxisEngine {
     /// `false`, and nothing is changed, where there may be more to it: [`AxisEngine::look`] sees to that.
     #[inline]
     pub(crate) fn goes_on_calmly(&mut self, look: &Look) -> bool {
-        let (Some((last_from_ns, last_ns)), true) = (self.last_edge, self.calm) else { return false };
-        let (before, state) = (self.scale.state(), self.config.lines.scale(look.inputs));
-        let changed = before.changed(state);
-        if !matches!(changed, 1 | 2) {
+        let (Some(last_edge), true) = (&mut self.last_edge, self.calm) else { return false };
+        let scale_inputs = look.inputs & self.scale_mask;
+        let changed = scale_inputs ^ self.scale_inputs;
+        let (line, signal) = self.onward;
+        if changed != line {
             return changed == 0;
         }
         if look.unseen & self.a_mask != 0
             && (look.gap_ns > self.gate.need_ns()
-                || look.edge_ns.1 - last_from_ns + self.config.detect_ns < self.period_ns)
+                || look.edge_ns.1 - last_edge.0 + self.config.detect_ns < self.period_ns)
         {
             return false;
         }
-        let step = before.step_to_neighbour(state);
-        let mtc = self.wire.mtc.inverted(changed);
-        if step != self.last_step || self.wire.mtc.step_to_neighbour(mtc) != step {
-            return false;
-        }
-        self.scale.take_step(state, step);
-        self.wire.mtc = mtc;
-        self.wire.mtc_count += i64::from(step);
-        self.period_ns = look.edge_ns.0.saturating_sub(last_ns);
-        self.last_edge = Some(look.edge_ns);
+        self.scale.take_step(self.scale.state().flipped(signal), self.last_step);
+        self.wire.mtc = self.wire.mtc.flipped(signal);
+        self.wire.mtc_count += i64::from(self.last_step);
+        self.scale_inputs = scale_inputs;
+        // A and B take turns.
+        self.onward = (line ^ self.scale_mask, signal.other());
+        self.period_ns = look.edge_ns.0.saturating_sub(last_edge.1);
+        *last_edge = look.edge_ns;
         true
     }
 
@@ -621,14 +643,17 @@ impl AxisEngine {
             self.capture = None;
             report(EventKind::Trip(c));
         }
-        let toggle = if look.more { 0 } else { self.act(look, report) };
-        if toggle == 0 {
-            self.set_wake_time();
-        } else {
-            // Whether it is in effect, the next look tells.
-            (self.wake_ns, self.calm) = (0, false);
+        match if look.more { Due::At(self.due_ns()) } else { self.act(look, report) } {
+            Due::At(wake_ns) => {
+                self.set_wake(wake_ns);
+                0
+            }
+            Due::Now(toggle) => {
+                // Whether it is in effect, the next look tells.
+                (self.wake_ns, self.calm) = (0, false);
+                toggle
+            }
         }
-        toggle
     }
 
     fn fault(&mut self, fault: Fault, report: &mut impl FnMut(EventKind)) {
@@ -653,6 +678,14 @@ impl AxisEngine {
             self.check_limits(step, look.edge_ns.1 - last_ns, last_period_ns, report);
         }
         self.last_step = step.unwrap_or(0);
+        self.scale_inputs = look.inputs & self.scale_mask;
+        self.onward = match self.last_step {
+            0 => NOWHERE,
+            step => match state.signal_towards(step > 0) {
+                Signal::A => (self.a_mask, Signal::A),
+                Signal::B => (self.scale_mask ^ self.a_mask, Signal::B),
+            },
+        };
         let Some(_) = step else {
             self.wire.mtc = state.inverted(self.wire.inverters);
             if let Insertion::Half { edges, .. } = &mut self.insertion {
@@ -681,8 +714,10 @@ impl AxisEngine {
         }
         match &mut self.insertion {
             Insertion::Idle | Insertion::Opened { .. } => {
-                let may = self.ready() && look.permit.insert;
-                self.insertion = if may { self.open(look.edge_ns) } else { Insertion::Idle };
+                self.insertion = Insertion::Idle;
+                if self.ready() && look.permit.insert {
+                    self.open(look.edge_ns);
+                }
             }
             Insertion::Half { edges, .. } => *edges += 1,
             Insertion::Between { .. } => {}
@@ -773,26 +808,24 @@ impl AxisEngine {
     fn ready(&self) -> bool {
         let pending = self.pending();
         // As a rule, and then the rest need not be asked.
-        if pending == 0 {
+        if pending == 0 || !self.homed || self.faults.any() {
             return false;
         }
-        let increment = if self.wire.inverters != 0 && self.config.design != Design::C {
-            2
-        } else {
-            self.config.design.increment_counts()
-        };
-        self.homed && !self.faults.any() && pending.abs() >= increment
+        // Full-cycle designs insert four counts; two switch both inverters off again.
+        let four = self.config.design != Design::C && self.wire.inverters == 0;
+        pending.abs() >= if four { 4 } else { 2 }
     }
 
-    /// After an edge, something is pending: may an insertion begin?
-    fn open(&mut self, edge: (u64, u64)) -> Insertion {
+    /// After an edge, something is pending: an insertion is opened, or why not is noted. Written in place: an insertion that
+    /// is handed over is copied in other pieces than it was written in, and the processor waits for them.
+    fn open(&mut self, edge: (u64, u64)) {
         if !self.place() {
             self.waits_for = GateState::WaitingForEdge;
-            return Insertion::Idle;
+            return;
         }
         if edge.1 < self.next_allowed_ns {
             self.waits_for = GateState::RateCap;
-            return Insertion::Idle;
+            return;
         }
         // The first edge tells nothing of the speed.
         let period_ns = if self.period_ns == REST { 0 } else { self.period_ns };
@@ -800,67 +833,68 @@ impl AxisEngine {
         if period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
             self.waits_for = GateState::TooFast;
             self.waited_for_gate += 1;
-            return Insertion::Idle;
+            return;
         }
         self.waits_for = GateState::WaitingForEdge;
-        Insertion::Opened {
+        self.insertion = Insertion::Opened {
             add: self.pending() > 0,
             pairs: self.pairs(),
             from_ns: edge.1 + self.config.min_separation_ns,
-            until_ns: edge.0 + quiet_ns - self.config.busy_ns(),
-        }
+            until_ns: edge.0 + quiet_ns - self.busy_ns,
+        };
     }
 
-    /// What is due at this look.
-    fn act(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> u8 {
+    /// What is due at this look, or when something is.
+    fn act(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Due {
         let t_ns = look.t_ns;
         match self.insertion {
             Insertion::Idle => {
-                let RestPolicy::Insert { after_ns } = self.config.rest else { return 0 };
-                let quiet_since = self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns);
-                if look.permit.insert && self.place() && self.ready() && t_ns >= quiet_since + after_ns {
-                    return self.invert_first(self.pending() > 0, self.pairs(), t_ns, t_ns);
+                let due_ns = self.due_at_rest_ns();
+                if t_ns < due_ns || !look.permit.insert {
+                    return Due::At(due_ns);
                 }
-                0
+                self.invert_first(self.pending() > 0, self.pairs(), t_ns, t_ns)
             }
             Insertion::Opened { add, pairs, from_ns, until_ns } => {
                 if t_ns < from_ns {
-                    return 0;
+                    return Due::At(from_ns);
                 }
                 self.insertion = Insertion::Idle;
-                if !look.permit.insert || !self.ready() || (self.pending() > 0) != add {
-                    return 0;
+                let wanted = look.permit.insert && self.ready() && (self.pending() > 0) == add;
+                if wanted && t_ns <= until_ns {
+                    return self.invert_first(add, pairs, t_ns, from_ns - self.config.min_separation_ns);
                 }
-                if t_ns > until_ns {
+                if wanted {
                     self.late += 1;
                     report(EventKind::Late);
-                    return 0;
                 }
-                self.invert_first(add, pairs, t_ns, from_ns - self.config.min_separation_ns)
+                Due::At(self.due_at_rest_ns())
             }
             Insertion::Half { add, pairs, effective_ns: Some(effective), edges, seen_ns } => {
                 // Two real edges inside: the axis is too fast for a separation, and the MTC counts mirrored.
-                if t_ns < self.apart_ns(effective) && edges < 2 {
-                    return 0;
+                let due_ns = self.apart_ns(effective);
+                if t_ns < due_ns && edges < 2 {
+                    return Due::At(due_ns);
                 }
                 self.invert_second(add, pairs, edges > 0, t_ns, seen_ns, report)
             }
             Insertion::Between { add, pairs, effective_ns: Some(effective), seen_ns } => {
-                if t_ns < self.apart_ns(effective) {
-                    return 0;
+                let due_ns = self.apart_ns(effective);
+                if t_ns < due_ns {
+                    return Due::At(due_ns);
                 }
                 self.invert_first(add, pairs, t_ns, seen_ns)
             }
-            Insertion::Half { .. } | Insertion::Between { .. } => 0,
+            Insertion::Half { .. } | Insertion::Between { .. } => Due::At(0),
         }
     }
 
     /// The first inversion of a pair. A and B equal: A first adds, B first subtracts; different: the other way round
     /// (NISTIR 4832, Design C). Both inverters are equal here, so A' and B' decide alike.
-    fn invert_first(&mut self, add: bool, pairs: u8, t_ns: u64, seen_ns: u64) -> u8 {
+    fn invert_first(&mut self, add: bool, pairs: u8, t_ns: u64, seen_ns: u64) -> Due {
         self.insertion = Insertion::Half { add, pairs, effective_ns: None, edges: 0, seen_ns };
         self.touched |= self.real.is_none();
-        self.invert(self.wire.mtc.signal_towards(add), t_ns)
+        Due::Now(self.invert(self.wire.mtc.signal_towards(add), if add { 1 } else { -1 }, t_ns))
     }
 
     /// The second inversion. Without an edge in between it is the other signal; with one, the signal that leaves the
@@ -873,15 +907,16 @@ impl AxisEngine {
         t_ns: u64,
         seen_ns: u64,
         report: &mut impl FnMut(EventKind),
-    ) -> u8 {
+    ) -> Due {
         let wanted = self.wire.completed + if add { 2 } else { -2 };
-        let offset_after = |signal: Signal| {
-            self.wire.mtc_count + i64::from(self.wire.mtc.step_of(signal)) - self.scale.count()
-        };
-        let (a, b) = (offset_after(Signal::A), offset_after(Signal::B));
-        let signal = if a.abs_diff(wanted) <= b.abs_diff(wanted) { Signal::A } else { Signal::B };
-        let toggle = self.invert(signal, t_ns);
         let offset = self.wire.mtc_count - self.scale.count();
+        // As a rule the way on; the other way ends two counts beside it.
+        let (onward, step) = (self.wire.mtc.signal_towards(add), if add { 1 } else { -1 });
+        let [ahead, aback] = [offset + step, offset - step].map(|o| o.abs_diff(wanted));
+        let turn = aback < ahead || aback == ahead && onward == Signal::B;
+        let (signal, step) = if turn { (onward.other(), -step) } else { (onward, step) };
+        let toggle = self.invert(signal, step, t_ns);
+        let offset = offset + step;
         if overlapped {
             self.wire.completed = offset;
         } else {
@@ -899,12 +934,14 @@ impl AxisEngine {
             self.next_allowed_ns = t_ns + self.min_interval_ns;
             self.edge_to_done_ns = Some(t_ns - seen_ns);
         }
-        toggle
+        Due::Now(toggle)
     }
 
-    fn invert(&mut self, signal: Signal, t_ns: u64) -> u8 {
+    /// Inverts a signal, which is this step to the MTC.
+    fn invert(&mut self, signal: Signal, step: i64, t_ns: u64) -> u8 {
         let w = &mut self.wire;
-        w.mtc_count += i64::from(w.mtc.step_of(signal));
+        debug_assert_eq!(i64::from(w.mtc.step_of(signal)), step);
+        w.mtc_count += step;
         w.mtc = w.mtc.flipped(signal);
         w.inverters ^= signal as u8;
         self.unsettled = Some(Unsettled { signal, from_ns: t_ns, done_ns: None });
@@ -917,20 +954,35 @@ impl AxisEngine {
         last_out + self.config.min_separation_ns
     }
 
-    /// Works out until when nothing is due unless a line changes.
-    fn set_wake_time(&mut self) {
-        let mut wake = match self.insertion {
+    /// When the insertion under way goes on, or at rest one begins, ns.
+    fn due_ns(&self) -> u64 {
+        match self.insertion {
+            Insertion::Idle => self.due_at_rest_ns(),
             Insertion::Opened { from_ns, .. } => from_ns,
             Insertion::Half { effective_ns: Some(e), edges: 0..2, .. }
             | Insertion::Between { effective_ns: Some(e), .. } => self.apart_ns(e),
             Insertion::Half { .. } | Insertion::Between { .. } => 0,
-            Insertion::Idle => match self.config.rest {
-                RestPolicy::Insert { after_ns } if self.ready() && self.place() => {
-                    self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns) + after_ns
-                }
-                _ => u64::MAX,
-            },
-        };
+        }
+    }
+
+    /// When an insertion begins that no edge opens, ns.
+    fn due_at_rest_ns(&self) -> u64 {
+        match self.config.rest {
+            RestPolicy::Insert { after_ns } if self.ready() && self.place() => {
+                self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns) + after_ns
+            }
+            _ => u64::MAX,
+        }
+    }
+
+    /// Works out until when nothing is due unless a line changes.
+    fn set_wake_time(&mut self) {
+        self.set_wake(self.due_ns());
+    }
+
+    /// The same where it is known already when the insertion goes on.
+    fn set_wake(&mut self, due_ns: u64) {
+        let mut wake = due_ns;
         if self.unsettled.is_some_and(|u| u.done_ns.is_none()) {
             wake = 0;
         }
@@ -941,7 +993,10 @@ impl AxisEngine {
             wake = wake.min(c.trip_ns.1 + CAPTURE_LIMIT_NS + 1);
         }
         self.wake_ns = wake;
-        self.calm = wake == u64::MAX && self.unsettled.is_none() && !self.ready();
+        self.calm = wake == u64::MAX
+            && self.unsettled.is_none()
+            && matches!(self.wire.inverters, 0 | 3)
+            && !self.ready();
     }
 
     /// The axis as a status shows it. `blocked` is what the machine as a whole holds against insertions.

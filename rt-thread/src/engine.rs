@@ -375,17 +375,16 @@ impl Engine {
                         self.edge_to_done_ns.record(ns);
                     }
                     if !look.permit.shadow {
-                        let lines = axis.lines();
-                        let bit = if toggle == 1 { lines.invert_a } else { lines.invert_b };
-                        mask |= 1 << bit;
-                        value |= u64::from(axis.inverters() & toggle != 0) << bit;
+                        let (line, level) = axis.output(toggle);
+                        mask |= line;
+                        value |= level;
                     }
                 }
             }
             wake_ns = wake_ns.min(axis.wake_ns());
         }
         self.wake_ns = wake_ns;
-        if mask != 0 || faulted {
+        if (mask != 0 || faulted) && self.journal.is_some() {
             self.note();
         }
         if wrote != 0 {
@@ -477,10 +476,14 @@ impl Engine {
         if let Err(why) = self.try_take(request, report) {
             self.emit(axis, EventKind::Refused { total_counts, why }, report);
         }
-        self.axes.iter_mut().for_each(AxisEngine::take_care);
-        self.note();
+        let only_a_total = matches!(request, Request::Correct { .. }) && !self.mode_due;
+        if !only_a_total {
+            self.axes.iter_mut().for_each(AxisEngine::take_care);
+            self.note();
+        }
         self.wake_ns = self.axes.iter().map(AxisEngine::wake_ns).min().unwrap_or(0);
-        self.update_mode(card, report)
+        // A total that latches no fault changes neither what is in effect nor what the machine may do.
+        if only_a_total { Ok(()) } else { self.update_mode(card, report) }
     }
 
     fn try_take(&mut self, request: Request, report: &mut impl FnMut(Event) -> bool) -> Result<(), Refusal> {
@@ -580,6 +583,7 @@ impl Engine {
             }
             Answer::Refused(why) => return Err(why),
             Answer::Fault(fault) => {
+                self.mode_due = true;
                 if a.latch(fault) {
                     self.emit(Some(axis), EventKind::Fault(fault), report);
                 }

@@ -18,6 +18,8 @@
 pub struct Gate {
     accel_counts_ns2: f64,
     turn_back_ns: f64,
+    /// The same in whole ns: turned into them once.
+    turn_back_whole_ns: u64,
     /// The highest speed at an edge before which the axis stood, counts/ns.
     from_rest_counts_ns: f64,
     /// Shortest time of a count that begins at that speed, ns.
@@ -56,6 +58,7 @@ impl Gate {
         Some(Self {
             accel_counts_ns2: a,
             turn_back_ns,
+            turn_back_whole_ns: turn_back_ns as u64,
             from_rest_counts_ns,
             from_rest_ns,
             need_ns: input.need_ns,
@@ -106,7 +109,7 @@ impl Gate {
     /// The shortest time in which the axis can turn back over the edge that it has just crossed, ns.
     #[must_use]
     pub const fn turn_back_ns(&self) -> u64 {
-        self.turn_back_ns as u64
+        self.turn_back_whole_ns
     }
 
     /// The shortest time in which the axis can travel `counts`, ns, after an edge with the given period before it.

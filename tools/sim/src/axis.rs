@@ -1,6 +1,6 @@
 //! One axis of the machine: drive, screw with backlash, friction, and the scale that counts.
 
-use rtec_driver::quadrature::{Decoder, State};
+use rtec_driver::quadrature::{Decoder, Signal, State};
 
 /// What an axis is made of.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,6 +108,13 @@ pub(crate) struct AxisSim {
     next: f64,
     per_count: f64,
     up: bool,
+    /// The signal that changes with that edge, and its lines at the card, the gate's output with them.
+    signal: Signal,
+    signal_lines: u64,
+    /// All its lines at the card.
+    lines: u64,
+    /// What the edge is to the scale's counter and to the MTC's, counts: mirrored while one inverter is on.
+    counts: (i8, i8),
     step: (u64, f64, f64),
     /// Shortest time between two edges at the MTC, ns.
     pub min_separation_ns: u64,
@@ -137,7 +144,8 @@ pub(crate) struct Friction {
 }
 
 impl AxisSim {
-    pub(crate) fn new(spec: AxisSpec, at_mm: f64) -> Self {
+    /// The n-th axis, its lines as [`rtec_driver::card::AxisLines::standard`] has them.
+    pub(crate) fn new(spec: AxisSpec, n: usize, at_mm: f64) -> Self {
         let counts = at_mm * 1000.0 / spec.count_um;
         let table = counts + 0.5;
         let origin = table.floor() as i64;
@@ -168,6 +176,10 @@ impl AxisSim {
             next: 0.0,
             per_count: 0.0,
             up: true,
+            signal: Signal::A,
+            signal_lines: 0,
+            lines: 0xF << (4 * n),
+            counts: (0, 0),
             step: (0, 0.0, 0.0),
             min_separation_ns: u64::MAX,
             last_out_ns: 0,
@@ -292,6 +304,11 @@ impl AxisSim {
             return;
         }
         self.up = per_ns > 0.0;
+        self.signal = self.scale.state().signal_towards(self.up);
+        // A and A' are the even lines, B and B' the odd ones.
+        self.signal_lines =
+            self.lines & if self.signal == Signal::A { u64::MAX / 3 } else { u64::MAX / 3 * 2 };
+        self.see_counts();
         self.per_count = 1.0 / per_ns.abs();
         let count = self.origin + self.scale.count();
         let half = self.spec.hysteresis_counts / 2.0;
@@ -312,21 +329,20 @@ impl AxisSim {
     #[inline]
     fn book(&mut self, from_ns: u64, step_ns: u64) {
         self.next_ns = if self.next < step_ns as f64 {
-            // A threshold passed a hair before the step began is crossed at its beginning.
-            from_ns + self.next.max(0.0) as u64
+            // No step is longer than 32 bits can say; a threshold passed a hair before it began is crossed at its beginning,
+            // which is what becomes of a negative number here.
+            from_ns + u64::from(self.next as u32)
         } else {
             u64::MAX
         };
     }
 
-    /// The scale's edge at `next_ns`: both counters move on. Returns the new state of the scale, and whether the MTC saw an
-    /// illegal transition.
+    /// The scale's edge at `next_ns`: both counters move on. Returns the lines that change.
     #[inline]
-    pub(crate) fn edge(&mut self, inverters: u8, step_ns: u64) -> (State, bool) {
-        let t_ns = self.next_ns;
-        let state = self.scale.state().next(self.up);
-        self.scale.update(state);
-        let illegal = self.decode(state, inverters, t_ns);
+    pub(crate) fn edge(&mut self, step_ns: u64) -> u64 {
+        let (signal, (scale, mtc)) = (self.signal, self.counts);
+        self.scale.take_step(self.scale.state().flipped(signal), scale);
+        self.mtc.take_step(self.mtc.state().flipped(signal), mtc);
         self.next += self.per_count;
         if !self.interpolation.is_empty() {
             let count = self.origin + self.scale.count();
@@ -335,15 +351,26 @@ impl AxisSim {
             self.next += shift * if self.up { self.per_count } else { -self.per_count };
         }
         self.book(self.step.0, step_ns);
-        (state, illegal)
+        // A and B take turns as long as it goes the same way, which it does throughout a step.
+        self.signal = signal.other();
+        let changed = self.signal_lines;
+        self.signal_lines ^= self.lines;
+        changed
     }
 
-    /// What the MTC's decoder makes of a change.
-    #[inline]
-    pub(crate) fn decode(&mut self, scale: State, inverters: u8, t_ns: u64) -> bool {
-        let illegal = self.mtc.update(scale.inverted(inverters)).is_none();
-        self.min_separation_ns = self.min_separation_ns.min(t_ns - self.last_out_ns);
-        self.last_out_ns = t_ns;
-        illegal
+    /// What the next edge is to the two counters.
+    fn see_counts(&mut self) {
+        let mirrored = matches!(self.scale.state().changed(self.mtc.state()), 1 | 2);
+        let step = if self.up { 1 } else { -1 };
+        self.counts = (step, if mirrored { -step } else { step });
+    }
+
+    /// The inverters have changed: whether what the MTC's decoder makes of it is illegal, and how long after its last edge, ns.
+    pub(crate) fn invert(&mut self, inverters: u8, t_ns: u64) -> (bool, u64) {
+        let illegal = self.mtc.update(self.scale.state().inverted(inverters)).is_none();
+        self.see_counts();
+        let since_ns = t_ns - std::mem::replace(&mut self.last_out_ns, t_ns);
+        self.min_separation_ns = self.min_separation_ns.min(since_ns);
+        (illegal, since_ns)
     }
 }

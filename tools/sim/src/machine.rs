@@ -8,6 +8,7 @@ use crate::axis::{AxisSim, AxisSpec, Friction};
 use crate::gcode::Block;
 use crate::path::{AXES, Along, Command, FeedProfile, Limits, MoveShape};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_rt::event::MAX_AXES;
 
 /// Time step of the axes, ns.
 pub const STEP_NS: u64 = 250_000;
@@ -61,6 +62,18 @@ enum Job {
     Dwell { left_s: f64 },
 }
 
+/// Of a word that says when something happens, the bits that say to whom.
+const SOURCE_BITS: u32 = 3;
+const SOURCE: u64 = (1 << SOURCE_BITS) - 1;
+/// The probe, before the axes: of what happens at once, its line comes first, then those of the axes in their order.
+const PROBE: usize = 0;
+
+/// When something happens, ns (later than any step where it does not), and to whom, in one word: the sooner is the smaller.
+#[inline]
+const fn due(t_ns: u64, source: usize) -> u64 {
+    t_ns << SOURCE_BITS | source as u64
+}
+
 /// The simulated machine: axes, scales, decoders and probe, behind the lines of a card.
 pub struct SimMachine {
     axes: Vec<AxisSim>,
@@ -86,8 +99,9 @@ pub struct SimMachine {
     step_end_ns: u64,
     outputs: u64,
     inputs: u64,
-    /// Time of the next event within the step: an edge of an axis, or the probe (`axes.len()`).
-    next: (u64, usize),
+    /// The next event of every axis within the step, and of them all with the probe's, as [`due`].
+    due: [u64; MAX_AXES],
+    next: u64,
     surface: Option<Surface>,
     /// Tool minus scale, mm: the true machine's errors.
     tool_offset_mm: [f64; AXES],
@@ -115,7 +129,8 @@ impl SimMachine {
     pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
         let place: Vec<usize> =
             axes.iter().map(|a| ["x", "y", "z"].iter().position(|n| *n == a.name).unwrap_or(0)).collect();
-        let sims = axes.iter().zip(&place).map(|(a, &p)| AxisSim::new(a.clone(), at_mm[p])).collect();
+        let each = axes.iter().zip(&place).enumerate();
+        let sims = each.map(|(n, (a, &p))| AxisSim::new(a.clone(), n, at_mm[p])).collect();
         let lines: Vec<AxisLines> = (0..axes.len() as u8).map(|n| AxisLines::standard(n, true)).collect();
         let min_separation_ns = (1e9 / controller.decoder_hz) as u64;
         let mut machine = Self {
@@ -138,7 +153,8 @@ impl SimMachine {
             step_end_ns: 0,
             outputs: 0,
             inputs: 0,
-            next: (u64::MAX, 0),
+            due: [u64::MAX; MAX_AXES],
+            next: u64::MAX,
             surface: None,
             tool_offset_mm: [0.0; AXES],
             probe_delay_ns: 0,
@@ -336,6 +352,7 @@ impl SimMachine {
         self.probe_delay_ns = delay_ns;
         self.trip_ns = u64::MAX;
         self.inputs &= !(1 << 28);
+        self.find_soonest();
     }
 
     /// How far from the tip's centre the probe feels the part, mm: the tip's radius and what it is off now.
@@ -498,6 +515,7 @@ impl SimMachine {
     }
 
     /// Moves everything on by one step; a machine at rest, by as many servo periods as fit before `wake_ns`.
+    #[inline(never)]
     fn step(&mut self, wake_ns: u64) {
         let from_ns = self.step_end_ns;
         if from_ns.is_multiple_of(SERVO_NS) {
@@ -541,18 +559,26 @@ impl SimMachine {
         }
     }
 
-    #[inline]
+    /// What the axes and the probe have next, after a step.
     fn find_next(&mut self) {
-        let mut next = (self.trip_ns, self.axes.len());
-        for (n, axis) in self.axes.iter().enumerate() {
-            if axis.next_ns < next.0 {
-                next = (axis.next_ns, n);
-            }
+        for (n, (due_then, axis)) in self.due.iter_mut().zip(&self.axes).enumerate() {
+            *due_then = due(axis.next_ns, n + 1);
         }
-        self.next = next;
+        self.find_soonest();
     }
 
     #[inline]
+    fn find_soonest(&mut self) {
+        self.next = self.due.iter().fold(due(self.trip_ns, PROBE), |soonest, d| soonest.min(*d));
+    }
+
+    /// When the next event is, ns.
+    #[inline]
+    const fn next_ns(&self) -> u64 {
+        self.next >> SOURCE_BITS
+    }
+
+    #[cold]
     fn check(&mut self, axis: usize, illegal: bool, separation_ns: u64) {
         if self.fault.is_none() {
             if illegal {
@@ -564,33 +590,45 @@ impl SimMachine {
     }
 
     /// The next event of this step takes place.
-    #[inline]
+    #[allow(clippy::inline_always)] // As `sample`.
+    #[inline(always)]
     fn happen(&mut self) {
-        let (next_ns, which) = self.next;
+        let (next_ns, source) = (self.next_ns(), (self.next & SOURCE) as usize);
         self.t_ns = self.t_ns.max(next_ns);
-        if which == self.axes.len() {
-            self.trip_ns = u64::MAX;
-            self.inputs |= 1 << 28;
-            let mut at_mm = self.command.p_mm;
-            for (axis, &place) in self.axes.iter().zip(&self.place) {
-                at_mm[place] = axis.position_mm(next_ns);
-            }
-            self.trips = (self.trips.0 + 1, at_mm);
-        } else {
-            let inverters = (self.outputs >> (2 * which) & 3) as u8;
-            let last_ns = self.axes[which].last_out_ns;
-            let (_, illegal) = self.axes[which].edge(inverters, STEP_NS);
+        // The probe has none of the numbers of axes.
+        let which = source.wrapping_sub(1);
+        if let (Some(axis), Some(due_then)) = (self.axes.get_mut(which), self.due.get_mut(which)) {
+            self.inputs ^= axis.edge(STEP_NS);
+            *due_then = due(axis.next_ns, source);
             self.edges += 1;
-            self.check(which, illegal, next_ns - last_ns);
-            self.show(which);
+            let since_ns = next_ns - std::mem::replace(&mut axis.last_out_ns, next_ns);
+            // No sooner than any before it: that has been looked at.
+            if since_ns < axis.min_separation_ns {
+                axis.min_separation_ns = since_ns;
+                self.check(which, false, since_ns);
+            }
+        } else {
+            self.trip(next_ns);
         }
-        self.find_next();
+        self.find_soonest();
+    }
+
+    /// The probe's line comes on.
+    #[cold]
+    fn trip(&mut self, t_ns: u64) {
+        self.trip_ns = u64::MAX;
+        self.inputs |= 1 << 28;
+        let mut at_mm = self.command.p_mm;
+        for (axis, &place) in self.axes.iter().zip(&self.place) {
+            at_mm[place] = axis.position_mm(t_ns);
+        }
+        self.trips = (self.trips.0 + 1, at_mm);
     }
 
     /// Lets the machine run until `t_ns`, ns of the simulation's time.
     pub fn run_to(&mut self, t_ns: u64) {
         loop {
-            if self.next.0 <= t_ns.min(self.step_end_ns) {
+            if self.next_ns() <= t_ns.min(self.step_end_ns) {
                 self.happen();
             } else if t_ns <= self.step_end_ns {
                 self.t_ns = self.t_ns.max(t_ns);
@@ -608,7 +646,7 @@ impl SimMachine {
         if self.t_ns >= self.step_end_ns {
             self.step(self.t_ns);
         }
-        (self.next.0.min(self.step_end_ns), self.next.0 <= self.step_end_ns)
+        (self.next_ns().min(self.step_end_ns), self.next_ns() <= self.step_end_ns)
     }
 
     /// The input lines as they are.
@@ -623,16 +661,14 @@ impl SimMachine {
         for n in 0..self.axes.len() {
             if (before ^ outputs) >> (2 * n) & 3 != 0 {
                 let inverters = (outputs >> (2 * n) & 3) as u8;
-                let (scale, last_ns) = (self.axes[n].scale(), self.axes[n].last_out_ns);
-                let illegal = self.axes[n].decode(scale, inverters, self.t_ns);
-                self.check(n, illegal, self.t_ns - last_ns);
+                let (illegal, since_ns) = self.axes[n].invert(inverters, self.t_ns);
+                self.check(n, illegal, since_ns);
                 self.show(n);
             }
         }
         self.hold = outputs >> 28 & 1 != 0;
     }
 
-    #[inline]
     fn show(&mut self, axis: usize) {
         let a = &self.axes[axis];
         let bits = u64::from(a.scale().bits()) | u64::from(a.mtc.state().bits()) << 2;
@@ -641,13 +677,11 @@ impl SimMachine {
 }
 
 impl Card for SimMachine {
-    #[inline]
+    // Beside the engine that asks, most of what a look says is known to the compiler and need not be written down.
+    #[allow(clippy::inline_always)]
+    #[inline(always)]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
-        loop {
-            if self.next.0 <= wake_ns && self.next.0 <= self.step_end_ns {
-                self.happen();
-                return Ok(Sample::stamped(self.t_ns, self.inputs, Some(self.t_ns)));
-            }
+        while self.next_ns() > wake_ns.min(self.step_end_ns) {
             if wake_ns <= self.step_end_ns {
                 self.t_ns = self.t_ns.max(wake_ns);
                 return Ok(Sample::stamped(self.t_ns, self.inputs, None));
@@ -655,6 +689,8 @@ impl Card for SimMachine {
             self.t_ns = self.step_end_ns;
             self.step(wake_ns);
         }
+        self.happen();
+        Ok(Sample::stamped(self.t_ns, self.inputs, Some(self.t_ns)))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

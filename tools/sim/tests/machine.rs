@@ -3,8 +3,9 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_model::machine::Machine;
+use rtec_sim::axis::AxisSpec;
 use rtec_sim::gcode::{Block, parse};
-use rtec_sim::machine::ServoFault;
+use rtec_sim::machine::{ControllerSpec, ServoFault, SimMachine};
 use rtec_sim::sim::{Moment, Sim, Spec};
 use std::path::Path;
 
@@ -97,4 +98,70 @@ fn an_illegal_state_is_a_servo_fault() {
     let mut s = sim(&Machine::ideal("m"), None);
     s.machine.write(3, 3).unwrap();
     assert_eq!(s.machine.fault(), Some(ServoFault::IllegalState { axis: 0 }));
+}
+
+/// What a decoder of its own makes of the lines is what the machine's counters say, whatever the gates do meanwhile.
+#[test]
+fn the_counters_say_what_the_lines_show() {
+    use rtec_driver::card::Card;
+    use rtec_driver::quadrature::{Decoder, State};
+    // Closed on the motor's own encoder: what the gates send moves nothing.
+    let axis = |name| AxisSpec { on_feedback: false, ..AxisSpec::new(name, 400.0) };
+    let axes = [
+        AxisSpec { interpolation_um: 0.2, ..axis("x") },
+        AxisSpec { hysteresis_counts: 0.7, ..axis("y") },
+        axis("z"),
+    ];
+    let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: 1e3 };
+    let mut machine = SimMachine::new(&axes, controller, [0.0; 3]);
+    machine.load(program("G0 X12 Y-7 Z3\nG1 X0 Y1 Z3 F4000\nG3 X0 Y1 I4 J0 F3000\nG0 X-3 Y-3 Z-3\n"));
+    let (mut scale, mut mtc) = ([Decoder::default(); 3], [Decoder::default(); 3]);
+    let (mut last_ns, mut least_ns, mut edges) = ([0; 3], [u64::MAX; 3], 0);
+    let mut random = 1_u64;
+    let mut draw = |below: u64| {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (random >> 33) % below
+    };
+    let mut outputs = 0;
+    while !machine.finished() {
+        let (t_ns, wake_ns) = (machine.now_ns(), machine.now_ns() + draw(30_000));
+        let sample = machine.sample(wake_ns).unwrap();
+        assert!(t_ns <= sample.t_ns && sample.t_ns <= wake_ns, "{t_ns} {wake_ns} {sample:?}");
+        let mut seen = vec![sample.inputs];
+        if draw(50) == 0 {
+            // One inverter of one axis; towards the end two at once, and the MTC sees both signals change.
+            let lines = if edges > 20_000 { 3 } else { 1 + draw(2) };
+            let mask = lines << (2 * draw(3));
+            outputs ^= mask;
+            machine.write(mask, outputs).unwrap();
+            seen.push(machine.inputs());
+        }
+        for inputs in seen {
+            for n in 0..3 {
+                let bits = inputs >> (4 * n);
+                let (at_scale, at_mtc) = (State::from_bits(bits as u8), State::from_bits((bits >> 2) as u8));
+                edges += u64::from(at_scale != scale[n].state());
+                scale[n].update(at_scale);
+                if at_mtc != mtc[n].state() {
+                    mtc[n].update(at_mtc);
+                    least_ns[n] =
+                        least_ns[n].min(sample.t_ns - std::mem::replace(&mut last_ns[n], sample.t_ns));
+                }
+            }
+        }
+        for n in 0..3 {
+            let found = (machine.mtc_counts(n), machine.mtc_minus_scale(n), machine.illegal(n));
+            let shown = (mtc[n].count(), mtc[n].count() - scale[n].count(), mtc[n].illegal());
+            assert_eq!(found, shown, "axis {n} at {} ns", sample.t_ns);
+            assert_eq!((scale[n].illegal(), machine.min_separation_ns(n)), (0, least_ns[n]), "axis {n}");
+        }
+        assert_eq!(machine.edges(), edges);
+        if machine.fault().is_some() {
+            break;
+        }
+    }
+    let illegal: u64 = mtc.iter().map(Decoder::illegal).sum();
+    let fault = machine.fault();
+    assert!(matches!(fault, Some(ServoFault::IllegalState { .. })), "{fault:?}, {edges} edges");
+    assert!(edges > 20_000 && illegal == 1, "{edges} edges, {illegal} illegal");
 }
