@@ -199,8 +199,8 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The columns of an effect with free coefficients, weighed.
     fn columns(&self, effect: &Effect, free: &[usize], reference: bool) -> Vec<Vec<f64>> {
-        let all = self.stack.basis(effect);
-        let mut out: Vec<Vec<f64>> = free.iter().map(|i| all[*i].clone()).collect();
+        let mut all = self.stack.basis(effect);
+        let mut out: Vec<Vec<f64>> = free.iter().map(|i| std::mem::take(&mut all[*i])).collect();
         if reference {
             out.push(reference_column(self.stack, effect));
         }
