@@ -350,6 +350,11 @@ impl Bank {
         own.iter().any(|b| (b / own[0] - 1.0).abs() >= f64::EPSILON)
     }
 
+    /// A column's product with itself.
+    pub(crate) fn square(&self, column: usize) -> Products {
+        self.squares[column]
+    }
+
     /// Products among some columns, packed by rows of the lower triangle.
     pub(crate) fn own(&self, columns: &[usize]) -> Vec<Products> {
         match columns {
