@@ -155,8 +155,8 @@ impl Search<'_, '_> {
                 let gain = match atom.columns[..] {
                     [one] => {
                         let (with, own) = (left.with_y[one], left.squares[one]);
-                        // What the set explains already to 1 part in 10⁶ is no new explanation.
-                        if own < KNOWN * full[0].at(fit.phi) { 0.0 } else { with * with / own }
+                        // What the set explains already to 1 part in 10⁶ is no new explanation, and a column of zeros none.
+                        if own > KNOWN * full[0].at(fit.phi) { with * with / own } else { 0.0 }
                     }
                     _ => left.gain(atom, full, at.clone(), &mut m, &mut g),
                 };
@@ -316,5 +316,24 @@ mod tests {
             let best = (0..new.len()).max_by(|a, b| new[*a].total_cmp(&new[*b])).unwrap();
             set = search.take_atom(&set, &all.atoms[best]);
         }
+    }
+
+    /// A grid point whose column is zero in all rows explains nothing.
+    #[test]
+    fn a_column_of_zeros_scores_what_the_set_does() {
+        let dice = noise(32, 90);
+        let records = [record(90, |i| dice[i as usize])];
+        let stack = Stack::new(&records);
+        let (mut all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let column = all.push(&stack, vec![0.0; 90]);
+        let nothing = Atom { columns: vec![column], ..all.atoms[0].clone() };
+        all.atoms.push(nothing);
+        all.own.push(all.bank.own(&[column]));
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(1.0, Vec::new(), stack.missing(&[]));
+        let set = search.empty();
+        let mut scored = Vec::new();
+        search.with_atoms(&set, |i| i + 1 == all.atoms.len(), |_, loglik| scored.push(loglik));
+        assert!((scored[0] - set.loglik).abs() < 1e-6, "{scored:?}, not {}", set.loglik);
     }
 }
