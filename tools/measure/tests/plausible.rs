@@ -877,7 +877,7 @@ fn a_plate_in_inches_is_said() {
             let (px, py) = (pitch_mm * f64::from(i % 5), pitch_mm * f64::from(i / 5));
             x.push(px * per_mm);
             y.push(py * per_mm);
-            ex.push(0.03 * px - 0.01 * py + 0.3 * d.normal());
+            ex.push(0.05 * px - 0.01 * py + 0.3 * d.normal());
             ey.push(0.025 * py + 0.02 * px + 0.3 * d.normal());
         }
         let columns = vec![
