@@ -877,7 +877,7 @@ fn a_plate_in_inches_is_said() {
             let (px, py) = (pitch_mm * f64::from(i % 5), pitch_mm * f64::from(i / 5));
             x.push(px * per_mm);
             y.push(py * per_mm);
-            ex.push(0.03 * px - 0.01 * py + 0.3 * d.normal());
+            ex.push(0.05 * px - 0.01 * py + 0.3 * d.normal());
             ey.push(0.025 * py + 0.02 * px + 0.3 * d.normal());
         }
         let columns = vec![
@@ -1150,4 +1150,28 @@ fn noise_single_wild_rows_and_days_are_said() {
             );
         }
     }
+}
+
+/// Lines over targets: as steep as the dictionary has scales is a scale, steeper is another unit.
+#[test]
+fn a_steep_scale_is_no_inch_and_a_steeper_line_is() {
+    let run = |ppm: f64| {
+        let mut d = Dice::new(12);
+        let x: Vec<f64> = (0..40).map(|i| 17.3 * f64::from(i % 20)).collect();
+        let e = x.iter().map(|x| ppm / 1000.0 * x + 0.3 * d.normal()).collect();
+        suspicions(&[record(
+            "r",
+            Kind::Positioning,
+            vec![column("x", "position.x", x), column("e", "error.x", e)],
+        )])
+    };
+    for ppm in [-846.0, 700.0, 960.0] {
+        assert_eq!(run(ppm), [], "{ppm}");
+    }
+    for ppm in [-1100.0, 2500.0] {
+        let said = run(ppm);
+        assert!(said.iter().any(|s| s.what == What::Unit && s.text.contains("inches")), "{ppm}: {said:?}");
+    }
+    let scale = rtec_model::effect::Dictionary::default().effect("scale.x").unwrap();
+    assert_eq!(scale.description().parameters[0].bounds, [-1000.0, 1000.0]);
 }

@@ -44,10 +44,10 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnab
     let mut model = Model { anchor: file.clone(), now: file.clone(), noise: 1.0 };
     retune(&stack, model.noise, &mut model.anchor, &mut model.now, &[]);
     let mut passes = PASSES;
+    let (mut all, waves) = Hypotheses::new(&stack, machine.dictionary());
     loop {
-        let (all, waves) = Hypotheses::new(&stack, machine.dictionary());
         let mut search = Search::new(&stack, &all, &waves);
-        stack.sigma = loop {
+        let change: Vec<f64> = loop {
             let parameters = model.begin(&mut search);
             let found = search.run();
             if thinnable && search.oversampled(&found.any) {
@@ -61,9 +61,12 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnab
             passes -= 1;
             model.now = pass.moved;
             if stack.responses.len() != 1 {
-                break stack.sigma.iter().zip(&pass.change).map(|(a, b)| a * b).collect();
+                break pass.change;
             }
         };
+        let less: Vec<f64> = change.iter().map(|c| 1.0 / c).collect();
+        all.weigh(&stack, &less);
+        stack.sigma.iter_mut().zip(&change).for_each(|(sigma, c)| *sigma *= c);
     }
 }
 

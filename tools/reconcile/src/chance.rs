@@ -188,7 +188,7 @@ impl Rounds {
         };
         let at: Vec<RoundsAt> = empty.fits.iter().map(of).collect();
         let null = (0..draws.len()).map(|d| {
-            let values = empty.fits.iter().zip(&at).map(|(fit, at)| search.loglik_of(fit.phi, at.rss[d]));
+            let values = empty.fits.iter().zip(&at).map(|(fit, at)| search.loglik_of(fit, at.rss[d]));
             search.best_phi(&values.collect::<Vec<f64>>(), 0).0
         });
         let null = null.collect();
@@ -212,7 +212,7 @@ impl Rounds {
                 values.iter_mut().zip(g).for_each(|(v, g)| *v += g * g);
             }
             for (v, rss) in values.iter_mut().zip(&at.rss) {
-                *v = search.loglik_of(fit.phi, (rss - *v).max(1e-9 * rss));
+                *v = search.loglik_of(fit, (rss - *v).max(1e-9 * rss));
             }
         }
         let mut own = Vec::with_capacity(self.at.len());

@@ -36,13 +36,7 @@ pub(crate) struct Vector {
 impl Vector {
     pub(crate) fn new(data: Vec<f64>, segments: &[Range<usize>]) -> Self {
         let mut neighbours = vec![0.0; data.len()];
-        for s in segments {
-            let (x, out) = (&data[s.clone()], &mut neighbours[s.clone()]);
-            for i in 1..x.len() {
-                out[i] += x[i - 1];
-                out[i - 1] += x[i];
-            }
-        }
+        beside(&data, segments, &mut neighbours);
         let zero = |s: &&Range<usize>| data[(*s).clone()].iter().all(|x| *x == 0.0);
         let from = segments.iter().find(|s| !zero(s)).map_or(0, |s| s.start);
         let to = segments.iter().rev().find(|s| !zero(s)).map_or(from, |s| s.end);
@@ -60,6 +54,17 @@ impl Vector {
         };
         let [plain, lagged] = dots(&self.data[rows.clone()], &self.neighbours[rows.clone()], &other[rows]);
         Products { plain, lagged, ends: ends(&self.data, other, segments) }
+    }
+}
+
+/// The sum of each row's neighbours inside its segment, added to `out`.
+fn beside(column: &[f64], segments: &[Range<usize>], out: &mut [f64]) {
+    for s in segments {
+        let (x, out) = (&column[s.clone()], &mut out[s.clone()]);
+        for i in 1..x.len() {
+            out[i] += x[i - 1];
+            out[i - 1] += x[i];
+        }
     }
 }
 
@@ -311,6 +316,45 @@ impl Bank {
         at
     }
 
+    /// The columns with each segment's rows so many times as large.
+    pub(crate) fn weigh(&mut self, by: &[f64]) {
+        let n = self.all_rows().max(1) as f64;
+        for at in 0..self.len() {
+            let Place { at: begin, covers } = self.places[at].clone();
+            let own = &by[covers.clone()];
+            let alike = own.iter().all(|b| (b / own[0] - 1.0).abs() < f64::EPSILON);
+            if alike {
+                // Of unit size as before.
+                self.scale[at] *= own[0];
+                continue;
+            }
+            let first = self.segments[covers.start].start;
+            let mut column = vec![0.0; self.rows(&covers).len()];
+            self.read(at, &covers, &mut column);
+            for (s, by) in self.segments[covers].iter().zip(own) {
+                column[s.start - first..s.end - first].iter_mut().for_each(|x| *x *= by);
+            }
+            let rms = (dot(&column, &column) / n).sqrt();
+            let scale = if rms > 0.0 { rms } else { 1.0 };
+            for (kept, x) in self.data[begin..].iter_mut().zip(&column) {
+                *kept = (x / scale) as f32;
+            }
+            self.scale[at] *= scale;
+            self.squares[at] = self.own_products(&[at], |_, _| None)[0];
+        }
+    }
+
+    /// Whether a column lies in segments of which these numbers are not all the same.
+    pub(crate) fn differs(&self, column: usize, by: &[f64]) -> bool {
+        let own = &by[self.places[column].covers.clone()];
+        own.iter().any(|b| (b / own[0] - 1.0).abs() >= f64::EPSILON)
+    }
+
+    /// A column's product with itself.
+    pub(crate) fn square(&self, column: usize) -> Products {
+        self.squares[column]
+    }
+
     /// Products among some columns, packed by rows of the lower triangle.
     pub(crate) fn own(&self, columns: &[usize]) -> Vec<Products> {
         match columns {
@@ -337,6 +381,9 @@ impl Bank {
             self.read(*c, &over, out);
         }
         let column = |i: usize| &data[i * rows.len()..(i + 1) * rows.len()];
+        if columns.len() > FEW {
+            return products_of_all(&data, rows.len(), &segments);
+        }
         let pairs = (0..columns.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
         let product = |(i, j)| known(i, j).unwrap_or_else(|| products(column(i), column(j), &segments));
         pairs.map(product).collect()
@@ -409,6 +456,26 @@ impl Bank {
         }
         out
     }
+}
+
+/// Products among columns of so many rows that stand one after the other, packed by rows of the lower triangle.
+fn products_of_all(columns: &[f64], rows: usize, segments: &[Range<usize>]) -> Vec<Products> {
+    let mut neighbours = vec![0.0; columns.len()];
+    for (x, out) in columns.chunks_exact(rows).zip(neighbours.chunks_exact_mut(rows)) {
+        beside(x, segments, out);
+    }
+    let (mut plain, mut lagged) = (Vec::new(), Vec::new());
+    multiply(columns, columns, rows, &mut plain);
+    multiply(columns, &neighbours, rows, &mut lagged);
+    let k = columns.len() / rows;
+    let column = |i: usize| &columns[i * rows..(i + 1) * rows];
+    let pairs = (0..k).flat_map(|i| (0..=i).map(move |j| (i, j)));
+    let product = |(i, j)| Products {
+        plain: plain[i * k + j],
+        lagged: lagged[i * k + j],
+        ends: ends(column(i), column(j), segments),
+    };
+    pairs.map(product).collect()
 }
 
 /// Products of every row of `left` with every row of `right`, all of `n` values, row by row of `left`.
@@ -532,6 +599,48 @@ mod tests {
             }
         }
         w
+    }
+
+    /// Columns of one segment and of two, then with the second segment's rows half as large: products and columns are those of a
+    /// bank that was made so; those among many columns are those of each pair.
+    #[test]
+    fn columns_weighed_anew_are_those_made_so() {
+        let segments = [0..6, 6..13];
+        let of = |by: [f64; 2]| {
+            let mut bank = Bank::new(&segments);
+            for k in 0..6usize {
+                let value = |i: usize| {
+                    if (k == 1 && i < 6) || (k == 2 && i >= 6) {
+                        0.0
+                    } else {
+                        ((i * i + 3 * k * i) % 11) as f64 - 4.3
+                    }
+                };
+                let column: Vec<f64> = (0..13).map(|i| by[usize::from(i >= 6)] * value(i)).collect();
+                bank.push(&column);
+            }
+            bank
+        };
+        let (mut bank, made) = (of([1.0, 1.0]), of([3.0, 0.5]));
+        bank.weigh(&[3.0, 0.5]);
+        let all: Vec<usize> = (0..6).collect();
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-5 * b.abs().max(1.0), "{a} and {b}");
+        for c in 0..6 {
+            near(bank.scale[c], made.scale[c]);
+            bank.column(c).iter().zip(made.column(c)).for_each(|(a, b)| near(*a, b));
+            assert_eq!(bank.differs(c, &[3.0, 0.5]), c != 1 && c != 2);
+        }
+        for phi in [0.0, 0.4] {
+            let (own, want) = (bank.own(&all), made.own(&all));
+            own.iter().zip(&want).for_each(|(a, b)| near(a.at(phi), b.at(phi)));
+            for i in 0..6 {
+                for j in 0..=i {
+                    let pair = made.own(&[i, j]);
+                    let both = if i == j { pair[0] } else { pair[1] };
+                    assert!((both.at(phi) - want[i * (i + 1) / 2 + j].at(phi)).abs() < 1e-9);
+                }
+            }
+        }
     }
 
     #[test]

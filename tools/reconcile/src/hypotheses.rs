@@ -105,6 +105,18 @@ impl Hypotheses {
         self.own = self.atoms.iter().map(|a| self.bank.own(&a.columns)).collect();
     }
 
+    /// The same for responses of which each is now weighed so many times as much.
+    pub(crate) fn weigh(&mut self, stack: &Stack<'_>, by: &[f64]) {
+        let by: Vec<f64> = stack.segments.iter().map(|s| by[s.response]).collect();
+        self.bank.weigh(&by);
+        for (atom, own) in self.atoms.iter().zip(&mut self.own) {
+            // Columns of one response are of unit size, as they were.
+            if atom.columns.iter().any(|c| self.bank.differs(*c, &by)) {
+                *own = self.bank.own(&atom.columns);
+            }
+        }
+    }
+
     /// Only the periods near a periodic effect's own: 3 % either way.
     pub(crate) fn periods(stack: &Stack<'_>, effect: &Effect) -> (Self, Vec<Wave>) {
         let mut all = Self { bank: Bank::new(&stack.ranges), ..Self::default() };

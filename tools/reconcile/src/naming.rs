@@ -11,6 +11,10 @@ use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC}
 
 /// The same hypothesis with other values free is taken instead where it is so much better.
 const RECHOSEN: f64 = 1.0;
+/// So much chance never gives, nats: where all that was found is worth more, a few rounds of noise show it.
+const BEYOND_CHANCE: f64 = 60.0;
+/// Rounds of noise then.
+const FEW_ROUNDS: usize = 12;
 /// More waves of one law on an axis are no name.
 const NAMED_WAVES: usize = 2;
 /// Most rivals that are listed for one effect.
@@ -37,7 +41,8 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     let any = slimmed(search, found.any.clone());
     // The level holds for the whole answer: a half for names, a half for shapes.
     let level = level / 2.0;
-    let chance = search.chance(if any.score > named.score { &any } else { &named }, ROUNDS);
+    let rounds = if settled(search, &named, &any) { FEW_ROUNDS } else { ROUNDS };
+    let chance = search.chance(if any.score > named.score { &any } else { &named }, rounds);
     named = standing_out(search, named, &chance, level);
     let mut equals = None;
     if let Some((set, others)) = search.steadier(&named) {
@@ -92,6 +97,14 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
         sigma: search.stack.sigma.clone(),
         evidence,
     }
+}
+
+/// Whether no decision hangs on how often chance alone finds so much: each member is worth far more, or nothing was found.
+fn settled(search: &Search<'_, '_>, named: &Set, any: &Set) -> bool {
+    let sure = |gain: f64| gain >= BEYOND_CHANCE;
+    let members = |set: &Set| (0..set.members.len()).all(|i| sure(search.gain(&search.without(set, i), set)));
+    let shapes = any.score - named.score;
+    (shapes <= 0.0 || sure(shapes)) && members(named) && members(any)
 }
 
 /// Names that were tried.

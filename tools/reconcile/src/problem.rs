@@ -207,6 +207,7 @@ impl<'r> Stack<'r> {
         fill: impl Fn(&rtec_model::effect::Bound<'_>, usize, &mut [f64]),
     ) -> Vec<Vec<f64>> {
         let mut out = vec![vec![0.0; self.n]; k];
+        let mut buffer = Vec::new();
         for s in &self.segments {
             let record = self.record(s);
             let acts = effect.acts_on(record);
@@ -217,7 +218,12 @@ impl<'r> Stack<'r> {
                 continue;
             };
             let rows = record.rows();
-            let mut buffer = vec![0.0; rows * k];
+            if let [only] = &mut out[..] {
+                fill(&bound, *component, &mut only[s.rows.clone()]);
+                continue;
+            }
+            buffer.clear();
+            buffer.resize(rows * k, 0.0);
             fill(&bound, *component, &mut buffer);
             for (column, part) in out.iter_mut().zip(buffer.chunks(rows)) {
                 column[s.rows.clone()].copy_from_slice(part);

@@ -2,13 +2,14 @@
 //! products that physics suggests.
 
 use crate::cause::{Cause, Shape};
+use crate::gram;
 use crate::hypotheses::{Atom, Hypotheses, Hypothesis};
 use crate::problem::Stack;
 use crate::teeth::Teeth;
 use crate::waves::Wave;
 use rtec_model::effect::{STANDARD_DEGC, sign};
 use rtec_model::record::{Axis, Record, Role};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// What an explanation without a name costs beyond one with a name.
 const SHAPE_COST: f64 = 2.0;
@@ -187,6 +188,15 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
         out
     }
 
+    /// Sine and cosine of so many turns per unit of a channel at the response's rows, zero elsewhere.
+    fn wave_over(&self, x: &[f64], turns: f64) -> [Vec<f64>; 2] {
+        let mut out = [vec![0.0; self.stack.n], vec![0.0; self.stack.n]];
+        for r in &self.rows {
+            (out[0][*r], out[1][*r]) = gram::wave(turns * x[*r]);
+        }
+        out
+    }
+
     /// All shapes.
     fn all(&mut self) {
         self.teeth();
@@ -259,11 +269,7 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
         }
         for i in 4..30 {
             let turns = f64::from(i) * 0.25;
-            let wave = |k: i32| {
-                let w = PI * turns * f64::from(k);
-                [self.over(&clock, |u| (w * u).sin()), self.over(&clock, |u| (w * u).cos())]
-            };
-            let columns = (1..=4).flat_map(wave).collect();
+            let columns = (1..=4).flat_map(|k| self.wave_over(&clock, 0.5 * turns * f64::from(k))).collect();
             self.offer(&["time"], "repeats in time", columns, 26);
         }
     }

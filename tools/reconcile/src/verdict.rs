@@ -60,10 +60,14 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// Whether a finding is the constant of another, a law's own zero: what else it may be does not matter.
+/// Whether a finding is the constant of another, a law's own zero: what else it may be does not matter. Lost counts are whole,
+/// and none before they were lost: they have no zero of their own.
 fn is_companion(finding: &Finding, added: &[(Finding, Vec<f64>)]) -> bool {
+    let constant = finding.effect.description().constant;
     let beside = |f: &Finding| f.effect.companion().is_some_and(|c| c.name() == finding.effect.name());
-    added.iter().any(|(f, _)| beside(f)) || (finding.effect.description().constant && added.len() > 1)
+    let zeroed =
+        |f: &Finding| f.effect.name() != finding.effect.name() && !f.effect.description().whole_counts;
+    added.iter().any(|(f, _)| beside(f) || (constant && zeroed(f)))
 }
 
 /// What the data correct in the present model.
@@ -144,5 +148,20 @@ mod tests {
         assert_eq!(Verdict::of(&[finding(Vec::new())], &[]), Verdict::Named);
         assert_eq!(Verdict::of(&[finding(Vec::new()), finding(vec![rival])], &[]), Verdict::NotSeparable);
         assert_eq!(Verdict::of(&[finding(Vec::new())], &[shape]), Verdict::UnknownEffect);
+    }
+
+    /// A constant that may be heat is no name beside lost counts, which have no zero; beside a scale it is the record's.
+    #[test]
+    fn a_constant_s_rivals_count_beside_lost_counts() {
+        let of = |name: &str, rivals: Vec<Rival>| {
+            let effect = Dictionary::default().effect(name).unwrap();
+            (Finding { effect, held: Vec::new(), p_value: 0.0, evidence: 9.0, rivals }, vec![0.1])
+        };
+        let heat = || vec![Rival { name: "warm_up.x".into(), sensor: None, differs: None, margin: 1.0 }];
+        let offset = of("offset.x", heat());
+        let beside = |name: &str| Verdict::of(&[of(name, Vec::new()), offset.clone()], &[]);
+        assert_eq!(beside("lost_counts.x"), Verdict::NotSeparable);
+        assert_eq!(beside("scale.x"), Verdict::Named);
+        assert_eq!(beside("warm_up.x"), Verdict::Named);
     }
 }

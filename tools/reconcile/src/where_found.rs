@@ -202,7 +202,8 @@ fn place(
     }
     let explained =
         |sums: [f64; STRETCHES]| -> f64 { sums.iter().zip(&bins).map(|(s, b)| s * s / b.len() as f64).sum() };
-    let own = explained(sums_by(bin.chunks(bin.len()), residual, |_| 0));
+    let running = running(residual);
+    let own = explained(sums_by(&runs(&bin, bin.len()), &running, |_| 0));
     // As long as the residual remembers, blocks stay together.
     let n = residual.len();
     let squares = dot(residual, residual);
@@ -217,6 +218,7 @@ fn place(
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let (mut tried, mut larger) = (0, 0);
     let mut order: Vec<usize> = (0..n.div_ceil(length)).collect();
+    let runs = runs(&bin, length);
     let enough = ENOUGH.min((known / LEAST_P) as usize);
     while tried < PERMUTATIONS && larger < enough {
         for i in (1..order.len()).rev() {
@@ -225,7 +227,7 @@ fn place(
         // Blocks begin anywhere, so that no row keeps its neighbours' bin.
         let shift = below(&mut rng, n);
         let begin = |block: usize| (order[block] * length + shift) % n;
-        let chance = explained(sums_by(bin.chunks(length), residual, begin));
+        let chance = explained(sums_by(&runs, &running, begin));
         larger += usize::from(chance >= own);
         tried += 1;
     }
@@ -237,34 +239,51 @@ fn place(
     Some(Place { response, against, statistic, p_value, q_value: 1.0, profile })
 }
 
-/// Sums of a residual by stretch. `blocks`: the stretch of each row, block by block of rows; `begin`: from which row on a
-/// block has its values of the residual, which begins anew at its end.
-fn sums_by<'b>(
-    blocks: impl Iterator<Item = &'b [u8]>,
-    residual: &[f64],
-    begin: impl Fn(usize) -> usize,
-) -> [f64; STRETCHES] {
-    // Neighbours are mostly of one stretch: summed apart they do not wait for one another.
-    const APART: usize = 4;
-    let mut sums = [[0.0; STRETCHES]; APART];
-    let mut add = |bins: &[u8], values: &[f64]| {
-        let (b, v) = (bins.chunks_exact(APART), values.chunks_exact(APART));
-        for (bin, r) in b.remainder().iter().zip(v.remainder()) {
-            sums[0][usize::from(*bin) % STRETCHES] += r;
-        }
-        for (b, v) in b.zip(v) {
-            for k in 0..APART {
-                sums[k][usize::from(b[k]) % STRETCHES] += v[k];
-            }
-        }
+/// Neighbouring rows of one stretch.
+struct Run {
+    bin: u8,
+    block: usize,
+    /// From and to which row of its block.
+    from: usize,
+    to: usize,
+}
+
+/// The runs of rows of one stretch, block by block of so many rows: mostly long, as most channels change slowly.
+fn runs(bin: &[u8], length: usize) -> Vec<Run> {
+    let of = |(block, bins): (usize, &[u8])| {
+        let mut at = 0;
+        let mut next = move |same: &[u8]| {
+            let from = at;
+            at += same.len();
+            Run { bin: same[0], block, from, to: at }
+        };
+        bins.chunk_by(|a, b| a == b).map(&mut next).collect::<Vec<_>>()
     };
-    for (k, bins) in blocks.enumerate() {
-        let from = begin(k);
-        let (bins, rest) = bins.split_at(bins.len().min(residual.len() - from));
-        add(bins, &residual[from..from + bins.len()]);
-        add(rest, &residual[..rest.len()]);
+    bin.chunks(length).enumerate().flat_map(of).collect()
+}
+
+/// Sums of a residual up to each row, twice round.
+fn running(residual: &[f64]) -> Vec<f64> {
+    let mut sum = 0.0;
+    let twice = residual.iter().chain(residual).map(|r| {
+        sum += r;
+        sum
+    });
+    std::iter::once(0.0).chain(twice).collect()
+}
+
+/// Sums of a residual by stretch, from its running sums. `begin`: from which row on a block has its values of the residual,
+/// which begins anew at its end.
+fn sums_by(runs: &[Run], running: &[f64], begin: impl Fn(usize) -> usize) -> [f64; STRETCHES] {
+    let mut sums = [0.0; STRETCHES];
+    let (mut block, mut from) = (usize::MAX, 0);
+    for run in runs {
+        if run.block != block {
+            (block, from) = (run.block, begin(run.block));
+        }
+        sums[usize::from(run.bin) % STRETCHES] += running[from + run.to] - running[from + run.from];
     }
-    std::array::from_fn(|bin| sums.iter().map(|s| s[bin]).sum())
+    sums
 }
 
 /// Takes a channel's means out of a residual: at each of its places where there are many rows of each, over its stretches
@@ -377,7 +396,7 @@ mod tests {
         let residual = noise(9, 103);
         let bin: Vec<u8> = (0..103).map(|i| (i * i / 7 % 8) as u8).collect();
         let begin = |block: usize| (block * 37 + 90) % 103;
-        let sums = sums_by(bin.chunks(10), &residual, begin);
+        let sums = sums_by(&runs(&bin, 10), &running(&residual), begin);
         for (b, sum) in sums.iter().enumerate() {
             let rows = (0..103).filter(|i| usize::from(bin[*i]) == b);
             let want: f64 = rows.map(|i| residual[(begin(i / 10) + i % 10) % 103]).sum();

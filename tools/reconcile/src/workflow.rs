@@ -100,10 +100,9 @@ pub fn reconcile(
     let rows: usize = doubts.train.iter().map(Record::rows).sum();
     let why_nothing = too_few(rows);
     let Analysed { train, wild, mut answer, used, every } = analysed;
-    let train = &train[..];
     let mut stack = Stack::new(&used);
     stack.sigma.clone_from(&answer.sigma);
-    let work = Work { stack: &stack, train, used: &used, machine, options };
+    let work = Work { stack: &stack, train: &train, used: &used, machine, options };
     if why_nothing.is_some() {
         // It is shown beside the model as it is, and nothing is learned from it.
         answer.findings.clear();
@@ -148,7 +147,7 @@ pub fn reconcile(
             g.doubted = true;
         }
     }
-    if at_least_every(train) > 1 {
+    if at_least_every(&train) > 1 {
         left_out.push(format!(
             "of {rows} rows one of every {every}, drawn: {MOST_ROWS} at most are looked at; what shows in few rows (a wild value, a \
              spike where an axis turns) may be missed"

@@ -22,8 +22,8 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     exchanged(record, out);
 }
 
-/// No scale is longer or shorter than this over the whole of its travel, ppm.
-const STEEPEST_PPM: f64 = 500.0;
+/// No scale is longer or shorter than this over the whole of its travel, ppm: the dictionary's bound of one.
+const STEEPEST_PPM: f64 = 1000.0;
 /// No bar is shorter, mm.
 const SHORTEST_BAR_MM: f64 = 20.0;
 

@@ -3,7 +3,7 @@
 
 use super::Search;
 use super::sets::{AtPhi, Set};
-use crate::gram::{self, dot, minus};
+use crate::gram::{self, Products, dot, minus};
 use crate::hypotheses::Atom;
 use std::ops::{Index, Range};
 use std::rc::Rc;
@@ -39,6 +39,14 @@ impl Share {
     fn is_nothing(&self, columns: &Range<usize>) -> bool {
         let at = self.runs.partition_point(|run| run.end <= columns.start);
         self.runs.get(at).is_none_or(|run| run.start >= columns.end)
+    }
+
+    /// `from - share²` in its place.
+    fn take_squares_off(&self, from: &mut [f64]) {
+        for run in &*self.runs {
+            let (from, values) = (&mut from[run.clone()], &self.values[run.clone()]);
+            from.iter_mut().zip(values).for_each(|(f, v)| *f -= v * v);
+        }
     }
 
     /// `from - by·share` in its place.
@@ -82,8 +90,45 @@ pub(super) struct Left {
     shares: Vec<Share>,
     /// Per column: its product with the response, less what the set explains of both.
     with_y: Vec<f64>,
-    /// Atom by atom: the products among its columns, packed by rows of the lower triangle, less the same.
+    /// Per column: its product with itself, less the same.
+    squares: Vec<f64>,
+    /// Atom by atom of several columns: the products among them, packed by rows of the lower triangle, less the same.
     own: Vec<f64>,
+}
+
+/// How many products among its columns an atom of several keeps.
+fn kept_of(atom: &Atom) -> usize {
+    let k = atom.columns.len();
+    if k > 1 { k * (k + 1) / 2 } else { 0 }
+}
+
+/// What a set leaves of a column is nothing new where it is so little of the column.
+const KNOWN: f64 = 1e-6;
+
+impl Left {
+    /// By how much an atom of several columns shrinks what the set leaves.
+    fn gain(
+        &self,
+        atom: &Atom,
+        full: &[Products],
+        own: Range<usize>,
+        m: &mut Vec<f64>,
+        g: &mut Vec<f64>,
+    ) -> f64 {
+        let k = atom.columns.len();
+        m.resize(k * k, 0.0);
+        g.clear();
+        g.extend(atom.columns.iter().map(|c| self.with_y[*c]));
+        let mut packed = self.own[own].iter().zip(full);
+        for (r, row) in m.chunks_exact_mut(k.max(1)).enumerate() {
+            for ((c, m), (own, full)) in row[..=r].iter_mut().enumerate().zip(&mut packed) {
+                let known = c == r && *own < KNOWN * full.at(self.phi);
+                *m = if known { f64::INFINITY } else { *own };
+            }
+        }
+        gram::reduce(m, g);
+        dot(g, g)
+    }
 }
 
 impl Search<'_, '_> {
@@ -99,28 +144,23 @@ impl Search<'_, '_> {
         let mut from = 0;
         for (i, atom) in self.all.atoms.iter().enumerate() {
             let full = &self.all.own[i];
-            let at = from..from + full.len();
+            let at = from..from + kept_of(atom);
             from = at.end;
             if !wanted(i) {
                 continue;
             }
-            let k = atom.columns.len();
-            m.resize(k * k, 0.0);
             let loglik = self.over_noise(set, |f| {
                 let fit = &set.fits[f];
                 let left = left[f].get_or_insert_with(|| self.left_of_bank(set, fit));
-                g.clear();
-                g.extend(atom.columns.iter().map(|c| left.with_y[*c]));
-                let mut packed = left.own[at.clone()].iter().zip(full);
-                for (r, row) in m.chunks_exact_mut(k.max(1)).enumerate() {
-                    for ((c, m), (own, full)) in row[..=r].iter_mut().enumerate().zip(&mut packed) {
-                        // What the set explains already to 1 part in 10⁶ is no new explanation.
-                        let known = c == r && *own < 1e-6 * full.at(fit.phi);
-                        *m = if known { f64::INFINITY } else { *own };
+                let gain = match atom.columns[..] {
+                    [one] => {
+                        let (with, own) = (left.with_y[one], left.squares[one]);
+                        // What the set explains already to 1 part in 10⁶ is no new explanation, and a column of zeros none.
+                        if own > KNOWN * full[0].at(fit.phi) { with * with / own } else { 0.0 }
                     }
-                }
-                gram::reduce(&mut m, &mut g);
-                self.loglik(fit, dot(&g, &g))
+                    _ => left.gain(atom, full, at.clone(), &mut m, &mut g),
+                };
+                self.loglik(fit, gain)
             });
             each(i, loglik);
         }
@@ -130,43 +170,61 @@ impl Search<'_, '_> {
         // The set that it grew out of, or as much of it as was kept.
         let begins = |l: &&Rc<Left>| l.phi.to_bits() == fit.phi.to_bits() && set.ids.starts_with(&l.ids);
         let before = self.left.borrow().iter().filter(begins).max_by_key(|l| l.ids.len()).cloned();
-        let mut left = match before {
-            Some(all) if all.ids.len() == set.ids.len() => return all,
-            Some(l) => Left {
-                ids: set.ids.clone(),
-                phi: fit.phi,
-                shares: l.shares.clone(),
-                with_y: l.with_y.clone(),
-                own: l.own.clone(),
-            },
-            None => Left {
-                ids: set.ids.clone(),
-                phi: fit.phi,
-                shares: Vec::new(),
-                with_y: self.against_bank(self.y).iter().map(|p| p.at(fit.phi)).collect(),
-                own: self.all.own.iter().flatten().map(|p| p.at(fit.phi)).collect(),
-            },
+        if let Some(all) = before.as_ref().filter(|l| l.ids.len() == set.ids.len()) {
+            return Rc::clone(all);
+        }
+        let [mut with_y, mut squares, mut own] = self.spare.borrow_mut().pop().unwrap_or_default();
+        let shares = if let Some(l) = before {
+            with_y.extend_from_slice(&l.with_y);
+            squares.extend_from_slice(&l.squares);
+            own.extend_from_slice(&l.own);
+            l.shares.clone()
+        } else {
+            let bank = &self.all.bank;
+            with_y.extend(self.against_bank(self.y).iter().map(|p| p.at(fit.phi)));
+            squares.extend((0..bank.len()).map(|c| bank.square(c).at(fit.phi)));
+            let several = self.all.own.iter().filter(|own| own.len() > 1);
+            own.extend(several.flatten().map(|p| p.at(fit.phi)));
+            Vec::new()
         };
+        let mut left = Left { ids: set.ids.clone(), phi: fit.phi, shares, with_y, squares, own };
         let known = left.shares.len();
         left.shares = self.shares(&set.ids, fit, &left.shares);
         for (z, share) in fit.z.iter().zip(&left.shares).skip(known) {
             share.take_off(*z, &mut left.with_y);
+            share.take_squares_off(&mut left.squares);
             self.take_off(share, &mut left.own);
         }
         let left = Rc::new(left);
         let mut kept = self.left.borrow_mut();
         kept.push(Rc::clone(&left));
         if kept.len() > KEPT {
-            kept.remove(0);
+            self.recycle(kept.remove(0));
         }
         left
+    }
+
+    /// Keeps the room of what is no longer needed.
+    fn recycle(&self, left: Rc<Left>) {
+        let mut spare = self.spare.borrow_mut();
+        if spare.len() < KEPT
+            && let Ok(Left { mut with_y, mut squares, mut own, .. }) = Rc::try_unwrap(left)
+        {
+            with_y.clear();
+            squares.clear();
+            own.clear();
+            spare.push([with_y, squares, own]);
+        }
     }
 
     /// Takes what one share explains of them off the products among each atom's columns.
     fn take_off(&self, share: &Share, own: &mut [f64]) {
         let mut rest = own;
-        for ((atom, full), lie) in self.all.atoms.iter().zip(&self.all.own).zip(&self.lie) {
-            let (mut own, behind) = rest.split_at_mut(full.len());
+        for (atom, lie) in self.all.atoms.iter().zip(&self.lie) {
+            if atom.columns.len() < 2 {
+                continue;
+            }
+            let (mut own, behind) = rest.split_at_mut(kept_of(atom));
             rest = behind;
             if share.is_nothing(&lie.within) {
                 continue;
@@ -207,7 +265,14 @@ impl Search<'_, '_> {
 
     /// Forgets what was left by sets that none of these grew out of.
     pub(super) fn forget_all_but(&self, sets: &[Set]) {
-        self.left.borrow_mut().retain(|l| sets.iter().any(|s| s.ids.starts_with(&l.ids)));
+        let all = std::mem::take(&mut *self.left.borrow_mut());
+        for left in all {
+            if sets.iter().any(|s| s.ids.starts_with(&left.ids)) {
+                self.left.borrow_mut().push(left);
+            } else {
+                self.recycle(left);
+            }
+        }
     }
 }
 
@@ -251,5 +316,24 @@ mod tests {
             let best = (0..new.len()).max_by(|a, b| new[*a].total_cmp(&new[*b])).unwrap();
             set = search.take_atom(&set, &all.atoms[best]);
         }
+    }
+
+    /// A grid point whose column is zero in all rows explains nothing.
+    #[test]
+    fn a_column_of_zeros_scores_what_the_set_does() {
+        let dice = noise(32, 90);
+        let records = [record(90, |i| dice[i as usize])];
+        let stack = Stack::new(&records);
+        let (mut all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let column = all.push(&stack, vec![0.0; 90]);
+        let nothing = Atom { columns: vec![column], ..all.atoms[0].clone() };
+        all.atoms.push(nothing);
+        all.own.push(all.bank.own(&[column]));
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(1.0, Vec::new(), stack.missing(&[]));
+        let set = search.empty();
+        let mut scored = Vec::new();
+        search.with_atoms(&set, |i| i + 1 == all.atoms.len(), |_, loglik| scored.push(loglik));
+        assert!((scored[0] - set.loglik).abs() < 1e-6, "{scored:?}, not {}", set.loglik);
     }
 }

@@ -96,6 +96,8 @@ pub(crate) struct Search<'p, 'r> {
     lie: Vec<Lie>,
     /// What sets left of the bank's columns.
     left: RefCell<Vec<Rc<Left>>>,
+    /// Room for more of it.
+    spare: RefCell<Vec<[Vec<f64>; 3]>>,
 }
 
 impl<'p, 'r> Search<'p, 'r> {
@@ -127,6 +129,7 @@ impl<'p, 'r> Search<'p, 'r> {
             acts_on: all.acts_on(stack, waves),
             lie: all.atoms.iter().map(Lie::of).collect(),
             left: RefCell::default(),
+            spare: RefCell::default(),
         }
     }
 
@@ -141,7 +144,7 @@ impl<'p, 'r> Search<'p, 'r> {
         *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
         *self.looked_at.borrow_mut() = vec![None; self.waves.len()];
         self.rankings.borrow_mut().clear();
-        self.left.borrow_mut().clear();
+        self.forget_all_but(&[]);
         self.seen.get_mut().values_mut().for_each(Seen::forget_sets);
     }
 
@@ -199,8 +202,8 @@ impl<'p, 'r> Search<'p, 'r> {
 
     /// The columns of an effect with free coefficients, weighed.
     fn columns(&self, effect: &Effect, free: &[usize], reference: bool) -> Vec<Vec<f64>> {
-        let all = self.stack.basis(effect);
-        let mut out: Vec<Vec<f64>> = free.iter().map(|i| all[*i].clone()).collect();
+        let mut all = self.stack.basis(effect);
+        let mut out: Vec<Vec<f64>> = free.iter().map(|i| std::mem::take(&mut all[*i])).collect();
         if reference {
             out.push(reference_column(self.stack, effect));
         }

@@ -75,12 +75,18 @@ impl Search<'_, '_> {
     pub(crate) fn scan(&self, set: &Set, fresh: bool) -> Vec<Offer> {
         self.meet_bank(set.ids.iter().copied().chain([self.y]));
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; self.all.list.len()];
+        // Grid points of one hypothesis stand one after the other, most with as many columns: their freedom costs the same.
+        let mut last = (usize::MAX, 0, 0.0);
         self.with_atoms(
             set,
             |_| true,
             |i, loglik| {
                 let atom = &self.all.atoms[i];
-                let score = loglik - self.price(set, atom.hypothesis, atom.cost, atom.columns.len());
+                let (hypothesis, columns) = (atom.hypothesis, atom.columns.len());
+                if (last.0, last.1) != (hypothesis, columns) {
+                    last = (hypothesis, columns, self.price(set, hypothesis, 0.0, columns));
+                }
+                let score = loglik - (last.2 + atom.cost);
                 let place = &mut best[atom.hypothesis];
                 *place = Some(match *place {
                     None => (score, i, score),

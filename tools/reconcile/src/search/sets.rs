@@ -25,6 +25,8 @@ pub(crate) struct AtPhi {
     /// L⁻¹ of the right-hand side.
     pub(crate) z: Vec<f64>,
     pub(crate) rss: f64,
+    /// What noise of this memory adds to the log likelihood.
+    pub(crate) memory: f64,
 }
 
 /// An accepted explanation inside a set.
@@ -93,18 +95,19 @@ impl Search<'_, '_> {
                 let mut z = g;
                 factor.forward(&mut z);
                 let rss = (rss - dot(&z, &z)).max(1e-9);
-                AtPhi { phi, factor, z, rss }
+                let memory = 0.5 * self.stack.ranges.len() as f64 * (1.0 - phi * phi).ln();
+                AtPhi { phi, factor, z, rss, memory }
             })
             .collect()
     }
 
     pub(crate) fn loglik(&self, at: &AtPhi, gain: f64) -> f64 {
-        self.loglik_of(at.phi, (at.rss - gain).max(1e-9 * at.rss))
+        self.loglik_of(at, (at.rss - gain).max(1e-9 * at.rss))
     }
 
-    pub(crate) fn loglik_of(&self, phi: f64, rss: f64) -> f64 {
-        let segments = self.stack.ranges.len() as f64;
-        -0.5 * self.nu * (rss / self.nu).ln() + 0.5 * segments * (1.0 - phi * phi).ln()
+    /// Log likelihood where a fit would leave another sum of squares.
+    pub(crate) fn loglik_of(&self, at: &AtPhi, rss: f64) -> f64 {
+        -0.5 * self.nu * (rss / self.nu).ln() + at.memory
     }
 
     /// Best over the noise coefficient, from values on its grid: a parabola through the best three.
