@@ -36,11 +36,13 @@ pub fn program(name: &str) -> PathBuf {
         // All at once, as the run of all tests has built them: fewer would want other features of what they stand on.
         cargo.args(["build", "--quiet", "--workspace", "--bins", "--examples"]).current_dir(crate::root());
         // What cargo tells the running test of its own crate: build scripts that ask for it would be run again, and what hangs on
-        // them built again.
-        for (name, _) in std::env::vars_os().filter(|(n, _)| n.as_encoded_bytes().starts_with(b"CARGO_")) {
-            if !matches!(name.to_str(), Some("CARGO_HOME" | "CARGO_TARGET_DIR" | "CARGO_TERM_COLOR")) {
-                cargo.env_remove(name);
-            }
+        // them built again. What the user told cargo stays: under other settings everything would be another build.
+        let told = |name: &str| {
+            ["CARGO_PKG_", "CARGO_MANIFEST_", "CARGO_CRATE_", "CARGO_BIN_", "CARGO_CFG_"].iter().any(|p| name.starts_with(p))
+                || matches!(name, "CARGO_PRIMARY_PACKAGE" | "CARGO_TARGET_TMPDIR")
+        };
+        for (name, _) in std::env::vars_os().filter(|(n, _)| n.to_str().is_some_and(told)) {
+            cargo.env_remove(name);
         }
         if profile.ends_with("release") {
             cargo.arg("--release");
