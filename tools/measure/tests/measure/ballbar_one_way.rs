@@ -3,9 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-mod circles;
-
-use circles::{Noise, Run, map_without_line, one};
+use crate::circles::{Noise, Run, map_without_line, one};
 use rtec_measure::ballbar::Ballbar;
 use rtec_model::record::{Axis, Record};
 use std::collections::BTreeMap;

@@ -2,9 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-mod noise;
-
-use noise::noise;
+use crate::noise::noise;
 use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Kind, Record, Role};

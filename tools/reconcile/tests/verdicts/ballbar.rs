@@ -2,9 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-mod noise;
-
-use noise::noise;
+use crate::noise::noise;
 use rtec_model::circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};

@@ -2,9 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-mod circles;
-
-use circles::{Noise, Run, column, map_without_line, near, one};
+use crate::circles::{Noise, Run, column, map_without_line, near, one};
 use rtec_measure::ballbar;
 use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record, Role};

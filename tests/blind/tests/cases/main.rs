@@ -1,0 +1,6 @@
+//! The blind suite judged in small. One program: its cases run beside each other.
+
+mod clean;
+mod quick;
+mod real;
+mod wide;

@@ -1,0 +1,10 @@
+//! Records, evaluations, imports and their mistakes from outside. One program: what takes long runs beside the rest.
+
+mod ballbar;
+mod ballbar_one_way;
+mod circles;
+mod derive;
+mod evaluations;
+mod imports;
+mod plausible;
+mod positioning;

@@ -1,0 +1,8 @@
+//! Verdicts from outside, a file a question. One program: what takes long runs beside the rest.
+
+mod ballbar;
+mod doubted;
+mod names;
+mod noise;
+mod one_room;
+mod zeros;
