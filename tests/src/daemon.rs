@@ -38,7 +38,9 @@ pub fn program(name: &str) -> PathBuf {
         // What cargo tells the running test of its own crate: build scripts that ask for it would be run again, and what hangs on
         // them built again. What the user told cargo stays: under other settings everything would be another build.
         let told = |name: &str| {
-            ["CARGO_PKG_", "CARGO_MANIFEST_", "CARGO_CRATE_", "CARGO_BIN_", "CARGO_CFG_"].iter().any(|p| name.starts_with(p))
+            ["CARGO_PKG_", "CARGO_MANIFEST_", "CARGO_CRATE_", "CARGO_BIN_", "CARGO_CFG_"]
+                .iter()
+                .any(|p| name.starts_with(p))
                 || matches!(name, "CARGO_PRIMARY_PACKAGE" | "CARGO_TARGET_TMPDIR")
         };
         for (name, _) in std::env::vars_os().filter(|(n, _)| n.to_str().is_some_and(told)) {
