@@ -113,13 +113,13 @@ fn main() -> anyhow::Result<ExitCode> {
     if asked.verbose {
         let taken_wrong =
             |o: &Outcome| o.mistake.as_ref().is_some_and(|m| m.1 != Heard::Said || !m.2.is_empty());
-        let told = |o: &&Outcome| match &o.mistake {
-            Some(_) => taken_wrong(o),
-            None => {
-                let open =
-                    o.closed.is_some_and(|c| c < OPEN && o.oracle_closed.is_none_or(|by_truth| c < by_truth));
-                !right(o.mark) || open || o.covered.iter().any(|c| !c.1) || !o.suspicions.is_empty()
+        let told = |o: &&Outcome| {
+            if o.mistake.is_some() {
+                return taken_wrong(o);
             }
+            let by_truth = o.oracle_closed.unwrap_or(1.0);
+            let open = o.closed.is_some_and(|c| c < OPEN && c < by_truth);
+            !right(o.mark) || open || o.covered.iter().any(|c| !c.1) || !o.suspicions.is_empty()
         };
         outcomes.iter().filter(told).for_each(tell);
         let mut longest: Vec<&Outcome> = outcomes.iter().collect();

@@ -502,7 +502,7 @@ fn between_rows(effect: &Effect, records: &[Record]) -> Effect {
     let at = effect.scalar(moment);
     let seen = records.iter().filter(|r| !effect.acts_on(r).is_empty());
     let (mut before, mut after) = (f64::NEG_INFINITY, f64::INFINITY);
-    for t in seen.flat_map(|r| r.time_s()) {
+    for t in seen.flat_map(Record::time_s) {
         if *t < at {
             before = before.max(*t);
         } else {

@@ -186,7 +186,7 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
 }
 
 /// Rows on either side of a moment from which a sensor's slope is taken: a slow body shows its bend over many only.
-const SIDES: [usize; 3] = [8, 16, 32];
+const SIDES: [usize; 3] = [8, 16, 24];
 /// Another sensor that moves on by this share of a jump within the fewest of them, otherwise than before, follows it; over more
 /// rows it has more time.
 const FOLLOWS: f64 = 0.05;
