@@ -19,6 +19,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 const USAGE: &str = "rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] \
                      [--jobs N] [--bare] [--json] [-v]";
 
+/// A case of which less of the gap is closed is told.
+const OPEN: f64 = 0.9;
+
 /// What was asked for.
 struct Asked {
     classes: Vec<Class>,
@@ -110,9 +113,13 @@ fn main() -> anyhow::Result<ExitCode> {
     if asked.verbose {
         let taken_wrong =
             |o: &Outcome| o.mistake.as_ref().is_some_and(|m| m.1 != Heard::Said || !m.2.is_empty());
-        let told = |o: &&Outcome| match &o.mistake {
-            Some(_) => taken_wrong(o),
-            None => !right(o.mark) || o.covered.iter().any(|c| !c.1) || !o.suspicions.is_empty(),
+        let told = |o: &&Outcome| {
+            if o.mistake.is_some() {
+                return taken_wrong(o);
+            }
+            let by_truth = o.oracle_closed.unwrap_or(1.0);
+            let open = o.closed.is_some_and(|c| c < OPEN && c < by_truth);
+            !right(o.mark) || open || o.covered.iter().any(|c| !c.1) || !o.suspicions.is_empty()
         };
         outcomes.iter().filter(told).for_each(tell);
         let mut longest: Vec<&Outcome> = outcomes.iter().collect();
@@ -192,14 +199,18 @@ fn tell(o: &Outcome) {
         let (_, kind) = KINDS[*kind];
         format!("\n    {kind}: {heard:?} {:?}; its clean twin: {twin:?}", o.suspicions)
     });
+    let closed =
+        [o.closed, o.oracle_closed].map(|c| c.map_or("–".into(), |c| format!("{:.1} %", 100.0 * c)));
     eprintln!(
-        "{:?} {} seed {} {:?} {} {:.1}s\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}{}{taken}",
+        "{:?} {} seed {} {:?} {} {:.1}s, closed {}, with the true names {}\n    hidden {:?} at {:.1?}; {}\n    answer {} {:?}{}{}{taken}",
         o.mark,
         o.class.word(),
         o.case.seed,
         o.case.hides,
         o.case.design,
         o.seconds,
+        closed[0],
+        closed[1],
         o.case.truth,
         o.case.snr,
         o.case.story,

@@ -4,21 +4,49 @@ use crate::answer::Finding;
 use crate::cause::Shape;
 use crate::extent::{self, GRID_SHARE};
 use crate::verdict::Verdict;
-use rtec_model::effect::{Dictionary, Effect};
-use rtec_model::record::{Record, Role};
+use rtec_model::effect::{Dictionary, Effect, Wave};
+use rtec_model::record::{Axis, Record, Role};
+
+/// All positions of an axis, in rising order.
+fn places(axis: &Axis, train: &[Record]) -> Vec<f64> {
+    let role = Role::Position(axis.clone());
+    let mut places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
+    places.sort_by(f64::total_cmp);
+    places
+}
+
+/// Leads of screws that targets on a grid cannot tell from a constant: each target is at the same angle of the screw.
+fn hidden_leads(effect: &Effect, train: &[Record], dictionary: &Dictionary) -> Option<String> {
+    let axis = effect.axes().first().filter(|_| effect.description().constant)?;
+    let screw = dictionary.effect(&format!("screw_periodic.{axis}")).ok()?;
+    let leads_mm = screw.description().searched.wave?.usual_mm;
+    let shortest = leads_mm.iter().copied().fold(f64::INFINITY, f64::min);
+    let pitch = extent::pitch(&places(axis, train), GRID_SHARE * shortest)?;
+    let whole = |lead: &&f64| {
+        let turns = pitch / **lead;
+        turns > 0.5 && (turns - turns.round()).abs() < GRID_SHARE
+    };
+    let leads: Vec<String> = leads_mm.iter().filter(whole).map(ToString::to_string).collect();
+    (!leads.is_empty()).then(|| {
+        format!(
+            "the targets of {} lie on a grid of {pitch:.4} mm, on which the wave of a screw with a lead of {} mm looks the same \
+             as a constant: targets at uneven distances tell",
+            effect.name(),
+            leads.join(", ")
+        )
+    })
+}
 
 /// Periods that a grid of targets cannot tell from the one that is given.
 fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
     let law = effect.description();
-    let unit_mm = law.searched.wave?.unit_mm;
-    let role = Role::Position(effect.axes()[0].clone());
-    let mut places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
-    places.sort_by(f64::total_cmp);
+    let Wave { unit_mm, usual_mm, .. } = law.searched.wave?;
+    let places = places(&effect.axes()[0], train);
     let period_mm = effect.scalar(0) * unit_mm;
     let pitch = extent::pitch(&places, GRID_SHARE * period_mm)?;
     let [lo, hi] = law.parameters[0].bounds;
     let range = [1.0 / (hi * unit_mm), 1.0 / (lo * unit_mm)];
-    let others: Vec<String> = extent::aliases(1.0 / period_mm, pitch, range, 7)
+    let others: Vec<String> = extent::aliases(1.0 / period_mm, pitch, range, 7, usual_mm)
         .iter()
         .map(|f| 1.0 / (f * unit_mm))
         .filter(|p| (p / effect.scalar(0) - 1.0).abs() > 1e-3)
@@ -71,6 +99,7 @@ pub(crate) fn advice(
         Verdict::NothingMissing => Vec::new(),
     };
     parts.extend(effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train).or_else(|| as_good(f))));
+    parts.extend(effects.iter().filter_map(|(f, _)| hidden_leads(&f.effect, train, dictionary)));
     parts.join("; ")
 }
 
@@ -158,5 +187,25 @@ mod tests {
         let text = other_periods(&wave, &train).unwrap();
         assert!(text.contains("grid of 20.0000 mm") && text.contains("30.0000"), "{text}");
         assert_eq!(other_periods(&Dictionary::default().effect("scale.x").unwrap(), &train), None);
+    }
+
+    /// A screw of 10 mm seen at steps of 20 mm is a constant.
+    #[test]
+    fn a_constant_on_a_grid_may_be_a_screw_and_this_is_said() {
+        let train = |pitch: f64, off: f64| {
+            let p: Vec<f64> = (0..60).map(|i| pitch * f64::from(i % 30) + off * f64::from(i % 7)).collect();
+            let e = column("e", Role::Error(axis()), vec![2.0; p.len()]);
+            let columns = vec![column("p", Role::Position(axis()), p), e];
+            [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()]
+        };
+        let dictionary = Dictionary::default();
+        let of = |name: &str, pitch: f64, off: f64| {
+            hidden_leads(&dictionary.effect(name).unwrap(), &train(pitch, off), &dictionary)
+        };
+        let text = of("offset.x", 20.0, 0.0).unwrap();
+        assert!(text.contains("grid of 20.0000 mm") && text.contains("5, 10, 20 mm"), "{text}");
+        assert_eq!(of("offset.x", 20.0, 1.3), None, "uneven");
+        assert_eq!(of("offset.x", 20.7, 0.0), None, "no lead");
+        assert_eq!(of("scale.x", 20.0, 0.0), None);
     }
 }

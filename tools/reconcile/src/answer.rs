@@ -19,6 +19,16 @@ pub struct Rival {
     pub margin: f64,
 }
 
+impl Rival {
+    /// Its name, with what it reads or the value that differs.
+    #[must_use]
+    pub fn label(&self) -> String {
+        let sensor = self.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+        let differs = self.differs.as_ref().map_or_else(String::new, |(key, v)| format!(" ({key} = {v:.4})"));
+        format!("{}{sensor}{differs}", self.name)
+    }
+}
+
 /// An effect that was found.
 #[derive(Debug, Clone)]
 pub struct Finding {

@@ -102,25 +102,32 @@ pub(crate) fn resolution(places: &[f64]) -> Option<f64> {
     steps.into_iter().find(|step| places.iter().all(|x| whole(x, *step)))
 }
 
-/// Frequencies that look the same as `f` on a grid, inside a range, slowest first; at most `most`.
-pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize) -> Vec<f64> {
+/// So many multiples of a grid's frequency are looked through for periods that machines are made with.
+const MULTIPLES: usize = 200;
+
+/// Frequencies that look the same as `f` on a grid, inside a range, slowest first: so many, and beyond them those of periods
+/// that machines are made with.
+pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize, usual_mm: &[f64]) -> Vec<f64> {
     let whole = 1.0 / pitch;
     let rest = f.rem_euclid(whole);
+    let near = rest.min(whole - rest);
     let first = (range[0] / whole).floor().max(0.0);
-    (0..=2 * most)
-        .flat_map(|k| {
-            let at = (first + k as f64) * whole;
-            [at + rest, at + whole - rest]
-        })
-        .filter(|g| (range[0]..=range[1]).contains(g))
-        .take(most)
-        .collect()
+    let all = (0..MULTIPLES.max(most)).flat_map(|k| {
+        let at = (first + k as f64) * whole;
+        [at + near, at + whole - near]
+    });
+    let inside = all.filter(|g| (range[0]..=range[1]).contains(g)).enumerate();
+    inside.filter(|(i, g)| *i < most || is_made(1.0 / g, usual_mm)).map(|(_, g)| g).collect()
+}
+
+/// Whether machines are made with a period, as far as it is known.
+fn is_made(period_mm: f64, usual_mm: &[f64]) -> bool {
+    usual_mm.iter().any(|l| (period_mm / l - 1.0).abs() < 0.005)
 }
 
 /// Which of several periods is the likeliest, being equally good otherwise: one that machines are made with, or the longest.
 pub(crate) fn likeliest(periods_mm: &[f64], usual_mm: &[f64]) -> Option<usize> {
-    let made = |p: &f64| usual_mm.iter().any(|l| (p / l - 1.0).abs() < 0.005);
-    periods_mm.iter().position(made).or((!periods_mm.is_empty()).then_some(0))
+    periods_mm.iter().position(|p| is_made(*p, usual_mm)).or((!periods_mm.is_empty()).then_some(0))
 }
 
 #[cfg(test)]
@@ -150,14 +157,28 @@ mod tests {
     #[test]
     fn aliases_are_alike_at_every_place() {
         let f = 1.0 / 7.0;
-        let all = aliases(f, 5.0, [0.0, 1.0], 4);
-        assert_eq!(all.len(), 4);
+        let all = aliases(f, 5.0, [0.0, 1.0], 4, &[]);
+        assert!(all.len() == 4 && all.is_sorted(), "{all:?}");
         for g in all {
             for k in 0..10 {
                 let cos = |f: f64| (std::f64::consts::TAU * f * 5.0 * f64::from(k)).cos();
                 assert!((cos(f) - cos(g)).abs() < 1e-9, "{g}");
             }
         }
+    }
+
+    /// A bug once: at 50 mm steps a screw of 12 mm was not among the eight that were listed beside it.
+    #[test]
+    fn what_machines_are_made_with_is_among_the_aliases() {
+        let of = |usual: &[f64]| aliases(1.0 / 60.0, 50.0, [1.0 / 60.0, 2.0], 8, usual);
+        assert!(
+            of(&[]).is_sorted() && of(&[]).iter().any(|f| (1.0 / f - 12.0).abs() < 1e-9),
+            "{:?}",
+            of(&[])
+        );
+        let made = 60.0 / 7.0;
+        let among = |usual: &[f64]| of(usual).iter().any(|f| (1.0 / f - made).abs() < 1e-9);
+        assert!(among(&[12.0, made]) && !among(&[12.0]));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
 use crate::leftover::{beyond_bounds, knee_instead, slightest, unexplained};
 use crate::search::{Found, Member, Search, Set};
-use crate::simpler::{DECISIVE, merged, plainer, slimmed, with_offset};
+use crate::simpler::{DECISIVE, merged, plainer, slimmed, waved, with_offset};
 use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC};
 
 /// The same hypothesis with other values free is taken instead where it is so much better.
@@ -34,6 +34,7 @@ struct Conclusion<'f> {
 /// Names what a search found, beside the model as it is now.
 pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
     let named = renamed(search, found.named.clone());
+    let named = waved(search, named);
     let named = slimmed(search, named);
     let named = with_offset(search, &named);
     let named = plainer(search, found, named);
@@ -49,6 +50,7 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
         (named, equals) = (set, Some(others));
     } else {
         named = search.with_references(named);
+        named = level_instead(search, named, &chance, level);
     }
     let mut beyond = Vec::new();
     if !search.physical(&named) {
@@ -448,6 +450,27 @@ fn level_beside(search: &Search<'_, '_>, set: &Set, effect: &Effect) -> Option<E
         Cause::Effect { effect, .. } if effect.name() == name => Some(effect.clone()),
         _ => None,
     })
+}
+
+/// The set with the constant alone in place of a thermal law whose reference temperature took the constant in, where what the
+/// law does beyond that is no more than chance gives: a constant and a temperature that wanders are no growth.
+fn level_instead(search: &mut Search<'_, '_>, named: Set, chance: &Chance, level: f64) -> Set {
+    let mut named = named;
+    for i in (0..named.members.len()).rev() {
+        let Cause::Effect { reference: true, .. } = named.members[i].cause else { continue };
+        let effect = search.effects(&named).swap_remove(i);
+        let Some(constant) = effect.and_then(|e| level_beside(search, &named, &e)) else { continue };
+        let name = constant.name();
+        let rest = search.without(&named, i);
+        let Some(own) = search.all.list.iter().position(|h| h.name == name) else { continue };
+        let Some(offer) = search.offer_of(&rest, own) else { continue };
+        let instead = search.take(&rest, &offer);
+        let gain = search.gain(&instead, &named);
+        if gain < DECISIVE || chance.of_name(gain, false) > level {
+            named = instead;
+        }
+    }
+    named
 }
 
 /// The same as a law of the difference from 20 °C beside a constant: c₁(x − d) + c₂(x − d)², with x from 20 °C.

@@ -196,10 +196,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
         let rivals = f
             .rivals
             .iter()
-            .map(|v| {
-                let s = v.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
-                format!("{}{s}, odds 1:{:.1}", v.name, v.margin.exp())
-            })
+            .map(|v| format!("{}, odds 1:{:.1}", v.label(), v.margin.exp()))
             .collect::<Vec<_>>()
             .join("<br>");
         for (i, p) in description.parameters.iter().enumerate() {

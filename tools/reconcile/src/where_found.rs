@@ -51,6 +51,9 @@ const ROWS_OF_PLACE: usize = 5;
 /// Differences of more temperatures than these are too many to look at.
 const PAIRED_TEMPERATURES: usize = 6;
 
+/// A block is so many times as long as the residual remembers: what is cut at its ends makes chance look smaller than it is, by
+/// a quarter of the variance where it is twice as long.
+const BLOCK: f64 = 5.0;
 /// Permutations of the residual's blocks: no p-value is below one in so many.
 const PERMUTATIONS: usize = 999;
 /// So many of them as large as what was found are enough to know that it is nothing.
@@ -214,7 +217,7 @@ fn place(
     let next = dot(&residual[1..], &residual[..n - 1]) / squares.max(1e-300);
     let memory = (1.0 + next) / (1.0 - next.min(0.99));
     let longest = (n / 10).max(2) as f64;
-    let length = (2.0 * memory).clamp((n as f64).cbrt().min(longest), longest) as usize;
+    let length = (BLOCK * memory).clamp((n as f64).cbrt().min(longest), longest) as usize;
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let (mut tried, mut larger) = (0, 0);
     let mut order: Vec<usize> = (0..n.div_ceil(length)).collect();

@@ -2,29 +2,51 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
-use rtec_blind::case::{Hides, make};
+use rtec_blind::case::Hides;
+use rtec_blind::class::Class;
 use rtec_blind::plan::Manner;
 use rtec_measure::plausible::suspicions;
 
-#[test]
-fn clean_records_raise_no_suspicion() {
-    let (mut cases, mut wrong) = (0, Vec::new());
-    for (k, hides) in [Hides::Nothing, Hides::One, Hides::Two, Hides::Stranger].into_iter().enumerate() {
-        for turn in 0..75 {
-            let seed = 7_000_000 + 1000 * k as u64 + turn;
+/// Of the first so many seeds of each class no more than one in so many is suspected.
+fn quiet(classes: &[(Class, u64)], turns: u64, one_in: usize) {
+    let (mut cases, mut wrong) = (0_usize, Vec::new());
+    for (class, from) in classes {
+        for turn in 0..turns {
+            let seed = from + turn;
             let manner = if turn % 2 == 0 { Manner::First } else { Manner::Second };
             let dir = tempfile::tempdir().unwrap();
-            let case = make(seed, hides, None, manner, dir.path()).unwrap();
+            let made = class.make(seed, manner, dir.path()).unwrap();
+            // Of a mistake and its clean twin the twin.
+            let case = made.mistake.map_or(made.case, |(_, clean)| clean);
             let paths = case.train.iter().chain(&case.holdout);
             let records: Vec<_> = paths.map(|p| rtec_measure::record::read(p).unwrap()).collect();
             let found = suspicions(&records);
             cases += 1;
             if !found.is_empty() {
                 let said = found.iter().map(ToString::to_string).collect::<Vec<_>>();
-                wrong.push(format!("seed {seed} {} {:?}: {said:?}", case.design, case.truth));
+                wrong.push(format!("{} {seed} {} {:?}: {said:?}", class.word(), case.design, case.truth));
             }
         }
     }
     println!("{} of {cases} clean cases suspected: {wrong:#?}", wrong.len());
-    assert!(wrong.len() * 100 <= cases, "{wrong:#?}");
+    assert!(wrong.len() <= usize::div_ceil(cases, one_in), "{wrong:#?}");
+}
+
+#[test]
+fn clean_records_raise_no_suspicion() {
+    let kinds = [Hides::Nothing, Hides::One, Hides::Two, Hides::Stranger].into_iter().enumerate();
+    quiet(&kinds.map(|(k, h)| (Class::Narrow(h), 7_000_000 + 1000 * k as u64)).collect::<Vec<_>>(), 75, 100);
+}
+
+/// Short runs, heat that is switched, machines that turn with a spike. Half of what is still suspected are runs of a few minutes whose
+/// temperatures go half their way in 15 to 35 s, as no machine's do: those stay so.
+#[test]
+fn clean_records_of_the_wider_kinds_raise_no_suspicion() {
+    let kinds = [Class::Many, Class::ManyZeros, Class::ManyRadial, Class::Heat, Class::Fast, Class::Pairs];
+    quiet(&kinds.map(|c| (c, 7_100_000)), 30, 20);
+}
+
+#[test]
+fn the_clean_twins_of_mistakes_raise_no_suspicion() {
+    quiet(&[(Class::Mistakes, 7_200_000)], 98, 100);
 }

@@ -35,9 +35,13 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         let others: Vec<f64> = away.iter().map(|v| v.abs()).filter(|v| *v > 0.0).collect();
         let resolution = smallest_step(&c.data);
         let spread = (1.4826 * median(others)).max(resolution);
-        let rows: Vec<usize> = (0..away.len()).filter(|i| away[*i].abs() > FAR * spread).collect();
+        let far = |i: &usize| away[*i].abs() > FAR * spread;
+        // Before it has turned for the first time an axis lacks the spike that each later pass begins with.
+        let begun = (0..away.len()).take_while(far).count();
+        let begun = if d[..begun].windows(2).all(|w| w[0] * w[1] > 0.0) { begun } else { 0 };
+        let rows: Vec<usize> = (begun..away.len()).filter(far).collect();
         let worst = rows.iter().map(|i| away[*i].abs()).fold(0.0, f64::max);
-        let tails = away.iter().filter(|v| v.abs() > 5.0 * spread).count() - rows.len();
+        let tails = away[begun..].iter().filter(|v| v.abs() > 5.0 * spread).count() - rows.len();
         if spread > 0.0 && worst > WORST * spread && rows.len() * 20 <= away.len() && 2 * tails <= rows.len()
         {
             let text = format!(

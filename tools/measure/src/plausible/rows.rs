@@ -177,16 +177,22 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
         orders.push(by_place);
     }
     // By the order in which the response runs most smoothly; or by what the same place gave at other times.
-    let mut lefts: Vec<(Vec<f64>, Vec<bool>)> = orders.iter().map(|o| beside(&c.data, o)).collect();
+    let in_order = |o: &Vec<Vec<usize>>| {
+        let (left, alone) = beside(&c.data, o);
+        // Where it runs up or down steeply a row is its own median, however noisy it is.
+        let scale = width(&left).max(noise_along(&c.data, o));
+        (left, alone, scale)
+    };
+    let mut lefts: Vec<(Vec<f64>, Vec<bool>, f64)> = orders.iter().map(in_order).collect();
     let mates = orders.get(1).map(|ways| places(record, c, ways));
     if let Some(places) = &mates
         && places.iter().all(|p| p.len() >= 3)
     {
-        lefts.push(of_place(&c.data, places));
+        let (left, alone) = of_place(&c.data, places);
+        let scale = width(&left);
+        lefts.push((left, alone, scale));
     }
-    let left = lefts.into_iter().min_by(|a, b| width(&a.0).total_cmp(&width(&b.0)));
-    let Some((left, alone)) = left else { return };
-    let scale = width(&left);
+    let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else { return };
     if scale <= 0.0 {
         return;
     }
@@ -249,6 +255,13 @@ fn width(v: &[f64]) -> f64 {
     sizes.sort_by(f64::total_cmp);
     // Nine of ten of a normal distribution lie within 1.645 of its standard deviations.
     sizes[sizes.len() * 9 / 10] / 1.645
+}
+
+/// Standard deviation of the noise from row to row of these orders: what three rows on end are off a straight line.
+fn noise_along(v: &[f64], orders: &[Vec<usize>]) -> f64 {
+    let off = |w: &[usize]| v[w[0]] - 2.0 * v[w[1]] + v[w[2]];
+    let all: Vec<f64> = orders.iter().flat_map(|o| o.windows(3).map(off)).collect();
+    spread(&all) / 6_f64.sqrt()
 }
 
 /// The rows of each place, from the rows of each direction in the order of their positions.

@@ -170,7 +170,8 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
         return false;
     }
     // Heat that one body shows at once others show late: they begin to move then.
-    if others.iter().any(|o| begins_to_move(&o.data, at, FOLLOWS * size)) {
+    let follows = |o: &&Column| begins_to_move(&o.data, at, FOLLOWS * size);
+    if is_switched(record, &own, at) || others.iter().any(follows) {
         return false;
     }
     let level = |r: std::ops::Range<usize>| median(c.data[r].to_vec());
@@ -184,9 +185,10 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     true
 }
 
-/// Rows on either side of a moment from which a sensor's slope is taken.
-const SIDE: usize = 8;
-/// Another sensor that moves on by this share of a jump within so many rows, otherwise than before, follows it.
+/// Rows on either side of a moment from which a sensor's slope is taken: a slow body shows its bend over many only.
+const SIDES: [usize; 3] = [8, 16, 24];
+/// Another sensor that moves on by this share of a jump within the fewest of them, otherwise than before, follows it; over more
+/// rows it has more time.
 const FOLLOWS: f64 = 0.05;
 /// So many standard errors of a slope are no chance; so many times the bend that was there before is a new one.
 const CERTAIN: f64 = 6.0;
@@ -195,22 +197,41 @@ const NEW_BEND: f64 = 2.0;
 /// Whether a sensor's slope changes behind row `at`, by no less than `least` kelvin within the rows on one side of it, and not
 /// as it did before.
 fn begins_to_move(v: &[f64], at: usize, least: f64) -> bool {
+    // No reading is better than its resolution.
+    let noise = noise_k(v).max(quantum(v) / 12_f64.sqrt());
+    SIDES.iter().any(|side| bends(v, at, *side, least, noise))
+}
+
+/// The same over so many rows on either side.
+fn bends(v: &[f64], at: usize, side: usize, least: f64, noise: f64) -> bool {
     let slope = |rows: std::ops::Range<usize>| -> Option<f64> {
         let rows = v.get(rows)?;
-        let middle = (SIDE - 1) as f64 / 2.0;
+        let middle = (side - 1) as f64 / 2.0;
         let with = |(i, x): (usize, &f64)| (i as f64 - middle) * x;
-        let square: f64 = (0..SIDE).map(|i| (i as f64 - middle).powi(2)).sum();
+        let square: f64 = (0..side).map(|i| (i as f64 - middle).powi(2)).sum();
         Some(rows.iter().enumerate().map(with).sum::<f64>() / square)
     };
     // The first row behind the moment is where the jump is seen.
-    let bend = |at: usize| Some(slope(at + 1..at + 1 + SIDE)? - slope((at + 1).checked_sub(SIDE)?..at + 1)?);
+    let bend = |at: usize| Some(slope(at + 1..at + 1 + side)? - slope((at + 1).checked_sub(side)?..at + 1)?);
     let Some(here) = bend(at) else { return false };
-    let before = at.checked_sub(SIDE).and_then(bend).unwrap_or(0.0);
-    // No reading is better than its resolution.
-    let noise = noise_k(v).max(quantum(v) / 12_f64.sqrt());
-    let cube = (SIDE * SIDE * SIDE - SIDE) as f64;
+    let before = at.checked_sub(side).and_then(bend).unwrap_or(0.0);
+    let cube = (side * side * side - side) as f64;
     let error = noise * (2.0 * 12.0 / cube).sqrt();
-    here.abs() > CERTAIN * error && here.abs() * SIDE as f64 > least && here.abs() > NEW_BEND * before.abs()
+    here.abs() > CERTAIN * error && here.abs() * side as f64 > least && here.abs() > NEW_BEND * before.abs()
+}
+
+/// Another step of at least this share of the largest is one of something that is switched.
+const AGAIN: f64 = 0.5;
+
+/// Whether what a sensor jumps by is switched: it jumps as far at other times, or spindle or coolant change there.
+fn is_switched(record: &Record, own: &[f64], at: usize) -> bool {
+    let again = own.iter().enumerate().any(|(i, d)| i.abs_diff(at) > 5 && d.abs() > AGAIN * own[at].abs());
+    let changes = |c: &Column| {
+        let near = at.saturating_sub(1)..(at + 3).min(c.data.len());
+        c.data[near].windows(2).any(|w| w[0].to_bits() != w[1].to_bits())
+    };
+    let cause = |c: &&Column| matches!(c.role, Role::Coolant | Role::SpindleSpeed);
+    again || record.columns.iter().filter(cause).any(changes)
 }
 
 /// Single values far from those before and after.

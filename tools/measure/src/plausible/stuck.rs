@@ -55,10 +55,14 @@ fn longest_run(v: &[f64]) -> (usize, usize) {
 }
 
 /// Standard deviation of a reading's noise from row to row, and its resolution. From second differences, which a trend
-/// leaves alone, without their largest tenth: those are the machine's.
+/// leaves alone, without their largest tenth: those are the machine's. Where a reading goes on the way it went, or stays,
+/// its steps are those of the resolution on a slope: only noise turns back.
 fn noise(pieces: &[&[f64]]) -> (f64, f64) {
-    let mut squares: Vec<f64> =
-        pieces.iter().flat_map(|p| p.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).powi(2))).collect();
+    let turn = |w: &[f64]| {
+        let (before, behind) = (w[1] - w[0], w[2] - w[1]);
+        if before * behind < 0.0 { (behind - before).powi(2) } else { 0.0 }
+    };
+    let mut squares: Vec<f64> = pieces.iter().flat_map(|p| p.windows(3).map(turn)).collect();
     squares.sort_by(f64::total_cmp);
     squares.truncate(squares.len() * 9 / 10);
     // Of a normal distribution's squares the mean without the largest tenth is 0.623 of the variance.

@@ -105,6 +105,12 @@ fn median_gap(x: &[f64]) -> f64 {
     gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
 }
 
+/// Periods that machines are made with, mm; none for a shape.
+fn usual_mm(wave: &Wave) -> &'static [f64] {
+    let facts = wave.effect.as_ref().and_then(|e| e.description().searched.wave);
+    facts.map_or(&[], |w| w.usual_mm)
+}
+
 impl Search<'_, '_> {
     /// Frequencies at which the periodogram of what a set leaves is highest, added to the wave's list.
     pub(super) fn find_peaks(&self, set: &Set, at: usize) {
@@ -199,9 +205,8 @@ impl Search<'_, '_> {
         let independent = wave.independent();
         let cost = self.wave_cost(wave);
         let mut best = self.best_peak(set, wave, peaks, [cost, least])?;
-        let facts = wave.effect.as_ref().and_then(|e| e.description().searched.wave);
-        if let Some(usual_mm) = facts.map(|w| w.usual_mm) {
-            self.likeliest_alias(set, wave, &mut best, independent, usual_mm);
+        if wave.effect.is_some() {
+            self.likeliest_alias(set, wave, &mut best, independent, usual_mm(wave));
         }
         let Tone { score, f, cost } = best;
         if !self.bearable(set, wave, f) {
@@ -275,7 +280,7 @@ impl Search<'_, '_> {
         }
         if let Some(pitch) = even(&wave.places) {
             for (_, f) in tops.clone() {
-                for f0 in aliases(f, pitch, [wave.from.max(0.5 / span), wave.to], LOWEST) {
+                for f0 in aliases(f, pitch, [wave.from.max(0.5 / span), wave.to], LOWEST, &[]) {
                     if !tops.iter().any(|t| (f0 - t.1).abs() * span < FREQUENCY_STEP) {
                         refined(&f0, &mut tops);
                     }
@@ -331,7 +336,8 @@ impl Search<'_, '_> {
         let mut all: Vec<f64> =
             self.tops(rest, wave, &peaks, [cost, f64::NEG_INFINITY]).iter().map(|t| t.1).collect();
         if let Some(pitch) = pitch(&wave.places, GRID_SHARE / own) {
-            all.extend(aliases(own, pitch, [wave.from.max(0.5 / wave.span()), wave.to], LISTED));
+            let range = [wave.from.max(0.5 / wave.span()), wave.to];
+            all.extend(aliases(own, pitch, range, LISTED, usual_mm(wave)));
         }
         all.sort_by(f64::total_cmp);
         let mut out: Vec<(f64, f64)> = Vec::new();
@@ -358,11 +364,12 @@ impl Search<'_, '_> {
         let saved = independent.ln() - independent.min((span / pitch).max(2.0)).ln();
         best.cost -= saved;
         best.score += saved;
-        let near: Vec<(f64, f64)> = aliases(best.f, pitch, [wave.from.max(0.5 / span), wave.to], 8)
-            .into_iter()
-            .map(|g| (self.wave_score(set, wave, g, cost - saved), g))
-            .filter(|(s, _)| *s > best.score - 1.0)
-            .collect();
+        let near: Vec<(f64, f64)> =
+            aliases(best.f, pitch, [wave.from.max(0.5 / span), wave.to], LISTED, usual_mm)
+                .into_iter()
+                .map(|g| (self.wave_score(set, wave, g, cost - saved), g))
+                .filter(|(s, _)| *s > best.score - 1.0)
+                .collect();
         let periods: Vec<f64> = near.iter().map(|(_, g)| 1.0 / g).collect();
         if let Some(i) = likeliest(&periods, usual_mm) {
             (best.score, best.f) = near[i];

@@ -174,8 +174,7 @@ fn summary(r: &Reconciliation) -> String {
             let _ = writeln!(s, "    {} = {} {}", p.name, with_half(f.effect.scalar(i), half[i]), p.unit);
         }
         for v in &f.rivals {
-            let sensor = v.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
-            let _ = writeln!(s, "    or {}{sensor}, odds 1:{:.1}", v.name, v.margin.exp());
+            let _ = writeln!(s, "    or {}, odds 1:{:.1}", v.label(), v.margin.exp());
         }
     }
     for u in &r.unexplained {
