@@ -154,7 +154,7 @@ mod tests {
             let record = record::read(&at("r.run.toml")).unwrap();
             let whole = csv(&machine, &record, false, &mut |s| said.push(s.to_string())).unwrap();
             write(&machine, &at("r.run.toml"), false, &mut written, &mut |s| {
-                said_by_rows.push(s.to_string())
+                said_by_rows.push(s.to_string());
             })
             .unwrap();
             assert!(String::from_utf8(written).unwrap() == whole, "{time}");
