@@ -50,11 +50,19 @@ impl<R: Read> Lines<R> {
         self.buffer[..self.end].get(self.start..)?.first_chunk()
     }
 
-    /// Takes a whole line of so many bytes that was seen with [`Lines::ahead`].
+    /// What the buffer holds of what comes next; more may follow.
     #[inline]
-    pub(crate) fn take_line(&mut self, length: usize) {
+    pub(crate) fn unread(&self) -> &[u8] {
+        &self.buffer[self.start..self.end]
+    }
+
+    /// Takes a whole line of so many bytes that was seen ahead; gives its first `text` bytes.
+    #[inline]
+    pub(crate) fn take_line(&mut self, length: usize, text: usize) -> &[u8] {
+        let start = self.start;
         self.start += length;
         self.line += 1;
+        &self.buffer[start..start + text]
     }
 
     /// Reads on; `false` at the end of the input.

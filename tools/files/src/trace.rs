@@ -95,7 +95,7 @@ impl<R: Read> TraceReader<R> {
             && point.t_ns > last.t_ns
             && point.state != last.state
         {
-            self.rows.lines.take_line(length);
+            self.rows.lines.take_line(length, 0);
             self.last = Some(point);
             return Ok(Some(point));
         }

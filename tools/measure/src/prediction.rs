@@ -1,8 +1,12 @@
 //! What a machine model says about a record, said with what was taken for granted.
 
+use crate::record;
 use rtec_files::{InputError, Said};
-use rtec_model::machine::Machine;
+use rtec_model::machine::{Asked, Machine, Running};
 use rtec_model::record::Record;
+use std::fmt::Write as _;
+use std::io::Write;
+use std::path::Path;
 
 /// The sum of the model's effects at every row, by the response's column; what the record does not log, and where it is
 /// beyond what the model was fitted on, goes to `say`.
@@ -15,14 +19,75 @@ pub fn predict(
     say: &mut dyn FnMut(Said),
 ) -> Result<Vec<(String, Vec<f64>)>, InputError> {
     let prediction = machine.predict(record)?;
-    let file = record.path.display();
-    for (effect, role) in &prediction.taken_as_zero {
+    warn(&record.path, &prediction.taken_as_zero, &machine.out_of_range(record), say);
+    Ok(prediction.columns)
+}
+
+fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say: &mut dyn FnMut(Said)) {
+    let file = file.display();
+    for (effect, role) in taken_as_zero {
         say(Said::Warning(format!("{file}: no {role} in the record, taken as zero for {effect}")));
     }
-    for warning in machine.out_of_range(record) {
+    for warning in beyond {
         say(Said::Warning(format!("{file}: {warning}")));
     }
-    Ok(prediction.columns)
+}
+
+/// As [`csv`] of the record on file at `path`, to `out`; without an interval row by row, in the memory of a few thousand.
+///
+/// # Errors
+/// As [`csv`]; the record cannot be read; what `out` reports. What has been written then is to be thrown away.
+pub fn write(
+    machine: &Machine,
+    path: &Path,
+    interval: bool,
+    out: &mut impl Write,
+    say: &mut dyn FnMut(Said),
+) -> Result<(), Failed> {
+    // An interval asks where all rows are, before the first.
+    let pieces = if interval { None } else { record::Pieces::of(path)? };
+    let Some(mut pieces) = pieces else {
+        return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
+    };
+    let (mut running, mut asked) = (Running::of(machine), Asked::of(machine));
+    let (mut first, mut taken_as_zero, mut text) = (true, Vec::new(), String::new());
+    while let Some(piece) = pieces.next(PIECE_ROWS)? {
+        let prediction = running.next(&piece.record)?;
+        asked.see(&piece.record);
+        text.clear();
+        if std::mem::take(&mut first) {
+            text.push_str(pieces.header());
+            for (name, _) in &prediction.columns {
+                let _ = write!(text, ",{}", rtec_files::csv::cell(&format!("predicted_{name}")));
+            }
+            text.push('\n');
+            taken_as_zero = prediction.taken_as_zero;
+        }
+        for (n, row) in piece.texts.iter().enumerate() {
+            text.push_str(row);
+            for (_, data) in &prediction.columns {
+                let _ = write!(text, ",{}", data[n]);
+            }
+            text.push('\n');
+        }
+        out.write_all(text.as_bytes())?;
+    }
+    warn(path, &taken_as_zero, &asked.out_of_range(), say);
+    Ok(())
+}
+
+/// Rows that are held at a time.
+const PIECE_ROWS: usize = 4096;
+
+/// Why a prediction was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum Failed {
+    /// The record or the model is not what was asked for.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// The file system's word.
+    #[error(transparent)]
+    Output(#[from] std::io::Error),
 }
 
 /// The record's rows with a column `predicted_RESPONSE` for each response; with its 95 % interval where that is asked for.
@@ -51,4 +116,59 @@ pub fn csv(
         columns.push((format!("predicted_{name}"), data));
     }
     crate::record::csv_with(record, &columns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is written row by row is what the whole record's prediction is, word for word, and so are the warnings; the model
+    /// remembers, the record has rows of every kind, and no time.
+    #[test]
+    fn a_prediction_row_by_row_is_that_of_the_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let model = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T1\"\num_per_K = 1.3\num_per_K2 = 0.01\ntau_s = 900.0\n\
+                     range_K = [-1.0, 4.0]\n[[effect]]\nname = \"position_map.z\"\nknots_mm = [0.0, 10.0]\num = [1.0, 2.0]\n[[effect]]\nname = \"reversal.z\"\num = 4.0\n\
+                     [[fit]]\nresponse = \"error.z\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 0.1\nhalf_width_um = 0.2\n\
+                     valid = [{ sensor = \"T2\", range_K = [0.0, 1.0], um_per_K = 1.0 }]\n";
+        std::fs::write(at("m.toml"), model).unwrap();
+        let machine = Machine::read(&at("m.toml")).unwrap();
+        for time in ["", "t = { role = \"time\", unit = \"s\" }\n"] {
+            let sidecar = format!(
+                "file = \"r.csv\"\nkind = \"drift\"\n[columns]\n{time}z = {{ role = \"position.z\", unit = \"mm\" }}\n\
+                 T1 = {{ role = \"temperature\", unit = \"degC\" }}\nT2 = {{ role = \"temperature\", unit = \"degC\" }}\n\
+                 e = {{ role = \"error.z\", unit = \"um\" }}\n"
+            );
+            std::fs::write(at("r.run.toml"), sidecar).unwrap();
+            let mut rows = "t,z,T1,\"a note\",T2,e\n# begun\n".to_owned();
+            for i in 0..3 * PIECE_ROWS + 5 {
+                let (v, note) = (i as f64, ["", "x", "\"1, 2\"", "µ"][i % 97 % 4]);
+                let [z, t1, t2] =
+                    [20.0 * (v / 50.0).sin(), 20.0 + 6.0 * (v / 900.0).sin(), 20.5 + v / 3000.0];
+                let _ = write!(rows, "{},{z:.3},{t1},{note},{t2:.2},{:.1}", 60 * i, v / 7.0);
+                rows.push_str(if i % 1000 == 3 { " # seen\n\n" } else { "\n" });
+            }
+            std::fs::write(at("r.csv"), rows).unwrap();
+            let (mut said, mut written, mut said_by_rows) = (Vec::new(), Vec::new(), Vec::new());
+            let record = record::read(&at("r.run.toml")).unwrap();
+            let whole = csv(&machine, &record, false, &mut |s| said.push(s.to_string())).unwrap();
+            write(&machine, &at("r.run.toml"), false, &mut written, &mut |s| {
+                said_by_rows.push(s.to_string());
+            })
+            .unwrap();
+            assert!(String::from_utf8(written).unwrap() == whole, "{time}");
+            assert_eq!(said_by_rows, said);
+            // Held at the bound, beyond what the fit saw, beyond the knots; a direction that nobody logged.
+            assert_eq!(said.len(), 4, "{said:?}");
+        }
+        // A mistake far behind the first piece has its place.
+        let text = std::fs::read_to_string(at("r.csv")).unwrap() + "5,1,2,,3,4\n";
+        std::fs::write(at("r.csv"), text).unwrap();
+        let whole = record::read(&at("r.run.toml")).unwrap_err();
+        let by_rows =
+            write(&machine, &at("r.run.toml"), false, &mut Vec::new(), &mut |_| {}).unwrap_err().to_string();
+        assert_eq!(by_rows, whole.to_string());
+        assert!(by_rows.contains("after"), "{by_rows}");
+    }
 }

@@ -2,6 +2,7 @@
 
 use rtec_files::InputError;
 use rtec_files::csv::{self, Reader};
+use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
 use rtec_model::circle::Circle;
 use rtec_model::date;
@@ -9,7 +10,9 @@ use rtec_model::file_kind::FileKind;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, check, hex, range_alone};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
 /// The roles, as an error names them.
 pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
@@ -23,11 +26,16 @@ pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolan
 /// backwards, no response.
 pub fn read(path: &Path) -> Result<Record, InputError> {
     let record = read_log(path)?;
-    if !record.columns.iter().any(|c| c.role.is_measured()) {
-        let found = "no response among the columns";
-        return Err(InputError::whole(path, found, "a column of role error.AXIS or force.AXIS"));
-    }
+    has_response(path, &record.columns)?;
     Ok(record)
+}
+
+fn has_response(path: &Path, columns: &[Column]) -> Result<(), InputError> {
+    if columns.iter().any(|c| c.role.is_measured()) {
+        return Ok(());
+    }
+    let found = "no response among the columns";
+    Err(InputError::whole(path, found, "a column of role error.AXIS or force.AXIS"))
 }
 
 /// Reads a log: a record that need not have a response (a recorded shift).
@@ -36,12 +44,13 @@ pub fn read(path: &Path) -> Result<Record, InputError> {
 /// As [`read`], but for the response.
 pub fn read_log(path: &Path) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
-    let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
-    let bytes = rtec_files::text::bytes(&csv_path).map_err(|e| {
-        let found = format!("`{}` ({})", csv_path.display(), e.found);
-        sidecar.file_error.clone().with(found, "a CSV that can be read")
-    })?;
-    of_parts(path, sidecar, &csv_path, &bytes)
+    let (csv_path, file) = sidecar.open(path)?;
+    let bytes = file.metadata().map_or(0, |m| m.len());
+    if bytes > LONGEST {
+        let found = format!("more than {LONGEST} bytes");
+        return Err(sidecar.unreadable(&csv_path, &found));
+    }
+    of_parts(path, sidecar, &csv_path, file, bytes)
 }
 
 /// Reads a log from the text of its sidecar and what stands in its CSV; `path` is the sidecar's.
@@ -50,15 +59,85 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
 /// As [`read_log`].
 pub fn parse_log(path: &Path, sidecar: &str, csv: &[u8]) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
-    let csv_path = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
-    of_parts(path, sidecar, &csv_path, csv)
+    let csv_path = sidecar.csv_path(path);
+    of_parts(path, sidecar, &csv_path, csv, csv.len() as u64)
 }
 
-fn of_parts(path: &Path, sidecar: Sidecar, csv_path: &Path, bytes: &[u8]) -> Result<Record, InputError> {
-    let columns = parse_csv(csv_path, bytes, &sidecar)?;
+/// A record on file, gone through piece by piece: of any number of rows, in the memory of a few.
+pub struct Pieces {
+    path: PathBuf,
+    sidecar: Sidecar,
+    rows: Rows<File>,
+    /// Rows before the present piece.
+    before: usize,
+}
+
+/// Some rows of a record.
+pub struct Piece {
+    /// Them, as a record of their own; it has no hash.
+    pub record: Record,
+    /// Each of them as it stands in the CSV, unlisted columns too.
+    pub texts: Vec<String>,
+}
+
+impl Pieces {
+    /// Before the first piece. `None` for a record whose rows are not by themselves: places on a ballbar's circle follow from
+    /// the rows around them.
+    ///
+    /// # Errors
+    /// What [`read`] finds before the rows.
+    pub fn of(path: &Path) -> Result<Option<Self>, InputError> {
+        let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
+        if sidecar.circle.is_some() {
+            return Ok(None);
+        }
+        let (csv_path, file) = sidecar.open(path)?;
+        let rows = Rows::new(&csv_path, file, &sidecar)?;
+        has_response(path, &rows.columns)?;
+        Ok(Some(Self { path: path.to_owned(), sidecar, rows, before: 0 }))
+    }
+
+    /// The CSV's header as it stands.
+    #[must_use]
+    pub fn header(&self) -> &str {
+        self.rows.header.text()
+    }
+
+    /// The next rows, so many at most; `None` at the end.
+    ///
+    /// # Errors
+    /// What [`read`] finds in them.
+    pub fn next(&mut self, rows: usize) -> Result<Option<Piece>, InputError> {
+        let mut texts = Vec::with_capacity(rows);
+        let mut keep = |text: &[u8]| texts.push(String::from_utf8_lossy(text).into_owned());
+        while self.rows.held() < rows && self.rows.next(&mut keep)? {}
+        if texts.is_empty() {
+            return Ok(None);
+        }
+        let columns = self.rows.take();
+        let mut record = Record::of_checked(&self.path, self.sidecar.kind, columns).from_row(self.before);
+        self.before += texts.len();
+        record.file.clone_from(&self.sidecar.file);
+        record.count_um = self.sidecar.count_um;
+        Ok(Some(Piece { record, texts }))
+    }
+}
+
+fn of_parts(
+    path: &Path,
+    sidecar: Sidecar,
+    csv_path: &Path,
+    csv: impl Read,
+    bytes: u64,
+) -> Result<Record, InputError> {
+    let mut csv = Hashed { input: csv, hash: Sha256::new() };
+    let mut rows = Rows::new(csv_path, &mut csv, &sidecar)?;
+    rows.expect(bytes);
+    while rows.next(|_| ())? {}
+    let columns = rows.columns;
     let mut record = Record::of_checked(path, sidecar.kind, columns);
     record.file = sidecar.file;
-    record.sha256 = hex(&Sha256::digest(bytes));
+    record.sha256 = hex(&csv.hash.finalize());
     (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
     record.zero = sidecar.zero;
     match sidecar.circle {
@@ -66,6 +145,20 @@ fn of_parts(path: &Path, sidecar: Sidecar, csv_path: &Path, bytes: &[u8]) -> Res
             record.with_circle(circle).map_err(|(found, expected)| place.with(found, expected))
         }
         None => Ok(record),
+    }
+}
+
+/// What is read is hashed on the way: a file is gone through once.
+struct Hashed<R> {
+    input: R,
+    hash: Sha256,
+}
+
+impl<R: Read> Read for Hashed<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let length = self.input.read(buffer)?;
+        self.hash.update(&buffer[..length]);
+        Ok(length)
     }
 }
 
@@ -192,68 +285,141 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
     rtec_files::write::whole(&record.path, to_sidecar(record).as_bytes())
 }
 
-fn parse_csv(path: &Path, bytes: &[u8], sidecar: &Sidecar) -> Result<Vec<Column>, InputError> {
-    let mut reader = Reader::new(path, bytes)?;
-    let header = reader.header("a header line")?;
-    if let Some((by, name)) =
-        [(';', "semicolons"), ('\t', "tabs")].into_iter().find(|(by, _)| header.text().contains(*by))
-        && !header.text().contains(',')
-        && sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
-    {
-        let found = format!("columns parted by {name} ('{}')", by.escape_default());
-        let expected =
-            "commas and decimal points; `rtecctl characterise import --format csv` takes such a table";
-        return Err(InputError::at(path, header.line(), 0, found, expected));
-    }
-    // For every field of the CSV the listed column it belongs to.
-    let mut slots: Vec<Option<usize>> = vec![None; header.names().count()];
-    for listed in &sidecar.columns {
-        if header.find(&listed.name).is_none() {
-            let missing = header.place(&listed.name).err();
-            let expected = missing.map_or_else(String::new, |e| e.expected);
-            let expected = format!("{expected} in {}", path.display());
-            return Err(listed.place.clone().with(format!("column `{}`", listed.name), &expected));
+/// The rows of a record's CSV, checked one by one.
+struct Rows<R> {
+    reader: Reader<R>,
+    header: csv::Header,
+    /// The listed columns in the CSV's order, with what has been read.
+    columns: Vec<Column>,
+    /// Which field of the CSV each is.
+    places: Vec<usize>,
+    /// For every field of the CSV the listed column it belongs to.
+    slots: Vec<Option<usize>>,
+    /// Between what [`check`] asks each field to be; one that is not listed may be anything.
+    low: Vec<f64>,
+    high: Vec<f64>,
+    /// The fields of which it asks more: time goes on, directions are whole.
+    further: Vec<usize>,
+    /// Each column's last value before those it holds.
+    before: Vec<Option<f64>>,
+    /// The fields of a row that is read the short way.
+    fields: Vec<f64>,
+}
+
+impl<R: Read> Rows<R> {
+    fn new(path: &Path, csv: R, sidecar: &Sidecar) -> Result<Self, InputError> {
+        let mut reader = Reader::new(path, csv)?;
+        let header = reader.header("a header line")?;
+        if let Some((by, name)) =
+            [(';', "semicolons"), ('\t', "tabs")].into_iter().find(|(by, _)| header.text().contains(*by))
+            && !header.text().contains(',')
+            && sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
+        {
+            let found = format!("columns parted by {name} ('{}')", by.escape_default());
+            let expected =
+                "commas and decimal points; `rtecctl characterise import --format csv` takes such a table";
+            return Err(InputError::at(path, header.line(), 0, found, expected));
         }
-        header.place(&listed.name)?;
-    }
-    // Rows as long as the header would be so many; they are mostly longer.
-    let rows = bytes.len() / header.text().len().max(1);
-    let mut columns: Vec<Column> = Vec::new();
-    for (slot, name) in slots.iter_mut().zip(header.names()) {
-        if let Some(l) = sidecar.columns.iter().find(|c| c.name == name) {
-            *slot = Some(columns.len());
-            let (name, role, unit) = (l.name.clone(), l.role.clone(), l.unit.clone());
-            columns.push(Column { name, role, unit, data: Vec::with_capacity(rows.min(1 << 20)) });
+        for listed in &sidecar.columns {
+            if header.find(&listed.name).is_none() {
+                let missing = header.place(&listed.name).err();
+                let expected = missing.map_or_else(String::new, |e| e.expected);
+                let expected = format!("{expected} in {}", path.display());
+                return Err(listed.place.clone().with(format!("column `{}`", listed.name), &expected));
+            }
+            header.place(&listed.name)?;
         }
+        let fields = header.names().count();
+        let mut slots: Vec<Option<usize>> = vec![None; fields];
+        let (mut low, mut high) = (vec![f64::NEG_INFINITY; fields], vec![f64::INFINITY; fields]);
+        let (mut columns, mut places, mut further) = (Vec::new(), Vec::new(), Vec::new());
+        for (place, name) in header.names().enumerate() {
+            if let Some(l) = sidecar.columns.iter().find(|c| c.name == name) {
+                slots[place] = Some(columns.len());
+                places.push(place);
+                match range_alone(&l.role) {
+                    Some(range) => [low[place], high[place]] = range,
+                    None => further.push(place),
+                }
+                let (name, role, unit) = (l.name.clone(), l.role.clone(), l.unit.clone());
+                columns.push(Column { name, role, unit, data: Vec::new() });
+            }
+        }
+        let before = vec![None; columns.len()];
+        let fields = vec![0.0; fields];
+        Ok(Self { reader, header, columns, places, slots, low, high, further, before, fields })
     }
-    let ranges: Vec<Option<[f64; 2]>> = columns.iter().map(|c| range_alone(&c.role)).collect();
-    let number = |columns: &mut Vec<Column>, place: usize, v: f64| {
-        let Some(slot) = slots[place] else { return true };
-        let column = &mut columns[slot];
-        let good = match ranges[slot] {
-            Some([low, high]) => v >= low && v <= high,
-            None => check(&column.role, v, column.data.last().copied()).is_ok(),
+
+    /// Makes room for what a CSV of so many bytes holds: rows as long as the header would be so many; they are mostly longer.
+    fn expect(&mut self, bytes: u64) {
+        let rows = bytes as usize / self.header.text().len().max(1);
+        self.columns.iter_mut().for_each(|c| c.data.reserve(rows.min(1 << 20)));
+    }
+
+    /// Rows that the columns hold.
+    fn held(&self) -> usize {
+        self.columns.first().map_or(0, |c| c.data.len())
+    }
+
+    /// Hands the columns over and goes on with empty ones.
+    fn take(&mut self) -> Vec<Column> {
+        for (column, before) in self.columns.iter().zip(&mut self.before) {
+            *before = column.data.last().copied().or(*before);
+        }
+        let bare = |c: &Column| Column::new(&c.name, c.role.clone(), Vec::with_capacity(c.data.len()));
+        let empty = self.columns.iter().map(|c| Column { unit: c.unit.clone(), ..bare(c) }).collect();
+        std::mem::replace(&mut self.columns, empty)
+    }
+
+    /// Enters the next row into the columns and gives `kept` its text; `false` at the end.
+    #[inline]
+    fn next(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
+        if let Some(row) = self.reader.plain_row(&mut self.fields, |place| self.slots[place].is_none())
+            && self.fields_are_good()
+        {
+            for (column, place) in self.columns.iter_mut().zip(&self.places) {
+                column.data.push(self.fields[*place]);
+            }
+            kept(self.reader.take(row));
+            return Ok(true);
+        }
+        self.next_with_care(kept)
+    }
+
+    #[inline]
+    fn fields_are_good(&self) -> bool {
+        // All of them are counted, without a branch each: nearly every row is good.
+        let ranges = self.low.iter().zip(&self.high);
+        let outside = self.fields.iter().zip(ranges).filter(|(v, (low, high))| v < low || v > high).count();
+        outside == 0
+            && self.further.iter().all(|place| {
+                self.slots[*place].is_none_or(|slot| {
+                    let (column, before) = (&self.columns[slot], self.before[slot]);
+                    check(&column.role, self.fields[*place], column.data.last().copied().or(before)).is_ok()
+                })
+            })
+    }
+
+    /// The same cell by cell, where a finding gets its place.
+    #[inline(never)]
+    fn next_with_care(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
+        let (header, before) = (&self.header, &self.before);
+        let Some(row) = self.reader.row()? else {
+            let none = self.columns.first().is_none_or(|c| c.data.is_empty() && before[0].is_none());
+            return if none { Err(header.no_rows()) } else { Ok(false) };
         };
-        if good {
+        header.each(row, |place, cell| {
+            let Some(slot) = self.slots[place] else { return Ok(()) };
+            let column = &mut self.columns[slot];
+            let v = cell.finite().map_err(|e| header.named(place, e))?;
+            let checked = check(&column.role, v, column.data.last().copied().or(before[slot]));
+            checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
             column.data.push(v);
-        }
-        good
-    };
-    let cell = |columns: &mut Vec<Column>, place: usize, cell: csv::Cell<'_>| {
-        let Some(column) = slots[place].map(|slot| &mut columns[slot]) else { return Ok(()) };
-        let v = cell.finite().map_err(|e| header.named(place, e))?;
-        let checked = check(&column.role, v, column.data.last().copied());
-        checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
-        column.data.push(v);
-        Ok(())
-    };
-    while let Some(row) = reader.row()? {
-        header.each_number(row, &mut columns, number, cell)?;
+            Ok(())
+        })?;
+        kept(row.text().as_bytes());
+        Ok(true)
     }
-    if columns.first().is_none_or(|c| c.data.is_empty()) {
-        return Err(header.no_rows());
-    }
-    Ok(columns)
 }
 
 /// Where in the sidecar something stood, for findings that show only when the CSV is read.
@@ -289,6 +455,21 @@ struct Sidecar {
 }
 
 impl Sidecar {
+    fn csv_path(&self, path: &Path) -> PathBuf {
+        path.parent().unwrap_or(Path::new("")).join(&self.file)
+    }
+
+    /// The CSV of the sidecar at `path`.
+    fn open(&self, path: &Path) -> Result<(PathBuf, File), InputError> {
+        let csv = self.csv_path(path);
+        let file = open_regular(&csv).map_err(|e| self.unreadable(&csv, &e.found))?;
+        Ok((csv, file))
+    }
+
+    fn unreadable(&self, csv: &Path, found: &str) -> InputError {
+        self.file_error.clone().with(format!("`{}` ({found})", csv.display()), "a CSV that can be read")
+    }
+
     fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
         let mistaken = |e: InputError| FileKind::RunRecord.finding(path, text, e);
         let doc = Document::parse(path, text).map_err(mistaken)?;

@@ -4,7 +4,10 @@
 use crate::circle::{Circle, Derived};
 use crate::limits;
 use rtec_files::InputError;
+use rtec_files::text::{open_regular, unreadable};
+use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 pub use crate::role::{Axis, Column, Kind, Role};
@@ -105,6 +108,15 @@ impl Record {
             columns,
             circle: None,
         }
+    }
+
+    /// A record whose rows are those of a longer one from `row` on, where nothing but their number tells the time.
+    #[must_use]
+    pub fn from_row(mut self, row: usize) -> Self {
+        if self.column(&Role::Time).is_none() {
+            self.time_s.iter_mut().for_each(|t| *t += row as f64);
+        }
+        self
     }
 
     /// The circle that a bar measured, where the sidecar states it.
@@ -294,6 +306,23 @@ fn possible_text(role: &Role) -> &'static str {
         Role::Channel => "a value within ±1e30",
         Role::Error(_) => "an error within ±1e9 µm",
         Role::AngleError(..) => "a tilt within ±1e9",
+    }
+}
+
+/// The SHA-256 of a file of any length, as [`Record::sha256`] says it.
+///
+/// # Errors
+/// It cannot be read, or is no regular file.
+pub fn sha256_of(file: &Path) -> Result<String, InputError> {
+    let (mut hash, mut buffer) = (Sha256::new(), vec![0; 1 << 16]);
+    let mut input = open_regular(file)?;
+    loop {
+        match input.read(&mut buffer) {
+            Ok(0) => return Ok(hex(&hash.finalize())),
+            Ok(length) => hash.update(&buffer[..length]),
+            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(unreadable(file, &e)),
+        }
     }
 }
 

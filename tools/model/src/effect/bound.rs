@@ -18,6 +18,9 @@ pub struct Missing {
 /// The component of an effect of the axes in a circle's radial error: its errors along the two axes, projected.
 pub(super) const RADIAL: usize = 2;
 
+/// What an effect remembers from one piece of a record to the next, of each component.
+pub(crate) type States = [State; 2];
+
 /// The columns of a record that an effect reads. Good for every value of the effect's parameters, so that a search
 /// over non-linear parameters binds once.
 #[derive(Debug, Clone)]
@@ -90,12 +93,19 @@ impl Bound<'_> {
     /// # Panics
     /// When `out` does not have rows × coefficients places.
     pub fn basis(&self, effect: &Effect, component: usize, out: Out<'_>) {
+        self.basis_on(effect, component, &mut States::default(), out);
+    }
+
+    /// As [`Bound::basis`] of rows that follow others.
+    pub(crate) fn basis_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows * effect.coefficient_count(), "one column per coefficient");
-        self.projected(component, out, |component, out| effect.law.basis_rows(effect, self, component, out));
+        self.projected(component, out, |component, out| {
+            effect.law.basis_rows(effect, self, component, &mut states[component], out);
+        });
     }
 
     /// Columns of one component; or of all that have a share in the radial error, each by its share.
-    fn projected(&self, component: usize, out: Out<'_>, fill: impl Fn(usize, Out<'_>)) {
+    fn projected(&self, component: usize, out: Out<'_>, mut fill: impl FnMut(usize, Out<'_>)) {
         if component != RADIAL {
             return fill(component, out);
         }
@@ -115,10 +125,15 @@ impl Bound<'_> {
     /// # Panics
     /// When `out` does not have one place per row.
     pub fn add(&self, effect: &Effect, component: usize, out: Out<'_>) {
+        self.add_on(effect, component, &mut States::default(), out);
+    }
+
+    /// As [`Bound::add`] of rows that follow others.
+    pub(crate) fn add_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows, "one place per row");
         let coefficients = effect.coefficients();
         let mut columns = vec![0.0; self.rows * coefficients.len()];
-        self.basis(effect, component, &mut columns);
+        self.basis_on(effect, component, states, &mut columns);
         for (c, column) in coefficients.iter().zip(columns.chunks(self.rows.max(1))) {
             for (o, b) in out.iter_mut().zip(column) {
                 *o += c * b;

@@ -64,6 +64,16 @@ impl Lag {
         Self { tau_s, decays: Decays::default(), before: None }
     }
 
+    /// A lag that goes on where another one was.
+    pub(super) fn going_on(tau_s: f64, at: Option<[f64; 3]>) -> Self {
+        Self { before: at, ..Self::new(tau_s) }
+    }
+
+    /// Where it is: lagged value, input and time of the last row; `None` before the first.
+    pub(super) fn at(&self) -> Option<[f64; 3]> {
+        self.before
+    }
+
     /// The lagged input at the next row. Where time stands still it stays.
     pub fn next(&mut self, t_s: f64, u: f64) -> f64 {
         let y = match self.before {

@@ -36,6 +36,7 @@ mod wave;
 
 pub use crate::role::sign;
 use bound::RADIAL;
+pub(crate) use bound::States;
 pub use bound::{Bound, Missing};
 pub use description::{
     ANOTHER_REFERENCE, Choice, Description, Heat, Mechanism, Naming, Need, Owner, Parameter, Probing,
@@ -172,10 +173,16 @@ pub trait Law: fmt::Debug + Send + Sync {
         Point::only(effect)
     }
 
-    /// Basis values over a whole record, column by column: `out[k·rows + row]`.
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, component: usize, out: Out<'_>) {
+    /// Basis values over the rows of a record, column by column: `out[k·rows + row]`; moves the state on to the last row.
+    fn basis_rows(
+        &self,
+        effect: &Effect,
+        bound: &Bound<'_>,
+        component: usize,
+        state: &mut State,
+        out: Out<'_>,
+    ) {
         let n = effect.coefficient_count();
-        let mut state = State::default();
         let mut row_out = [0.0; 8];
         let mut long = Vec::new();
         let buffer: &mut [f64] = if n <= row_out.len() {
@@ -185,7 +192,7 @@ pub trait Law: fmt::Debug + Send + Sync {
             &mut long
         };
         for row in 0..bound.rows() {
-            self.basis(effect, &bound.input(row), component, &mut state, buffer);
+            self.basis(effect, &bound.input(row), component, state, buffer);
             for (k, v) in buffer.iter().enumerate() {
                 out[k * bound.rows() + row] = *v;
             }

@@ -215,6 +215,26 @@ fn a_record_in_one_go_is_its_instants_one_by_one() {
     }
 }
 
+/// The same digits piece by piece as in one go.
+#[test]
+fn a_record_in_pieces_is_the_record_in_one_go() {
+    for e in one_of_each() {
+        let force = e.description().quantity == Quantity::Force;
+        let r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
+        let mut whole = vec![0.0; 60];
+        e.bind(&r).unwrap().add(&e, 0, &mut whole);
+        let (mut states, mut pieces) = (States::default(), Vec::new());
+        for rows in [0..1, 1..2, 2..31, 31..60] {
+            let piece = r.select(&rows.collect::<Vec<_>>());
+            let mut out = vec![0.0; piece.rows()];
+            e.bind(&piece).unwrap().add_on(&e, 0, &mut states, &mut out);
+            pieces.extend(out);
+        }
+        let bits = |all: &[f64]| all.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&pieces), bits(&whole), "{}", e.name());
+    }
+}
+
 #[test]
 fn slopes_agree_with_central_differences() {
     for e in one_of_each() {

@@ -5,9 +5,8 @@ use super::evaluate::differences;
 use super::places::folder_of;
 use super::{FitNote, Machine, Validity};
 use crate::date;
-use crate::effect::{Difference, Effect};
-use crate::record::{Axis, Record, Role, hex};
-use sha2::{Digest, Sha256};
+use crate::effect::{Difference, Effect, States};
+use crate::record::{Axis, Record, Role, sha256_of};
 
 /// A run goes beyond the last knot by as much without a word, of the knots' stretch.
 const OVER_TRAVEL: f64 = 0.02;
@@ -70,9 +69,7 @@ impl Machine {
         for source in fits.chain(self.listed.iter().flat_map(|l| &l.provenance.from)) {
             let folder = source.folder.clone().unwrap_or_default();
             let path = folder_of(&self.path).join(folder).join(&source.file);
-            if let Ok(bytes) = rtec_files::text::bytes(&path)
-                && hex(&Sha256::digest(bytes)) != source.sha256
-            {
+            if sha256_of(&path).is_ok_and(|now| now != source.sha256) {
                 found.push(format!("{} has changed since the model was fitted on it", source.file));
             }
         }
@@ -84,24 +81,9 @@ impl Machine {
     /// at the bound there.
     #[must_use]
     pub fn out_of_range(&self, record: &Record) -> Vec<String> {
-        let mut found = Vec::new();
-        for effect in self.effects() {
-            let (Some([lo, hi]), Some(delta)) = (effect.range_k, &effect.delta) else { continue };
-            let Some(asked) = differences(effect, record) else { continue };
-            let outside = asked.iter().filter(|d| **d < lo || **d > hi).count();
-            if outside > 0 {
-                let share = 100.0 * outside as f64 / record.rows() as f64;
-                found.push(format!(
-                    "{} {delta}: {share:.1} % of the rows outside {lo:.2} to {hi:.2} K, held at the bound",
-                    effect.name()
-                ));
-            }
-        }
-        found.extend(self.fits().iter().filter_map(|fit| self.unseen(fit, record)));
-        found.extend(
-            self.beyond_stated(|axis| record.data(&Role::Position(axis.clone())).map(<[f64]>::to_vec)),
-        );
-        found
+        let mut asked = Asked::of(self);
+        asked.see(record);
+        asked.out_of_range()
     }
 
     /// Effects that are asked beyond the stretch of an axis that their values were stated on: their end values stand there,
@@ -109,48 +91,170 @@ impl Machine {
     #[must_use]
     pub fn beyond_stated(&self, places_mm: impl Fn(&Axis) -> Option<Vec<f64>>) -> Vec<String> {
         let beyond = |effect: &Effect| {
-            let (along, [lo, hi]) = effect.stretch_mm()?;
-            let axis = effect.axes().get(along)?;
-            let places = places_mm(axis)?;
-            let slack = OVER_TRAVEL * (hi - lo);
-            let outside = places.iter().filter(|p| **p < lo - slack || **p > hi + slack).count();
-            let (from, to) = places.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(*p), h.max(*p)));
-            (outside > 0).then(|| {
-                format!(
-                    "{} has values from {lo} to {hi} mm of {axis}, and {:.1} % of the rows are beyond ({from:.1} to {to:.1} mm): its end values \
-                     stand there",
-                    effect.name(),
-                    100.0 * outside as f64 / places.len() as f64
-                )
-            })
+            let mut places = Places::default();
+            places.see(effect, &places_mm(Places::axis(effect)?)?);
+            places.beyond_stated(effect)
         };
         self.effects().filter_map(beyond).collect()
+    }
+}
+
+/// Where a record, gone through piece by piece, asks a model beyond what it was fitted on.
+#[derive(Debug)]
+pub struct Asked<'m> {
+    machine: &'m Machine,
+    rows: usize,
+    /// Of each effect: rows outside the range it was fitted on, and what its lag remembers.
+    outside: Vec<(usize, States)>,
+    /// Of each effect: where its axis went.
+    places: Vec<Places>,
+    /// Of each fit and each difference it saw: the farthest outside.
+    farthest: Vec<Vec<Option<Farthest>>>,
+}
+
+impl<'m> Asked<'m> {
+    /// Before the first piece.
+    #[must_use]
+    pub fn of(machine: &'m Machine) -> Self {
+        let effects = machine.effects().count();
+        Self {
+            machine,
+            rows: 0,
+            outside: vec![(0, States::default()); effects],
+            places: vec![Places::default(); effects],
+            farthest: machine.fits().iter().map(|f| vec![None; f.valid.len()]).collect(),
+        }
+    }
+
+    /// The next rows.
+    pub fn see(&mut self, record: &Record) {
+        self.rows += record.rows();
+        for (effect, (outside, states)) in self.machine.effects().zip(&mut self.outside) {
+            let Some([lo, hi]) = effect.range_k.filter(|_| effect.delta.is_some()) else { continue };
+            let Some(asked) = differences(effect, record, states) else { continue };
+            *outside += asked.iter().filter(|d| **d < lo || **d > hi).count();
+        }
+        for (effect, places) in self.machine.effects().zip(&mut self.places) {
+            let of = |axis: &Axis| record.data(&Role::Position(axis.clone()));
+            if let Some(along) = Places::axis(effect).and_then(of) {
+                places.see(effect, along);
+            }
+        }
+        for (fit, farthest) in self.machine.fits().iter().zip(&mut self.farthest) {
+            for (v, farthest) in fit.valid.iter().zip(farthest) {
+                if let Some(all) = v.of(record) {
+                    Farthest::see(farthest, v, &all);
+                }
+            }
+        }
+    }
+
+    /// What [`Machine::out_of_range`] says of all rows so far.
+    #[must_use]
+    pub fn out_of_range(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        for (effect, (outside, _)) in self.machine.effects().zip(&self.outside) {
+            let (Some([lo, hi]), Some(delta), true) = (effect.range_k, &effect.delta, *outside > 0) else {
+                continue;
+            };
+            let share = 100.0 * *outside as f64 / self.rows as f64;
+            found.push(format!(
+                "{} {delta}: {share:.1} % of the rows outside {lo:.2} to {hi:.2} K, held at the bound",
+                effect.name()
+            ));
+        }
+        let fits = self.machine.fits().iter().zip(&self.farthest);
+        found.extend(fits.filter_map(|(fit, farthest)| self.unseen(fit, farthest)));
+        let places = self.machine.effects().zip(&self.places);
+        found.extend(places.filter_map(|(effect, places)| places.beyond_stated(effect)));
+        found
     }
 
     /// The difference that leaves most what a fit saw of it, where no effect of the fit's response reads it: what grows with it
     /// there is not in the model at all.
-    fn unseen(&self, fit: &FitNote, record: &Record) -> Option<String> {
+    fn unseen(&self, fit: &FitNote, farthest: &[Option<Farthest>]) -> Option<String> {
         let axis = fit.response.split('.').nth(1)?;
         let read = |d: &Difference| {
-            let own = self.effects().filter(|e| e.axes().first().is_some_and(|a| a.as_str() == axis));
+            let own = self.machine.effects().filter(|e| e.axes().first().is_some_and(|a| a.as_str() == axis));
             own.filter_map(|e| e.delta.as_ref()).any(|e| e == d)
         };
-        let farthest = |v: &Validity| -> Option<(f64, f64, usize)> {
-            let all = v.of(record)?;
-            let cost = |d: &f64| v.outside_um(*d);
-            let worst = all.iter().copied().max_by(|a, b| cost(a).total_cmp(&cost(b)))?;
-            Some((cost(&worst), worst, all.iter().filter(|d| cost(d) > 0.0).count()))
-        };
-        let own = fit.valid.iter().filter(|v| !read(&v.difference)).filter_map(|v| Some((v, farthest(v)?)));
-        let (v, (um, worst, rows)) = own.max_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
-        let share = 100.0 * rows as f64 / record.rows() as f64;
-        (um > fit.half_width_um).then(|| {
+        let own = fit.valid.iter().zip(farthest).filter(|(v, _)| !read(&v.difference));
+        let own = own.filter_map(|(v, farthest)| Some((v, farthest.as_ref()?)));
+        let (v, worst) = own.max_by(|a, b| a.1.um.total_cmp(&b.1.um))?;
+        let share = 100.0 * worst.rows as f64 / self.rows as f64;
+        (worst.um > fit.half_width_um).then(|| {
             format!(
-                "{}: {} reaches {worst:.2} K, and the fit saw {:.2} to {:.2} K ({share:.1} % of the rows outside): what grows with it there \
+                "{}: {} reaches {:.2} K, and the fit saw {:.2} to {:.2} K ({share:.1} % of the rows outside): what grows with it there \
                  is not in the model",
-                fit.response, v.difference, v.range_k[0], v.range_k[1]
+                fit.response, v.difference, worst.delta_k, v.range_k[0], v.range_k[1]
             )
         })
+    }
+}
+
+/// How far a difference has been outside of what a fit saw of it, and what that may cost; in how many rows it was.
+#[derive(Debug, Clone)]
+struct Farthest {
+    um: f64,
+    delta_k: f64,
+    rows: usize,
+}
+
+impl Farthest {
+    fn see(farthest: &mut Option<Self>, v: &Validity, all: &[f64]) {
+        for delta_k in all {
+            let um = v.outside_um(*delta_k);
+            let own = farthest.get_or_insert(Self { um, delta_k: *delta_k, rows: 0 });
+            own.rows += usize::from(um > 0.0);
+            if um.total_cmp(&own.um).is_ge() {
+                (own.um, own.delta_k) = (um, *delta_k);
+            }
+        }
+    }
+}
+
+/// Where the axis went that an effect's values are stated along, mm.
+#[derive(Debug, Clone)]
+struct Places {
+    rows: usize,
+    beyond: usize,
+    from_mm: f64,
+    to_mm: f64,
+}
+
+impl Default for Places {
+    fn default() -> Self {
+        Self { rows: 0, beyond: 0, from_mm: f64::MAX, to_mm: f64::MIN }
+    }
+}
+
+impl Places {
+    /// The axis, of an effect whose values were stated on a stretch.
+    fn axis(effect: &Effect) -> Option<&Axis> {
+        effect.axes().get(effect.stretch_mm()?.0)
+    }
+
+    fn see(&mut self, effect: &Effect, places_mm: &[f64]) {
+        let Some((_, [lo, hi])) = effect.stretch_mm() else { return };
+        let slack = OVER_TRAVEL * (hi - lo);
+        self.rows += places_mm.len();
+        for p in places_mm {
+            self.beyond += usize::from(*p < lo - slack || *p > hi + slack);
+            (self.from_mm, self.to_mm) = (self.from_mm.min(*p), self.to_mm.max(*p));
+        }
+    }
+
+    fn beyond_stated(&self, effect: &Effect) -> Option<String> {
+        let (Some((_, [lo, hi])), true) = (effect.stretch_mm(), self.beyond > 0) else { return None };
+        Some(format!(
+            "{} has values from {lo} to {hi} mm of {}, and {:.1} % of the rows are beyond ({:.1} to {:.1} mm): its end values \
+             stand there",
+            effect.name(),
+            Self::axis(effect)?,
+            100.0 * self.beyond as f64 / self.rows as f64,
+            self.from_mm,
+            self.to_mm
+        ))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::Machine;
 use super::note::unknown_um;
-use crate::effect::{Effect, Heat};
+use crate::effect::{Effect, Heat, States};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
 
@@ -13,39 +13,7 @@ impl Machine {
     /// # Errors
     /// An effect reads a sensor or channel that the record does not have.
     pub fn predict(&self, record: &Record) -> Result<Prediction, InputError> {
-        let mut columns: Vec<(String, Vec<f64>)> =
-            record.responses().map(|c| (c.name.clone(), vec![0.0; record.rows()])).collect();
-        let mut taken_as_zero = Vec::new();
-        for effect in self.effects() {
-            let acts = effect.acts_on(record);
-            if acts.is_empty() {
-                continue;
-            }
-            let bound = effect.bind(record).map_err(|m| {
-                let expected = format!("a column of role {}", m.what);
-                InputError::whole(&record.path, m.to_string(), expected)
-            })?;
-            for (role, component) in acts {
-                let place = record.responses().position(|c| c.role == role);
-                if let Some((_, out)) = place.and_then(|p| columns.get_mut(p)) {
-                    bound.add(effect, component, out);
-                }
-            }
-            taken_as_zero.extend(bound.taken_as_zero().iter().map(|r| (effect.name(), r.to_string())));
-        }
-        if let Some(chain) = &self.chain {
-            let acts = |r: &Role| matches!(r, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str()));
-            if record.responses().any(|c| acts(&c.role)) {
-                let zero = chain.taken_as_zero(record).into_iter();
-                taken_as_zero.extend(zero.map(|role| ("chain".to_owned(), role.to_string())));
-            }
-            for (column, (_, out)) in record.responses().zip(&mut columns) {
-                chain.add(record, &column.role, out).map_err(|m| {
-                    InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))
-                })?;
-            }
-        }
-        Ok(Prediction { columns, taken_as_zero })
+        Running::of(self).next(record)
     }
 
     /// The record with its errors less what this machine predicts of them.
@@ -89,7 +57,11 @@ impl Machine {
         }
         squares.iter_mut().zip(&outside).for_each(|(s, o)| *s += o * o);
         for effect in self.effects().filter(|e| e.axes().first() == response.axis()) {
-            let (Some(range), Some(asked)) = (effect.range_k, differences(effect, record)) else { continue };
+            let (Some(range), Some(asked)) =
+                (effect.range_k, differences(effect, record, &mut States::default()))
+            else {
+                continue;
+            };
             let of = |name: &str| effect.value(name).map_or(0.0, |v| v[0]);
             let (gain, bend, tau_s) = (of("um_per_K"), of("um_per_K2"), of("tau_s"));
             for (row, (square, asked)) in squares.iter_mut().zip(&asked).enumerate() {
@@ -102,9 +74,66 @@ impl Machine {
     }
 }
 
+/// A machine that goes through a record piece by piece: of each row it says what [`Machine::predict`] says of the whole.
+#[derive(Debug)]
+pub struct Running<'m> {
+    machine: &'m Machine,
+    /// What each effect remembers, for each response that it acts on.
+    states: Vec<Vec<States>>,
+}
+
+impl<'m> Running<'m> {
+    /// Before the first piece.
+    #[must_use]
+    pub fn of(machine: &'m Machine) -> Self {
+        Self { machine, states: vec![Vec::new(); machine.effects().count()] }
+    }
+
+    /// What the machine says of the next piece: rows that follow those before, of the same columns.
+    ///
+    /// # Errors
+    /// As [`Machine::predict`].
+    pub fn next(&mut self, record: &Record) -> Result<Prediction, InputError> {
+        let mut columns: Vec<(String, Vec<f64>)> =
+            record.responses().map(|c| (c.name.clone(), vec![0.0; record.rows()])).collect();
+        let mut taken_as_zero = Vec::new();
+        for (effect, states) in self.machine.effects().zip(&mut self.states) {
+            let acts = effect.acts_on(record);
+            if acts.is_empty() {
+                continue;
+            }
+            let bound = effect.bind(record).map_err(|m| {
+                let expected = format!("a column of role {}", m.what);
+                InputError::whole(&record.path, m.to_string(), expected)
+            })?;
+            states.resize(acts.len(), States::default());
+            for ((role, component), states) in acts.into_iter().zip(states) {
+                let place = record.responses().position(|c| c.role == role);
+                if let Some((_, out)) = place.and_then(|p| columns.get_mut(p)) {
+                    bound.add_on(effect, component, states, out);
+                }
+            }
+            taken_as_zero.extend(bound.taken_as_zero().iter().map(|r| (effect.name(), r.to_string())));
+        }
+        if let Some(chain) = &self.machine.chain {
+            let acts = |r: &Role| matches!(r, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str()));
+            if record.responses().any(|c| acts(&c.role)) {
+                let zero = chain.taken_as_zero(record).into_iter();
+                taken_as_zero.extend(zero.map(|role| ("chain".to_owned(), role.to_string())));
+            }
+            for (column, (_, out)) in record.responses().zip(&mut columns) {
+                chain.add(record, &column.role, out).map_err(|m| {
+                    InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))
+                })?;
+            }
+        }
+        Ok(Prediction { columns, taken_as_zero })
+    }
+}
+
 /// The (lagged) temperature difference that growth or lag asks for at every row, not held at any bound; `None` where the
-/// record lacks it, and for other laws.
-pub(super) fn differences(effect: &Effect, record: &Record) -> Option<Vec<f64>> {
+/// record lacks it, and for other laws. The states are those of the rows before.
+pub(super) fn differences(effect: &Effect, record: &Record, states: &mut States) -> Option<Vec<f64>> {
     if effect.delta.is_none() || effect.description().heat != Heat::Growth {
         return None;
     }
@@ -113,7 +142,7 @@ pub(super) fn differences(effect: &Effect, record: &Record) -> Option<Vec<f64>> 
     let mut free = effect.clone();
     free.range_k = None;
     let mut basis = vec![0.0; n * bound.rows()];
-    bound.basis(&free, 0, &mut basis);
+    bound.basis_on(&free, 0, states, &mut basis);
     // The first basis column of growth and lag is the (lagged) difference itself.
     basis.truncate(bound.rows());
     Some(basis)

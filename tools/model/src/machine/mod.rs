@@ -20,7 +20,8 @@ mod places;
 mod read;
 mod write;
 
-pub use evaluate::Prediction;
+pub use check::Asked;
+pub use evaluate::{Prediction, Running};
 pub use note::{FitNote, Listed, Provenance, Source, Validity, unknown_um};
 
 use crate::chain::Chain;

@@ -59,7 +59,7 @@ impl Law for ThermalGrowth {
         out[1] = d * d;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
         let (first, second) = out.split_at_mut(bound.rows());
         for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
             *a = effect.bounded(bound.delta_k(row));

@@ -70,12 +70,16 @@ impl Law for ThermalLag {
         out[1] = y * y;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, state: &mut State, out: Out<'_>) {
         let (first, second) = out.split_at_mut(bound.rows());
-        let mut lag = Lag::new(effect.scalar(TAU));
+        let [lagged, _, input, t_s] = state.x;
+        let mut lag = Lag::going_on(effect.scalar(TAU), state.started.then_some([lagged, input, t_s]));
         for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
             *a = effect.bounded(lag.next(bound.t_s(row), bound.delta_k(row)));
             *b = *a * *a;
+        }
+        if let Some([lagged, input, t_s]) = lag.at() {
+            *state = State { started: true, x: [lagged, 0.0, input, t_s] };
         }
     }
 

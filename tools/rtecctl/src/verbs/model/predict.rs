@@ -2,7 +2,8 @@
 
 use crate::verbs::suspicions;
 use anyhow::Context;
-use rtec_measure::prediction;
+use rtec_files::write::WholeFile;
+use rtec_measure::prediction::{self, Failed};
 use rtec_model::machine::Machine;
 use std::path::PathBuf;
 
@@ -25,8 +26,11 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
-    let record = rtec_measure::record::read(&args.record)?;
-    let text = prediction::csv(&machine, &record, args.interval, &mut suspicions::say)?;
-    rtec_files::write::whole(&args.out, text.as_bytes())
-        .with_context(|| format!("writing {}", args.out.display()))
+    let writing = || format!("writing {}", args.out.display());
+    let mut out = WholeFile::create(&args.out).with_context(writing)?;
+    match prediction::write(&machine, &args.record, args.interval, &mut out, &mut suspicions::say) {
+        Err(Failed::Input(found)) => return Err(found.into()),
+        written => written.with_context(writing)?,
+    }
+    out.finish().with_context(writing)
 }
