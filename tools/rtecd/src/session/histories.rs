@@ -64,8 +64,8 @@ struct Tally {
     trusted_after: u64,
     requests: u64,
     refused: u64,
-    /// Lost by noise that met an edge within one look.
-    unseen: u64,
+    /// Lost by noise that met an edge within one look, which nobody could tell from a step: why not.
+    unseen: [u64; 3],
     checks: u64,
     latched: BTreeMap<String, u64>,
 }
@@ -119,10 +119,13 @@ struct Judge {
     base: [[i64; 2]; 2],
     homed: [bool; 2],
     trusted: [bool; 2],
-    /// Masked glitches when it was last homed.
-    masked: [u64; 2],
-    /// Counts lost by them.
-    unseen: u64,
+    /// Masked glitches, and insertions begun, when it was last homed.
+    masked: [(usize, u64); 2],
+    /// The shortest time in which an axis turns back over an edge, less what is reckoned for its looks, ns.
+    turn_back_ns: u64,
+    /// Counts lost by glitches that nobody could see: as a turn that the limits allow, before anything of ours was made,
+    /// among several edges in a look that came late.
+    unseen: [u64; 3],
     /// A count was lost, and how many edges have come since: nobody knows of it yet.
     lost: [Option<u64>; 2],
     begun: u64,
@@ -171,6 +174,7 @@ impl Judge {
             if axis.homed && !self.homed[n] {
                 // The MTC is homed with us: what it has counted beyond the scale is what we say from here on.
                 (self.base[n], self.trusted[n], self.lost[n]) = (offsets.map(|o| o - known), true, None);
+                self.masked[n] = (place.masked.len(), place.begun);
             }
             self.homed[n] = axis.homed;
             self.doubted[n] = axis.faults.iter().any(Fault::loses_home);
@@ -191,8 +195,18 @@ impl Judge {
             let since = *self.lost[n].get_or_insert(m.axes[n].edges);
             if m.axes[n].edges > since + 50 {
                 self.trusted[n] = false;
-                if place.masked > self.masked[n] {
-                    self.unseen += 1;
+                let (before, begun) = self.masked[n];
+                let excuse = place.masked[before..].iter().find_map(|m| {
+                    if m.begun == begun {
+                        Some(1)
+                    } else if m.edges > 1 {
+                        Some(2)
+                    } else {
+                        (m.after_ns >= self.turn_back_ns).then_some(0)
+                    }
+                });
+                if let Some(why) = excuse {
+                    self.unseen[why] += 1;
                     continue;
                 }
                 let text = format!("axis {n}: the MTC has {offset} beyond the scale, and {known} is said");
@@ -263,13 +277,15 @@ impl Life {
         let state_file = config.control.state_path();
         let lines = [0, 1].map(|n| config.axes[n].engine.lines);
         let machine = Machine::new(seed ^ 0x5eed, lines, accel, max_gap_ns, state_file);
+        let turn_back_ns = config.engine_axes()[0].gate().unwrap().turn_back_ns();
         let judge = Judge {
             seed,
             base: [[0; 2]; 2],
             homed: [false; 2],
             trusted: [false; 2],
-            masked: [0; 2],
-            unseen: 0,
+            masked: [(0, 0); 2],
+            turn_back_ns: turn_back_ns - 3 * max_gap_ns,
+            unseen: [0; 3],
             lost: [None; 2],
             begun: 0,
             doubted: [false; 2],
@@ -633,7 +649,7 @@ fn history(seed: u64, planted: Option<Planted>, tally: &mut Tally) -> (Vec<Strin
     tally.histories += 1;
     tally.looks += m.looks;
     tally.checks += judge.checks;
-    tally.unseen += judge.unseen;
+    (0..3).for_each(|why| tally.unseen[why] += judge.unseen[why]);
     tally.insertions += judge.begun;
     tally.edges += m.axes.iter().map(|a| a.edges).sum::<u64>();
     let mut wrong = judge.wrong.clone();

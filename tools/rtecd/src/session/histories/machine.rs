@@ -31,11 +31,24 @@ pub(super) struct Place {
     pub edges: u64,
     /// Times that both lines changed at once by noise.
     pub glitches: u64,
-    /// Those among them that met an edge within one look: it shows a step that was none, which no rule can tell.
-    pub masked: u64,
+    /// Those among them that met an edge within one look: it shows one step the other way, as a turn does.
+    pub masked: Vec<Masked>,
     /// Glitches and edges at the last look.
     looked: (u64, u64),
+    /// The look before the one that came before the last that showed an edge, ns: it is later than that.
+    edge_since_ns: u64,
     /// Insertions begun: the inverters, equal before, were ordered to differ.
+    pub begun: u64,
+}
+
+/// A glitch and an edge that one look shows as one step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Masked {
+    /// The time to the edge before, at the most that the looks allow, ns.
+    pub after_ns: u64,
+    /// Edges within that look.
+    pub edges: u64,
+    /// Insertions begun before.
     pub begun: u64,
 }
 
@@ -111,6 +124,8 @@ pub(super) struct Machine {
     pub write_fails: bool,
     pub disable_switch: bool,
     pub looks: u64,
+    /// The two looks before, ns.
+    looks_ns: [u64; 2],
     pub state_file: PathBuf,
     /// The state file as it was at the write before.
     pub state_before: Vec<u8>,
@@ -137,8 +152,9 @@ impl Machine {
             illegal: 0,
             edges: 0,
             glitches: 0,
-            masked: 0,
+            masked: Vec::new(),
             looked: (0, 0),
+            edge_since_ns: 0,
             begun: 0,
         };
         Self {
@@ -155,6 +171,7 @@ impl Machine {
             write_fails: false,
             disable_switch: false,
             looks: 0,
+            looks_ns: [0; 2],
             state_file,
             state_before: Vec::new(),
         }
@@ -242,9 +259,16 @@ impl Card for Wires {
         m.looks += 1;
         for place in &mut m.axes {
             let now = (place.glitches, place.edges);
-            place.masked += u64::from(now.0 > place.looked.0 && now.1 > place.looked.1);
+            if now.0 > place.looked.0 && now.1 > place.looked.1 {
+                let (after_ns, edges) = (t_ns - place.edge_since_ns, now.1 - place.looked.1);
+                place.masked.push(Masked { after_ns, edges, begun: place.begun });
+            }
+            if now != place.looked {
+                place.edge_since_ns = m.looks_ns[0];
+            }
             place.looked = now;
         }
+        m.looks_ns = [m.looks_ns[1], t_ns];
         Ok(Sample::level(t_ns, inputs))
     }
 
