@@ -111,17 +111,17 @@ impl Search<'_, '_> {
         let rounds = Rounds::new(self, &draws);
         let mut best_named = vec![f64::NEG_INFINITY; draws.len()];
         let mut best_any = best_named.clone();
+        let mut values = Vec::new();
         for (i, atom) in self.all.atoms.iter().enumerate() {
             let columns = atom.columns.len();
             let crowd = self.crowding_cost(&rounds.empty, atom.hypothesis, columns);
             let price = atom.cost + self.dimension_cost(columns) + crowd;
             let named = self.all.list[atom.hypothesis].named();
-            for (d, value) in rounds.with_atom(self, i).into_iter().enumerate() {
-                let gain = value - rounds.null[d];
-                best_any[d] = best_any[d].max(gain - price);
-                if named {
-                    best_named[d] = best_named[d].max(gain - price);
-                }
+            // What is the best for a name is no better than the best of all.
+            let least = if named { &mut best_named } else { &mut best_any };
+            rounds.raise(self, i, price, least, &mut values);
+            if named {
+                best_any.iter_mut().zip(&best_named).for_each(|(any, named)| *any = any.max(*named));
             }
         }
         let waves = |any: bool| -> f64 {
@@ -143,6 +143,8 @@ struct Rounds {
     at: Vec<RoundsAt>,
     /// Per round: log likelihood without anything beside the model.
     null: Vec<f64>,
+    /// The least of it at any noise coefficient.
+    least: Vec<f64>,
 }
 
 /// The rounds at one noise coefficient.
@@ -152,15 +154,16 @@ struct RoundsAt {
     with_bank: Vec<f64>,
     /// Per parameter of the model, one value for each column of the bank: its share, L⁻¹ of their products.
     shares: Vec<Share>,
-    /// Per round: sum of squares that the model's own parameters leave.
+    /// Per round: sum of squares that the model's own parameters leave, and the log likelihood of that.
     rss: Vec<f64>,
+    alone: Vec<f64>,
 }
 
 impl Rounds {
     fn new(search: &Search<'_, '_>, draws: &[Vector]) -> Self {
         let empty = search.empty();
         let ranges = &search.stack.ranges;
-        let with_bank = search.all.bank.products(&draws.iter().collect::<Vec<_>>());
+        let with_bank = search.all.bank.nearly_products(draws);
         let with_known = |d: &Vector| -> Vec<Products> {
             empty.ids.iter().map(|i| d.products(&search.vectors[*i].data, ranges)).collect()
         };
@@ -172,11 +175,14 @@ impl Rounds {
                 with_bank: vec![0.0; search.all.bank.len() * draws.len()],
                 shares,
                 rss: Vec::with_capacity(draws.len()),
+                alone: Vec::with_capacity(draws.len()),
             };
             for (d, products) in with_bank.iter().enumerate() {
                 let mut z: Vec<f64> = known[d].iter().map(|p| p.at(at.phi)).collect();
                 at.factor.forward(&mut z);
-                out.rss.push((own[d].at(at.phi) - dot(&z, &z)).max(1e-9));
+                let rss = (own[d].at(at.phi) - dot(&z, &z)).max(1e-9);
+                out.rss.push(rss);
+                out.alone.push(search.loglik_of(at, rss));
                 let mut with: Vec<f64> = products.iter().map(|p| p.at(at.phi)).collect();
                 for (z, share) in z.iter().zip(&out.shares) {
                     share.take_off(*z, &mut with);
@@ -187,41 +193,65 @@ impl Rounds {
             out
         };
         let at: Vec<RoundsAt> = empty.fits.iter().map(of).collect();
-        let null = (0..draws.len()).map(|d| {
-            let values = empty.fits.iter().zip(&at).map(|(fit, at)| search.loglik_of(fit, at.rss[d]));
-            search.best_phi(&values.collect::<Vec<f64>>(), 0).0
-        });
+        let alone = |d: usize| at.iter().map(move |at| at.alone[d]);
+        let null = (0..draws.len()).map(|d| search.best_phi(&alone(d).collect::<Vec<f64>>(), 0).0);
         let null = null.collect();
-        Self { empty, count: draws.len(), at, null }
+        let least = (0..draws.len()).map(|d| alone(d).fold(f64::INFINITY, f64::min)).collect();
+        Self { empty, count: draws.len(), at, null, least }
     }
 
-    /// Log likelihood of each round with a grid point's columns beside the model.
-    fn with_atom(&self, search: &Search<'_, '_>, atom: usize) -> Vec<f64> {
+    /// Raises the best gain of each round to what it gains by a grid point's columns beside the model, less their price.
+    /// `values` is room to work in.
+    fn raise(
+        &self,
+        search: &Search<'_, '_>,
+        atom: usize,
+        price: f64,
+        best: &mut [f64],
+        values: &mut Vec<f64>,
+    ) {
         let columns = &search.all.atoms[atom].columns;
         let (k, rounds) = (columns.len(), self.count);
-        let mut values = vec![0.0; self.at.len() * rounds];
-        let mut g = vec![0.0; k * rounds];
+        values.clear();
+        values.resize((self.at.len() + k) * rounds, 0.0);
+        let (values, g) = values.split_at_mut(self.at.len() * rounds);
         for ((fit, at), values) in self.empty.fits.iter().zip(&self.at).zip(values.chunks_exact_mut(rounds)) {
             let factor = at.factor(search, atom, fit.phi);
             for (c, g) in columns.iter().zip(g.chunks_exact_mut(rounds)) {
                 g.copy_from_slice(&at.with_bank[c * rounds..(c + 1) * rounds]);
             }
-            factor.forward_many(&mut g, rounds);
-            // What each round gains, then what it comes to.
+            factor.forward_many(g, rounds);
             for g in g.chunks_exact(rounds) {
                 values.iter_mut().zip(g).for_each(|(v, g)| *v += g * g);
             }
-            for (v, rss) in values.iter_mut().zip(&at.rss) {
-                *v = search.loglik_of(fit, (rss - *v).max(1e-9 * rss));
-            }
         }
-        let mut own = Vec::with_capacity(self.at.len());
-        let mut best = |d: usize| {
-            own.clear();
-            own.extend(values[d..].iter().step_by(rounds));
-            search.best_phi(&own, 0).0
-        };
-        (0..rounds).map(&mut best).collect()
+        for (d, best) in best.iter_mut().enumerate() {
+            let needed = *best + price + self.null[d];
+            if self.at_most(search, d, values) <= needed {
+                continue;
+            }
+            let own = self.empty.fits.iter().zip(&self.at).enumerate().map(|(f, (fit, at))| {
+                let rss = at.rss[d];
+                search.loglik_of(fit, (rss - values[f * rounds + d]).max(1e-9 * rss))
+            });
+            let gain = search.best_phi(&own.collect::<Vec<f64>>(), 0).0 - self.null[d];
+            *best = best.max(gain - price);
+        }
+    }
+
+    /// No less than a round's log likelihood beside what so much is explained by at each noise coefficient, without a logarithm:
+    /// -ln(1 - r) is below r + r² up to a half, and the parabola over the noise coefficient comes to no more than an eighth of
+    /// its height above its highest point.
+    fn at_most(&self, search: &Search<'_, '_>, round: usize, explained: &[f64]) -> f64 {
+        let mut top = f64::NEG_INFINITY;
+        for (at, explained) in self.at.iter().zip(explained.chunks_exact(self.count)) {
+            let share = explained[round] / at.rss[round];
+            if share.is_nan() || share > 0.5 {
+                return f64::INFINITY;
+            }
+            top = top.max(at.alone[round] + 0.5 * search.nu * (share + share * share));
+        }
+        top + (top - self.least[round]) / 8.0
     }
 }
 

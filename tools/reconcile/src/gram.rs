@@ -163,6 +163,43 @@ wide! {
 }
 
 wide! {
+    /// The same with c in single precision; all arithmetic is done in full.
+    fn dots_with(a: &[f64], b: &[f64], c: &[f32]) -> [f64; 2] {
+        let (mut first, mut second) = ([0.0; LANES], [0.0; LANES]);
+        let (ca, cb, cc) = (a.chunks_exact(LANES), b.chunks_exact(LANES), c.chunks_exact(LANES));
+        let mut tail = [0.0; 2];
+        for ((x, y), z) in ca.remainder().iter().zip(cb.remainder()).zip(cc.remainder()) {
+            tail[0] += x * f64::from(*z);
+            tail[1] += y * f64::from(*z);
+        }
+        for ((x, y), z) in ca.zip(cb).zip(cc) {
+            for k in 0..LANES {
+                let z = f64::from(z[k]);
+                first[k] += x[k] * z;
+                second[k] += y[k] * z;
+            }
+        }
+        [fold(first) + tail[0], fold(second) + tail[1]]
+    }
+}
+
+wide! {
+    /// Dot product of two columns in single precision; all arithmetic is done in full.
+    fn dot_of_singles(a: &[f32], b: &[f32]) -> f64 {
+        let mut lanes = [0.0; LANES];
+        let (ca, cb) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+        let both = |x: f32, y: f32| f64::from(x) * f64::from(y);
+        let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| both(*x, *y)).sum();
+        for (x, y) in ca.zip(cb) {
+            for k in 0..LANES {
+                lanes[k] += both(x[k], y[k]);
+            }
+        }
+        fold(lanes) + tail
+    }
+}
+
+wide! {
     /// `b - by·a` in place of b.
     fn long_minus(b: &mut [f64], by: f64, a: &[f64]) -> () {
         for (b, a) in b.iter_mut().zip(a) {
@@ -312,7 +349,7 @@ impl Bank {
         self.places.push(place);
         self.scale.push(scale);
         let at = self.scale.len() - 1;
-        self.squares.push(self.own_products(&[at], |_, _| None)[0]);
+        self.squares.push(self.pair(at, at));
         at
     }
 
@@ -340,7 +377,7 @@ impl Bank {
                 *kept = (x / scale) as f32;
             }
             self.scale[at] *= scale;
-            self.squares[at] = self.own_products(&[at], |_, _| None)[0];
+            self.squares[at] = self.pair(at, at);
         }
     }
 
@@ -357,18 +394,14 @@ impl Bank {
 
     /// Products among some columns, packed by rows of the lower triangle.
     pub(crate) fn own(&self, columns: &[usize]) -> Vec<Products> {
-        match columns {
-            [one] => vec![self.squares[*one]],
-            _ => self.own_products(columns, |i, j| (i == j).then(|| self.squares[columns[i]])),
+        let k = columns.len();
+        if k <= FEW {
+            let pairs = (0..k).flat_map(|i| (0..=i).map(move |j| (i, j)));
+            let product = |(i, j): (usize, usize)| {
+                if i == j { self.squares[columns[i]] } else { self.pair(columns[i], columns[j]) }
+            };
+            return pairs.map(product).collect();
         }
-    }
-
-    /// The same, with those that are known already.
-    fn own_products(
-        &self,
-        columns: &[usize],
-        known: impl Fn(usize, usize) -> Option<Products>,
-    ) -> Vec<Products> {
         let covers = columns.iter().map(|c| self.places[*c].covers.clone());
         let Some(over) = covers.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)) else {
             return Vec::new();
@@ -376,86 +409,131 @@ impl Bank {
         let rows = self.rows(&over);
         let segments: Vec<Range<usize>> =
             self.segments[over.clone()].iter().map(|s| s.start - rows.start..s.end - rows.start).collect();
-        let mut data = vec![0.0; columns.len() * rows.len()];
+        let mut data = vec![0.0; k * rows.len()];
         for (c, out) in columns.iter().zip(data.chunks_exact_mut(rows.len())) {
             self.read(*c, &over, out);
         }
-        let column = |i: usize| &data[i * rows.len()..(i + 1) * rows.len()];
-        if columns.len() > FEW {
-            return products_of_all(&data, rows.len(), &segments);
+        products_of_all(&data, rows.len(), &segments)
+    }
+
+    /// Products of two of the columns.
+    fn pair(&self, i: usize, j: usize) -> Products {
+        let (a, b) = (&self.places[i], &self.places[j]);
+        let both = a.covers.start.max(b.covers.start)..a.covers.end.min(b.covers.end);
+        let mut out = Products::default();
+        for s in self.segments.get(both).unwrap_or_default() {
+            let of = |place: &Place| {
+                let from = place.at + s.start - self.segments[place.covers.start].start;
+                &self.data[from..from + s.len()]
+            };
+            let (x, v, last) = (of(a), of(b), s.len() - 1);
+            out.plain += dot_of_singles(x, v);
+            let later = dot_of_singles(&x[1..], &v[..last]);
+            out.lagged += later + if i == j { later } else { dot_of_singles(&x[..last], &v[1..]) };
+            out.ends += f64::from(x[0]) * f64::from(v[0]) + f64::from(x[last]) * f64::from(v[last]);
         }
-        let pairs = (0..columns.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
-        let product = |(i, j)| known(i, j).unwrap_or_else(|| products(column(i), column(j), &segments));
-        pairs.map(product).collect()
+        out
     }
 
     /// Products of every column with every vector: `out[v][column]`.
     pub(crate) fn products(&self, vectors: &[&Vector]) -> Vec<Vec<Products>> {
-        let (c, m) = (self.len(), vectors.len());
-        let mut out = vec![Vec::with_capacity(c); m];
-        if m == 0 {
-            return out;
-        }
-        let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
-        let mut covered = 0..0;
-        let mut from = 0;
-        while from < c {
-            let covers = &self.places[from].covers;
-            let alike = self.places[from..]
-                .iter()
-                .take(if m <= FEW { 1 } else { PANEL })
-                .take_while(|p| p.covers == *covers)
-                .count();
-            let rows = self.rows(covers);
-            let n = rows.len();
-            if vectors.iter().all(|v| v.is_zero(&rows)) {
-                for out in &mut out {
-                    out.resize(from + alike, Products::default());
-                }
-                from += alike;
-                continue;
-            }
-            panel.resize(alike * n, 0.0);
-            for (i, column) in panel.chunks_exact_mut(n).enumerate() {
-                self.read(from + i, covers, column);
-            }
-            let segments = &self.segments[covers.clone()];
-            let ends = |v: &Vector, column: &[f64]| -> f64 {
-                let at = |row: usize| v.data[row] * column[row - rows.start];
-                segments.iter().map(|s| at(s.start) + at(s.end - 1)).sum()
-            };
-            if m <= FEW {
-                for column in panel.chunks_exact(n) {
-                    for (v, out) in vectors.iter().zip(&mut out) {
-                        let [plain, lagged] =
-                            dots(&v.data[rows.clone()], &v.neighbours[rows.clone()], column);
-                        out.push(Products { plain, lagged, ends: ends(v, column) });
-                    }
-                }
-            } else {
-                if covered != rows {
+        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
+        if vectors.len() > FEW {
+            let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
+            self.by_panels(vectors, &mut out, |of, vectors, rows, new| {
+                panel.resize(of.len(), 0.0);
+                widen(of, &mut panel);
+                if new {
                     right.clear();
                     for v in vectors {
                         right.extend_from_slice(&v.data[rows.clone()]);
                         right.extend_from_slice(&v.neighbours[rows.clone()]);
                     }
-                    covered = rows.clone();
                 }
-                multiply(&right, &panel, n, &mut sums);
-                for (k, (v, out)) in vectors.iter().zip(&mut out).enumerate() {
-                    for (i, column) in panel.chunks_exact(n).enumerate() {
-                        out.push(Products {
-                            plain: sums[2 * k * alike + i],
-                            lagged: sums[(2 * k + 1) * alike + i],
-                            ends: ends(v, column),
-                        });
-                    }
+                multiply(&right, &panel, rows.len(), &mut sums);
+                std::mem::take(&mut sums)
+            });
+            return out;
+        }
+        for place in &self.places {
+            let rows = self.rows(&place.covers);
+            let column = &self.data[place.at..place.at + rows.len()];
+            for (v, out) in vectors.iter().zip(&mut out) {
+                if v.is_zero(&rows) {
+                    out.push(Products::default());
+                    continue;
                 }
+                let [plain, lagged] = dots_with(&v.data[rows.clone()], &v.neighbours[rows.clone()], column);
+                let ends = ends_of(v, column, &self.segments[place.covers.clone()]);
+                out.push(Products { plain, lagged, ends });
             }
-            from += alike;
         }
         out
     }
+
+    /// The same to six digits, in single precision: for noise that is drawn, which is known no better.
+    pub(crate) fn nearly_products(&self, vectors: &[Vector]) -> Vec<Vec<Products>> {
+        let vectors: Vec<&Vector> = vectors.iter().collect();
+        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
+        let (mut right, mut sums) = (Vec::new(), Vec::new());
+        self.by_panels(&vectors, &mut out, |panel, vectors, rows, new| {
+            if new {
+                right.clear();
+                for v in vectors {
+                    right.extend(v.data[rows.clone()].iter().map(|x| *x as f32));
+                    right.extend(v.neighbours[rows.clone()].iter().map(|x| *x as f32));
+                }
+            }
+            multiply_singles(&right, panel, rows.len(), &mut sums);
+            sums.iter().map(|x| f64::from(*x)).collect()
+        });
+        out
+    }
+
+    /// Products of the columns, as many at once as lie alike, with all vectors. `multiply`: from columns of so many rows that
+    /// stand one after the other the products with each vector and with its neighbours, row by row; told whether the rows are
+    /// others than the last time.
+    fn by_panels(
+        &self,
+        vectors: &[&Vector],
+        out: &mut [Vec<Products>],
+        mut multiply: impl FnMut(&[f32], &[&Vector], &Range<usize>, bool) -> Vec<f64>,
+    ) {
+        let mut from = 0;
+        let mut last = 0..0;
+        while let Some(Place { at, covers }) = self.places.get(from) {
+            let beside = self.places[from..].iter().take(PANEL).take_while(|p| p.covers == *covers);
+            let alike = beside.count();
+            let rows = self.rows(covers);
+            from += alike;
+            if vectors.iter().all(|v| v.is_zero(&rows)) {
+                for out in &mut *out {
+                    out.resize(from, Products::default());
+                }
+                continue;
+            }
+            // Columns stand in the order in which they came.
+            let panel = &self.data[*at..at + alike * rows.len()];
+            let sums = multiply(panel, vectors, &rows, last != rows);
+            let segments = &self.segments[covers.clone()];
+            for (k, (v, out)) in vectors.iter().zip(&mut *out).enumerate() {
+                let columns = panel.chunks_exact(rows.len()).enumerate();
+                out.extend(columns.map(|(i, column)| Products {
+                    plain: sums[2 * k * alike + i],
+                    lagged: sums[(2 * k + 1) * alike + i],
+                    ends: ends_of(v, column, segments),
+                }));
+            }
+            last = rows;
+        }
+    }
+}
+
+/// Products of a vector with a column at the first and the last rows of the column's segments.
+fn ends_of(v: &Vector, column: &[f32], segments: &[Range<usize>]) -> f64 {
+    let Some(begin) = segments.first().map(|s| s.start) else { return 0.0 };
+    let at = |row: usize| v.data[row] * f64::from(column[row - begin]);
+    segments.iter().map(|s| at(s.start) + at(s.end - 1)).sum()
 }
 
 /// Products among columns of so many rows that stand one after the other, packed by rows of the lower triangle.
@@ -485,6 +563,31 @@ fn multiply(left: &[f64], right: &[f64], n: usize, out: &mut Vec<f64>) {
     // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
     unsafe {
         matrixmultiply::dgemm(
+            rows,
+            n,
+            columns,
+            1.0,
+            left.as_ptr(),
+            n as isize,
+            1,
+            right.as_ptr(),
+            1,
+            n as isize,
+            0.0,
+            out.as_mut_ptr(),
+            columns as isize,
+            1,
+        );
+    }
+}
+
+/// The same in single precision.
+fn multiply_singles(left: &[f32], right: &[f32], n: usize, out: &mut Vec<f32>) {
+    let (rows, columns) = (left.len() / n, right.len() / n);
+    out.resize(rows * columns, 0.0);
+    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
+    unsafe {
+        matrixmultiply::sgemm(
             rows,
             n,
             columns,

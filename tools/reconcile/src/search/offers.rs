@@ -16,6 +16,9 @@ const RESOLVED: f64 = 1.0;
 const NEAR_NATS: f64 = 25.0;
 const NEAR_SHARE: f64 = 0.4;
 
+/// So many nats below a sum a term of it is nothing.
+const NOTHING_ADDED: f64 = 40.0;
+
 /// An explanation that could join a set.
 #[derive(Debug, Clone)]
 pub(crate) struct Offer {
@@ -252,5 +255,6 @@ fn nearest(set: &Set, top: f64) -> f64 {
 /// log(eᵃ + eᵇ)
 fn log_sum(a: f64, b: f64) -> f64 {
     let (hi, lo) = if a > b { (a, b) } else { (b, a) };
-    hi + (lo - hi).exp().ln_1p()
+    // Of a number with sixteen digits nothing changes.
+    if lo < hi - NOTHING_ADDED { hi } else { hi + (lo - hi).exp().ln_1p() }
 }

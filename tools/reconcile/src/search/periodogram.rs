@@ -58,16 +58,24 @@ thread_local! {
     static PLANNER: RefCell<FftPlanner<f32>> = RefCell::new(FftPlanner::new());
 }
 
+/// Frequencies that are transformed at once, of few rows and of many: so few that all of it stays near the core, so many that
+/// spreading the rows over a grid is not most of the work.
+const PARTS: [usize; 2] = [4096, 16_384];
+/// From so many rows on.
+const MANY_ROWS: usize = 1000;
+
 /// What a Fourier transform needs, kept from one to the next.
 #[derive(Default)]
 pub(super) struct Transform {
     grid: Vec<Complex32>,
     scratch: Vec<Complex32>,
+    /// Where each row lies on the grid, and what share of it each of four neighbours has.
+    spread: Vec<(usize, [f64; 4])>,
 }
 
 impl Transform {
     /// Σ uᵢ·exp(2πj·f·xᵢ) at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
-    /// cubic weights, one fast Fourier transform (Press and Rybicki, Astrophys. J. 338, 1989).
+    /// cubic weights, fast Fourier transforms of parts of the band (Press and Rybicki, Astrophys. J. 338, 1989).
     pub(super) fn sums(
         &mut self,
         x: &[f64],
@@ -75,15 +83,14 @@ impl Transform {
         from: f64,
         step: f64,
         count: usize,
-    ) -> impl Iterator<Item = Complex32> {
-        let size = room(count + count / 2);
-        // Frequencies are counted from the middle of the band, so that the grid need only hold half of it.
-        let middle = from + step * (count / 2) as f64;
-        let Self { grid, scratch } = self;
-        grid.clear();
-        grid.resize(size, Complex32::new(0.0, 0.0));
-        for (x, u) in x.iter().zip(u) {
-            let (sin, cos) = gram::wave(middle * x);
+        mut each: impl FnMut(Complex32),
+    ) {
+        let part = PARTS[usize::from(x.len() >= MANY_ROWS)];
+        let part = count.div_ceil(count.div_ceil(part).max(1));
+        let size = room(part + part / 2);
+        let Self { grid, scratch, spread } = self;
+        spread.clear();
+        spread.extend(x.iter().map(|x| {
             let place = x * step * size as f64;
             let base = place.floor();
             let w = place - base;
@@ -94,24 +101,41 @@ impl Transform {
                 -(w + 1.0) * w * (w - 2.0) / 2.0,
                 (w + 1.0) * w * (w - 1.0) / 6.0,
             ];
-            for (k, weight) in weights.iter().enumerate() {
-                let at = (base as i64 + k as i64 - 1).rem_euclid(size as i64) as usize;
-                grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
-            }
-        }
+            ((base as i64 - 1).rem_euclid(size as i64) as usize, weights)
+        }));
         let fft = PLANNER.with_borrow_mut(|planner| planner.plan_fft_inverse(size));
         scratch.resize(fft.get_inplace_scratch_len().max(scratch.len()), Complex32::new(0.0, 0.0));
-        fft.process_with_scratch(grid, scratch);
-        // The lower half of the band stands at the grid's end.
-        grid[size - count / 2..].iter().chain(&grid[..count - count / 2]).copied()
+        let mut done = 0;
+        while done < count {
+            // Frequencies are counted from the middle of the part, so that the grid need only hold half of it.
+            let middle = from + step * (done + part / 2) as f64;
+            grid.clear();
+            grid.resize(size, Complex32::new(0.0, 0.0));
+            for ((x, u), (first, weights)) in x.iter().zip(u).zip(&*spread) {
+                let (sin, cos) = gram::wave(middle * x);
+                for (k, weight) in weights.iter().enumerate() {
+                    let at = if first + k < size { first + k } else { first + k - size };
+                    grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
+                }
+            }
+            fft.process_with_scratch(grid, scratch);
+            // The lower half of the part stands at the grid's end.
+            let all = grid[size - part / 2..].iter().chain(&grid[..part - part / 2]);
+            all.take(count - done).copied().for_each(&mut each);
+            done += part;
+        }
     }
 
     /// How waves of these frequencies lie on the places.
     pub(super) fn places(&mut self, x: &[f64], from: f64, step: f64, count: usize) -> Vec<OnPlaces> {
         let share = vec![1.0 / x.len() as f64; x.len()];
-        let once: Vec<Complex32> = self.sums(x, &share, from, step, count).collect();
-        let twice = self.sums(x, &share, 2.0 * from, 2.0 * step, count);
-        once.into_iter().zip(twice).map(|(once, twice)| OnPlaces::new(once, twice)).collect()
+        let (mut once, mut out) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        self.sums(x, &share, from, step, count, |once_at| once.push(once_at));
+        let mut once = once.into_iter();
+        self.sums(x, &share, 2.0 * from, 2.0 * step, count, |twice| {
+            out.extend(once.next().map(|once| OnPlaces::new(once, twice)));
+        });
+        out
     }
 }
 
@@ -154,6 +178,35 @@ fn room(least: usize) -> usize {
 mod tests {
     use super::*;
     use crate::testing::noise;
+
+    /// Frequencies in several parts and in one, few rows and many: sums as they are by their definition, to a few per cent of the
+    /// rows' root.
+    #[test]
+    fn sums_are_those_of_their_definition() {
+        for (rows, count) in [(40, 700), (300, 9000), (1200, 20_000)] {
+            let u = noise(5, rows);
+            let x: Vec<f64> = noise(6, rows).iter().map(|x| 30.0 * x).collect();
+            let (from, step) = (0.7, 0.002);
+            let mut sums = Vec::new();
+            Transform::default().sums(&x, &u, from, step, count, |z| sums.push(z));
+            assert_eq!(sums.len(), count);
+            let mut squares = 0.0;
+            for (i, z) in sums.iter().enumerate().step_by(7) {
+                let turns = from + step * i as f64;
+                let (mut re, mut im) = (0.0, 0.0);
+                for (x, u) in x.iter().zip(&u) {
+                    let (sin, cos) = gram::wave(turns * x);
+                    re += u * cos;
+                    im += u * sin;
+                }
+                let off = (f64::from(z.re) - re).hypot(f64::from(z.im) - im) / (rows as f64).sqrt();
+                assert!(off < 0.35, "{rows} rows, frequency {i} of {count}: {off}");
+                squares += off * off;
+            }
+            let rms = (squares / (count as f64 / 7.0)).sqrt();
+            assert!(rms < 0.06, "{rows} rows, {count} frequencies: {rms}");
+        }
+    }
 
     /// As by looking at every value each time.
     #[test]

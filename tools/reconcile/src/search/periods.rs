@@ -149,15 +149,9 @@ impl Search<'_, '_> {
             let count = ((wave.to - from) / step).ceil().max(2.0) as usize;
             let mut u = sharpened(&residual, phi, &self.stack.ranges)[wave.rows.clone()].to_vec();
             wave.shared(&mut u);
-            // In parts: a transform of all of it would leave the processor's cache, and its factors take as long to plan.
-            let part = count.div_ceil(count.div_ceil(MOST_FREQUENCIES as usize));
-            let mut transform = self.transform.borrow_mut();
             let mut power: Vec<f64> = Vec::with_capacity(count);
-            while power.len() < count {
-                let (from, part) = (from + step * power.len() as f64, part.min(count - power.len()));
-                let sums = transform.sums(&x, &u, from, step, part);
-                power.extend(sums.map(|z| f64::from(z.norm_sqr())));
-            }
+            let mut transform = self.transform.borrow_mut();
+            transform.sums(&x, &u, from, step, count, |z| power.push(f64::from(z.norm_sqr())));
             peaks(&mut power, from, step, list);
         }
     }
@@ -183,8 +177,8 @@ impl Search<'_, '_> {
         let places = self.places_seen[at].get_or_init(|| transform.places(x, from, step, count));
         let mean = u.iter().sum::<f64>() / u.len() as f64;
         let u: Vec<f64> = u.iter().map(|u| u - mean).collect();
-        let sums = transform.sums(x, &u, from, step, count);
-        let mut power: Vec<f64> = sums.zip(places).map(|(z, place)| place.power(z)).collect();
+        let mut power: Vec<f64> = Vec::with_capacity(count);
+        transform.sums(x, &u, from, step, count, |z| power.push(places[power.len()].power(z)));
         if phi != 0.0 {
             let gap = median_gap(x);
             for (i, power) in power.iter_mut().enumerate() {
