@@ -233,6 +233,18 @@ mod tests {
     }
 
     #[test]
+    fn a_step_that_is_known_counts_as_one_that_is_looked_up() {
+        let [mut known, mut looked_up] = [Decoder::new(State::default()); 2];
+        for bits in [1, 3, 3, 2, 3, 1, 0, 2, 3, 1, 0] {
+            let next = State::from_bits(bits);
+            let step = looked_up.update(next).unwrap();
+            known.take_step(next, step);
+            assert_eq!(known, looked_up);
+        }
+        assert_eq!(known.count(), -4);
+    }
+
+    #[test]
     fn both_signals_at_once_is_illegal_from_every_state() {
         for bits in 0..4 {
             let s = State::from_bits(bits);

@@ -390,6 +390,55 @@ mod tests {
         assert!(bench.written().contains(&(8, 1)), "the count is latched before it is read");
     }
 
+    /// Counters narrower than a word run over and under at their own width.
+    #[test]
+    fn a_narrow_counter_wraps_at_its_own_width() {
+        for (width, bits) in [(Width::Bits8, 8), (Width::Bits16, 16), (Width::Bits32, 32)] {
+            let count = Register { offset: 12, width };
+            let counter =
+                Counter { lines: (0, 1), count, latch: None, overflow: None, error: None, clear: None };
+            let mut counting = Counting { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+            let mut now = 0_i64;
+            for step in [1, -2, 100, -120, 127, -128] {
+                now += step;
+                let raw = (now as u64 & ((1 << bits) - 1)) as u32;
+                let lines = CYCLE[now.rem_euclid(4) as usize];
+                assert_eq!(counting.take(lines, raw, false, false), None);
+                assert_eq!(
+                    (counting.target, counting.take(lines, raw, false, false)),
+                    (now, None),
+                    "{bits} bits"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_jump_of_as_many_counts_as_motion_can_make_is_motion_and_one_more_is_not() {
+        for sign in [1_i64, -1] {
+            for (more, trouble) in [(0, None), (1, Some(TroubleKind::CounterError))] {
+                let (_bench, card) = counter_card();
+                let counter = card.counters[0].counter;
+                let mut counting = Counting { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+                let jump = sign * (65_536 + more);
+                let lines = CYCLE[jump.rem_euclid(4) as usize];
+                assert_eq!(counting.take(lines, jump as u32, false, false), trouble, "{jump} counts");
+            }
+        }
+    }
+
+    #[test]
+    fn inputs_that_are_active_low_are_shown_as_what_they_mean() {
+        let bench = Bench::default();
+        bench.0.borrow_mut().0 = vec![0; 8];
+        let profile = Profile { input_invert: 0b1010, ..Profile::shared_memory() };
+        let mut card = RegisterCard::new(bench.clone(), &profile, Virtual::default()).unwrap();
+        for (register, shown) in [(0, 0b1010), (0b1111, 0b0101), (0b0011, 0b1001)] {
+            bench.set(0, register);
+            assert_eq!(card.sample(0).unwrap().inputs, shown);
+        }
+    }
+
     #[test]
     fn the_cards_flags_are_reported_and_cleared() {
         let (bench, mut card) = counter_card();

@@ -212,4 +212,41 @@ mod tests {
         drop(card);
         assert_eq!(heard, [(10, 0), (20, 1), (25, 0), (30, 2)]);
     }
+
+    fn point(t_ns: u64, bits: u8) -> Result<TracePoint, &'static str> {
+        Ok(TracePoint { t_ns, state: State::from_bits(bits) })
+    }
+
+    /// A' and B' are the output lines; they begin as A and B, and each write changes its own.
+    #[test]
+    fn without_gates_the_outputs_are_what_the_mtc_sees() {
+        let mut heard = Vec::new();
+        let points = [point(10, 2), point(20, 3), point(40, 1)];
+        let mut card =
+            ReplayCard::new(Through, points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();
+        assert_eq!((card.outputs(), card.edges()), (Ok(2), 0));
+        card.sample(25).unwrap();
+        card.write(0b01, 0b01).unwrap();
+        assert_eq!((card.outputs(), card.edges()), (Ok(3), 1));
+        card.sample(30).unwrap();
+        // Lines that are not of the mask stay, whatever is said of them; nothing new is no change.
+        card.write(0b10, 0b01).unwrap();
+        card.write(0b01, 0b11).unwrap();
+        assert_eq!(card.outputs(), Ok(1));
+        card.sample(50).unwrap();
+        assert_eq!(card.edges(), 2);
+        assert_eq!(card.sample(60).unwrap(), Sample::stamped(60, 1, None), "at rest after the last");
+        drop(card);
+        assert_eq!(heard, [(10, 2), (20, 3), (30, 1)]);
+    }
+
+    #[test]
+    fn a_bad_row_ends_the_replay_where_it_stands() {
+        let points = [point(10, 0), point(20, 1), Err("bad")];
+        let mut card = ReplayCard::new(Xor, points.into_iter(), |_, _: State| {}).unwrap();
+        assert_eq!(card.sample(100).unwrap().t_ns, 20);
+        assert_eq!(card.sample(100), Err(CardError::Ended), "not at the appointment");
+        assert_eq!((card.take_error(), card.take_error(), card.edges()), (Some("bad"), None, 1));
+        assert_eq!(ReplayCard::new(Xor, std::iter::once(Err("bad")), |_, _: State| {}).err(), Some("bad"));
+    }
 }

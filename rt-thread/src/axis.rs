@@ -1069,6 +1069,45 @@ mod tests {
         ]
     }
 
+    /// Where nothing can be wrong the short way is taken, to the last nanosecond of what is not late and not too soon.
+    #[test]
+    fn the_short_way_is_taken_where_nothing_can_be_wrong() {
+        // Edges 10 µs apart; one that came at most `after_ns` after the last, seen at a look `gap_ns` after the one before.
+        let calm = |complete: u64, gap_ns: u64, after_ns: u64| {
+            let config = AxisConfig { detect_ns: 700, ..AxisConfig::default() };
+            let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
+            let mut axis = AxisEngine::new(config, found).unwrap();
+            axis.home(0);
+            axis.confirm_home(0);
+            let mut state = State::default();
+            let mut edge = |t_ns: u64, since_ns: u64, careful: bool| {
+                state = state.next(true);
+                let sample = Sample { complete, ..Sample::level(t_ns, u64::from(state.bits())) };
+                let look = Look::new(&sample, since_ns, Permit { insert: true, shadow: false });
+                if careful {
+                    axis.look(&look, true, &mut |_| {});
+                    return true;
+                }
+                let (need_ns, count) = (axis.gate.need_ns(), axis.scale.count());
+                let calm = axis.goes_on_calmly(&look);
+                assert_eq!(axis.scale.count() - count, i64::from(calm));
+                assert_eq!(need_ns, 2200);
+                calm
+            };
+            for n in 1..=3 {
+                edge(10_000 * n, 10_000 * n - 100, true);
+            }
+            let t_ns = 30_000 - 100 + after_ns;
+            edge(t_ns, t_ns - gap_ns, false)
+        };
+        // A period of 9.9 µs at least; of the time after it, what the look before may have been late in detecting counts.
+        assert!(calm(0, 2200, 9_200));
+        assert!(!calm(0, 2201, 9_200), "late");
+        assert!(!calm(0, 100, 9_199), "sooner than the one before");
+        assert!(calm(0b11, 20_000, 9_000), "a card that keeps every edge");
+        assert!(!calm(0b10, 2201, 9_200) && !calm(0b10, 100, 9_199), "one that keeps those of B alone");
+    }
+
     proptest! {
         /// An edge that is counted calmly leaves the axis as the careful way leaves it.
         #[test]

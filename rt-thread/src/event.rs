@@ -399,3 +399,63 @@ impl Status {
         self.axes().iter().all(|a| a.gate == GateState::Inserting || a.mtc_minus_scale == a.in_effect)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_all_faults_two_leave_the_count_certain() {
+        let mut all = Faults::NONE;
+        for (n, fault) in Fault::ALL.into_iter().enumerate() {
+            assert!(all.latch(fault) && !all.latch(fault));
+            assert_eq!((all.bits(), all.iter().count()), (u32::MAX >> (31 - n), n + 1));
+            assert_eq!(Faults::from_bits(all.bits()), Some(all));
+            let mut one = Faults::NONE;
+            one.latch(fault);
+            let certain = matches!(fault, Fault::StillNotBelieved | Fault::ErrorLimit);
+            assert_eq!(one.losing_home(), if certain { Faults::NONE } else { one });
+        }
+        let doubted: Vec<_> = all.losing_home().iter().collect();
+        assert_eq!(doubted.len(), Fault::ALL.len() - 2);
+        assert!(!doubted.contains(&Fault::StillNotBelieved) && !doubted.contains(&Fault::ErrorLimit));
+        assert_eq!(Faults::from_bits(all.bits() + 1), None, "one that this version does not know");
+    }
+
+    #[test]
+    fn a_trip_lies_between_its_two_edges_in_proportion_to_the_times() {
+        let capture = |trip_ns, before, after| Capture { trip_ns, before, after }.position_counts();
+        // Boundaries 7 and 9 at 1000 and 5000 ns: half a count in 1000 ns.
+        assert_eq!(capture((1900, 2100), (7, Some(1000)), Some((9, 5000))), (7.5, 0.05));
+        assert_eq!(capture((1900, 2100), (9, Some(1000)), Some((7, 5000))), (8.5, 0.05));
+        assert_eq!(
+            capture((0, 8000), (7, Some(1000)), Some((9, 5000))),
+            (8.0, 1.0),
+            "no more than a count either way"
+        );
+        // Turned round, two edges at once, before the first edge, stopped: within a count.
+        for (before, after) in [
+            ((7, Some(1000)), Some((7, 5000))),
+            ((7, Some(1000)), Some((9, 1000))),
+            ((7, Some(1000)), Some((9, 900))),
+            ((7, None), Some((9, 5000))),
+            ((7, Some(1000)), None),
+        ] {
+            assert_eq!(capture((1900, 2100), before, after), (7.0, 1.0), "{before:?} {after:?}");
+        }
+    }
+
+    #[test]
+    fn a_ledger_balances_when_every_axis_in_use_does() {
+        let axis = AxisStatus { mtc_minus_scale: 4, in_effect: 4, ..AxisStatus::default() };
+        let off = AxisStatus { mtc_minus_scale: 3, ..axis };
+        let mut status = Status { axes_used: 2, ..Status::default() };
+        status.axes[..3].copy_from_slice(&[axis, axis, off]);
+        assert_eq!(status.axes(), [axis, axis]);
+        assert!(status.balanced(), "the third is not in use");
+        status.axes[1] = off;
+        assert!(!status.balanced());
+        status.axes[1].gate = GateState::Inserting;
+        assert!(status.balanced(), "halfway through an insertion");
+    }
+}

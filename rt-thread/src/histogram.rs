@@ -334,6 +334,26 @@ mod tests {
     }
 
     #[test]
+    fn figures_of_known_values() {
+        // Of a thousand: 980, 15, 4 and 1.
+        let times = |value, n| std::iter::repeat_n(value, n);
+        let all: Vec<u64> = times(10, 980).chain(times(20, 15)).chain(times(30, 4)).chain([40]).collect();
+        let s = filled(&all);
+        assert_eq!([s.p50(), s.p99(), s.p999(), s.p9999(), s.max()], [10, 20, 30, 40, 40]);
+        assert_eq!((s.samples(), s.sum(), s.min(), s.mean()), (1000, 10_260, 10, 10.26));
+    }
+
+    #[test]
+    fn a_bucket_that_reaches_into_two_rows_is_shared_between_them() {
+        assert_eq!(filled(&[0, 0, 5, 17, 130]).linear(10, 3), (vec![3, 1, 0], 1));
+        // One bucket of 128 and 129, a row's end between them; and one cut off by the smallest and the largest value.
+        assert_eq!(filled(&[127, 128, 129, 130]).linear(129, 2), (vec![2, 2], 0));
+        assert_eq!(filled(&[129, 129]).linear(129, 2), (vec![0, 2], 0));
+        // Four values of a bucket of 16 (1024 to 1039), rows of 4: one in each.
+        assert_eq!(filled(&[1000, 1024, 1028, 1032, 1039, 1050]).linear(4, 300).0[256..260], [1, 1, 1, 1]);
+    }
+
+    #[test]
     fn empty_reads_as_zero() {
         let s = filled(&[]);
         assert_eq!(

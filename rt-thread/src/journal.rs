@@ -456,15 +456,44 @@ mod tests {
         assert_eq!(found(&path), [None, None]);
     }
 
+    /// The next version has to read what this one wrote: the sum as it was worked out by another hand.
+    #[test]
+    fn the_check_sum_stays_what_it_is() {
+        assert_eq!(check(&[]), 0xFDFF_FFB5_BCBA_ABAD);
+        assert_eq!(check(&[1, 3, 2]), 0x9714_1578_D3EE_0E6D);
+        assert_eq!(check(&[u64::MAX, 0x103, u64::MAX - 1]), 0xA73A_743B_AC0D_C4B3);
+    }
+
+    #[test]
+    fn a_later_opening_counts_on_and_keeps_the_newest_record_before_it() {
+        let (_directory, path) = new();
+        let (a, b, c, d) = (record(0, 2), record(1, 3), record(3, 4), record(2, 5));
+        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        for noted in [a, b, c] {
+            journal.record(2, noted);
+        }
+        drop(journal);
+        assert_eq!(found(&path), [Some(c), Some(b)]);
+        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        journal.record(2, d);
+        drop(journal);
+        assert_eq!(found(&path), [Some(d), Some(c)]);
+    }
+
     #[test]
     fn another_file_is_refused_and_left_alone() {
         let (_directory, path) = new();
         let noise = vec![0x5A; BYTES.get()];
+        let mut last = vec![0; BYTES.get()];
+        last[BYTES.get() - 1] = 1;
         let mut older = vec![0; BYTES.get()];
         older[..8].copy_from_slice(b"RTECJ\0\0\x01");
-        for (content, wants) in
-            [(b"hello".to_vec(), "found 5 bytes"), (noise, "something else"), (older, "version 1")]
-        {
+        for (content, wants) in [
+            (b"hello".to_vec(), "found 5 bytes"),
+            (noise, "something else"),
+            (last, "something else"),
+            (older, "version 1"),
+        ] {
             std::fs::write(&path, &content).unwrap();
             let error = Journal::open(&path, OURS).unwrap_err().to_string();
             assert!(error.contains(wants) && error.contains("expected a state file"), "{error}");

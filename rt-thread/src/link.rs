@@ -190,6 +190,27 @@ mod tests {
     }
 
     #[test]
+    fn what_one_end_says_the_other_finds() {
+        let (mut control, mut rt) = link(Status { t_ns: 5, ..Status::default() });
+        assert_eq!((control.status().t_ns, control.pending(), rt.all_taken()), (5, 0, true));
+        control.send(Request::Enable).unwrap();
+        control.send(Request::Clear).unwrap();
+        assert_eq!((control.pending(), rt.all_taken()), (2, false));
+        assert_eq!((rt.request(), control.pending()), (Some(Request::Enable), 1));
+        let before = rt.beats();
+        for n in 1..=3 {
+            control.beat();
+            assert_eq!(rt.beats(), before + n);
+        }
+        rt.publish(Status { t_ns: 7, ..Status::default() });
+        assert_eq!((control.status().t_ns, control.ended(), rt.stopped()), (7, false, false));
+        control.stop();
+        rt.end();
+        assert!(control.ended() && rt.stopped());
+        assert_eq!(format!("{control:?} {rt:?}"), "ControlEnd { .. } RtEnd { .. }");
+    }
+
+    #[test]
     fn events_beyond_the_ring_are_refused_not_overwritten() {
         use crate::event::EventKind;
         let (mut control, mut rt) = link(Status::default());

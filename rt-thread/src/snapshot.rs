@@ -103,6 +103,17 @@ mod tests {
     use super::*;
 
     #[test]
+    fn without_a_new_value_the_latest_is_read_again() {
+        let (mut writer, mut reader) = snapshot(0);
+        for n in 1..10 {
+            (0..n % 4).for_each(|k| writer.write(10 * n + k));
+            let latest = reader.read();
+            assert!(n % 4 == 0 || latest == 10 * n + n % 4 - 1);
+            assert_eq!([reader.read(), reader.read()], [latest; 2]);
+        }
+    }
+
+    #[test]
     fn the_latest_value_is_read_whole_and_never_runs_back() {
         let (mut writer, mut reader) = snapshot([0_u64; 16]);
         let writing = std::thread::spawn(move || {

@@ -3,11 +3,12 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::AxisConfig;
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{EventKind, Refusal, Request};
+use rtec_rt::event::{EventKind, Fault, Mode, Refusal, Request};
 use rtec_rt::link::{ControlEnd, REQUESTS, RtEnd, link};
-use rtec_rt::thread::run;
+use rtec_rt::thread::{ThreadOptions, Turns, run, spawn};
+use std::ops::ControlFlow;
 
 /// What the loop did to the card.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,10 +25,14 @@ struct Diary {
     t_ns: u64,
     outputs: u64,
     did: Vec<Did>,
+    ends: Option<CardError>,
 }
 
 impl Card for Diary {
     fn sample(&mut self, wait_until_ns: u64) -> Result<Sample, CardError> {
+        if let Some(error) = self.ends {
+            return Err(error);
+        }
         self.did.push(Did::Look { at_ns: self.t_ns, wait_until_ns });
         self.t_ns += 1000;
         Ok(Sample::level(self.t_ns, 0))
@@ -46,7 +51,8 @@ impl Card for Diary {
 
 fn start() -> (Engine, Diary, ControlEnd, RtEnd) {
     let mut card = Diary::default();
-    let axis = AxisConfig { lines: AxisLines::standard(0, false), ..AxisConfig::default() };
+    let rest = RestPolicy::Insert { after_ns: 997_000 };
+    let axis = AxisConfig { lines: AxisLines::standard(0, false), rest, ..AxisConfig::default() };
     let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
     let engine = Engine::new(&mut card, &[axis], machine, &[]).unwrap();
     card.did.clear();
@@ -104,4 +110,88 @@ fn no_look_waits_while_requests_may_be_there() {
         "each of the requests would wait as long as a card may sleep"
     );
     assert!(waits[REQUESTS..].contains(&true), "a card may sleep when there are none");
+}
+
+/// A status every millisecond; a control side that was silent for longer than it may be is told then, and one that is back.
+#[test]
+fn a_status_is_published_every_millisecond_and_silence_is_noticed_with_it() {
+    const MS: u64 = 1_000_000;
+    let (engine, card, mut control, rt) = start();
+    let begun_ns = engine.now_ns();
+    let mut turns = Turns::new(engine, card, rt, 3 * MS);
+    let mut until = |t_ns: u64| {
+        while turns.engine().now_ns() < t_ns {
+            assert_eq!(turns.turn(), ControlFlow::Continue(()));
+        }
+    };
+    let seen = |control: &mut ControlEnd| {
+        let told: Vec<_> = std::iter::from_fn(|| control.event()).map(|e| e.kind).collect();
+        (control.status().t_ns, told)
+    };
+    until(MS - 1000);
+    assert_eq!(seen(&mut control), (begun_ns, vec![]));
+    until(MS);
+    assert_eq!(seen(&mut control), (MS, vec![]));
+    until(2 * MS - 1000);
+    assert_eq!(seen(&mut control), (MS, vec![]));
+    control.beat();
+    // Noticed at 2 ms: silent from there on.
+    until(5 * MS);
+    assert_eq!(seen(&mut control), (5 * MS, vec![]), "for as long as it may be");
+    until(6 * MS);
+    assert_eq!(seen(&mut control), (6 * MS, vec![EventKind::ControlStale(true)]));
+    control.beat();
+    until(7 * MS);
+    assert_eq!(seen(&mut control), (7 * MS, vec![EventKind::ControlStale(false)]));
+}
+
+/// Asked to end, with an insertion under way: it is finished first, and a request that was sent before is taken.
+#[test]
+fn the_end_waits_for_the_insertion_under_way_and_for_the_requests_sent_before() {
+    let (mut engine, mut card, mut control, rt) = start();
+    engine.start_homed(&mut card, &mut |_| true).unwrap();
+    let mut turns = Turns::new(engine, card, rt, u64::MAX);
+    // At rest for 1000 µs, and then two inversions 1 µs and more apart: the first in the turn that publishes.
+    control.send(Request::Correct { axis: 0, total_counts: 2, large: false }).unwrap();
+    while turns.engine().at_rest() {
+        assert_eq!(turns.turn(), ControlFlow::Continue(()));
+    }
+    control.stop();
+    while turns.turn() == ControlFlow::Continue(()) {}
+    let ended = turns.end(None);
+    assert_eq!((ended.status.axes[0].completed, ended.error), (2, None));
+    assert!(control.ended() && control.status() == ended.status);
+}
+
+#[test]
+fn a_card_that_fails_is_the_reason_of_the_end_and_one_that_has_ended_is_none() {
+    let broken = CardError::Io { op: "reading the lines", errno: 19 };
+    for (error, reason, faults) in
+        [(broken, Some(broken), vec![Fault::Card]), (CardError::Ended, None, vec![])]
+    {
+        let (engine, card, mut control, rt) = start();
+        let ended = run(engine, Diary { ends: Some(error), ..card }, rt, u64::MAX);
+        assert_eq!((ended.error, ended.status.faults.iter().collect::<Vec<_>>()), (reason, faults));
+        assert_eq!(control.status(), ended.status);
+    }
+}
+
+/// As an ordinary thread: a mock may be armed, a card that drives a real machine may not.
+#[test]
+fn a_real_card_is_armed_by_nothing_less_than_a_verified_set_up() {
+    for (real, mode) in [(false, Mode::Run), (true, Mode::Disabled)] {
+        let (engine, card, ..) = start();
+        let options = ThreadOptions { wanted: None, real, stale_after_ns: u64::MAX };
+        let mut running = spawn(engine, card, options).unwrap();
+        assert!(running.report.is_none());
+        for request in [
+            Request::Home { axis: 0, position_counts: 0 },
+            Request::ConfirmHome { axis: 0, position_counts: 0 },
+            Request::Enable,
+        ] {
+            running.control.send(request).unwrap();
+        }
+        let (ended, _control) = running.stop();
+        assert_eq!((ended.status.mode, ended.error), (mode, None), "a real card: {real}");
+    }
 }

@@ -386,3 +386,59 @@ fn eight_digits(row: &[u8; PLAIN_ROW], at: usize) -> Option<u64> {
     let fours = pairs.wrapping_mul(100).wrapping_add(pairs >> 16) & 0x0000_ffff_0000_ffff;
     Some(fours.wrapping_mul(10_000).wrapping_add(fours >> 32) & 0xffff_ffff)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn quickly(text: &str) -> Option<(TracePoint, usize)> {
+        let mut row = [b'x'; PLAIN_ROW];
+        row[..text.len()].copy_from_slice(text.as_bytes());
+        plain_row(&row)
+    }
+
+    #[test]
+    fn a_plain_row_of_any_length_is_read_in_one_go() {
+        let mut t_ns = 0;
+        for digits in 1..=19 {
+            t_ns = t_ns * 10 + digits % 10;
+            for state in (0..4).map(State::from_bits) {
+                for end in ["\n", "\r\n"] {
+                    let (a, b) = (u8::from(state.a()), u8::from(state.b()));
+                    let text = format!("{t_ns},{a},{b}{end}");
+                    assert_eq!(quickly(&text), Some((TracePoint { t_ns, state }, text.len())), "{text}");
+                }
+            }
+        }
+        assert_eq!(
+            quickly("9999999999999999999,1,0\n").map(|(point, _)| point.t_ns),
+            Some(9_999_999_999_999_999_999)
+        );
+    }
+
+    #[test]
+    fn what_is_no_plain_row_is_left_to_the_careful_reader() {
+        for text in [
+            ",0,1\n",
+            "18446744073709551615,0,1\n",
+            "12,2,0\n",
+            "12,0,2\n",
+            "12,2,3\n",
+            "12,3,2\n",
+            "12;0,1\n",
+            "12,0;1\n",
+            "12,0,1 \n",
+            "12,0,1\rx",
+            "12 ,0,1\n",
+            " 12,0,1\n",
+            "1234567a,0,1\n",
+            "1234567/,0,1\n",
+            "1234567:,0,1\n",
+            "-1,0,1\n",
+            "1.5,0,1\n",
+            "12,0,1,0\n",
+        ] {
+            assert_eq!(quickly(text), None, "{text:?}");
+        }
+    }
+}

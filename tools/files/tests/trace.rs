@@ -125,7 +125,9 @@ fn vcd_with_scopes_other_signals_and_any_timescale() {
              #30 r2 &\n#40 b1 bb\n#50 $dumpall 1aa 1bb $end\n#60 0aa 0bb\n"
         )
     };
-    for (scale, ns) in [("1ns", 1), ("100 ns", 100), ("10 us", 10_000), ("1 s", 1_000_000_000)] {
+    for (scale, ns) in
+        [("1ns", 1), ("100 ns", 100), ("10 us", 10_000), ("1 ms", 1_000_000), ("1 s", 1_000_000_000)]
+    {
         let want = [point(10 * ns, 0, 0), point(20 * ns, 1, 0), point(40 * ns, 1, 1), point(60 * ns, 0, 0)];
         assert_eq!(vcd(&text(scale)).unwrap(), want, "{scale}");
     }
@@ -134,6 +136,42 @@ fn vcd_with_scopes_other_signals_and_any_timescale() {
         vcd(&text("10 ps")).unwrap_err().to_string(),
         "t:11:1: found two changes within the nanosecond 0, expected changes at least 1 ns apart"
     );
+    assert_eq!(vcd(&text("100 fs")).unwrap_err().to_string(), vcd(&text("10 ps")).unwrap_err().to_string());
+}
+
+#[test]
+fn vcd_changes_under_one_time_are_one_change_wherever_it_stands() {
+    let head = "$timescale 1 ns $end\n$var wire 1 ! a $end\n$var wire 1 \" b $end\n$enddefinitions $end\n";
+    let text = format!("{head}#5 0! 0\"\n#9 1!\n#9 1\"\n#12 0!\n");
+    assert_eq!(vcd(&text).unwrap(), [point(5, 0, 0), point(9, 1, 1), point(12, 0, 1)]);
+}
+
+#[test]
+fn a_vcd_definition_has_seventeen_words_at_most() {
+    for (words, whole) in [(17, true), (18, false)] {
+        let more = vec!["w"; words - 4].join(" ");
+        let text = format!(
+            "$timescale 1 ns $end\n$var wire 1 ! a {more} $end\n$var wire 1 \" b $end\n$enddefinitions $end\n#0 0! 0\"\n"
+        );
+        assert_eq!(vcd(&text).is_ok(), whole, "{words} words");
+    }
+}
+
+/// With enough behind them rows are read in one go, and what is wrong with one is found all the same.
+#[test]
+fn a_row_far_from_the_end_is_judged_as_the_last_one_is() {
+    let rest: Vec<_> = (0..10).map(|n| format!("{},{},0\n", 1000 + n, (n + 1) % 2)).collect();
+    let rest = rest.concat();
+    for (row, message) in [
+        ("10,0,1\n", "t:4:1: found '10', expected a time after the row before, 10 ns"),
+        ("9,0,1\n", "t:4:1: found '9', expected a time after the row before, 10 ns"),
+        ("11,0,0\n", "t:4:4: found the state 0,0 again, expected a change of a or b: one row per change"),
+    ] {
+        for behind in ["", rest.as_str()] {
+            let text = format!("t_ns,a,b\n0,1,0\n10,0,0\n{row}{behind}");
+            assert_eq!(csv(&text).unwrap_err().to_string(), message, "{row}");
+        }
+    }
 }
 
 #[test]
