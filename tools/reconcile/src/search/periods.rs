@@ -24,6 +24,9 @@ const NEARBY: f64 = 1.15;
 
 const SLACK: f64 = 3.0;
 
+/// Two frequencies are the same where they differ by so few turns over the extent.
+const SAME_TURNS: f64 = 1e-3;
+
 /// No wave explains more than so much of what is left.
 const ALL: f64 = 0.999_999;
 
@@ -86,6 +89,20 @@ const USUAL: f64 = 0.005;
 fn rarer(wave: &Wave, f: f64) -> f64 {
     let octaves = (wave.to / wave.from).ln().max(1.0);
     (f * octaves / (wave.to - wave.from)).max(1e-6).ln().clamp(-MOST_LIKELY, 0.0)
+}
+
+/// Of two frequencies with their scores the one that is worse, then the one that is better.
+fn in_order(a: (f64, f64), b: (f64, f64)) -> ((f64, f64), (f64, f64)) {
+    if a.0 > b.0 { (b, a) } else { (a, b) }
+}
+
+/// The frequency that leaves least, from one with a higher score than those on either side of it: what a wave leaves is a parabola
+/// over its frequency, however sharp the peak of its logarithm. None where that cannot be told.
+fn least_left([a, b]: [(f64, f64); 2], top: (f64, f64), nu: f64) -> Option<f64> {
+    let more = |s: (f64, f64)| (2.0 * (top.0 - s.0) / nu).exp_m1();
+    let ([to_a, to_b], [more_a, more_b]) = ([a, b].map(|s| s.1 - top.1), [a, b].map(more));
+    let by = 0.5 * (to_a * to_a * more_b - to_b * to_b * more_a) / (to_a * more_b - to_b * more_a);
+    (more_a + more_b).is_finite().then_some(by).filter(|by| by.is_finite()).map(|by| top.1 + by)
 }
 
 /// What a wave of one frequency stands for.
@@ -251,20 +268,31 @@ impl Search<'_, '_> {
             let mut h = FREQUENCY_STEP / span;
             // Between two frequencies of the grid a wave shows at least 0.93 of its power; the nearer, the more.
             let mut nearby = NEARBY - 1.0;
+            let mut sides = None;
             for _ in 0..8 {
                 if self.most_gained(centre.0 - nothing, nearby) + nothing + SLACK < bound {
                     break;
                 }
                 nearby *= 0.25;
-                h *= 0.5;
-                for f in
-                    [centre.1 - h, centre.1 + h].into_iter().filter(|f| (wave.from..=wave.to).contains(f))
+                if let Some((between, [a, b])) =
+                    sides.and_then(|s| Some((least_left(s, centre, self.nu)?, s)))
                 {
-                    let score = eval(f);
-                    if score > centre.0 {
-                        centre = (score, f);
+                    if (between - centre.1).abs() * span < SAME_TURNS {
+                        break;
                     }
+                    let (other, middle) = in_order((eval(between), between), centre);
+                    sides = Some(if other.1 < middle.1 { [other, b] } else { [a, other] });
+                    centre = middle;
+                    continue;
                 }
+                h *= 0.5;
+                let beside = [centre.1 - h, centre.1 + h].map(|f| {
+                    let within = (wave.from..=wave.to).contains(&f);
+                    (if within { eval(f) } else { f64::NEG_INFINITY }, f)
+                });
+                let highest = beside.into_iter().fold(centre, |top, s| in_order(top, s).1);
+                sides = (highest == centre).then_some(beside);
+                centre = highest;
             }
             best = best.max(centre.0);
             tops.push(centre);
@@ -407,5 +435,25 @@ impl Search<'_, '_> {
             self.stack.weigh(column);
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The frequency of a parabola's lowest point, from a log likelihood that is sharp there.
+    #[test]
+    fn the_frequency_that_leaves_least_is_between_its_neighbours() {
+        let nu = 300.0;
+        let score = |f: f64| -0.5 * nu * (0.001 + (f - 2.03).powi(2)).ln();
+        let at = |f: f64| (score(f), f);
+        let found = least_left([at(1.9), at(2.1)], at(2.0), nu);
+        assert!(found.is_some_and(|f| (f - 2.03).abs() < 1e-9), "{found:?}");
+        // Uneven neighbours, and one that is not there.
+        let found = least_left([at(2.0), at(2.3)], at(2.05), nu);
+        assert!(found.is_some_and(|f| (f - 2.03).abs() < 1e-9), "{found:?}");
+        assert!(least_left([(f64::NEG_INFINITY, 1.9), at(2.1)], at(2.0), nu).is_none());
+        assert!(least_left([at(2.0), at(2.0)], at(2.0), nu).is_none());
     }
 }
