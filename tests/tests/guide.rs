@@ -39,7 +39,8 @@ fn every_command_of_readme_and_guide_prints_what_stands_there() {
         }
     };
     std::thread::scope(|scope| {
-        for _ in 0..std::thread::available_parallelism().map_or(2, usize::from) {
+        // Most of a page is waiting.
+        for _ in 0..2 * std::thread::available_parallelism().map_or(2, usize::from) {
             scope.spawn(worker);
         }
     });

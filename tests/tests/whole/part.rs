@@ -117,7 +117,7 @@ fn a_part_is_probed_and_finished_through_the_daemon() {
     assert_eq!(record.rows(), 7);
 
     let cutting =
-        "workpiece = \"final.csv\"\ncut_radius_mm = 38.1\nfeed_mm_min = 600.0\norigin_mm = [300.0, 100.0]\n";
+        "workpiece = \"final.csv\"\ncut_radius_mm = 38.1\nfeed_mm_min = 1800.0\norigin_mm = [300.0, 100.0]\n";
     let table = at("semi/error.cor");
     let load = [
         "part",

@@ -22,9 +22,9 @@ fn started(directory: &Path, spool: &str) -> Daemon {
     Daemon::start(&directory.join("s"), Some(&file))
 }
 
-/// Probes some trips; how many.
-fn probed(daemon: &Daemon) -> usize {
-    let out = daemon.user(&["probe", "on", "--captures", "3", "--json"]);
+/// Probes so many trips; how many came.
+fn probed(daemon: &Daemon, trips: u32) -> usize {
+    let out = daemon.user(&["probe", "on", "--captures", &trips.to_string(), "--json"]);
     serde_json::from_slice::<Value>(&out.stdout).unwrap()["captures"].as_array().unwrap().len()
 }
 
@@ -106,7 +106,7 @@ fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
     std::fs::create_dir(&shop).unwrap();
     let daemon = started(directory.path(), "spool");
     daemon.expect(0, &["home"]);
-    let trips = probed(&daemon);
+    let trips = probed(&daemon, 3);
     until("the probing run", || !sidecars(&spool).is_empty());
     let probing = read_log(&sidecars(&spool)[0]).unwrap();
     assert_eq!(probing.kind.name(), "probing");
@@ -156,7 +156,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
     let daemon = started(directory.path(), "spool");
     until("the note", || daemon.log().contains("spool is no folder"));
     daemon.expect(0, &["home"]);
-    probed(&daemon);
+    probed(&daemon, 1);
     until("the event", || told(&daemon, "record_lost").len() == 1);
     let text = told(&daemon, "record_lost").remove(0);
     assert!(text.contains("trips is not kept") && text.contains("is no folder"), "{text}");
@@ -172,7 +172,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
         return skipped("nothing can be mounted here (no root)");
     };
     disk.fill();
-    probed(&daemon);
+    probed(&daemon, 1);
     until("the event", || told(&daemon, "record_lost").len() == 2);
     let full = recorded(directory.path(), "drift.run.toml");
     let said = String::from_utf8_lossy(&full.stderr).into_owned();
@@ -182,7 +182,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
     // Nothing half is there, the loop goes on, and with room again the next is kept.
     assert_eq!(std::fs::read_dir(&spool).unwrap().count(), 1);
     disk.free();
-    probed(&daemon);
+    probed(&daemon, 1);
     until("the record", || sidecars(&spool).len() == 1);
     let status = daemon.status();
     assert_eq!((&status["balanced"], &status["rt"]["events_lost"]), (&true.into(), &0.into()), "{status}");
