@@ -286,6 +286,8 @@ pub(crate) struct AxisEngine {
     input_mask: u64,
     a_mask: u64,
     scale_mask: u64,
+    /// Masks of its output lines: the inverter of A, that of B.
+    invert_masks: (u64, u64),
     /// A and B in the input word as they were at the last look that counted.
     scale_inputs: u64,
     /// What the next count in the direction of the last one changes: the line in the input word, and the signal. No line at
@@ -369,6 +371,7 @@ impl AxisEngine {
             input_mask: config.lines.input_mask(),
             a_mask: 1 << config.lines.a,
             scale_mask: 1 << config.lines.a | 1 << config.lines.b,
+            invert_masks: (1 << config.lines.invert_a, 1 << config.lines.invert_b),
             scale_inputs: 0,
             onward: NOWHERE,
             insertions: 0,
@@ -384,8 +387,7 @@ impl AxisEngine {
     /// Mask and level of the output line of a signal (1 A, 2 B) that has been toggled.
     #[inline]
     pub(crate) const fn output(&self, toggled: u8) -> (u64, u64) {
-        let lines = &self.config.lines;
-        let mask = 1 << if toggled == 1 { lines.invert_a } else { lines.invert_b };
+        let mask = if toggled == 1 { self.invert_masks.0 } else { self.invert_masks.1 };
         (mask, if self.wire.inverters & toggled == 0 { 0 } else { mask })
     }
 
@@ -910,11 +912,14 @@ impl AxisEngine {
     ) -> Due {
         let wanted = self.wire.completed + if add { 2 } else { -2 };
         let offset = self.wire.mtc_count - self.scale.count();
-        // As a rule the way on; the other way ends two counts beside it.
-        let (onward, step) = (self.wire.mtc.signal_towards(add), if add { 1 } else { -1 });
-        let [ahead, aback] = [offset + step, offset - step].map(|o| o.abs_diff(wanted));
-        let turn = aback < ahead || aback == ahead && onward == Signal::B;
-        let (signal, step) = if turn { (onward.other(), -step) } else { (onward, step) };
+        // As a rule the way on ends there.
+        let (mut signal, mut step) = (self.wire.mtc.signal_towards(add), if add { 1 } else { -1 });
+        if offset + step != wanted {
+            let [ahead, aback] = [offset + step, offset - step].map(|o| o.abs_diff(wanted));
+            if aback < ahead || aback == ahead && signal == Signal::B {
+                (signal, step) = (signal.other(), -step);
+            }
+        }
         let toggle = self.invert(signal, step, t_ns);
         let offset = offset + step;
         if overlapped {
@@ -994,9 +999,9 @@ impl AxisEngine {
         }
         self.wake_ns = wake;
         self.calm = wake == u64::MAX
+            && !self.ready()
             && self.unsettled.is_none()
-            && matches!(self.wire.inverters, 0 | 3)
-            && !self.ready();
+            && matches!(self.wire.inverters, 0 | 3);
     }
 
     /// The axis as a status shows it. `blocked` is what the machine as a whole holds against insertions.

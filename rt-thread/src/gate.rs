@@ -89,7 +89,8 @@ impl Gate {
     /// The time after an edge within which no other can come, ns, when the period before it was at least `period_ns`.
     #[must_use]
     pub fn quiet_ns(&self, period_ns: u64) -> u64 {
-        self.travel_ns(period_ns, 1.0).min(self.turn_back_ns) as i64 as u64
+        let travel_ns = self.travel_ns(period_ns, 1.0);
+        (if travel_ns < self.turn_back_ns { travel_ns } else { self.turn_back_ns }) as i64 as u64
     }
 
     /// Whether an edge in the same direction, `after_ns` after one with the given period before it, breaks the
