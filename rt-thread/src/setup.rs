@@ -562,29 +562,28 @@ impl System {
     }
 }
 
-/// The twelve letters of a hypervisor in CPUID leaf 4000 0000h, where there is one.
-#[cfg(target_arch = "x86_64")]
+/// The twelve letters of a hypervisor in CPUID leaf 4000 0000h, where there is one; none on other architectures.
 #[allow(unused_unsafe)] // newer compilers know that CPUID is safe, 1.88 does not
 fn hypervisor_signature() -> Option<String> {
-    use std::arch::x86_64::__cpuid;
-    const PRESENT: u32 = 1 << 31;
-    // SAFETY: every x86-64 CPU has CPUID, and the instruction touches no memory.
-    let (features, leaf) = unsafe { (__cpuid(1), __cpuid(0x4000_0000)) };
-    if features.ecx & PRESENT == 0 {
-        return None;
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::__cpuid;
+        const PRESENT: u32 = 1 << 31;
+        // SAFETY: every x86-64 CPU has CPUID, and the instruction touches no memory.
+        let (features, leaf) = unsafe { (__cpuid(1), __cpuid(0x4000_0000)) };
+        if features.ecx & PRESENT == 0 {
+            return None;
+        }
+        let bytes: Vec<u8> = [leaf.ebx, leaf.ecx, leaf.edx].iter().flat_map(|r| r.to_le_bytes()).collect();
+        let letters: String = bytes
+            .iter()
+            .take_while(|b| **b != 0)
+            .map(|b| char::from(*b))
+            .filter(char::is_ascii_graphic)
+            .collect();
+        (!letters.is_empty()).then_some(letters)
     }
-    let bytes: Vec<u8> = [leaf.ebx, leaf.ecx, leaf.edx].iter().flat_map(|r| r.to_le_bytes()).collect();
-    let letters: String = bytes
-        .iter()
-        .take_while(|b| **b != 0)
-        .map(|b| char::from(*b))
-        .filter(char::is_ascii_graphic)
-        .collect();
-    (!letters.is_empty()).then_some(letters)
-}
-
-#[cfg(not(target_arch = "x86_64"))]
-fn hypervisor_signature() -> Option<String> {
+    #[cfg(not(target_arch = "x86_64"))]
     None
 }
 
@@ -802,4 +801,34 @@ pub fn cpu_list(text: &str) -> Vec<usize> {
 fn version(release: &str) -> (u32, u32) {
     let mut numbers = release.split(|c: char| !c.is_ascii_digit()).map(|n| n.parse().unwrap_or(0));
     (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All of the stack that the loop may use is there afterwards, as the kernel says of each page, in a thread that had none of it.
+    #[test]
+    #[allow(clippy::unwrap_used)] // a test may
+    fn the_stack_is_there_to_its_working_depth() {
+        let depth = |pages: usize| {
+            // Its own size, so that no stack of a thread that has ended is taken for it.
+            let thread = std::thread::Builder::new().stack_size(24 << 20).spawn(move || {
+                if pages > 0 {
+                    touch_stack(pages);
+                }
+                let here = std::ptr::from_ref(&pages) as usize / PAGE;
+                let there = |page: usize| {
+                    let mut resident = 0_u8;
+                    // SAFETY: a page of this thread's own stack, of which nothing is read, and a byte to say so in.
+                    let failed = unsafe { libc::mincore((page * PAGE) as *mut _, PAGE, &raw mut resident) };
+                    failed == 0 && resident & 1 == 1
+                };
+                (1..STACK_BYTES / PAGE).take_while(|below| there(here - below)).count()
+            });
+            thread.unwrap().join().unwrap()
+        };
+        let (before, after) = (depth(0), depth(STACK_BYTES / PAGE));
+        assert!(after + 1 >= STACK_BYTES / PAGE, "{before} pages without, {after} with");
+    }
 }

@@ -207,22 +207,22 @@ fn effects_of_two_axes_act_where_their_law_says() {
     }
 }
 
-/// A joint that grows along Z and X with one temperature difference.
-fn chained(sensor: &str) -> Machine {
+/// A joint that grows along Z and X with one temperature difference, and effects beside it.
+fn chained(sensor: &str, effects: &str) -> Machine {
     let chain = format!(
         "tool_mm = [0.0, 0.0, 0.0]\n[[joint]]\nname = \"head\"\nbranch = \"tool\"\n\
          [[joint.component]]\nof = \"dz\"\nsensor = \"{sensor}\"\nminus = \"T2\"\nterms = [{{ dT = 1, value = 10.0 }}]\n\
          [[joint.component]]\nof = \"dx\"\nsensor = \"{sensor}\"\nminus = \"T2\"\nterms = [{{ dT = 1, value = 3.0 }}]\n"
     );
-    let text = "name = \"m\"\nchain = \"chain.toml\"\n";
-    Machine::parse_from(Path::new("m.toml"), text, Dictionary::default(), &|_| Ok(chain.clone())).unwrap()
+    let text = format!("name = \"m\"\nchain = \"chain.toml\"\n{effects}");
+    Machine::parse_from(Path::new("m.toml"), &text, Dictionary::default(), &|_| Ok(chain.clone())).unwrap()
 }
 
 #[test]
 fn a_chain_that_grows_warm_is_a_ramp_on_each_axis_and_a_part_of_its_own() {
     let mut bench = Bench::new();
     bench.warm(20.0, 20.0);
-    bench.corrector.load(chained("T1"), &bench.watches, &|_| Vec::new()).unwrap();
+    bench.corrector.load(chained("T1", ""), &bench.watches, &|_| Vec::new()).unwrap();
     bench.run(1.0, 2, |_| Some((20.0, 20.0)));
     assert!(bench.run(1.0, 2, |_| Some((24.0, 20.0))) <= 2, "no jump");
     assert!(bench.run(10.0, 2, |_| Some((24.0, 20.0))) <= 2);
@@ -247,8 +247,12 @@ fn whoever_reads_a_sensor_that_is_not_there_is_named_and_nobody_else() {
     let found = bench.try_load(&[channel("x", "flow"), channel("y", "damp")].concat()).unwrap_err().found;
     let said = "no channel flow (read by channel.x.flow), damp (read by channel.y.damp) in the daemon's configuration";
     assert_eq!(found, said);
-    let found = bench.corrector.load(chained("T7"), &bench.watches, &|_| Vec::new()).unwrap_err().found;
+    let found = bench.corrector.load(chained("T7", ""), &bench.watches, &|_| Vec::new()).unwrap_err().found;
     assert_eq!(found, "no temperature T7 (read by the chain) in the daemon's configuration");
+    let beside = [growth("z", "T9"), growth("x", "T1")].concat();
+    let found =
+        bench.corrector.load(chained("T1", &beside), &bench.watches, &|_| Vec::new()).unwrap_err().found;
+    assert_eq!(found, "no temperature T9 (read by thermal_growth.z) in the daemon's configuration");
 }
 
 /// What is read and no sensor gives is a note; what is given is none.
