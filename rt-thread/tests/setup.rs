@@ -558,4 +558,9 @@ fn the_scheduler_that_is_there_is_read_back_by_name() {
         let errno = finding.errno.as_ref().map(|e| e.errno);
         assert_eq!((finding.got.as_str(), finding.ok, errno), (got, false, Some(libc::EINVAL)));
     }
+    let none = applied(root.path(), 0, || ()).finding("scheduler").unwrap().clone();
+    assert!(
+        none.got == "SCHED_OTHER 0" && !none.ok,
+        "priority 0 of another scheduler is not what was wanted: {none:?}"
+    );
 }
