@@ -417,6 +417,8 @@ def judge(out, package, mutants, parser, jobs, most, alone):
         known = before.get(m["name"])
         if known and known[0] == "caught" and known[1].split(" ")[0] in {t["name"] for t in tests}:
             return known
+        if known and known[0] == "unviable" and m["id"] in left:
+            return known
         verdict = judged(m)
         with log.open("a") as f:
             f.write(json.dumps([m["name"], verdict]) + "\n")
