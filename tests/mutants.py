@@ -3,10 +3,10 @@
 
 cargo-mutants builds a crate and its tests anew for every mutant, which for two thousand of them takes days. Here all mutants of a crate
 are compiled in at once, each behind a switch that an environment variable sets; a first run of every test notes which mutants it
-comes by, and a mutant is judged by those tests alone, the quickest first, until one fails. What changes a type (a field left out,
-an `impl` returned) stays with cargo-mutants: it is listed at the end.
+comes by, and a mutant is judged by those tests alone, the quickest first, until one fails. What no switch can be made of (a field
+left out, an `impl` returned, what is worked out beforehand) is built alone, and judged by all tests, where `--left` asks for it.
 
-    tests/mutants.py [-j N] [--most S] [--out FOLDER] [FILE...]     of these files; without any, of all that .cargo/mutants.toml names
+    tests/mutants.py [-j N] [--most S] [--left] [--out FOLDER] [FILE...]     of these files; without any, of all that .cargo/mutants.toml names
     tests/mutants.py --table [--out FOLDER]                         what the last runs came to, a row for each file
 
 What was caught once is not asked again: a run after new tests judges the survivors. With `--most S` tests that take more than S seconds of
@@ -221,6 +221,7 @@ class File:
 def put(path, text):
     """Cargo builds anew what is newer, whether it has changed or not."""
     if not path.exists() or path.read_text() != text:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
 
 
@@ -338,7 +339,7 @@ def run_test(tree, package_dir, program, test, mutant, cpu_s, wall_s, met=None):
     return p.returncode, usage.ru_utime + usage.ru_stime
 
 
-def judge(out, package, mutants, parser, jobs, most):
+def judge(out, package, mutants, parser, jobs, most, alone):
     tree = out / "tree"
     folder = tree / Path(mutants[0]["file"]).parent.parent
     lib, module = folder / "src/lib.rs", folder / "src/mutant.rs"
@@ -380,8 +381,8 @@ def judge(out, package, mutants, parser, jobs, most):
         if old.get(program, {}).get("stamp") == stamp[program]:
             tests += [dict(t, met=set(t["met"])) for t in old[program]["tests"]]
             continue
-        names = subprocess.run([program, "--list", "--format", "terse"], cwd=folder, capture_output=True, text=True).stdout
-        for name in re.findall(r"(?m)^(.*): test$", names):
+        listing = subprocess.run([program, "--list", "--format", "terse"], cwd=folder, capture_output=True, text=True).stdout
+        for name in re.findall(r"(?m)^(.*): test$", listing):
             lists.append((program, name))
 
     def meets(test):
@@ -400,7 +401,13 @@ def judge(out, package, mutants, parser, jobs, most):
 
     pool = concurrent.futures.ThreadPoolExecutor(jobs)
     tests += [t for t in pool.map(meets, lists) if t]
-    noted.write_text(json.dumps({p: {"stamp": stamp[p], "tests": [dict(t, met=sorted(t["met"])) for t in tests if t["program"] == p]} for p in programs}))
+
+    def stamped():
+        """What is known of the tests of these programs, for another run."""
+        rows = {p: [dict(t, met=sorted(t["met"])) for t in tests if t["program"] == p] for p in programs}
+        noted.write_text(json.dumps({p: {"stamp": os.stat(p).st_mtime, "tests": rows[p]} for p in programs}))
+
+    stamped()
     print(f"{package}: {len(tests)} tests, {sum(t['cpu'] for t in tests):.1f} s of processor", flush=True)
     kills = collections.Counter()
     log = out / f"{package}.results"
@@ -410,17 +417,32 @@ def judge(out, package, mutants, parser, jobs, most):
         known = before.get(m["name"])
         if known and known[0] == "caught" and known[1].split(" ")[0] in {t["name"] for t in tests}:
             return known
+        if known and known[0] == "unviable" and m["id"] in left:
+            return known
         verdict = judged(m)
         with log.open("a") as f:
             f.write(json.dumps([m["name"], verdict]) + "\n")
         return verdict
 
+    def build_alone(m):
+        """The mutant as cargo-mutants would build it; whether it compiles."""
+        f = next(f for f in files if f.path == m["file"])
+        start, end = (f.at(m["span"][k]) for k in ("start", "end"))
+        put(tree / f.path, (f.source[:start] + m["replacement"].encode() + f.source[end:]).decode())
+        errors, _ = cargo(tree, out, package)
+        return not errors
+
     def judged(m):
         if m["id"] in dropped or left.get(m["id"]) == "in a chain of let":
             return "unviable", ""
         if m["id"] in left:
-            return "left", left[m["id"]]
-        mine = [t for t in tests if m["id"] in t["met"]]
+            if not alone:
+                return "left", left[m["id"]]
+            if not build_alone(m):
+                return "unviable", ""
+            mine = list(tests)
+        else:
+            mine = [t for t in tests if m["id"] in t["met"]]
         # The quickest first, those that have found more before those that have found less.
         mine.sort(key=lambda t: (t["cpu"] + 0.01) / (1 + kills[t["name"]] ** 0.5))
         for t in mine:
@@ -438,10 +460,20 @@ def judge(out, package, mutants, parser, jobs, most):
     for path, of in by_file.items():
         began = time.monotonic()
         rows = []
-        for m, (what, why) in zip(of, pool.map(one, of)):
+        switchable = [m for m in of if m["id"] not in left or not alone]
+        verdicts = dict(zip((m["id"] for m in switchable), pool.map(one, switchable)))
+        # One after the other: each is a build, the programs of which take the place of the others'.
+        by_itself = [m for m in of if m["id"] not in verdicts]
+        verdicts.update((m["id"], one(m)) for m in by_itself)
+        for m in of:
+            what, why = verdicts[m["id"]]
             rows.append({"name": m["name"], "what": what, "why": why})
             if what in ("missed", "left"):
                 print(f"{what}: {m['name']}  ({why})", flush=True)
+        if by_itself:
+            next(f for f in files if f.path == path).write(tree, dropped, pinned)
+            cargo(tree, out, package)
+            stamped()
         (results / (path.replace("/", "_") + ".json")).write_text(json.dumps({"file": path, "rows": rows}, indent=1))
         n = collections.Counter(r["what"] for r in rows)
         print(f"{path}: {dict(n)}, {time.monotonic() - began:.0f} s", flush=True)
@@ -467,6 +499,7 @@ def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("-j", type=int, default=1, help="tests at once")
     p.add_argument("--most", type=float, default=float("inf"), help="ask no test that takes longer, s of processor")
+    p.add_argument("--left", action="store_true", help="build those alone that no switch can be made of")
     p.add_argument("--out", type=Path, default=ROOT / "target/mutants-all")
     p.add_argument("--table", action="store_true")
     p.add_argument("files", nargs="*")
@@ -483,7 +516,7 @@ def main():
     for m in listed(a.files):
         by_package[m["package"]].append(m)
     for package, mutants in by_package.items():
-        judge(out, package, mutants, parser, a.j, a.most)
+        judge(out, package, mutants, parser, a.j, a.most, a.left)
     return 0
 
 

@@ -207,4 +207,34 @@ mod tests {
         assert_eq!(p.lines["in3"], Place::Input(3));
         assert_eq!(p.lines["out31"], Place::Output(31));
     }
+
+    /// A mapping reaches to the last register that is used, whatever it is used for.
+    #[test]
+    fn a_mapping_holds_the_registers_of_set_up_and_counters_too() {
+        let register = |offset| Register { offset, width: Width::Bits16 };
+        let order = |offset| Order { register: register(offset), value: 1 };
+        let flag = |offset| Flag { register: register(offset), bit: 0 };
+        let counter = Counter {
+            lines: (0, 1),
+            count: register(0x10),
+            latch: Some(order(0x12)),
+            overflow: Some(flag(0x14)),
+            error: Some(flag(0x16)),
+            clear: Some(order(0x18)),
+        };
+        let mut p = Profile::shared_memory();
+        p.setup = vec![SetUp { order: order(0xa), after_reset: 0 }];
+        assert_eq!(p.size(), 0xc);
+        let least = Counter { latch: None, overflow: None, error: None, clear: None, ..counter };
+        for (counter, size) in [
+            (least, 0x12),
+            (Counter { latch: counter.latch, ..least }, 0x14),
+            (Counter { overflow: counter.overflow, ..least }, 0x16),
+            (Counter { error: counter.error, ..least }, 0x18),
+            (counter, 0x1a),
+        ] {
+            p.counters = vec![counter];
+            assert_eq!(p.size(), size);
+        }
+    }
 }

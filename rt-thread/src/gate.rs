@@ -149,6 +149,16 @@ mod tests {
         assert!((g.travel_ns(u64::MAX, 1.0) - 449_490.0).abs() < 1.0);
     }
 
+    /// From 10 kHz, at 1e6 counts/s², the next count takes 99.0 µs at least: v = 10 050 counts/s and a little more.
+    #[test]
+    fn an_edge_that_comes_a_little_sooner_is_within_the_limit() {
+        let g = gate(1500, 1e6).unwrap();
+        assert_eq!(
+            [98_900, 99_100, 99_900].map(|after_ns| g.too_soon(100_000, after_ns)),
+            [true, false, false]
+        );
+    }
+
     /// An axis that goes back by nearly the hysteresis between two edges has more than a count in which to get faster.
     #[test]
     fn a_run_up_through_the_hysteresis_is_within_the_limit() {

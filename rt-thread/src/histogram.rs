@@ -331,6 +331,7 @@ mod tests {
             next = high.wrapping_add(1);
         }
         assert_eq!(next, 0, "the last bucket ends at u64::MAX");
+        assert_eq!(RELATIVE_ERROR.to_bits(), (1.0_f64 / 64.0).to_bits(), "no more than is promised");
     }
 
     #[test]

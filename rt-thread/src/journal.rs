@@ -523,4 +523,32 @@ mod tests {
         // One name that begins as the other.
         assert!(matches!(Journal::open(&path, &OURS[..8]), Err(JournalError::Other { .. })));
     }
+
+    #[test]
+    fn every_axis_has_two_records_of_its_own() {
+        let (_directory, path) = new();
+        let noted = |axis: usize, n: i64| record(1, 100 * axis as i64 + 2 * n);
+        let mut ours = Journal::open(&path, OURS).unwrap().0;
+        (1..=2).for_each(|n| (0..MAX_AXES).for_each(|axis| ours.record(axis, noted(axis, n))));
+        drop(ours);
+        let before = Journal::open(&path, OURS).unwrap().1;
+        for (axis, found) in before.records.iter().enumerate() {
+            assert_eq!(*found, [Some(noted(axis, 2)), Some(noted(axis, 1))], "axis {axis}");
+        }
+    }
+
+    /// An identity that is longer than the file has room for is told from another all the same, and named as far as there is room.
+    #[test]
+    fn of_a_long_identity_is_kept_what_there_is_room_for() {
+        let (_directory, path) = new();
+        let long: String = (0..5000_u32).map(|k| char::from(b'a' + (k % 23) as u8)).collect();
+        let mut ours = Journal::open(&path, &long).unwrap().0;
+        ours.record(5, record(0, 8));
+        drop(ours);
+        assert_eq!(Journal::open(&path, &long).unwrap().1.records[5], [Some(record(0, 8)), None]);
+        match Journal::open(&path, &(long[..4999].to_owned() + "!")) {
+            Err(JournalError::Other { theirs, .. }) => assert_eq!(theirs, long[..3584]),
+            other => panic!("{other:?}"),
+        }
+    }
 }

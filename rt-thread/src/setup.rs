@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
 /// Bytes of stack that the real-time thread may use without a page fault.
 const STACK_BYTES: usize = 256 * 1024;
 const PAGE: usize = 4096;
+const STACK_PAGES: usize = STACK_BYTES / PAGE;
 /// Bits of `CapEff` in `/proc/thread-self/status`, from capability.h.
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
@@ -562,18 +563,28 @@ impl System {
     }
 }
 
-/// The twelve letters of a hypervisor in CPUID leaf 4000 0000h, where there is one.
-#[cfg(target_arch = "x86_64")]
+/// What a hypervisor calls itself; none on a machine without one, and on other architectures.
 #[allow(unused_unsafe)] // newer compilers know that CPUID is safe, 1.88 does not
 fn hypervisor_signature() -> Option<String> {
-    use std::arch::x86_64::__cpuid;
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::__cpuid;
+        // SAFETY: every x86-64 CPU has CPUID, and the instruction touches no memory.
+        let (features, leaf) = unsafe { (__cpuid(1), __cpuid(0x4000_0000)) };
+        hypervisor_letters(features.ecx, [leaf.ebx, leaf.ecx, leaf.edx])
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    None
+}
+
+/// The twelve letters of CPUID leaf 4000 0000h, which says something where the features of leaf 1 say that there is a hypervisor.
+#[cfg(any(target_arch = "x86_64", test))]
+fn hypervisor_letters(features_ecx: u32, leaf: [u32; 3]) -> Option<String> {
     const PRESENT: u32 = 1 << 31;
-    // SAFETY: every x86-64 CPU has CPUID, and the instruction touches no memory.
-    let (features, leaf) = unsafe { (__cpuid(1), __cpuid(0x4000_0000)) };
-    if features.ecx & PRESENT == 0 {
+    if features_ecx & PRESENT == 0 {
         return None;
     }
-    let bytes: Vec<u8> = [leaf.ebx, leaf.ecx, leaf.edx].iter().flat_map(|r| r.to_le_bytes()).collect();
+    let bytes: Vec<u8> = leaf.iter().flat_map(|r| r.to_le_bytes()).collect();
     let letters: String = bytes
         .iter()
         .take_while(|b| **b != 0)
@@ -581,11 +592,6 @@ fn hypervisor_signature() -> Option<String> {
         .filter(char::is_ascii_graphic)
         .collect();
     (!letters.is_empty()).then_some(letters)
-}
-
-#[cfg(not(target_arch = "x86_64"))]
-fn hypervisor_signature() -> Option<String> {
-    None
 }
 
 /// What the real-time thread asks for.
@@ -729,10 +735,10 @@ fn stack() -> Finding {
             .map(|usage| usage.minor_page_faults() + usage.major_page_faults())
             .map_err(|e| OsError { operation: "getrusage".into(), errno: e as i32 })
     };
-    touch_stack(STACK_BYTES / PAGE);
+    touch_stack(STACK_PAGES);
     let wanted = format!("{} KiB, no page fault", STACK_BYTES / 1024);
     let second = faults().and_then(|before| {
-        touch_stack(STACK_BYTES / PAGE);
+        touch_stack(STACK_PAGES);
         Ok(faults()? - before)
     });
     match second {
@@ -802,4 +808,47 @@ pub fn cpu_list(text: &str) -> Vec<usize> {
 fn version(release: &str) -> (u32, u32) {
     let mut numbers = release.split(|c: char| !c.is_ascii_digit()).map(|n| n.parse().unwrap_or(0));
     (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Without a hypervisor the leaf is another one's, and says nothing.
+    #[test]
+    fn a_hypervisor_has_twelve_letters_or_fewer() {
+        let letters = |features_ecx, text: &[u8; 12]| {
+            let word = |k: usize| u32::from_le_bytes([text[k], text[k + 1], text[k + 2], text[k + 3]]);
+            hypervisor_letters(features_ecx, [word(0), word(4), word(8)])
+        };
+        let there = 0x8000_0201;
+        assert_eq!(letters(there, b"KVMKVMKVM\0\0\0").as_deref(), Some("KVMKVMKVM"));
+        assert_eq!(letters(there, b"VMwareVMware").as_deref(), Some("VMwareVMware"));
+        assert_eq!(letters(there, &[0; 12]), None);
+        assert_eq!([0, 0x7fff_ffff].map(|ecx| letters(ecx, b"VMwareVMware")), [None, None]);
+    }
+
+    /// In a thread that had none of it, all of the stack that the loop may use is there afterwards, as the kernel says of each page;
+    /// and was there when it was looked at again.
+    #[test]
+    #[allow(clippy::unwrap_used)] // a test may
+    fn the_stack_is_there_to_its_working_depth() {
+        // Its own size, so that no stack of a thread that has ended is taken for it.
+        let thread = std::thread::Builder::new().stack_size(24 << 20).spawn(|| {
+            let finding = stack();
+            let here = std::ptr::from_ref(&finding) as usize / PAGE;
+            let there = |page: usize| {
+                let mut resident = 0_u8;
+                // SAFETY: a page of this thread's own stack, of which nothing is read, and a byte to say so in.
+                let failed = unsafe { libc::mincore((page * PAGE) as *mut _, PAGE, &raw mut resident) };
+                failed == 0 && resident & 1 == 1
+            };
+            ((1..256 / 4).take_while(|below| there(here - below)).count(), finding)
+        });
+        let (pages, finding) = thread.unwrap().join().unwrap();
+        assert_eq!((pages, finding.wanted.as_str()), (256 / 4 - 1, "256 KiB, no page fault"));
+        // A page that was taken away in between is no mistake of ours.
+        let faults: usize = finding.got.split(' ').next().unwrap().parse().unwrap();
+        assert!(faults < 256 / 4 / 2, "{finding:?}");
+    }
 }

@@ -704,3 +704,15 @@ fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
         }
     }
 }
+
+/// The axis stands, or goes on as before: what the machine's own lines say is seen at the look that shows it, both at once too.
+#[test]
+fn a_switch_is_seen_though_the_probe_trips_with_it() {
+    for lines in [SWITCH, SWITCH | PROBE] {
+        let mut rig = Rig::running(windowed());
+        rig.step(4);
+        rig.card.inputs |= lines;
+        rig.looks(1);
+        assert_eq!(rig.status().mode, Mode::Disabled, "{lines:#x}");
+    }
+}

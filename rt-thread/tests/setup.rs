@@ -1,6 +1,6 @@
 //! The set-up of a real-time thread: every finding on a tree of files that looks like a system, and the real thing.
 #![allow(clippy::unwrap_used)] // a test may
-use rtec_rt::setup::{Finding, Report, System, Wanted, apply, leave};
+use rtec_rt::setup::{Finding, OsError, Report, System, Wanted, apply, leave};
 use std::fs;
 use std::path::Path;
 
@@ -395,4 +395,172 @@ fn online_cpus_are_those_of_the_machine_not_of_the_thread() {
     put(root.path(), "sys/devices/system/cpu/online", "0-2,5\n");
     assert_eq!(System::at(root.path()).cpus_online(), 4);
     assert_eq!(System::at(&root.path().join("nowhere")).cpus_online(), 0);
+}
+
+#[test]
+fn what_failed_is_said_in_the_kernels_words() {
+    let error = OsError { operation: "open /dev/cpu_dma_latency".into(), errno: libc::EACCES };
+    assert_eq!(error.to_string(), "open /dev/cpu_dma_latency: Permission denied (os error 13)");
+}
+
+/// Either word will do: the kernel's own, or that of its version.
+#[test]
+fn preempt_rt_is_told_by_the_kernel_or_by_its_version() {
+    let (rt, not) =
+        ("Linux version 6.12.48 #1 SMP PREEMPT_RT", "Linux version 6.12.48 #1 SMP PREEMPT_DYNAMIC");
+    for (realtime, version, got) in [
+        (Some("1"), not, "PREEMPT_RT"),
+        (None, rt, "PREEMPT_RT"),
+        (None, "Linux version 4.19.1-rt1 #1 SMP PREEMPT RT", "PREEMPT_RT"),
+        (Some("0"), not, "PREEMPT_DYNAMIC"),
+        (None, "Linux version 6.1.0 #1 SMP", "not preemptible"),
+    ] {
+        let root = ideal();
+        fs::remove_file(root.path().join("sys/kernel/realtime")).unwrap();
+        if let Some(text) = realtime {
+            put(root.path(), "sys/kernel/realtime", text);
+        }
+        put(root.path(), "proc/version", version);
+        let report = System::at(root.path()).inspect(3, 80);
+        let finding = report.finding("preempt_rt").unwrap();
+        assert_eq!((finding.got.as_str(), finding.ok), (got, got == "PREEMPT_RT"), "{realtime:?} {version}");
+    }
+}
+
+/// `all`, this CPU among others, or among those without a tick: any of them takes the callbacks away.
+#[test]
+fn callbacks_are_taken_off_a_cpu_by_any_of_three_words() {
+    for (booted, ok) in [
+        ("rcu_nocbs=all", true),
+        ("rcu_nocbs=1-3", true),
+        ("nohz_full=3", true),
+        ("rcu_nocbs=1 nohz_full=3", true),
+        ("rcu_nocbs=1 nohz_full=2", false),
+        ("rcu_nocbs=none", false),
+    ] {
+        let root = ideal();
+        put(root.path(), "proc/cmdline", booted);
+        let finding = System::at(root.path()).inspect(3, 80).finding("rcu_nocbs").unwrap().clone();
+        assert_eq!(finding.ok, ok, "{booted}: {finding:?}");
+    }
+}
+
+/// A file that is not there says that the kernel has no such thing; one that cannot be read says nothing, and is named.
+#[test]
+fn what_is_not_there_is_told_from_what_cannot_be_read() {
+    for (path, name, without, fine) in [
+        ("sys/devices/system/cpu/isolated", "isolated", "none", false),
+        ("sys/devices/system/cpu/nohz_full", "nohz_full", "none", false),
+        ("sys/devices/system/cpu/cpu3/cpufreq/scaling_governor", "governor", "no frequency scaling", true),
+        ("sys/kernel/mm/transparent_hugepage/enabled", "transparent_hugepage", "none in this kernel", true),
+    ] {
+        let root = ideal();
+        fs::remove_file(root.path().join(path)).unwrap();
+        let missing = System::at(root.path()).inspect(3, 80).finding(name).unwrap().clone();
+        assert_eq!((missing.got.as_str(), missing.ok, missing.errno), (without, fine, None), "{name}");
+        fs::create_dir(root.path().join(path)).unwrap();
+        let unread = System::at(root.path()).inspect(3, 80).finding(name).unwrap().clone();
+        let errno = unread.errno.as_ref().map(|e| e.errno);
+        assert_eq!((unread.got.as_str(), unread.ok, errno), ("unknown", false, Some(libc::EISDIR)), "{name}");
+        assert!(!unread.remedy.is_empty(), "{name}");
+    }
+}
+
+/// By what the kernel says of its CPU: on a hypervisor its letters are read, nine of them or more, and on none there are none.
+#[test]
+fn a_hypervisor_is_named_by_its_letters() {
+    let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap();
+    let flags = cpuinfo.lines().find(|line| line.starts_with("flags")).unwrap_or_default();
+    let flagged = flags.split_whitespace().any(|flag| flag == "hypervisor");
+    let report = System::live().inspect(0, 80);
+    let finding = report.finding("hypervisor").unwrap();
+    let letters = finding.got.strip_prefix("virtual machine (").and_then(|rest| rest.strip_suffix(')'));
+    assert_eq!(finding.ok, !flagged, "{finding:?}");
+    match letters {
+        Some(letters) => assert!((9..=12).contains(&letters.len()), "{finding:?}"),
+        None => assert!(!flagged || report.emulated.is_some(), "{finding:?}"),
+    }
+}
+
+/// What a new thread is set up to by a tree of files: the real calls, and what the tree says of them.
+fn applied(root: &Path, priority: u8, before: impl FnOnce() + Send + 'static) -> Report {
+    let system = System::at(root);
+    std::thread::spawn(move || {
+        before();
+        apply(&system, Wanted { cpu: System::live().default_cpu(), priority }).1
+    })
+    .join()
+    .unwrap()
+}
+
+/// No device and no state to wake up from: nothing is to be asked for. With such states the device is missing, and one that cannot
+/// be opened is no reason to hope.
+#[test]
+fn wake_up_latency_is_asked_for_where_there_is_something_to_wake_from() {
+    let root = ideal();
+    let latency = |root: &Path| applied(root, 100, || ()).finding("cpu_dma_latency").unwrap().clone();
+    let none = latency(root.path());
+    assert_eq!((none.got.as_str(), none.ok, none.errno), ("no sleep states", true, None));
+    put(root.path(), "sys/devices/system/cpu/cpu0/cpuidle/state0/name", "POLL");
+    let missing = latency(root.path());
+    assert_eq!((missing.ok, missing.errno.as_ref().map(|e| e.errno)), (false, Some(libc::ENOENT)));
+    let root = ideal();
+    fs::create_dir_all(root.path().join("dev/cpu_dma_latency")).unwrap();
+    let unopened = latency(root.path());
+    assert_eq!((unopened.ok, unopened.errno.as_ref().map(|e| e.errno)), (false, Some(libc::EISDIR)));
+    assert!(unopened.remedy.contains("cpu_dma_latency"));
+}
+
+/// Locked is what the kernel shows as locked, and only where nothing that comes later is left out by a limit.
+#[test]
+fn memory_is_locked_when_all_of_it_is_and_the_kernel_shows_it() {
+    const LIMITED: &str = "Max locked memory 8388608 8388608 bytes\nMax realtime priority 95 95\n";
+    let lock = |shown: &str, limits: Option<&str>| {
+        let root = ideal();
+        put(root.path(), "proc/self/status", shown);
+        if let Some(text) = limits {
+            put(root.path(), "proc/self/limits", text);
+        }
+        applied(root.path(), 100, || ()).finding("memory_lock").unwrap().clone()
+    };
+    let all = lock("VmLck:\t    4096 kB\n", None);
+    // Without the right to lock anything the call itself is refused, and said.
+    assert_eq!((all.got.as_str(), all.ok), ("4096 kB locked", all.errno.is_none()));
+    assert!(all.ok || !is_root(), "{all:?}");
+    let nothing = lock("VmLck:\t       0 kB\n", None);
+    assert_eq!((nothing.got.as_str(), nothing.ok), ("0 kB locked", false));
+    let in_part = lock("VmLck:\t    4096 kB\n", Some(LIMITED));
+    assert_eq!((in_part.got.as_str(), in_part.ok), ("4096 kB locked", false));
+    assert!(in_part.remedy.contains("unlimited memlock"));
+}
+
+/// A priority that no thread can have leaves the thread as it was: that is what is read back, and it is not what was wanted.
+#[test]
+fn the_scheduler_that_is_there_is_read_back_by_name() {
+    let set = |policy: i32, priority: i32| {
+        move || {
+            let wanted = libc::sched_param { sched_priority: priority };
+            // SAFETY: 0 is the calling thread, and the parameter outlives the call.
+            assert_eq!(unsafe { libc::sched_setscheduler(0, policy, &raw const wanted) }, 0);
+        }
+    };
+    let root = ideal();
+    let mut cases = vec![
+        (libc::SCHED_OTHER, 0, "SCHED_OTHER 0"),
+        (libc::SCHED_BATCH, 0, "SCHED_BATCH 0"),
+        (libc::SCHED_IDLE, 0, "SCHED_IDLE 0"),
+    ];
+    if is_root() {
+        cases.extend([(libc::SCHED_RR, 5, "SCHED_RR 5"), (libc::SCHED_FIFO, 7, "SCHED_FIFO 7")]);
+    }
+    for (policy, priority, got) in cases {
+        let finding = applied(root.path(), 100, set(policy, priority)).finding("scheduler").unwrap().clone();
+        let errno = finding.errno.as_ref().map(|e| e.errno);
+        assert_eq!((finding.got.as_str(), finding.ok, errno), (got, false, Some(libc::EINVAL)));
+    }
+    let none = applied(root.path(), 0, || ()).finding("scheduler").unwrap().clone();
+    assert!(
+        none.got == "SCHED_OTHER 0" && !none.ok,
+        "priority 0 of another scheduler is not what was wanted: {none:?}"
+    );
 }

@@ -4,11 +4,14 @@
 //! |---|---|
 //! | an error is one line that can be printed | [`checked`] |
 //! | what is written reads back as it was | the targets |
+//! | where nothing writes: the same said in other words reads the same | [`said_anew`], and the target `batch` |
+//! | a finding has its file, and a line of it | [`placed`] |
 //! | memory and time are bounded | libFuzzer's limits (`.ci/run`) |
 //!
 //! With `RTEC_FUZZ_PLANTED=panic|text|memory|time` there is a fault of that kind behind three letters: `.ci/run` shows
 //! that it is found.
 
+use rtec_files::InputError;
 use std::fmt::Display;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -29,6 +32,21 @@ pub fn checked<T, E: Display>(result: Result<T, E>) -> Option<T> {
 pub fn fit(message: &str) {
     assert!(!message.trim().is_empty(), "an error without words");
     assert!(!message.chars().any(char::is_control), "an error that does not print: {message:?}");
+}
+
+/// Whether a finding about a text names its file, and a line that the text has; or the one after it, where rows should begin.
+pub fn placed(finding: &InputError, text: &str) {
+    fit(&finding.to_string());
+    assert_eq!(finding.file, Path::new(NAME), "{finding}");
+    assert!(finding.line <= text.matches('\n').count() + 2, "{finding}: a line that is not there");
+}
+
+/// The same TOML as another program writes it, a remark above and below: without its comments and blanks, tables for dotted
+/// keys, numbers by ten. Not for numbers beyond what that program knows.
+pub fn said_anew(text: &str) -> Option<String> {
+    let table: toml::Table = text.parse().ok()?;
+    let text = toml::to_string(&table).expect("what was TOML is TOML");
+    Some(format!("# said anew\r\n\n{text}\n\t# the end"))
 }
 
 /// The input as a file of text is read.

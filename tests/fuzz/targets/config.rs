@@ -1,4 +1,4 @@
-//! `rtec.toml`.
+//! `rtec.toml`. Nothing writes it: what is read must be what the same TOML in other words says.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -7,14 +7,27 @@ use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {
     let Some(text) = rtec_fuzz::text(data) else { return };
-    match Config::parse(Path::new(rtec_fuzz::NAME), &text) {
+    let file = Path::new(rtec_fuzz::NAME);
+    match Config::parse(file, &text) {
         Ok(config) => {
             rtec_fuzz::fit(&config.identity());
             assert!(!config.axes.is_empty() && config.engine_axes().len() == config.axes.len());
+            let Some(anew) = rtec_fuzz::said_anew(&text) else { return };
+            assert_eq!(
+                Config::parse(file, &anew).expect("the same in other words is read"),
+                config,
+                "{anew}"
+            );
         }
         Err(findings) => {
             assert!(!findings.0.is_empty());
-            findings.0.iter().for_each(|finding| rtec_fuzz::fit(&finding.to_string()));
+            for finding in &findings.0 {
+                rtec_fuzz::fit(&finding.to_string());
+                // The others are of a profile that the file names.
+                if finding.file == file {
+                    rtec_fuzz::placed(finding, &text);
+                }
+            }
         }
     }
 });

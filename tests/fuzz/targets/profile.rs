@@ -1,4 +1,4 @@
-//! Card profiles.
+//! Card profiles. Nothing writes them: what is read must be what the same TOML in other words says.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -8,7 +8,11 @@ use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {
     let Some(text) = rtec_fuzz::text(data) else { return };
-    let Some(profile) = rtec_fuzz::checked(profile::parse(Path::new(rtec_fuzz::NAME), &text)) else { return };
+    let file = Path::new(rtec_fuzz::NAME);
+    let profile = match profile::parse(file, &text) {
+        Ok(profile) => profile,
+        Err(finding) => return rtec_fuzz::placed(&finding, &text),
+    };
     assert!(profile.size() <= (1 << 24) + 4, "registers beyond 16 MiB");
     let bits =
         |registers: &[rtec_driver::profile::Register]| registers.iter().map(|r| r.width.bits()).sum::<u32>();
@@ -18,4 +22,6 @@ fuzz_target!(|data: &[u8]| {
             Place::Output(bit) => u32::from(bit) < bits(&profile.outputs),
         });
     }
+    let Some(anew) = rtec_fuzz::said_anew(&text) else { return };
+    assert_eq!(profile::parse(file, &anew).expect("the same in other words is read"), profile, "{anew}");
 });

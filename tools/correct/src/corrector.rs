@@ -579,3 +579,20 @@ fn slowed_mm_s(a: &AxisNow, after_s: f64) -> f64 {
     let size = (a.velocity_mm_s.abs() - a.acceleration_mm_s2.abs() * after_s).max(0.0);
     size.copysign(a.velocity_mm_s)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What goes with the speed is off before the axis stands: in 30 ms at 200 mm/s² an axis is 6 mm/s slower, at most at rest.
+    #[test]
+    #[allow(clippy::float_cmp)] // what does not slow down is as it was
+    fn an_axis_that_slows_down_is_asked_for_slower() {
+        let after = |velocity_mm_s, acceleration_mm_s2| {
+            slowed_mm_s(&AxisNow { velocity_mm_s, acceleration_mm_s2, ..AxisNow::default() }, 0.03)
+        };
+        assert!((after(10.0, -200.0) - 4.0).abs() < 1e-12 && (after(-10.0, 200.0) + 4.0).abs() < 1e-12);
+        assert_eq!((after(5.0, -200.0), after(-5.0, 200.0)), (0.0, 0.0));
+        assert_eq!((after(10.0, 200.0), after(-10.0, -200.0), after(10.0, 0.0)), (10.0, -10.0, 10.0));
+    }
+}

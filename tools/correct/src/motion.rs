@@ -242,4 +242,25 @@ mod tests {
         assert_eq!(direction_after(SETTLED as u64, 50), -1.0, "that was the axis itself");
         assert_eq!(direction_after(SETTLED as u64, 0), 1.0);
     }
+
+    /// An axis has turned when it is back by more than an increment and two counts, whatever an increment is.
+    #[test]
+    fn a_turn_is_more_than_an_increment_and_two_counts() {
+        for increment_counts in [1, 2, 6] {
+            let direction_after = |back_counts: i64| {
+                let mut motion = Motion::new(1);
+                let places = (0..40).map(|k| 10 * k).chain([390 - back_counts]);
+                for (k, counts) in places.enumerate() {
+                    motion.follow(&status(k as u64, counts), &[AxisSetup { increment_counts, ..setup() }]);
+                }
+                motion.now()[0].direction
+            };
+            let enough = increment_counts + TURNED_COUNTS;
+            assert_eq!(
+                (direction_after(enough), direction_after(enough + 1)),
+                (1.0, -1.0),
+                "{increment_counts}"
+            );
+        }
+    }
 }

@@ -391,4 +391,130 @@ mod tests {
         w.offer(3.0, Ok(20.2));
         assert_eq!((w.fault(), w.value_degc()), (None, Some(20.2)));
     }
+
+    /// Whatever is exactly at a limit is within it: the range, a change, a silence, a value that stands, an age.
+    #[test]
+    fn at_its_limits_a_sensor_is_still_good() {
+        let channel = |value: f64| {
+            let range = [10.0, 80.0];
+            let source = SensorSource::OneWire { id: "28-0".into() };
+            let mut w = Watch::new(SensorConfig { range, role: Role::Channel, ..config("c", source) });
+            w.offer(0.0, Ok(value));
+            w.fault().is_some()
+        };
+        assert_eq!([9.9, 10.0, 80.0, 80.1].map(channel), [true, false, false, true]);
+        // 6 K a minute: a kelvin in nine seconds and the one of the reading itself.
+        let jump = |value: f64| {
+            let mut w = watch();
+            w.offer(100.0, Ok(20.0));
+            w.offer(109.0, Ok(value));
+            w.fault().is_some()
+        };
+        assert_eq!([18.9, 19.0, 21.0, 21.1].map(jump), [true, false, false, true]);
+        let silent = |s: f64| {
+            let mut w = watch();
+            w.offer(100.0, Ok(20.0));
+            w.offer(100.0 + s, Err("gone".into()));
+            (w.fault().is_some(), w.usable(100.0 + s))
+        };
+        assert_eq!([2.0, 3.0].map(silent), [(false, Use::Good); 2]);
+        assert_eq!(
+            [3.1, 10.0, 10.1].map(silent),
+            [(true, Use::Frozen), (true, Use::Frozen), (true, Use::Hold)]
+        );
+        // Stuck is the same value for more than 20 s; a value that changes is not, however long.
+        let stuck = |until: i32, step: f64| {
+            let mut w = watch();
+            (0..=until).for_each(|s| w.offer(100.0 + f64::from(s), Ok(20.0 + step * f64::from(s))));
+            w.fault().cloned()
+        };
+        assert_eq!((stuck(20, 0.0), stuck(21, 0.0)), (None, Some(SensorFault::Stuck(20.0))));
+        assert_eq!(stuck(60, 0.01), None);
+    }
+
+    /// 0 and 85 °C are temperatures too, but not the first that is heard; of what is no temperature, and where every reading is
+    /// believed, they are values like any other.
+    #[test]
+    fn a_code_is_one_only_where_a_temperature_is_read() {
+        let source = SensorSource::OneWire { id: "28-0".into() };
+        let temperature = SensorConfig { range: [-20.0, 120.0], ..config("T1", source) };
+        let first = |config: SensorConfig, value: f64| {
+            let mut w = Watch::new(config);
+            w.offer(0.0, Ok(value));
+            w.value_degc()
+        };
+        for code in [0.0, 85.0] {
+            assert_eq!(first(temperature.clone(), code), None);
+            assert_eq!(first(SensorConfig { role: Role::Coolant, ..temperature.clone() }, code), Some(code));
+            assert_eq!(first(SensorConfig::believed("T1", Role::Temperature), code), Some(code));
+            let mut w = Watch::new(temperature.clone());
+            w.offer(0.0, Ok(code + 0.05));
+            w.offer(1.0, Ok(code));
+            assert_eq!((w.fault(), w.value_degc()), (None, Some(code)), "it was nearly there before");
+        }
+    }
+
+    fn tables(text: &str) -> Result<Vec<SensorConfig>, InputError> {
+        let text = text.replace('\'', "\"");
+        let file = std::path::Path::new("rtec.toml");
+        let document = rtec_files::toml::Document::parse(file, &text)?;
+        read_tables(&document.root())
+    }
+
+    /// What a table does not say: once a second, from -20 to 120 °C and 10 K a minute of a temperature, anything of what is none.
+    #[test]
+    fn what_a_sensors_table_does_not_say_has_a_default() {
+        let read = tables(
+            "[[sensor]]\nname='T1'\nsource='iio'\ndevice='d'\n\
+             [[sensor]]\nname='wet'\nsource='hwmon'\nchip='c'\nrole='coolant'\nperiod_s=2.0\n\
+             [[sensor]]\nname='F'\nsource='csv'\nrecord='r.run.toml'\nrole='load.z'\nrange=[0,900]\n\
+             [[sensor]]\nname='T2'\nsource='line'\nfrom='h:1'\nkey='k'\nrange_degC=[0,50]\nmax_rate_K_per_min=3\n",
+        )
+        .unwrap();
+        let z = rtec_model::record::Axis::new("z").unwrap();
+        let roles = [Role::Temperature, Role::Coolant, Role::Load(z), Role::Temperature];
+        let ranges = [[-20.0, 120.0], [-1e9, 1e9], [0.0, 900.0], [0.0, 50.0]];
+        let rates = [10.0, f64::INFINITY, f64::INFINITY, 3.0];
+        let sources = [
+            SensorSource::Iio { device: "d".into(), channel: 0 },
+            SensorSource::Hwmon { chip: "c".into(), input: 1 },
+            SensorSource::Csv { record: "r.run.toml".into(), column: "F".into() },
+            SensorSource::Line { from: "h:1".into(), key: "k".into() },
+        ];
+        assert_eq!(read.len(), 4);
+        for (n, s) in read.into_iter().enumerate() {
+            assert_eq!((s.role, s.range, s.max_rate_k_per_min), (roles[n].clone(), ranges[n], rates[n]));
+            assert_eq!(
+                (s.period_s, s.timeout_s),
+                ([1.0, 2.0, 1.0, 1.0][n], [5.0, 10.0, 5.0, 5.0][n]),
+                "{}",
+                s.name
+            );
+            assert_eq!((s.source, s.stuck_s, s.freeze_s), (sources[n].clone(), 0.0, 60.0));
+        }
+        assert_eq!(tables("").unwrap(), []);
+    }
+
+    #[test]
+    fn a_sensors_table_that_cannot_be_meant_is_named_with_its_place() {
+        let one = "[[sensor]]\nname='T1'\nsource='iio'\ndevice='d'\n";
+        for (more, said) in [
+            (one, "6:6: found sensor `T1` twice, expected each name once"),
+            ("channel=1.5\n", "5:9: found 1.5, expected a whole number"),
+            ("channel=-1\n", "5:9: found -1, expected a whole number"),
+            ("role='position.x'\n", "5:6: found position.x, expected temperature, spindle_speed"),
+            ("range=[0,50]\n", "5:1: found unknown key range, expected range_degC"),
+            (
+                "role='coolant'\nrange_degC=[0,1]\n",
+                "6:1: found unknown key range_degC, expected range, as it is no",
+            ),
+        ] {
+            let found = tables(&[one, more].concat()).unwrap_err().to_string();
+            assert!(found.contains(&format!("rtec.toml:{said}")), "{found}\n  for {said}");
+        }
+        assert_eq!(
+            tables(&[one, "channel=3\n"].concat()).unwrap()[0].source,
+            SensorSource::Iio { device: "d".into(), channel: 3 }
+        );
+    }
 }

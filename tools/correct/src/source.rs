@@ -397,3 +397,39 @@ impl ModelSource {
         notes
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A lag of 100 s that has followed since 1000 s, after a gap; and whether the machine was cold then.
+    fn lag(gap_s: f64, cold: bool) -> Lag {
+        let mut lag = Lag::new(0, 100.0);
+        lag.follow(1000.0 - gap_s, false);
+        lag.follow(1000.0, cold);
+        lag
+    }
+
+    /// A quarter of a lag is no gap; after a longer one four lags pass until it is known again.
+    #[test]
+    fn a_lag_forgets_over_a_gap_of_more_than_a_quarter_of_it() {
+        let known_in = |lag: &Lag, s: f64| lag.unknown_s(1000.0 + s);
+        assert_eq!(known_in(&lag(25.0, false), 0.0), Some(375.0), "since before");
+        assert_eq!(known_in(&lag(26.0, false), 0.0), Some(400.0), "forgotten");
+        assert_eq!(known_in(&lag(26.0, false), 399.0), Some(1.0));
+        assert_eq!(known_in(&lag(26.0, false), 400.0), None, "known from then on");
+        // A short lag bears a gap of 15 s all the same.
+        let mut short = Lag::new(0, 20.0);
+        short.follow(0.0, false);
+        short.follow(15.0, false);
+        assert_eq!(short.unknown_s(15.0), Some(65.0));
+    }
+
+    /// A machine that is cold, and may have been for four lags, has no heat inside that nobody knows.
+    #[test]
+    fn a_cold_machine_is_known_at_once_after_four_lags_unseen() {
+        assert_eq!(lag(401.0, true).unknown_s(1000.0), None);
+        assert_eq!(lag(401.0, false).unknown_s(1000.0), Some(400.0), "warm");
+        assert_eq!(lag(400.0, true).unknown_s(1000.0), Some(400.0), "not for longer");
+    }
+}

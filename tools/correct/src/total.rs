@@ -315,4 +315,62 @@ mod tests {
         assert_eq!(total.next(wanted(0.0, 40)), None, "40 counts were there: a ramp takes them back");
         assert!((total.ramp_left_um() - 39.95).abs() < 1e-9);
     }
+
+    /// The operator's counts are part of the total that is gone to; without the limit only where that is asked for.
+    #[test]
+    fn a_goal_is_within_the_limit_and_holds_the_operators_share() {
+        let mut total = Total::new(0.5, 2, 10, 100);
+        total.set_operator(6);
+        assert_eq!((total.goal(4.0), total.unlimited(4.0)), (14, 14));
+        assert_eq!((total.goal(70.0), total.unlimited(70.0)), (100, 146));
+    }
+
+    /// What is on its way is neither at rest nor where it goes, whichever way it goes there.
+    #[test]
+    fn what_is_on_its_way_has_not_settled() {
+        let mut total = following();
+        assert!(!total.on_its_way() && total.settled(0) && total.following());
+        // A source has changed: eight micrometres in a ramp, none of which has become a count yet.
+        total.next(TickInputs { changed: true, ..wanted(8.0, 0) });
+        assert!(total.on_its_way() && !total.settled(0));
+        // Sensors ask for more than the ramp gives at once.
+        let mut total = following();
+        let slow = |slow_um, ramp_um| TickInputs { slow_um, ramp_um, ..wanted(0.0, 0) };
+        assert_eq!(total.next(slow(8.0, 0.05)), None);
+        assert!(!total.settled(0));
+        // Exactly as much as it gives, beyond the dead band of half a micrometre: that is all.
+        let mut total = following();
+        assert_eq!(total.next(slow(1.0, 0.5)), None);
+        assert!(total.settled(0));
+        total.rest();
+        assert!(!total.settled(0) && !total.following(), "nobody says where it goes");
+    }
+
+    /// Counts are not micrometres: what was requested is taken up, and what was beyond the limit is left, in the axis's own.
+    #[test]
+    fn a_ramp_begins_at_what_is_in_effect_in_micrometres() {
+        let mut total = Total::new(0.1, 2, 1000, 100);
+        assert_eq!(total.next(TickInputs { um: 0.0, ..wanted(0.0, 40) }), None);
+        assert!((total.ramp_left_um() - (4.0 - 0.05)).abs() < 1e-9, "{}", total.ramp_left_um());
+        let mut total = Total::new(0.1, 2, 1000, 100);
+        total.next(wanted(0.0, 0));
+        assert_eq!(total.next(wanted(1e6, 0)), Some(100));
+        total.next(TickInputs { changed: true, ..wanted(0.0, 100) });
+        assert!((total.ramp_left_um() - (10.0 - 0.05)).abs() < 1e-9, "{}", total.ramp_left_um());
+    }
+
+    #[test]
+    fn only_what_is_cut_off_is_limited() {
+        let mut total = following();
+        total.set_operator(6);
+        assert_eq!((total.next(wanted(8.0, 6)), total.limited()), (Some(14), None));
+        assert_eq!((total.next(wanted(100.0, 14)), total.limited()), (Some(24), Some(100)));
+    }
+
+    /// Half an increment and the hysteresis, no further: that is where a total still stands.
+    #[test]
+    fn on_the_boundary_itself_a_total_stands() {
+        let mut total = following();
+        assert_eq!(total.next(wanted((0.5 + HYSTERESIS) * 2.0, 0)), None);
+    }
 }

@@ -110,7 +110,9 @@ fn a_rehearsal_of_it_shows_the_same_totals() {
     let record = Record::of_checked(Path::new("shift.run.toml"), Kind::Drift, columns);
     let options = Options { axes: axes(), lead_s: LEAD_S, ..Options::default() };
     let found = rehearse(&Machine::ideal("no model"), &machine(), &record, &options).unwrap();
+    assert_eq!(found.axes.iter().map(|a| a.axis.as_str()).collect::<Vec<_>>(), ["x", "y", "z"]);
     for (n, axis) in found.axes.iter().enumerate() {
+        assert_eq!(axis.rows.len(), shift[0].len());
         assert!((axis.held, axis.largest_um[0]) == (0.0, 0.0), "{axis:?}");
         for (row, (t_s, totals)) in axis.rows.iter().enumerate() {
             // The operator is no part of a rehearsal.
