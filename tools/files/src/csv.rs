@@ -7,7 +7,7 @@
 
 use crate::input::InputError;
 use crate::lines::Lines;
-use crate::text::{UTF8, not_utf8, unreadable};
+use crate::text::{UTF8, not_utf8, opened};
 use crate::words::{nearest, quoted, shown};
 use std::borrow::Cow;
 use std::cell::RefCell;
@@ -39,7 +39,7 @@ impl Reader<File> {
     /// # Errors
     /// It cannot be read.
     pub fn open(file: &Path) -> Result<Self, InputError> {
-        Self::new(file, File::open(file).map_err(|e| unreadable(file, &e))?)
+        Self::new(file, opened(file)?)
     }
 }
 

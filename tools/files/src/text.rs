@@ -42,6 +42,7 @@ pub fn open_regular(file: &Path) -> Result<File, InputError> {
     let opened = opened.map_err(|e| unreadable(file, &e))?;
     let is = opened.metadata().map_err(|e| unreadable(file, &e))?;
     let found = if is.is_file() {
+        crate::write::is_input(&opened);
         return Ok(opened);
     } else if is.is_dir() {
         "a folder"
@@ -49,6 +50,13 @@ pub fn open_regular(file: &Path) -> Result<File, InputError> {
         "a pipe, socket or device"
     };
     Err(InputError::whole(file, found, "a regular file"))
+}
+
+/// Opens what is there, a pipe too, to be read from its beginning to its end.
+pub(crate) fn opened(file: &Path) -> Result<File, InputError> {
+    let opened = File::open(file).map_err(|e| unreadable(file, &e))?;
+    crate::write::is_input(&opened);
+    Ok(opened)
 }
 
 /// UTF-8 text without its byte-order mark; `file` is its name in error messages.

@@ -6,7 +6,7 @@
 use crate::csv;
 use crate::input::InputError;
 use crate::lines::BUFFER;
-use crate::text::unreadable;
+use crate::text::opened;
 use crate::vcd::Vcd;
 use crate::write::WholeFile;
 use rtec_driver::quadrature::State;
@@ -61,7 +61,7 @@ impl TraceReader<File> {
     /// The file cannot be read, its extension is unknown, or its header is wrong.
     pub fn open(file: &Path) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
-        Self::new(format, file, File::open(file).map_err(|e| unreadable(file, &e))?)
+        Self::new(format, file, opened(file)?)
     }
 }
 
@@ -156,7 +156,7 @@ impl RequestReader<File> {
     /// # Errors
     /// The file cannot be read or its header is wrong.
     pub fn open(file: &Path) -> Result<Self, InputError> {
-        Self::new(file, File::open(file).map_err(|e| unreadable(file, &e))?)
+        Self::new(file, opened(file)?)
     }
 }
 

@@ -1,11 +1,46 @@
 //! Files that appear whole or not at all: written beside their place under another name, made safe on the disk, then
 //! renamed. What was there before stays until then, and stays where anything fails.
 
+use crate::input::InputError;
+use std::collections::HashSet;
 use std::fs::{File, Metadata, OpenOptions, Permissions};
 use std::io::{self, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use tempfile::NamedTempFile;
+
+/// The files that this process has read, by device and inode; `None` while no account is kept.
+static INPUTS: Mutex<Option<HashSet<(u64, u64)>>> = Mutex::new(None);
+
+/// From now on nothing that this process reads is written over by it: for a program that does one thing and ends, where a
+/// result in the place of a measurement or a model is a slip of the person. (A daemon reads back what it writes.)
+pub fn spare_inputs() {
+    INPUTS.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_default();
+}
+
+/// Enters a file that is being read.
+pub(crate) fn is_input(file: &File) {
+    if let Some(inputs) = &mut *INPUTS.lock().unwrap_or_else(PoisonError::into_inner)
+        && let Ok(is) = file.metadata()
+    {
+        inputs.insert((is.dev(), is.ino()));
+    }
+}
+
+/// Nothing of the user's is to be lost: what was read stays.
+fn spared(file: &Path) -> io::Result<()> {
+    let (Some(inputs), Ok(is)) =
+        (&*INPUTS.lock().unwrap_or_else(PoisonError::into_inner), std::fs::metadata(file))
+    else {
+        return Ok(());
+    };
+    if !inputs.contains(&(is.dev(), is.ino())) {
+        return Ok(());
+    }
+    let (found, expected) = ("a file that this command reads", "another name for what it writes");
+    Err(io::Error::other(InputError::whole(file, found, expected)))
+}
 
 /// Writes a file whole or not at all.
 ///
@@ -34,12 +69,13 @@ impl WholeFile {
     /// Starts a file.
     ///
     /// # Errors
-    /// Its folder cannot be written to.
+    /// Its folder cannot be written to; or, after [`spare_inputs`], it was read.
     pub fn create(file: &Path) -> io::Result<Self> {
         let before = std::fs::metadata(file).ok();
         if before.as_ref().is_some_and(|m| !m.is_file() && !m.is_dir()) {
             return Ok(Self(Place::Through(OpenOptions::new().write(true).open(file)?)));
         }
+        spared(file)?;
         let file = if before.is_some() { std::fs::canonicalize(file)? } else { file.to_owned() };
         let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         // As any new file: what the process's mask leaves of read and write for all.
@@ -57,11 +93,12 @@ impl WholeFile {
     /// Gives the file its name, once all of it is safe on the disk.
     ///
     /// # Errors
-    /// What the file system reports; nothing is left behind then.
+    /// What the file system reports, or, after [`spare_inputs`], the file was read; nothing is left behind then.
     pub fn finish(self) -> io::Result<()> {
         match self.0 {
             Place::Through(mut out) => out.flush(),
             Place::Beside { temporary, folder, file } => {
+                spared(&file)?;
                 temporary.as_file().sync_all()?;
                 temporary.persist(file).map_err(|e| e.error)?;
                 match File::open(folder)?.sync_all() {

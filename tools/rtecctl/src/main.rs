@@ -186,6 +186,7 @@ fn main() -> ExitCode {
         say(&help::begin());
         return ExitCode::SUCCESS;
     };
+    rtec_files::write::spare_inputs();
     let done = verb.run();
     let Err(error) = done else { return ExitCode::SUCCESS };
     let colour = std::io::stderr().is_terminal() && terminal::colours_are_wanted();
@@ -216,7 +217,11 @@ pub(crate) fn tell(text: &str) {
 /// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
 pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<InputError>() || cause.is::<rtec_control::config::ConfigFindings>() {
+        let refused = cause.downcast_ref::<std::io::Error>().and_then(std::io::Error::get_ref);
+        if cause.is::<InputError>()
+            || cause.is::<rtec_control::config::ConfigFindings>()
+            || refused.is_some_and(|e| e.is::<InputError>())
+        {
             return 2;
         }
         if let Some(outcome) = cause.downcast_ref::<Outcome>() {
