@@ -45,7 +45,7 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
     let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let sensors = Sensors::start(23.0);
-    let scale = "[[effect]]\nname = \"scale.x\"\nppm = 1000.0\n";
+    let scale = "[[effect]]\nname = \"scale.x\"\nppm = 1000.0\n[[effect]]\nname = \"scale.Z\"\nppm = 10.0\n";
     let file = set_up(directory.path(), &sensors, &[GROWTH, scale].concat());
     let daemon = Daemon::start(&directory.path().join("s"), Some(&file));
     daemon.expect(0, &["home"]);
@@ -56,6 +56,11 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
 
     // Shown, and not taken without a yes; a file that is none is an input error; nothing has moved.
     let text = daemon.expect(1, &["model", "load"]);
+    assert!(
+        text.contains("no axis Z in the daemon's configuration, which has x, z (is Z its z?")
+            && text.contains("here scale.Z"),
+        "{text}"
+    );
     assert!(
         text.contains("nothing is loaded")
             && text.contains("z                 0        0.000          30       30.000"),
@@ -170,6 +175,16 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     assert!(daemon.status()["why_not"].as_array().unwrap().is_empty(), "{}", daemon.status());
     let (_, log) = daemon.end("TERM");
     assert!(log.contains("machine model"), "{log}");
+
+    // What was taken for one machine is not another's.
+    let configured = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, configured.replacen("'bench'", "'another bench'", 1)).unwrap();
+    let daemon = Daemon::start(&socket, Some(&file));
+    let text = daemon.expect(0, &["status"]);
+    assert!(text.contains("was loaded for the machine"), "{text}");
+    assert!(daemon.status()["model"].is_null());
+    drop(daemon);
+    std::fs::write(&file, configured).unwrap();
 
     let path = directory.path().join("machine.toml");
     let changed = std::fs::read_to_string(&path).unwrap().replace("10.0", "11.0");

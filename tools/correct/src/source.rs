@@ -168,9 +168,36 @@ fn readers(machine: &Machine, name: &str) -> Vec<String> {
     readers
 }
 
-/// What the effects read that no configured sensor gives: taken as zero.
-fn missing(machine: &Machine, watches: &[Watch]) -> Vec<String> {
+/// What the effects read that no configured sensor gives: taken as zero. And the axes that they correct and that are not
+/// configured, under another name perhaps.
+fn missing(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<String> {
     let mut missing = Vec::new();
+    let mut absent: Vec<(&Axis, Vec<String>)> = Vec::new();
+    for effect in machine.effects() {
+        for (k, axis) in effect.axes().iter().enumerate().filter(|(_, axis)| !axes.contains(axis)) {
+            let name = effect.name().to_string();
+            let does = if acts(effect, Some(k)) {
+                name
+            } else {
+                format!("{name}, which reads its position as zero")
+            };
+            match absent.iter_mut().find(|(a, _)| *a == axis) {
+                Some((_, effects)) if effects.contains(&does) => {}
+                Some((_, effects)) => effects.push(does),
+                None => absent.push((axis, vec![does])),
+            }
+        }
+    }
+    for (axis, effects) in absent {
+        let configured: Vec<&str> = axes.iter().map(Axis::as_str).collect();
+        let like = configured.iter().find(|a| a.eq_ignore_ascii_case(axis.as_str()));
+        missing.push(format!(
+            "no axis {axis} in the daemon's configuration, which has {}{}: without effect here {}",
+            configured.join(", "),
+            like.map_or(String::new(), |a| format!(" (is {axis} its {a}? names count by their letters)")),
+            effects.join(", ")
+        ));
+    }
     for effect in machine.effects() {
         for need in &effect.description().needs {
             let role = need.role(effect.axes());
@@ -261,7 +288,7 @@ impl ModelSource {
             loads: axes.iter().map(|a| of_role(watches, &Role::Load(a.clone()))).collect(),
             reads: reads(&machine, axes, watches),
             lags: lags(&machine, axes),
-            missing: missing(&machine, watches),
+            missing: missing(&machine, axes, watches),
             live,
             machine,
             sensors,

@@ -19,6 +19,8 @@ use std::time::Duration;
 /// file, and [`MEANT`] where it was taken although its validity had ended.
 const TAKEN: &str = "model.taken";
 const MEANT: &str = "although expired";
+/// Behind them the name of the machine that it was taken for.
+const FOR: &str = "for ";
 /// What to do about a model whose validity has ended.
 pub(super) const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record and fit again where it is no longer true; `rtecctl model \
                           load --expired` takes it as it is, `rtecctl model unload` goes on without";
@@ -61,7 +63,10 @@ impl Session {
         let taken = std::fs::read_to_string(self.directory().join(TAKEN)).unwrap_or_default();
         let mut lines = taken.lines();
         let (sha256, file) = (lines.next().unwrap_or_default(), lines.next().map(PathBuf::from));
-        let meant = lines.next() == Some(MEANT);
+        let mut further: Vec<&str> = lines.collect();
+        let meant = further.first() == Some(&MEANT);
+        further.drain(..usize::from(meant));
+        let machine_then = further.first().and_then(|line| line.strip_prefix(FOR));
         let configured = self.config.model.file.clone();
         let kept = std::fs::read(self.directory().join(KEPT)).unwrap_or_default();
         let kept: BTreeMap<PathBuf, String> = serde_json::from_slice(&kept).unwrap_or_default();
@@ -74,6 +79,12 @@ impl Session {
             Ok(Loaded::Model { prepared, .. }) => {
                 let machine = prepared.machine();
                 match self.ended(machine).filter(|_| !meant) {
+                    _ if machine_then.is_some_and(|name| name != self.config.machine) => format!(
+                        "the model {} was loaded for the machine \"{}\", and this is \"{}\": `rtecctl model load` shows what it changes",
+                        file.display(),
+                        machine_then.unwrap_or_default(),
+                        self.config.machine
+                    ),
                     Some(ended) if machine.sha256() == sha256 => ended,
                     _ if machine.sha256() == sha256 => {
                         self.corrector.day_is((self.today)());
@@ -290,7 +301,8 @@ impl Session {
         self.corrector.take(prepared);
         self.model_refused = None;
         let meant = ended.map_or(String::new(), |_| format!("{MEANT}\n"));
-        let warnings = self.remember(&format!("{sha256}\n{}\n{meant}", file.display()), files, log);
+        let taken = format!("{sha256}\n{}\n{meant}{FOR}{}\n", file.display(), self.config.machine);
+        let warnings = self.remember(&taken, files, log);
         let text = format!("machine model {} loaded, SHA-256 {sha256}", file.display());
         log.record(Level::Notice, "model_loaded", &text, &[("RTEC_MODEL_SHA256", &sha256)]);
         Response::Done { jumps: Vec::new(), warnings }
