@@ -63,6 +63,14 @@ impl Limits {
         let short = name.rsplit('.').next().unwrap_or(name);
         self.0.get(name).or_else(|| self.0.get(short)).copied()
     }
+
+    /// The limits that no figure of the history was held against.
+    #[must_use]
+    pub fn without(&self, history: &History) -> Vec<&str> {
+        let of = |limit: &str, figure: &str| figure == limit || figure.rsplit('.').next() == Some(limit);
+        let limits = self.0.keys().map(String::as_str);
+        limits.filter(|limit| !history.figures.iter().any(|f| of(limit, &f.name))).collect()
+    }
 }
 
 /// Every figure that has a history.

@@ -34,8 +34,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for given in &args.records {
         if given.is_dir() {
             below(given, &mut paths).with_context(|| format!("reading {}", given.display()))?;
-        } else {
+        } else if given.exists() {
             paths.push(given.clone());
+        } else {
+            return Err(InputError::whole(
+                given,
+                "no such file or folder",
+                "NAME.run.toml, or a folder with one",
+            )
+            .into());
         }
     }
     if paths.is_empty() {
@@ -56,6 +63,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let text = if args.json { serde_json::to_string_pretty(&found)? + "\n" } else { report.text() };
     crate::say(&text);
+    // A limit that nothing was held against is no limit kept.
+    let unjudged = limits.without(&found);
+    if !unjudged.is_empty() {
+        let text = format!(
+            "no record here has {}: nothing is within a limit that nothing was held against",
+            unjudged.join(", ")
+        );
+        return Err(Outcome::No(text).into());
+    }
     let beyond: Vec<&str> = found.beyond().map(|f| f.name.as_str()).collect();
     if beyond.is_empty() {
         Ok(())

@@ -132,3 +132,67 @@ fn a_fit_is_called_what_it_is_and_rows_are_rows() {
     let model = std::fs::read_to_string(dir.path().join("named.toml")).unwrap();
     assert!(model.contains("name = \"fit of thermal_growth.z:T1\""), "{model}");
 }
+
+/// What a command reads stays as it is, be it named by another path.
+#[test]
+fn nothing_that_was_read_is_written_over() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let model = "name = \"a\"\neffect = [{ name = \"scale.x\", ppm = 12.0 }]\n";
+    std::fs::write(at("a.toml"), model).unwrap();
+    rtecctl(dir.path(), "simulate linear-displacement --machine a.toml --out sim");
+    std::fs::write(at("model.toml"), "name = \"a\"\n").unwrap();
+    let before = || {
+        ["a.toml", "model.toml", "sim/linear-displacement-x.csv", "sim/linear-displacement-x.run.toml"]
+            .map(|name| std::fs::read(at(name)).unwrap())
+    };
+    let was = before();
+    let record = "sim/linear-displacement-x.run.toml";
+    for words in [
+        &format!("model predict --machine a.toml --record {record} --out sim/linear-displacement-x.csv"),
+        &format!("model predict --machine a.toml --record {record} --out sim/../a.toml"),
+        &format!("model predict --machine a.toml --record {record} --out {record}"),
+        &format!("model fit --base model.toml --effects scale.x --record {record} --out model.toml"),
+        &format!("model fit --effects scale.x --record {record} --out sim/linear-displacement-x.csv"),
+        &format!("characterise evaluate {record} --html sim/linear-displacement-x.csv"),
+        &format!("reconcile {record} --model model.toml --out ."),
+    ] {
+        let run = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .current_dir(dir.path())
+            .args(words.split_whitespace())
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{words}: {said}");
+        assert!(said.contains("expected another name for what it writes"), "{words}: {said}");
+        assert!(before() == was, "{words}");
+    }
+}
+
+/// A limit that nothing was held against is not kept; a name that is not there is bad input.
+#[test]
+fn a_history_within_its_limits_has_judged_something() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    std::fs::write(at("a.toml"), "name = \"a\"\neffect = [{ name = \"scale.x\", ppm = 12.0 }]\n").unwrap();
+    rtecctl(dir.path(), "simulate linear-displacement --machine a.toml --out sim");
+    let sidecar = at("sim/linear-displacement-x.run.toml");
+    let ended = |words: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rtecctl"));
+        let run = command.current_dir(dir.path()).args(words.split_whitespace()).output().unwrap();
+        (run.status.code(), String::from_utf8(run.stderr).unwrap())
+    };
+    std::fs::write(at("lim.toml"), "[limits]\n\"x.A\" = 1000.0\n").unwrap();
+    // No record has a date yet: all are left out.
+    let (code, said) = ended("history sim --limits lim.toml");
+    assert!(code == Some(1) && said.contains("no record here has x.A"), "{said}");
+    let text = std::fs::read_to_string(&sidecar).unwrap();
+    std::fs::write(&sidecar, format!("date = \"2026-05-01\"\n{text}")).unwrap();
+    let (code, said) = ended("history sim --limits lim.toml");
+    assert_eq!(code, Some(0), "{said}");
+    std::fs::write(at("lim.toml"), "[limits]\n\"w.A\" = 1.0\nA = 1000.0\n").unwrap();
+    let (code, said) = ended("history sim --limits lim.toml");
+    assert!(code == Some(1) && said.contains("no record here has w.A:"), "{said}");
+    let (code, said) = ended("history nowhere --limits lim.toml");
+    assert!(code == Some(2) && said.contains("nowhere"), "{said}");
+}
