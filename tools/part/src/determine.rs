@@ -223,9 +223,11 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
         report.errors.iter().enumerate().max_by(|a, b| a.1.error_um.abs().total_cmp(&b.1.error_um.abs()));
     if let Some((n, e)) = farthest.filter(|(_, e)| e.error_um.abs() > FALSE_TRIP_UM) {
         say(Said::Warning(format!(
-            "point {n} is {:+.0} µm off the {}, and error.cor takes it as the part's: if it was a false trip, take its row \
+            "point {} is {:+.0} µm off the {}, and error.cor takes it as the part's: if it was a false trip, take its row \
              out, or give the expected trips (--expected)",
-            e.error_um, report.feature
+            n + 1,
+            e.error_um,
+            report.feature
         )));
     }
     if let Some(off_um) = report.size_error_um.filter(|s| s.abs() > NO_SIZE_ERROR_UM) {

@@ -47,7 +47,7 @@ fn part_errors_keeps_its_contract() {
     std::fs::write(folder.join("false.csv"), text.replace(&place(15), "20.71,35.80")).unwrap();
     let output = part(folder, &["errors", "--points", "false.csv", "--radius-mm", "38.1", "--tip-mm", "2.5"]);
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(stderr.contains("point 14 is") && stderr.contains("false trip"), "{stderr}");
+    assert!(stderr.contains("point 15 is") && stderr.contains("false trip"), "{stderr}");
     std::fs::remove_file(folder.join("false.csv")).unwrap();
 
     // Tables that no memory holds, and counts that no axis has.
