@@ -162,13 +162,26 @@ fn below(s: &DaemonStatus, screen: Screen) -> String {
     if let Some(why) = &s.record_trouble {
         let _ = writeln!(text, "{} {why}", tone("record of commands not written:", Tone::Wrong));
     }
+    // One axis may hold while another corrects; one total may be in force without the model.
+    let some = s.mode == "run" && s.axes.iter().any(|a| a.requested != 0 || a.in_effect != 0);
     for why in &s.why_not {
         let tone_of = if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful };
-        let _ = writeln!(text, "{} {why}", tone("not correcting:", tone_of));
+        let _ =
+            writeln!(text, "{} {why}", tone(if some { "in part only:" } else { "not correcting:" }, tone_of));
     }
-    // One axis may hold while another corrects.
-    if s.mode == "run" {
+    if some || s.mode == "run" && s.why_not.is_empty() {
         let _ = writeln!(text, "{}", correcting(s));
+    }
+    let still: Vec<String> = (s.axes.iter().filter(|a| a.in_effect != 0))
+        .map(|a| format!("{} {:+}", a.name, a.in_effect))
+        .collect();
+    if s.mode != "run" && !still.is_empty() {
+        let _ = writeln!(
+            text,
+            "{} {} counts",
+            tone("still in the controller's count:", Tone::Doubtful),
+            still.join(", ")
+        );
     }
     text
 }
