@@ -557,54 +557,23 @@ fn products_of_all(columns: &[f64], rows: usize, segments: &[Range<usize>]) -> V
 }
 
 /// Products of every row of `left` with every row of `right`, all of `n` values, row by row of `left`.
-fn multiply(left: &[f64], right: &[f64], n: usize, out: &mut Vec<f64>) {
-    let (rows, columns) = (left.len() / n, right.len() / n);
-    out.resize(rows * columns, 0.0);
-    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
-    unsafe {
-        matrixmultiply::dgemm(
-            rows,
-            n,
-            columns,
-            1.0,
-            left.as_ptr(),
-            n as isize,
-            1,
-            right.as_ptr(),
-            1,
-            n as isize,
-            0.0,
-            out.as_mut_ptr(),
-            columns as isize,
-            1,
-        );
-    }
+macro_rules! multiply {
+    ($name:ident, $real:ty, $gemm:ident) => {
+        fn $name(left: &[$real], right: &[$real], n: usize, out: &mut Vec<$real>) {
+            let (rows, columns) = (left.len() / n, right.len() / n);
+            out.resize(rows * columns, 0.0);
+            let (n, across) = (n as isize, columns as isize);
+            let (a, b, c) = (left.as_ptr(), right.as_ptr(), out.as_mut_ptr());
+            // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
+            unsafe {
+                matrixmultiply::$gemm(rows, n as usize, columns, 1.0, a, n, 1, b, 1, n, 0.0, c, across, 1);
+            }
+        }
+    };
 }
 
-/// The same in single precision.
-fn multiply_singles(left: &[f32], right: &[f32], n: usize, out: &mut Vec<f32>) {
-    let (rows, columns) = (left.len() / n, right.len() / n);
-    out.resize(rows * columns, 0.0);
-    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
-    unsafe {
-        matrixmultiply::sgemm(
-            rows,
-            n,
-            columns,
-            1.0,
-            left.as_ptr(),
-            n as isize,
-            1,
-            right.as_ptr(),
-            1,
-            n as isize,
-            0.0,
-            out.as_mut_ptr(),
-            columns as isize,
-            1,
-        );
-    }
-}
+multiply!(multiply, f64, dgemm);
+multiply!(multiply_singles, f32, sgemm);
 
 /// A lower Cholesky factor of a symmetric matrix, row by row.
 #[derive(Debug, Clone, Default)]
