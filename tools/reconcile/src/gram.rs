@@ -455,20 +455,23 @@ impl Bank {
             });
             return out;
         }
-        for place in &self.places {
-            let rows = self.rows(&place.covers);
-            let column = &self.data[place.at..place.at + rows.len()];
-            for (v, out) in vectors.iter().zip(&mut out) {
-                if v.is_zero(&rows) {
-                    out.push(Products::default());
-                    continue;
-                }
-                let [plain, lagged] = dots_with(&v.data[rows.clone()], &v.neighbours[rows.clone()], column);
-                let ends = ends_of(v, column, &self.segments[place.covers.clone()]);
-                out.push(Products { plain, lagged, ends });
-            }
+        // Every column is read once.
+        for column in 0..self.len() {
+            vectors.iter().zip(&mut out).for_each(|(v, out)| out.push(self.product(column, v)));
         }
         out
+    }
+
+    /// Product of one column with a vector.
+    pub(crate) fn product(&self, column: usize, v: &Vector) -> Products {
+        let place = &self.places[column];
+        let rows = self.rows(&place.covers);
+        if v.is_zero(&rows) {
+            return Products::default();
+        }
+        let column = &self.data[place.at..place.at + rows.len()];
+        let [plain, lagged] = dots_with(&v.data[rows.clone()], &v.neighbours[rows], column);
+        Products { plain, lagged, ends: ends_of(v, column, &self.segments[place.covers.clone()]) }
     }
 
     /// The same to six digits, in single precision: for noise that is drawn, which is known no better.
