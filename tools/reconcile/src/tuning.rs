@@ -38,7 +38,7 @@ pub(crate) fn retune(
         let same = search.score_of(&empty, best.hypothesis, &now[e]);
         if best.score > same + 6.0 {
             let set = search.take(&empty, &best);
-            let beta = search.coefficients(&set);
+            let beta = set.coefficients();
             let at = beta.len() - 2;
             let Some(found) = best.cause.effect(stack, &beta[at..]) else { continue };
             // Another amplitude is another effect, not this one with its period mended.

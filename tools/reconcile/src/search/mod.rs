@@ -55,6 +55,9 @@ fn coefficients_of(grid: std::ops::RangeInclusive<i32>) -> Vec<f64> {
     grid.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect()
 }
 
+/// Products by vector and hypothesis.
+type WithOwn = HashMap<(usize, usize), Rc<[Products]>>;
+
 /// Everything that a search keeps.
 pub(crate) struct Search<'p, 'r> {
     pub(crate) stack: &'p Stack<'r>,
@@ -72,7 +75,7 @@ pub(crate) struct Search<'p, 'r> {
     /// The bank's columns that each hypothesis's grid points lie in.
     columns_of: Vec<Range<usize>>,
     /// Products of a vector with those of one hypothesis, once they are asked for without the others'.
-    with_own: RefCell<HashMap<(usize, usize), Rc<[Products]>>>,
+    with_own: RefCell<WithOwn>,
     /// Products among vectors, once they are asked for: `pairs[i][j]`, j ≤ i.
     pairs: Vec<Vec<OnceCell<Products>>>,
     /// Vectors by their bits.

@@ -66,6 +66,14 @@ impl Set {
         let to = (self.top + 2).clamp(3.min(self.fits.len()), self.fits.len());
         to.saturating_sub(3)..to
     }
+
+    /// Coefficients at its best noise coefficient: known parameters' changes, then members' in order.
+    pub(crate) fn coefficients(&self) -> Vec<f64> {
+        let fit = &self.fits[self.top];
+        let mut beta = fit.z.clone();
+        fit.factor.backward(&mut beta);
+        beta
+    }
 }
 
 impl Search<'_, '_> {
@@ -235,7 +243,7 @@ impl Search<'_, '_> {
 
     /// What one member of a set does, weighed.
     pub(crate) fn does(&self, set: &Set, member: usize) -> Vec<f64> {
-        let beta = self.coefficients(set);
+        let beta = set.coefficients();
         let before: usize = set.members[..member].iter().map(Member::columns).sum();
         let mut does = vec![0.0; self.stack.n];
         for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
@@ -246,7 +254,7 @@ impl Search<'_, '_> {
 
     /// Plain products of what one member of a set does with the bank's columns.
     pub(crate) fn does_against_bank(&self, set: &Set, member: usize) -> Vec<f64> {
-        let beta = self.coefficients(set);
+        let beta = set.coefficients();
         let before: usize = set.members[..member].iter().map(Member::columns).sum();
         let mut out = vec![0.0; self.all.bank.len()];
         for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
@@ -255,17 +263,9 @@ impl Search<'_, '_> {
         out
     }
 
-    /// Coefficients of the set at its best noise coefficient: known parameters' changes, then members' in order.
-    pub(crate) fn coefficients(&self, set: &Set) -> Vec<f64> {
-        let fit = &set.fits[set.top];
-        let mut beta = fit.z.clone();
-        fit.factor.backward(&mut beta);
-        beta
-    }
-
     /// The effects that a set's members stand for; none for a shape.
     pub(crate) fn effects(&self, set: &Set) -> Vec<Option<Effect>> {
-        let beta = self.coefficients(set);
+        let beta = set.coefficients();
         let mut at = self.slopes.len();
         let of = |m: &Member| {
             at += m.columns();
