@@ -107,7 +107,7 @@ impl Model {
         last: bool,
     ) -> Option<Pass> {
         let stack = search.stack;
-        let beta = search.coefficients(&found.any);
+        let beta = found.any.coefficients();
         let mut moved = moved(&self.now, parameters, &beta);
         let bent = bend(stack, &self.now, &moved, parameters, &beta) / self.noise;
         let (residual, _) = search.residual(&found.any);

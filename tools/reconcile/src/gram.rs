@@ -455,20 +455,23 @@ impl Bank {
             });
             return out;
         }
-        for place in &self.places {
-            let rows = self.rows(&place.covers);
-            let column = &self.data[place.at..place.at + rows.len()];
-            for (v, out) in vectors.iter().zip(&mut out) {
-                if v.is_zero(&rows) {
-                    out.push(Products::default());
-                    continue;
-                }
-                let [plain, lagged] = dots_with(&v.data[rows.clone()], &v.neighbours[rows.clone()], column);
-                let ends = ends_of(v, column, &self.segments[place.covers.clone()]);
-                out.push(Products { plain, lagged, ends });
-            }
+        // Every column is read once.
+        for column in 0..self.len() {
+            vectors.iter().zip(&mut out).for_each(|(v, out)| out.push(self.product(column, v)));
         }
         out
+    }
+
+    /// Product of one column with a vector.
+    pub(crate) fn product(&self, column: usize, v: &Vector) -> Products {
+        let place = &self.places[column];
+        let rows = self.rows(&place.covers);
+        if v.is_zero(&rows) {
+            return Products::default();
+        }
+        let column = &self.data[place.at..place.at + rows.len()];
+        let [plain, lagged] = dots_with(&v.data[rows.clone()], &v.neighbours[rows], column);
+        Products { plain, lagged, ends: ends_of(v, column, &self.segments[place.covers.clone()]) }
     }
 
     /// The same to six digits, in single precision: for noise that is drawn, which is known no better.
@@ -557,54 +560,23 @@ fn products_of_all(columns: &[f64], rows: usize, segments: &[Range<usize>]) -> V
 }
 
 /// Products of every row of `left` with every row of `right`, all of `n` values, row by row of `left`.
-fn multiply(left: &[f64], right: &[f64], n: usize, out: &mut Vec<f64>) {
-    let (rows, columns) = (left.len() / n, right.len() / n);
-    out.resize(rows * columns, 0.0);
-    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
-    unsafe {
-        matrixmultiply::dgemm(
-            rows,
-            n,
-            columns,
-            1.0,
-            left.as_ptr(),
-            n as isize,
-            1,
-            right.as_ptr(),
-            1,
-            n as isize,
-            0.0,
-            out.as_mut_ptr(),
-            columns as isize,
-            1,
-        );
-    }
+macro_rules! multiply {
+    ($name:ident, $real:ty, $gemm:ident) => {
+        fn $name(left: &[$real], right: &[$real], n: usize, out: &mut Vec<$real>) {
+            let (rows, columns) = (left.len() / n, right.len() / n);
+            out.resize(rows * columns, 0.0);
+            let (n, across) = (n as isize, columns as isize);
+            let (a, b, c) = (left.as_ptr(), right.as_ptr(), out.as_mut_ptr());
+            // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
+            unsafe {
+                matrixmultiply::$gemm(rows, n as usize, columns, 1.0, a, n, 1, b, 1, n, 0.0, c, across, 1);
+            }
+        }
+    };
 }
 
-/// The same in single precision.
-fn multiply_singles(left: &[f32], right: &[f32], n: usize, out: &mut Vec<f32>) {
-    let (rows, columns) = (left.len() / n, right.len() / n);
-    out.resize(rows * columns, 0.0);
-    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
-    unsafe {
-        matrixmultiply::sgemm(
-            rows,
-            n,
-            columns,
-            1.0,
-            left.as_ptr(),
-            n as isize,
-            1,
-            right.as_ptr(),
-            1,
-            n as isize,
-            0.0,
-            out.as_mut_ptr(),
-            columns as isize,
-            1,
-        );
-    }
-}
+multiply!(multiply, f64, dgemm);
+multiply!(multiply_singles, f32, sgemm);
 
 /// A lower Cholesky factor of a symmetric matrix, row by row.
 #[derive(Debug, Clone, Default)]

@@ -130,6 +130,19 @@ impl Hypotheses {
         (all, waves)
     }
 
+    /// Per hypothesis: the bank's columns from the first of its grid points to the last.
+    pub(crate) fn columns_of(&self) -> Vec<Range<usize>> {
+        let mut out = vec![0..0; self.list.len()];
+        for atom in &self.atoms {
+            let of = &mut out[atom.hypothesis];
+            for c in &atom.columns {
+                let from = if of.end == 0 { *c } else { of.start.min(*c) };
+                *of = from..of.end.max(c + 1);
+            }
+        }
+        out
+    }
+
     /// Per hypothesis: the responses that it acts on, each with its share of all their rows.
     pub(crate) fn acts_on(&self, stack: &Stack<'_>, waves: &[Wave]) -> Vec<Vec<(usize, f64)>> {
         let mut rows: Vec<Vec<Range<usize>>> = vec![Vec::new(); self.list.len()];

@@ -260,7 +260,7 @@ impl Conclusion<'_> {
     /// The parts of a sum, none of which can be told from the others.
     fn parts(&self, search: &Search<'_, '_>, member: usize) -> Vec<Finding> {
         let before: usize = self.set.members[..member].iter().map(Member::columns).sum();
-        let by = search.coefficients(&self.set)[search.slopes.len() + before];
+        let by = self.set.coefficients()[search.slopes.len() + before];
         let evidence = search.gain(&search.without(&self.set, member), &self.set);
         let p_value = self.chance.of_name(evidence, self.set.members.len() == 1);
         let parts = self.set.members[member].cause.parts(by);

@@ -1,6 +1,5 @@
 //! The same told with less: sets in which fewer names say as much, and names that only together take the place of others.
 
-use crate::gram::{Vector, dot};
 use crate::hypotheses::Atom;
 use crate::problem::leaves_a_line;
 use crate::search::{Found, Search, Set};
@@ -169,15 +168,18 @@ pub(crate) fn plainer(search: &mut Search<'_, '_>, found: &Found, set: Set) -> S
 pub(crate) fn merged(search: &mut Search<'_, '_>, set: &Set) -> Set {
     let all = search.all;
     let n = set.members.len();
+    if n < 2 {
+        return set.clone();
+    }
+    // What each member does, and its products with the bank's columns: a pair's are their sums.
+    let does: Vec<Vec<f64>> = (0..n).map(|i| search.does(set, i)).collect();
+    let against: Vec<Vec<f64>> = (0..n).map(|i| search.does_against_bank(set, i)).collect();
     let mut best = set.clone();
     for (i, j) in (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j))) {
-        let both: Vec<f64> =
-            search.does(set, i).iter().zip(search.does(set, j)).map(|(a, b)| a + b).collect();
-        let squares = dot(&both, &both);
-        let products = all.bank.products(&[&Vector::new(both, &search.stack.ranges)]).swap_remove(0);
+        let squares: f64 = does[i].iter().zip(&does[j]).map(|(a, b)| (a + b) * (a + b)).sum();
         let alike = |a: &Atom| match a.columns[..] {
             [c] if all.list[a.hypothesis].named() => {
-                products[c].at(0.0).powi(2) / (squares * all.bank.own(&[c])[0].at(0.0))
+                (against[i][c] + against[j][c]).powi(2) / (squares * all.bank.square(c).at(0.0))
             }
             _ => 0.0,
         };

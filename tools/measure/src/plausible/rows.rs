@@ -1,6 +1,6 @@
 //! Rows that stand twice, and responses far off all others.
 
-use super::stats::{distinct, median, range, spread, steps};
+use super::stats::{distinct, median, medians_of_others, range, spread, steps};
 use super::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
 use std::collections::HashMap;
@@ -200,8 +200,8 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let mut usual_there = vec![false; n];
     let at_places = mates.as_ref().map_or(0.0, |m| width(&of_place(&c.data, m).0));
     for place in mates.iter().flatten().filter(|p| p.len() >= 2) {
-        for i in place {
-            let others = median(place.iter().filter(|j| *j != i).map(|j| c.data[*j]).collect());
+        let values: Vec<f64> = place.iter().map(|i| c.data[*i]).collect();
+        for (i, others) in place.iter().zip(medians_of_others(&values)) {
             let off = (c.data[*i] - others).abs();
             usual_there[*i] = off < 0.5 * left[*i].abs() || place.len() >= 3 && off < 4.0 * at_places;
         }
@@ -214,7 +214,7 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let rows: Vec<usize> = (0..n).filter(|i| far(*i) > apart && own(i)).collect();
     // Heavy tails, or a shape that is no smooth one, are one thing; a few rows beyond all others another.
     let tail = (apart / 2.0).max(4.5);
-    let bulk = (0..n).filter(|i| !rows.contains(i) && !excused[*i] && far(*i) > tail).count();
+    let bulk = (0..n).filter(|i| rows.binary_search(i).is_err() && !excused[*i] && far(*i) > tail).count();
     // Many close together are a shape of their own: one row in twenty by chance has a neighbour in one case of four.
     let close = rows.windows(2).filter(|w| w[1] - w[0] <= 3).count();
     if n < 30 || rows.len() >= 4 && 2 * close > rows.len() {

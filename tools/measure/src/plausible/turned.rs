@@ -1,6 +1,6 @@
 //! A record beside itself: single runs whose direction is wrong, a sign that turns on the way, a clock that was put forward.
 
-use super::stats::{median, quantum, range, spread, steps};
+use super::stats::{median, medians_of_others, quantum, range, spread, steps};
 use super::told::told;
 use super::{Suspicion, What, motion, repeats};
 use crate::iso230::correlation;
@@ -145,12 +145,11 @@ fn of_approaches(record: &Record, c: &Column) -> Option<(Vec<usize>, &'static st
     let groups = repeats::groups(p, d);
     let cycles = groups.iter().map(Vec::len).min().filter(|n| *n >= 3 && groups.len() >= 8)?;
     let mean = |rows: &[usize]| rows.iter().map(|i| c.data[*i]).sum::<f64>() / rows.len() as f64;
-    let without = |g: &[usize], k: usize| {
-        median(g.iter().enumerate().filter(|(j, _)| *j != k).map(|(_, i)| c.data[*i]).collect())
-    };
+    let others_of = |g: &Vec<usize>| medians_of_others(&g.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
+    let without: Vec<Vec<f64>> = groups.iter().map(others_of).collect();
     for k in 0..cycles {
         let (own, others): (Vec<f64>, Vec<f64>) =
-            groups.iter().map(|g| (c.data[g[k]], without(g, k))).unzip();
+            groups.iter().zip(&without).map(|(g, others)| (c.data[g[k]], others[k])).unzip();
         if is_turned(&own, &others) {
             let rows = groups.iter().map(|g| g[k]).collect();
             return Some((rows, "has the sign opposite to the other approaches to the same places"));

@@ -36,6 +36,7 @@ use periodogram::{OnPlaces, Transform};
 use rtec_model::effect::Effect;
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::rc::Rc;
 use tones::{ROOM, Seen};
 
@@ -54,6 +55,9 @@ fn coefficients_of(grid: std::ops::RangeInclusive<i32>) -> Vec<f64> {
     grid.map(|i| (f64::from(i) * NOISE_STEP).tanh()).collect()
 }
 
+/// Products by vector and hypothesis.
+type WithOwn = HashMap<(usize, usize), Rc<[Products]>>;
+
 /// Everything that a search keeps.
 pub(crate) struct Search<'p, 'r> {
     pub(crate) stack: &'p Stack<'r>,
@@ -68,6 +72,10 @@ pub(crate) struct Search<'p, 'r> {
     pub(crate) slopes: Vec<usize>,
     /// Products of each vector with the bank's columns, once they are asked for.
     with_bank: Vec<OnceCell<Vec<Products>>>,
+    /// The bank's columns that each hypothesis's grid points lie in.
+    columns_of: Vec<Range<usize>>,
+    /// Products of a vector with those of one hypothesis, once they are asked for without the others'.
+    with_own: RefCell<WithOwn>,
     /// Products among vectors, once they are asked for: `pairs[i][j]`, j ≤ i.
     pairs: Vec<Vec<OnceCell<Products>>>,
     /// Vectors by their bits.
@@ -114,6 +122,8 @@ impl<'p, 'r> Search<'p, 'r> {
             y: 0,
             slopes: Vec::new(),
             with_bank: Vec::new(),
+            columns_of: all.columns_of(),
+            with_own: RefCell::default(),
             pairs: Vec::new(),
             places: HashMap::new(),
             nu: 0.0,
@@ -180,6 +190,18 @@ impl<'p, 'r> Search<'p, 'r> {
     /// Products of a vector with the bank's columns.
     pub(crate) fn against_bank(&self, vector: usize) -> &[Products] {
         self.with_bank[vector].get_or_init(|| self.all.bank.products(&[&self.vectors[vector]]).swap_remove(0))
+    }
+
+    /// Products of a vector with the columns of one hypothesis.
+    fn against_own(&self, vector: usize, hypothesis: usize) -> Rc<[Products]> {
+        let columns = self.columns_of[hypothesis].clone();
+        if let Some(all) = self.with_bank[vector].get() {
+            return all[columns].into();
+        }
+        let product = |c: usize| self.all.bank.product(c, &self.vectors[vector]);
+        let mut known = self.with_own.borrow_mut();
+        let own = known.entry((vector, hypothesis)).or_insert_with(|| columns.map(product).collect());
+        Rc::clone(own)
     }
 
     /// The same for several vectors in one go.

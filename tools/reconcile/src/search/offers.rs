@@ -1,8 +1,10 @@
 //! Explanations that could join a set: scanned over all grids, by name, best first.
 
 use super::Search;
+use super::cross::Cross;
 use super::sets::{Member, Set};
 use crate::cause::Cause;
+use crate::gram::Products;
 use crate::hypotheses::{Atom, Hypothesis};
 use rtec_model::effect::Refine;
 use std::rc::Rc;
@@ -47,18 +49,27 @@ pub(crate) struct Ranked {
 }
 
 impl Search<'_, '_> {
-    /// The best grid point of one hypothesis as an addition to a set.
+    /// The best grid point of one hypothesis as an addition to a set: only its own columns are looked at.
     pub(crate) fn offer_of(&self, set: &Set, hypothesis: usize) -> Option<Offer> {
-        self.meet_bank(set.ids.iter().copied().chain([self.y]));
+        let first = self.columns_of[hypothesis].start;
+        let with_set: Vec<Rc<[Products]>> =
+            set.ids.iter().map(|id| self.against_own(*id, hypothesis)).collect();
+        let with_y = self.against_own(self.y, hypothesis);
         let mut best: Option<(usize, f64)> = None;
-        let own = |i: usize| self.all.atoms[i].hypothesis == hypothesis;
-        self.with_atoms(set, own, |i, loglik| {
-            let atom = &self.all.atoms[i];
-            let score = loglik - self.price(set, atom.hypothesis, atom.cost, atom.columns.len());
+        let own = |(_, atom): &(usize, &Atom)| atom.hypothesis == hypothesis;
+        for (i, atom) in self.all.atoms.iter().enumerate().filter(own) {
+            let columns = || atom.columns.iter().map(|c| c - first);
+            let cross = Cross {
+                with_set: columns().flat_map(|c| with_set.iter().map(move |p| p[c])).collect(),
+                with_y: columns().map(|c| with_y[c]).collect(),
+                own: self.all.own[i].clone(),
+            };
+            let score =
+                self.extended(set, &cross) - self.price(set, atom.hypothesis, atom.cost, atom.columns.len());
             if best.is_none_or(|b| score >= b.1) {
                 best = Some((i, score));
             }
-        });
+        }
         best.map(|(i, score)| self.bank_offer(i, score, score))
     }
 

@@ -66,6 +66,14 @@ impl Set {
         let to = (self.top + 2).clamp(3.min(self.fits.len()), self.fits.len());
         to.saturating_sub(3)..to
     }
+
+    /// Coefficients at its best noise coefficient: known parameters' changes, then members' in order.
+    pub(crate) fn coefficients(&self) -> Vec<f64> {
+        let fit = &self.fits[self.top];
+        let mut beta = fit.z.clone();
+        fit.factor.backward(&mut beta);
+        beta
+    }
 }
 
 impl Search<'_, '_> {
@@ -211,10 +219,7 @@ impl Search<'_, '_> {
 
     /// What the set leaves unexplained, weighed.
     pub(crate) fn residual(&self, set: &Set) -> (Vec<f64>, f64) {
-        let top = (0..set.fits.len())
-            .max_by(|a, b| self.loglik(&set.fits[*a], 0.0).total_cmp(&self.loglik(&set.fits[*b], 0.0)))
-            .unwrap_or(0);
-        let fit = &set.fits[top];
+        let fit = &set.fits[set.top];
         (self.left(set, fit), fit.phi)
     }
 
@@ -238,7 +243,7 @@ impl Search<'_, '_> {
 
     /// What one member of a set does, weighed.
     pub(crate) fn does(&self, set: &Set, member: usize) -> Vec<f64> {
-        let beta = self.coefficients(set);
+        let beta = set.coefficients();
         let before: usize = set.members[..member].iter().map(Member::columns).sum();
         let mut does = vec![0.0; self.stack.n];
         for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
@@ -247,20 +252,20 @@ impl Search<'_, '_> {
         does
     }
 
-    /// Coefficients of the set at its best noise coefficient: known parameters' changes, then members' in order.
-    pub(crate) fn coefficients(&self, set: &Set) -> Vec<f64> {
-        let fits = self.fits(&set.ids);
-        let top = (0..fits.len())
-            .max_by(|a, b| self.loglik(&fits[*a], 0.0).total_cmp(&self.loglik(&fits[*b], 0.0)))
-            .unwrap_or(0);
-        let mut beta = fits[top].z.clone();
-        fits[top].factor.backward(&mut beta);
-        beta
+    /// Plain products of what one member of a set does with the bank's columns.
+    pub(crate) fn does_against_bank(&self, set: &Set, member: usize) -> Vec<f64> {
+        let beta = set.coefficients();
+        let before: usize = set.members[..member].iter().map(Member::columns).sum();
+        let mut out = vec![0.0; self.all.bank.len()];
+        for (b, i) in beta[self.slopes.len() + before..].iter().zip(&set.members[member].vectors) {
+            out.iter_mut().zip(self.against_bank(*i)).for_each(|(o, p)| *o += b * p.at(0.0));
+        }
+        out
     }
 
     /// The effects that a set's members stand for; none for a shape.
     pub(crate) fn effects(&self, set: &Set) -> Vec<Option<Effect>> {
-        let beta = self.coefficients(set);
+        let beta = set.coefficients();
         let mut at = self.slopes.len();
         let of = |m: &Member| {
             at += m.columns();
