@@ -175,7 +175,7 @@ fn missing(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<String> {
     let mut absent: Vec<(&Axis, Vec<String>)> = Vec::new();
     for effect in machine.effects() {
         for (k, axis) in effect.axes().iter().enumerate().filter(|(_, axis)| !axes.contains(axis)) {
-            let name = effect.name().to_string();
+            let name = effect.name();
             let does = if acts(effect, Some(k)) {
                 name
             } else {

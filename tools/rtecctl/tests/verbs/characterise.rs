@@ -49,6 +49,48 @@ fn one_nan_costs_its_row_and_not_the_run() {
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
 }
 
+/// Ctrl-C ends a run and keeps its rows; the rows of one that was killed are not the next one's to remove.
+#[test]
+fn a_run_that_is_interrupted_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let part = dir.path().join("r.run.csv.part");
+    let start = |duration: &str| {
+        let from = feed(|i| format!("gz {i}\n"));
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_rtecctl"));
+        command.args([
+            "characterise",
+            "record",
+            "--out",
+            "r.run.toml",
+            "--feed",
+            &from,
+            "--columns",
+            "gz=error.z",
+        ]);
+        command.args(["--period", "0.02", "--duration", duration]).current_dir(dir.path());
+        command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped()).spawn().unwrap()
+    };
+    let rows = || std::fs::read_to_string(&part).unwrap_or_default().lines().count();
+    let end = |run: std::process::Child, signal: &str| {
+        while rows() < 12 {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        std::process::Command::new("kill").args([signal, &run.id().to_string()]).status().unwrap();
+        run.wait_with_output().unwrap()
+    };
+    let out = end(start("600"), "-INT");
+    let err = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.success() && err.contains("of 600 s: ") && err.contains("rows are kept"), "{err}");
+    assert!(
+        rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap().rows() >= 11 && !part.exists()
+    );
+    assert!(!end(start("600"), "-KILL").status.success());
+    let left = std::fs::read(&part).unwrap();
+    let (code, _, err) = said(&start("0.1").wait_with_output().unwrap());
+    assert!(code == Some(2) && err.contains("rows of a run that was cut off"), "{code:?} {err}");
+    assert!(std::fs::read(&part).unwrap() == left);
+}
+
 /// A gauge that says nothing more while its line stays open: its last value is no reading of the rows that follow.
 #[test]
 fn a_gauge_that_goes_silent_gives_no_more_rows() {

@@ -3,6 +3,7 @@
 use crate::daemon::{self, Daemon, unreachable};
 use crate::verbs::suspicions;
 use anyhow::Context;
+use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
 use rtec_control::sources::{Bank, Feed};
@@ -12,9 +13,13 @@ use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, Record, Role, check};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Record temperatures and a gauge feed into a run record
+///
+/// For as long as --duration says, or until Ctrl-C: what was recorded by then is kept.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The run record to write; its CSV stands beside it
@@ -165,9 +170,19 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         columns.push(column(name, role));
     }
     args.check(out, kind, &columns, with_response)?;
-    let mut feed = args.feed.as_deref().map(Feed::new);
-    // Rows go into a file of their own as they come: a long run is not lost with the power.
+    // Rows go into a file of their own as they come: a long run is not lost with the power. Nor with the next run.
     let part = out.with_extension("csv.part");
+    if part.metadata().is_ok_and(|m| m.len() > 0) {
+        let found = "rows of a run that was cut off";
+        return Err(InputError::whole(
+            &part,
+            found,
+            "it under another name, or removed, before the next run",
+        )
+        .into());
+    }
+    let ended = on_signal()?;
+    let mut feed = args.feed.as_deref().map(Feed::new);
     let mut file = std::fs::File::create(&part).with_context(|| format!("creating {}", part.display()))?;
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
     writeln!(file, "{}", rtec_files::csv::header_line(names.iter().copied()))?;
@@ -177,9 +192,17 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let mut came_s = vec![0.0; columns.len()];
     let (mut taken, mut left_out, mut incomplete, mut shown_s) = (0_u64, 0_u64, 0_u64, 0.0);
     let mut said = String::new();
+    let mut looked = 0;
     for row in 0..rows {
         let due = row as f64 * period;
-        wait_until(start, due);
+        if !wait_until(start, due, &ended) {
+            eprintln!(
+                "interrupted at {:.0} of {duration:.0} s: {taken} rows are kept",
+                start.elapsed().as_secs_f64()
+            );
+            break;
+        }
+        looked = row + 1;
         let now = start.elapsed().as_secs_f64();
         bank.poll(now);
         if let Some(c) = &mut corrector {
@@ -235,10 +258,10 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         return Err(crate::Outcome::Unreachable(found).into());
     }
     if left_out > 0 {
-        eprintln!("warning: {left_out} of {rows} rows left out");
+        eprintln!("warning: {left_out} of {looked} rows left out");
     }
     if incomplete > 0 {
-        eprintln!("warning: {incomplete} of {rows} rows are missing: not everything had a new reading");
+        eprintln!("warning: {incomplete} of {looked} rows are missing: not everything had a new reading");
     }
     // Every value was checked as it came.
     let mut record = dated(args.circle.apply(Record::of_checked(out, kind, columns))?, begun);
@@ -401,11 +424,37 @@ fn column(name: &str, role: Role) -> Column {
     Column { name: name.to_owned(), role, unit, data: Vec::new() }
 }
 
-fn wait_until(start: Instant, due_s: f64) {
-    let left = due_s - start.elapsed().as_secs_f64();
-    if left > 0.0 {
-        std::thread::sleep(Duration::from_secs_f64(left));
+/// `false` where a signal came first.
+fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
+    loop {
+        let left = due_s - start.elapsed().as_secs_f64();
+        if ended.load(Ordering::Relaxed) || left <= 0.0 {
+            return !ended.load(Ordering::Relaxed);
+        }
+        std::thread::sleep(Duration::from_secs_f64(left.min(0.05)));
     }
+}
+
+/// While what this returns is held, a first signal ends the run and not its record; otherwise, and a second one, the program. Before any other thread is
+/// there, so that none but this one gets it.
+fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+    let mut ends = SigSet::empty();
+    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
+        ends.add(signal);
+    }
+    ends.thread_block()?;
+    let ended = Arc::new(AtomicBool::new(false));
+    let told = Arc::downgrade(&ended);
+    std::thread::spawn(move || {
+        let mut signal = ends.wait();
+        // While it records.
+        if let Some(told) = told.upgrade() {
+            told.store(true, Ordering::Relaxed);
+            signal = ends.wait();
+        }
+        std::process::exit(128 + signal.map_or(Signal::SIGINT, |s| s) as i32);
+    });
+    Ok(ended)
 }
 
 fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
