@@ -220,7 +220,7 @@ pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
         let refused = cause.downcast_ref::<std::io::Error>().and_then(std::io::Error::get_ref);
         if cause.is::<InputError>()
             || cause.is::<rtec_control::config::ConfigFindings>()
-            || refused.is_some_and(|e| e.is::<InputError>())
+            || matches!(refused, Some(e) if e.is::<InputError>())
         {
             return 2;
         }

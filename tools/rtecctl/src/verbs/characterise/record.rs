@@ -90,6 +90,17 @@ impl Recorder {
         self.socket.clone().or(alone.then_some(None)).map(DaemonTotals::connect).transpose()
     }
 
+    /// The columns of the feed.
+    fn gauges(&self) -> Result<Vec<Column>, InputError> {
+        let parsed = |text: &String| {
+            let parsed = text.split_once('=').and_then(|(n, r)| Some((n, Role::parse(r)?)));
+            let (name, role) =
+                parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
+            Ok(column(name, role))
+        };
+        self.columns.iter().map(parsed).collect()
+    }
+
     /// What a record asks of its columns is asked before the run, not after it.
     fn check(
         &self,
@@ -163,29 +174,11 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         columns.extend(c.columns(&columns)?);
     }
     let gauges = columns.len();
-    for text in &args.columns {
-        let parsed = text.split_once('=').and_then(|(n, r)| Some((n, Role::parse(r)?)));
-        let (name, role) =
-            parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
-        columns.push(column(name, role));
-    }
+    columns.extend(args.gauges()?);
     args.check(out, kind, &columns, with_response)?;
-    // Rows go into a file of their own as they come: a long run is not lost with the power. Nor with the next run.
-    let part = out.with_extension("csv.part");
-    if part.metadata().is_ok_and(|m| m.len() > 0) {
-        let found = "rows of a run that was cut off";
-        return Err(InputError::whole(
-            &part,
-            found,
-            "it under another name, or removed, before the next run",
-        )
-        .into());
-    }
     let ended = on_signal()?;
     let mut feed = args.feed.as_deref().map(Feed::new);
-    let mut file = std::fs::File::create(&part).with_context(|| format!("creating {}", part.display()))?;
-    let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
-    writeln!(file, "{}", rtec_files::csv::header_line(names.iter().copied()))?;
+    let (part, mut file) = rows_apart(out, &columns)?;
     let (start, begun) = (Instant::now(), rtec_model::date::format(rtec_model::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
@@ -257,17 +250,35 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         let found = nothing(feed.as_ref(), &columns[gauges..], &quiet, duration, left_out);
         return Err(crate::Outcome::Unreachable(found).into());
     }
-    if left_out > 0 {
-        eprintln!("warning: {left_out} of {looked} rows left out");
-    }
-    if incomplete > 0 {
-        eprintln!("warning: {incomplete} of {looked} rows are missing: not everything had a new reading");
-    }
+    say_missing(left_out, incomplete, looked);
     // Every value was checked as it came.
     let mut record = dated(args.circle.apply(Record::of_checked(out, kind, columns))?, begun);
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
+}
+
+/// Rows go into a file of their own as they come: a long run is not lost with the power. Nor with the next run.
+fn rows_apart(out: &Path, columns: &[Column]) -> anyhow::Result<(PathBuf, std::fs::File)> {
+    let part = out.with_extension("csv.part");
+    if part.metadata().is_ok_and(|m| m.len() > 0) {
+        let expected = "it under another name, or removed, before the next run";
+        return Err(InputError::whole(&part, "rows of a run that was cut off", expected).into());
+    }
+    let mut file = std::fs::File::create(&part).with_context(|| format!("creating {}", part.display()))?;
+    let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
+    writeln!(file, "{}", rtec_files::csv::header_line(names.iter().copied()))?;
+    Ok((part, file))
+}
+
+/// How many of the rows that were due are not there, and why.
+fn say_missing(left_out: u64, incomplete: u64, rows: u64) {
+    if left_out > 0 {
+        eprintln!("warning: {left_out} of {rows} rows left out");
+    }
+    if incomplete > 0 {
+        eprintln!("warning: {incomplete} of {rows} rows are missing: not everything had a new reading");
+    }
 }
 
 /// With the day that it began on.
