@@ -164,6 +164,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         let found = format!("--period {period} --duration {duration}");
         return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
     }
+    let ended = on_signal()?;
     let mut columns = vec![column("t", Role::Time)];
     let sensors = read_sensors(args.sensors.as_deref())?;
     let mut bank = Bank::new(sensors, &args.root, rtec_measure::record::read_log)?;
@@ -176,7 +177,6 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let gauges = columns.len();
     columns.extend(args.gauges()?);
     args.check(out, kind, &columns, with_response)?;
-    let ended = on_signal()?;
     let mut feed = args.feed.as_deref().map(Feed::new);
     let (part, mut file) = rows_apart(out, &columns)?;
     let (start, begun) = (Instant::now(), rtec_model::date::format(rtec_model::date::today()));
@@ -446,8 +446,8 @@ fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
     }
 }
 
-/// While what this returns is held, a first signal ends the run and not its record; otherwise, and a second one, the program. Before any other thread is
-/// there, so that none but this one gets it.
+/// While what this returns is held, a first signal ends the run and not its record; otherwise, and a second one, the
+/// program. Before sensors and feed have threads of their own, so that none but this one gets it.
 fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let mut ends = SigSet::empty();
     for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
