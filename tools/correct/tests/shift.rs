@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+mod bench;
+
 use rtec_correct::rehearse::{Options, rehearse};
 use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_correct::{AxisSetup, Corrector};
@@ -51,14 +53,7 @@ fn machine() -> Machine {
 }
 
 fn axes() -> Vec<AxisSetup> {
-    let axis = |name: &str| AxisSetup {
-        name: name.to_owned(),
-        count_um: 1.0,
-        increment_counts: 2,
-        window_counts: 50,
-        max_counts: 1000,
-    };
-    ["x", "y", "z"].map(axis).to_vec()
+    ["x", "y", "z"].map(bench::axis).to_vec()
 }
 
 #[test]

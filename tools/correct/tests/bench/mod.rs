@@ -46,6 +46,17 @@ pub(crate) const GROWTH: &str =
 pub(crate) const LAG: &str =
     "[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T1\"\nminus = \"T2\"\num_per_K = 10.0\ntau_s = 100.0\n";
 
+/// An axis of 1 µm a count.
+pub(crate) fn axis(name: &str) -> AxisSetup {
+    AxisSetup {
+        name: name.to_owned(),
+        count_um: 1.0,
+        increment_counts: 2,
+        window_counts: 50,
+        max_counts: 1000,
+    }
+}
+
 impl Bench {
     pub(crate) fn new() -> Self {
         Self::of(5.0, 1000.0, Vec::new())
@@ -53,13 +64,6 @@ impl Bench {
 
     /// With this ramp, begun at this time, and with these sensors before the temperatures T1 and T2.
     pub(crate) fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
-        let axis = |name: &str| AxisSetup {
-            name: name.to_owned(),
-            count_um: 1.0,
-            increment_counts: 2,
-            window_counts: 50,
-            max_counts: 1000,
-        };
         sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
         let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
         status.axes.iter_mut().for_each(|a| a.homed = true);
