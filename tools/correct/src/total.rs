@@ -125,7 +125,8 @@ impl Total {
         let bounded = goal.clamp(-self.max_counts, self.max_counts);
         self.limited = bounded != wish + self.operator_counts;
         // Catching up after a rapid, in steps that are believed.
-        let next = bounded.clamp(requested - self.window_counts, requested + self.window_counts);
+        let window = self.window_counts;
+        let next = bounded.clamp(requested.saturating_sub(window), requested.saturating_add(window));
         (next != requested).then_some(next)
     }
 
