@@ -47,6 +47,7 @@
 mod axis;
 mod card;
 mod control;
+mod here;
 pub mod plain;
 mod sensors;
 
@@ -279,7 +280,7 @@ impl Config {
         Self::parse(file, &text_of(file)?)
     }
 
-    /// As [`Config::load`], and on this computer: groups, devices and the model that it names are looked for.
+    /// As [`Config::load`], and on this computer: groups, cards, devices, recordings and the model that it names are looked for.
     ///
     /// # Errors
     /// Everything that is wrong with it.
@@ -450,7 +451,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
 
     let control = control::read(source, &mut root, here);
     notes.extend(control::notes(&control, here));
-    let model = read_model(source, &mut root, here);
+    let model = read_model(source, &mut root);
     let sensors = if root.has("sensor") { sensors::read(source, &document.root()) } else { Vec::new() };
     root.finish(source);
 
@@ -461,7 +462,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         Kind::Port => CardConfig::Port { place: card.port?, profile: card.profile? },
         Kind::Replay => CardConfig::Replay { traces },
     };
-    Some(Config {
+    let mut config = Config {
         machine: name?.value.to_owned(),
         card: kind,
         lines: card.lines,
@@ -471,10 +472,14 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         model,
         sensors,
         notes,
-    })
+    };
+    if here {
+        here::look(source, document, &mut config);
+    }
+    Some(config)
 }
 
-fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> ModelConfig {
+fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> ModelConfig {
     let mut table = root.table(source, "model", "[model]");
     let file = table.string(source, "file", "the path of the machine model");
     let period_ms = table.integer(source, "period_ms", 10..=20);
@@ -483,12 +488,6 @@ fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -
     let log_s = plain::within(&mut table, source, "log_s", 0.05, 60.0);
     table.finish(source);
     let path = |f: At<&str>| source.file.parent().unwrap_or(Path::new("")).join(f.value);
-    if let Some(at) = file.filter(|_| here)
-        && let Err(error) = rtec_model::machine::Machine::read(&path(at))
-    {
-        let found = format!("a machine model with a mistake: {error}");
-        source.finding(at.offset, found, "a machine model (`rtecctl model show` reads it)");
-    }
     ModelConfig {
         file: file.map(path),
         period_ms: period_ms.map_or(10, |p| p.value as u64),

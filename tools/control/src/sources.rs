@@ -362,6 +362,20 @@ fn one_wire(root: &Path, id: &str) -> Result<f64, String> {
     value.map(|v| v / 1000.0).ok_or_else(|| format!("{}: no t=", path.display()))
 }
 
+/// Whether something can be read from a sensor now, under a root; of a feed from another computer, and of a recording,
+/// nothing is asked.
+pub(crate) fn look(root: &Path, source: &SensorSource) -> Result<(), String> {
+    match source {
+        SensorSource::Iio { device, channel } => iio(root, device, *channel).map(drop),
+        SensorSource::Hwmon { chip, input } => hwmon(root, chip, *input).map(drop),
+        SensorSource::OneWire { id } => one_wire(root, id).map(drop),
+        SensorSource::Line { from, .. } if from.starts_with('/') => {
+            fs::metadata(from).map(drop).map_err(|e| format!("{from}: {e}"))
+        }
+        SensorSource::Line { .. } | SensorSource::Csv { .. } => Ok(()),
+    }
+}
+
 /// The row that was last at a time since the replay's start; after the last row the sensor is silent.
 fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
     let data = record.columns.iter().find(|c| c.name == column).map(|c| &c.data);

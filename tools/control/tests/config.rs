@@ -235,6 +235,63 @@ fn what_this_computer_lacks_is_found_on_it_and_nowhere_else() {
     assert_eq!(found.lines().count(), 4, "{found}");
 }
 
+/// What an integrator gets wrong most: a record or a column of another name, a model of sensors that nothing gives, a card that is
+/// in another computer. A sensor that is not plugged in may come yet.
+#[test]
+fn what_sensors_model_and_card_name_is_looked_for() {
+    let directory = tempfile::tempdir().unwrap();
+    let put = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
+    let file = directory.path().join("rtec.toml");
+    let check = |more: &str| {
+        put("rtec.toml", &format!("{EMBEDDED}\n{more}"));
+        Config::check_here(&file).map(|c| c.notes).map_err(|e| e.to_string())
+    };
+    let usual = check("").unwrap();
+    put(
+        "day.run.toml",
+        "file = \"day.csv\"\nkind = \"drift\"\n[columns]\nT1 = { role = \"temperature\", unit = \"degC\" }\n",
+    );
+    let replayed = |record: &str, column: &str| {
+        format!("[[sensor]]\nname = \"T1\"\nsource = \"csv\"\nrecord = \"{record}\"\ncolumn = \"{column}\"\n")
+    };
+    assert_eq!(check(&replayed("day.run.toml", "T1")), Ok(usual.clone()));
+    let found = check(&replayed("night.run.toml", "T1")).unwrap_err();
+    assert!(found.contains("night.run.toml") && found.lines().count() == 1, "{found}");
+    let found = check(&replayed("day.run.toml", "T9")).unwrap_err();
+    assert!(
+        found.contains("found column 'T9', expected a column of") && found.ends_with("day.run.toml: T1"),
+        "{found}"
+    );
+
+    let notes =
+        check("[[sensor]]\nname = \"T1\"\nsource = \"one_wire\"\nid = \"28-0123456789ab\"\n").unwrap();
+    assert!(
+        notes.len() == usual.len() + 1
+            && notes.last().unwrap().contains("[[sensor]] T1: nothing is read from it now"),
+        "{notes:?}"
+    );
+
+    put(
+        "machine.toml",
+        "name = \"m\"\n[[effect]]\nname = \"thermal_growth.x\"\nsensor = \"T7\"\nreference_degC = 20.0\num_per_K = 2.0\n",
+    );
+    let found = check("[model]\nfile = \"machine.toml\"\n").unwrap_err();
+    assert!(found.contains("T7 (read by thermal_growth.x)"), "{found}");
+    put("machine.toml", "name = \"m\"\n[[effect]]\nname = \"scale.w\"\nppm = 2.0\n");
+    let notes = check("[model]\nfile = \"machine.toml\"\n").unwrap();
+    assert!(
+        notes.last().unwrap().starts_with("[model] no axis w in the daemon's configuration"),
+        "{notes:?}"
+    );
+
+    let card =
+        CONTRACT.replace("file = \"regs\"", "pci = \"dead:beef\"\nbar = 0").replace("group = \"rtec\"", "");
+    std::fs::write(&file, &card).unwrap();
+    let found = Config::check_here(&file).unwrap_err().to_string();
+    assert!(found.contains("no PCI card dead:beef"), "{found}");
+    assert!(Config::load(&file).is_ok());
+}
+
 #[test]
 fn a_name_without_end_and_a_broken_line_are_one_finding() {
     let long = CONTRACT.replace("name = \"lathe\"", &format!("name = \"{}\"", "x".repeat(1 << 20)));

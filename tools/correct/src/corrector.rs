@@ -99,6 +99,12 @@ impl Prepared {
         &self.0.machine
     }
 
+    /// What of it has no effect here, in sentences: axes and sensors that it reads and the configuration does not have.
+    #[must_use]
+    pub fn missing(&self) -> &[String] {
+        self.0.missing()
+    }
+
     /// How long one evaluation takes on this computer, at best of three; the model is left as it is.
     #[must_use]
     pub fn evaluation_time(&self, preparer: &Preparer, now_s: f64) -> Duration {

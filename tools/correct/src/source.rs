@@ -296,6 +296,11 @@ impl ModelSource {
         })
     }
 
+    /// What of it has no effect here, in sentences.
+    pub(crate) fn missing(&self) -> &[String] {
+        &self.missing
+    }
+
     /// Brings the lags up from temperatures of the past, oldest first: time on the clock of [`Self::evaluate`], s, and
     /// the layout's sensors, °C.
     pub(crate) fn catch_up(&mut self, past: Vec<(f64, Vec<f64>)>, started_s: f64, axes: &[AxisNow]) {

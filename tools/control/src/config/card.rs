@@ -5,7 +5,7 @@ use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
-use rtec_driver::pci::PciId;
+use rtec_driver::pci::{self, PciId};
 use rtec_driver::profile::{Place, Profile, Space, Width};
 use rtec_files::nearest;
 use rtec_files::toml::{At, Section, SourceFile};
@@ -178,6 +178,14 @@ fn read_registers(
     }
     let of_profile = place.map(|p| PciId::Card(p.id.0, p.id.1)).filter(|_| places == 0);
     if let Some(id) = pci.or(of_profile) {
+        if here && let Err(error) = pci::find(&id) {
+            let at = pci_at.or(named).map_or(section.offset, |at| at.offset);
+            source.finding(
+                at,
+                error.to_string(),
+                "a card on this computer's bus; for another computer: --elsewhere",
+            );
+        }
         match bar_of {
             Some(bar) if port => card.port = Some(PortPlace::Pci(id, bar)),
             Some(bar) => card.mapped = Some(MappedPlace::Pci(id, bar)),

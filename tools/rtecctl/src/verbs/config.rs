@@ -19,7 +19,7 @@ enum What {
     Check {
         /// The configuration
         file: PathBuf,
-        /// It is for another computer: groups, devices and the model that it names are not looked for here
+        /// It is for another computer: groups, cards, devices, recordings and the model that it names are not looked for here
         #[arg(long)]
         elsewhere: bool,
         /// Say nothing where it is right

@@ -1,0 +1,85 @@
+//! What a configuration names beside itself, looked for on this computer: `rtecctl config check` without `--elsewhere`.
+
+use super::Config;
+use crate::sources;
+use rtec_correct::Corrector;
+use rtec_correct::sensors::{SensorSource, Watch};
+use rtec_files::toml::{Document, SourceFile, Table};
+use rtec_files::words::quoted;
+use rtec_model::machine::Machine;
+use std::path::Path;
+
+/// Findings: files that are not what they should be, a model that this machine does not take. Notes: what may come yet, as
+/// a sensor that is plugged in later, and what of a model has no effect.
+pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config) {
+    // Of tables with a mistake nobody knows which sensor is which.
+    let whole = source.findings.is_empty();
+    model(source, document, config, whole);
+    if !whole {
+        return;
+    }
+    let tables = document.root().get("sensor").and_then(|e| e.tables("[[sensor]] tables").ok());
+    for (table, sensor) in tables.iter().flatten().zip(&config.sensors) {
+        match &sensor.source {
+            SensorSource::Csv { record, column } => recording(source, table, record, column),
+            other => {
+                if let Err(why) = sources::look(Path::new("/"), other) {
+                    config
+                        .notes
+                        .push(format!("[[sensor]] {}: nothing is read from it now: {why}", sensor.name));
+                }
+            }
+        }
+    }
+}
+
+/// The model that runs from the start, made ready as the daemon does it where the configuration is `whole`.
+fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config, whole: bool) {
+    let Some(file) = &config.model.file else { return };
+    let entry = document.root().get("model").and_then(|e| e.as_table()).and_then(|t| t.get("file"));
+    let at = entry.map_or(0, |e| e.offset());
+    let machine = match Machine::read(file) {
+        Ok(machine) => machine,
+        Err(error) => {
+            let found = format!("a machine model with a mistake: {error}");
+            source.finding(at, found, "a machine model (`rtecctl model show` reads it)");
+            return;
+        }
+    };
+    if !whole {
+        return;
+    }
+    let setups = config.axes.iter().map(super::ConfiguredAxis::law).collect();
+    let law = Corrector::new(setups, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
+    let watches: Vec<Watch> = config.sensors.iter().cloned().map(Watch::new).collect();
+    match law.preparer().prepare(machine, &watches, &|_| Vec::new()) {
+        Ok(prepared) => config.notes.extend(prepared.missing().iter().map(|m| format!("[model] {m}"))),
+        Err(error) => source.finding(at, format!("{}: {}", file.display(), error.found), error.expected),
+    }
+}
+
+/// A recording to replay: a run record that has the column.
+fn recording(source: &mut SourceFile<'_>, table: &Table<'_>, record: &Path, column: &str) {
+    let at = table.get("record").map_or(0, |e| e.offset());
+    let text = match rtec_files::text::read(record) {
+        Ok(text) => text,
+        Err(error) => {
+            source.finding(at, format!("record {}: {}", record.display(), error.found), error.expected);
+            return;
+        }
+    };
+    let sidecar = match Document::parse(record, &text) {
+        Ok(sidecar) => sidecar,
+        Err(error) => {
+            source.finding(at, format!("a record that is none: {error}"), "a run record, NAME.run.toml");
+            return;
+        }
+    };
+    let columns = sidecar.root().get("columns").and_then(|e| e.as_table());
+    let names: Vec<&str> = columns.iter().flat_map(Table::entries).map(|e| e.key()).collect();
+    if !names.contains(&column) {
+        let at = table.get("column").or_else(|| table.get("name")).map_or(at, |e| e.offset());
+        let expected = format!("a column of {}: {}", record.display(), names.join(", "));
+        source.finding(at, format!("column {}", quoted(column)), expected);
+    }
+}
