@@ -86,6 +86,8 @@ fn one_value_and_a_document_a_line() {
     assert_eq!(get("axes.1.completed"), "-30\n");
     assert_eq!(get("mode"), "run\n");
     assert_eq!(daemon.expect(0, &["get", "mode", "--json"]), "\"run\"\n");
+    let names: Vec<String> = serde_json::from_str(&daemon.expect(0, &["get", "--json"])).unwrap();
+    assert_eq!(names.join("\n") + "\n", daemon.expect(0, &["get"]));
     assert_eq!(get("protocol"), "1\n");
     assert!(get("rt.poll_gap_ns.p9999").trim().parse::<u64>().unwrap() > 0);
     assert!(daemon.expect(2, &["get", "axes.w.completed"]).contains("expected one of axes's x, y, z"));

@@ -94,6 +94,17 @@ impl FeatureErrors {
         }
     }
 
+    /// Least and largest error, µm.
+    #[must_use]
+    pub fn range_um(&self) -> [f64; 2] {
+        let within = |[low, high]: [f64; 2], um: f64| [low.min(um), high.max(um)];
+        let none = [f64::INFINITY, f64::NEG_INFINITY];
+        match self {
+            Self::Arc(errors) => errors.iter().map(|e| e.error_um).fold(none, within),
+            Self::Line(errors) => errors.iter().map(|e| e.error_um).fold(none, within),
+        }
+    }
+
     /// Never: a file without a line is refused.
     #[must_use]
     pub fn is_empty(&self) -> bool {

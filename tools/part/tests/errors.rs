@@ -81,7 +81,10 @@ fn error_cor_is_read_as_it_is_written() {
     }
     // Of a straight feature: a face at Z 5, its normal along Z.
     let face = "0 1 -10 5 0\n0 2 0 5 -10\n0 1.5 10 5 -20\n";
-    assert_eq!(FeatureErrors::read(&files.with("error.cor", face)).unwrap().len(), 3);
+    let read = FeatureErrors::read(&files.with("error.cor", face)).unwrap();
+    assert_eq!((read.len(), read.range_um()), (3, [1.0, 2.0]));
+    let arc = FeatureErrors::read(&files.with("error.cor", "0 -1.5\n0.1 -2.5\n")).unwrap();
+    assert_eq!((arc.len(), arc.range_um()), (2, [-2.5, -1.5]));
     for (bad, line) in [
         ("0 1 -10 5 0\n0 1e300 0 5 -10\n", 2),
         ("0 1 -10 5 0\n0 2 1e300 5 -10\n", 2),

@@ -7,8 +7,8 @@ use serde_json::{Map, Value};
 /// Print one value of the status, as axes.x.completed or mode
 ///
 /// The names are those of `rtecctl status --json`; an axis or a sensor by its name or its number from 0. Text is printed
-/// bare, everything else as JSON; with --json text too. Without a name every name is printed. Exit 1 where the status has no
-/// such value now, 2 where it never has, 3 without a daemon; a latched fault is no other exit code here.
+/// bare, everything else as JSON; with --json text too. Without a name every name is printed, with --json as one list. Exit 1
+/// where the status has no such value now, 2 where it never has, 3 without a daemon; a latched fault is no other exit code here.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Which value, as axes.x.completed, `rt.poll_gap_ns.p9999`, sensors.T8.degc
@@ -32,7 +32,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let Some(name) = &args.name else {
         let mut names = Vec::new();
         all(&status, "", &mut names);
-        println!("{}", names.join("\n"));
+        if args.daemon.json {
+            println!("{}", serde_json::json!(names));
+        } else {
+            println!("{}", names.join("\n"));
+        }
         return Ok(());
     };
     match find(&status, name) {

@@ -21,7 +21,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.toml")]
     limits: Option<PathBuf>,
     /// Write the history with a plot of each figure as one page
-    #[arg(long, value_name = "FILE.html")]
+    #[arg(long, value_name = "FILE.html", value_parser = crate::verbs::output())]
     html: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]

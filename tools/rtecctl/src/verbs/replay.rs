@@ -36,10 +36,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME", requires = "config")]
     axis: Option<String>,
     /// Write what the MTC sees (.csv)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = crate::verbs::output())]
     out: Option<PathBuf>,
     /// Write what the MTC sees (.vcd)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = crate::verbs::output())]
     vcd: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]

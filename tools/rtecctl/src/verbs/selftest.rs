@@ -56,7 +56,7 @@ struct LatencyArgs {
     #[arg(long)]
     json: bool,
     /// Write the histogram, as cyclictest's --histfile does, to F
-    #[arg(long, value_name = "F")]
+    #[arg(long, value_name = "F", value_parser = crate::verbs::output())]
     histfile: Option<PathBuf>,
 }
 

@@ -24,6 +24,7 @@ enum What {
         /// The trace to read
         input: PathBuf,
         /// The trace to write
+        #[arg(value_parser = crate::verbs::output())]
         output: PathBuf,
         /// Print the summary as one JSON document
         #[arg(long)]
@@ -41,7 +42,7 @@ struct FromPosition {
     #[arg(long, value_name = "UM", value_parser = positive)]
     count_um: f64,
     /// The trace to write (.csv or .vcd)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = crate::verbs::output())]
     out: PathBuf,
     /// The position column [default: the one whose name begins with "position"]
     #[arg(long, value_name = "NAME")]

@@ -55,7 +55,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     circle: super::CircleOptions,
     /// The run record to write; its CSV stands beside it
-    #[arg(long, value_name = "NAME.run.toml")]
+    #[arg(long, value_name = "NAME.run.toml", value_parser = crate::verbs::output())]
     out: PathBuf,
 }
 

@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The run record to write; its CSV stands beside it
-    #[arg(long, value_name = "NAME.run.toml")]
+    #[arg(long, value_name = "NAME.run.toml", value_parser = crate::verbs::output())]
     out: PathBuf,
     /// Put the finished record into this folder too, for `rtecctl ship`; without a folder the daemon keeps it, in its
     /// configuration's `[control] spool`

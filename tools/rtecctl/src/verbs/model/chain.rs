@@ -23,10 +23,10 @@ pub(crate) struct Args {
     #[arg(long = "record", value_name = "NAME.run.toml[@x,y,z]", required = true)]
     records: Vec<String>,
     /// The chain to write; comments and order of the first stay
-    #[arg(long, value_name = "chain.toml")]
+    #[arg(long, value_name = "chain.toml", value_parser = crate::verbs::output())]
     out: PathBuf,
     /// Draw what is left into this SVG file, one per record and response
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::output())]
     plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]

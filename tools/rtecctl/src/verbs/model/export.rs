@@ -61,7 +61,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FORM.toml", required_if_eq("format", "own"))]
     form: Option<PathBuf>,
     /// The file
-    #[arg(long)]
+    #[arg(long, value_parser = crate::verbs::output())]
     out: PathBuf,
     /// What was written and what it leaves, as JSON
     #[arg(long)]

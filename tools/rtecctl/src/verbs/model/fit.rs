@@ -39,7 +39,7 @@ pub(crate) struct Common {
     base: Option<PathBuf>,
     /// Draw correlation and range of every sensor into this SVG file, as the patent's figure 17; with --effects what is
     /// left, one file per record and response
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::output())]
     plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
@@ -66,7 +66,7 @@ pub(crate) struct FitArgs {
           conflicts_with_all = ["sensors", "environment", "no_lag", "no_square", "holdout"])]
     effects: Vec<String>,
     /// The machine model to write
-    #[arg(long, value_name = "machine.toml")]
+    #[arg(long, value_name = "machine.toml", value_parser = crate::verbs::output())]
     out: PathBuf,
     /// The date the model carries; that of the latest record where it is left out, today (UTC) where none has one
     #[arg(long, value_name = "YYYY-MM-DD")]

@@ -17,7 +17,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME.run.toml")]
     record: PathBuf,
     /// The record's rows with one column `predicted_RESPONSE` per response
-    #[arg(long, value_name = "FILE.csv")]
+    #[arg(long, value_name = "FILE.csv", value_parser = crate::verbs::output())]
     out: PathBuf,
     /// Further columns `low_RESPONSE` and `high_RESPONSE`: the 95 % prediction interval, where a fit has stated one
     #[arg(long)]

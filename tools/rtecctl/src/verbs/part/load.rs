@@ -37,7 +37,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     }
     // Found here, with line and column, before the daemon is asked.
     let errors = FeatureErrors::read(&args.errors)?;
-    let points = errors.len();
+    let (points, [low_um, high_um]) = (errors.len(), errors.range_um());
     let arc = match errors {
         FeatureErrors::Arc(_) => Some(args.cut.cut()?),
         FeatureErrors::Line(_) => {
@@ -59,7 +59,9 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let files = [open(&args.errors)?];
     args.daemon.ask_with(&ClientRequest::TableLoad(table), &files)?;
     if !args.daemon.json {
-        println!("part table of {points} points loaded");
+        println!(
+            "part table of {points} points loaded: surface {low_um:+.1} to {high_um:+.1} µm off, taken out near it"
+        );
     }
     Ok(())
 }
