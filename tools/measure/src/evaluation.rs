@@ -1,14 +1,14 @@
 //! Runs evaluated by the standard that fits them: the document that programs read and the report that people read.
 
-use crate::iso230::{self, Conditions, Options};
+use crate::iso230::{self, Conditions, LongDrift, Options};
 use crate::plausible::{self, Suspicion, What};
 use crate::plot::PlotError;
-use crate::report::{self, Report};
-use crate::{ballbar, plate};
+use crate::report::{self, Report, Run};
+use crate::{ballbar, plate, record};
 use rtec_files::{InputError, Said};
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Kind, Record, Role, sha256_of};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The evaluations, by the names that they are asked for with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -130,21 +130,100 @@ pub fn evaluate(
     let doubts = plausible::said(records, say);
     reducible(&asked.conditions, &doubts)?;
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
-    let (mut document, mut report) = by(standard, records, asked, say)?;
+    let (document, mut report) = by(standard, records, asked, say)?;
     if let Some(unused) = standard.unused(&asked.conditions, records) {
         report.warn(&unused);
     }
+    Ok(doubted(&first.path, document, report, doubts, say))
+}
+
+/// As [`evaluate`], of records on file. A drift test of more than [`MOST_ROWS`] rows in which no axis moves is gone through piece by
+/// piece: its figures are those of the whole, and mistakes are looked for in each piece by itself.
+///
+/// # Errors
+/// As [`evaluate`], and as [`record::read`].
+pub fn evaluate_files(
+    paths: &[PathBuf],
+    asked: &Asked,
+    say: &mut dyn FnMut(Said),
+) -> Result<Evaluation, InputError> {
+    if let [path] = paths
+        && let Some(mut long) = long_drift(path, asked, MOST_ROWS)?
+    {
+        return in_pieces(path, &mut long, asked, MOST_ROWS, say);
+    }
+    evaluate(&paths.iter().map(|p| record::read(p)).collect::<Result<Vec<_>, _>>()?, asked, say)
+}
+
+/// So many rows of a drift test are held at once: three days, a row each second.
+pub const MOST_ROWS: usize = 1 << 18;
+
+/// The record where it is a drift test of more rows, and is evaluated as such.
+fn long_drift(path: &Path, asked: &Asked, more_than: usize) -> Result<Option<LongDrift>, InputError> {
+    let drift = match asked.standard {
+        Some(standard) => standard == Standard::Iso230_3,
+        None => record::Pieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
+    };
+    if drift { LongDrift::of(path, more_than) } else { Ok(None) }
+}
+
+fn in_pieces(
+    path: &Path,
+    long: &mut LongDrift,
+    asked: &Asked,
+    most_rows: usize,
+    say: &mut dyn FnMut(Said),
+) -> Result<Evaluation, InputError> {
+    // Of one length, so that none is too short to show what it is.
+    let pieces = long.rows().div_ceil(most_rows);
+    let mut looked_at = plausible::Pieces::default();
+    let all = long.drift(long.rows().div_ceil(pieces), |piece| looked_at.see(piece))?;
+    let doubts = looked_at.said(say);
+    reducible(&asked.conditions, &doubts)?;
+    let head = long.head();
+    let ranges = long.ranges_degc().map(|(name, range)| (name.to_owned(), range)).collect();
+    let csv = path.parent().unwrap_or(Path::new("")).join(&head.file);
+    let run = Run { rows: long.rows(), sha256: sha256_of(&csv)?, ranges_degc: ranges, ..Run::of(head) };
+    let document = one_or("axes", values(&all).map_err(|e| unwritten(path, &e))?);
+    let mut report =
+        report::drift(&all, &run, long.charts(), &asked.conditions).map_err(|e| undrawn(path, &e))?;
+    if let Some(unused) = Standard::Iso230_3.unused(&asked.conditions, &[]) {
+        report.warn(&unused);
+    }
+    report.warn(&format!(
+        "mistakes are looked for in {pieces} pieces of its rows, each by itself: what shows only beside another one (rows of one that \
+         stand once more in another) is not found"
+    ));
+    Ok(doubted(path, document, report, doubts, say))
+}
+
+fn unwritten(file: &Path, e: &serde_json::Error) -> InputError {
+    InputError::whole(file, e.to_string(), "figures that can be written")
+}
+
+fn undrawn(file: &Path, e: &PlotError) -> InputError {
+    InputError::whole(file, e.to_string(), "figures that can be drawn")
+}
+
+/// An evaluation with what is doubted of its records; says what the report warns of.
+fn doubted(
+    file: &Path,
+    mut document: Value,
+    mut report: Report,
+    doubts: Vec<Suspicion>,
+    say: &mut dyn FnMut(Said),
+) -> Evaluation {
     for doubt in &doubts {
         report.doubt(&doubt.to_string(), of_rows(doubt));
     }
     for warning in report.warnings().iter().skip(doubts.len()) {
-        say(Said::Warning(format!("{}: {warning}", first.path.display())));
+        say(Said::Warning(format!("{}: {warning}", file.display())));
     }
     if doubts.iter().any(of_rows) {
         say(Said::Warning(report::KEPT.to_owned()));
     }
     plausible::enter(&mut document, &doubts);
-    Ok(Evaluation { document, report, doubts })
+    Evaluation { document, report, doubts }
 }
 
 fn of_rows(doubt: &Suspicion) -> bool {
@@ -191,9 +270,8 @@ fn by(
     say: &mut dyn FnMut(Said),
 ) -> Result<(Value, Report), InputError> {
     let file = &records[0].path;
-    let unwritten =
-        |e: serde_json::Error| InputError::whole(file, e.to_string(), "figures that can be written");
-    let undrawn = |e: PlotError| InputError::whole(file, e.to_string(), "figures that can be drawn");
+    let unwritten = |e: serde_json::Error| unwritten(file, &e);
+    let undrawn = |e: PlotError| undrawn(file, &e);
     let options = Options { one_way: asked.one_way, conditions: asked.conditions.clone() };
     let conditions = &asked.conditions;
     Ok(match standard {
@@ -225,7 +303,8 @@ fn by(
         Standard::Iso230_3 => {
             let record = single(records)?;
             let all = iso230::drift(record)?;
-            let report = report::drift(&all, record, conditions).map_err(undrawn)?;
+            let charts = iso230::drift_charts(record);
+            let report = report::drift(&all, &Run::of(record), charts, conditions).map_err(undrawn)?;
             (one_or("axes", values(&all).map_err(unwritten)?), report)
         }
         Standard::Iso230_6 => {
@@ -264,4 +343,120 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
 
 fn values(all: &[impl serde::Serialize]) -> serde_json::Result<Vec<Value>> {
     all.iter().map(serde_json::to_value).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fmt::Write as _;
+
+    /// A drift test on file: rest, spindle with pauses, rest; time uneven; a row changed as `spoilt` says.
+    fn drift(folder: &Path, rows: usize, spoilt: impl Fn(usize, &mut [f64; 7])) -> PathBuf {
+        let mut csv = "t,rpm,z,T1,T2,e,f\n".to_owned();
+        let mut dice = 1_u64;
+        let mut noise = || {
+            dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (dice >> 40) as f64 / f64::from(1 << 24) - 0.5
+        };
+        for row in 0..rows {
+            let (part, t) = (row as f64 / rows as f64, row as f64 * 7.0 + (row % 5) as f64);
+            let turns = (0.3..0.7).contains(&part) && row % 97 > 5;
+            let warm = if part < 0.3 { 0.0 } else { 1.0 - (-(part - 0.3) * 4.0).exp() };
+            let rpm = if turns { 3000.0 + (row % 7) as f64 * 40.0 } else { 0.0 };
+            let (t1, t2) = (20.0 + 9.0 * warm + 0.05 * noise(), 21.0 + 2.0 * part + 0.05 * noise());
+            let mut cells = [t, rpm, 5.0, t1, t2, 30.0 * warm + noise(), -4.0 * warm + noise()];
+            spoilt(row, &mut cells);
+            let line: Vec<String> = cells.iter().map(f64::to_string).collect();
+            let _ = writeln!(csv, "{}", line.join(","));
+        }
+        std::fs::write(folder.join("d.csv"), csv).unwrap();
+        let sidecar = "file = \"d.csv\"\nkind = \"drift\"\ndate = 2026-05-01\nnote = \"gantry\"\n[columns]\n\
+                       t = { role = \"time\", unit = \"s\" }\nrpm = { role = \"spindle_speed\", unit = \"rpm\" }\n\
+                       z = { role = \"position.z\", unit = \"mm\" }\nT1 = { role = \"temperature\", unit = \"degC\" }\n\
+                       T2 = { role = \"temperature\", unit = \"degC\" }\ne = { role = \"error.z\", unit = \"um\" }\n\
+                       f = { role = \"error.x\", unit = \"um\" }\n";
+        let path = folder.join("d.run.toml");
+        std::fs::write(&path, sidecar).unwrap();
+        path
+    }
+
+    fn pieces(path: &Path, most_rows: usize) -> (Evaluation, Vec<String>) {
+        let (asked, mut said) = (Asked::default(), Vec::new());
+        let mut long = long_drift(path, &asked, most_rows).unwrap().unwrap();
+        let found = in_pieces(path, &mut long, &asked, most_rows, &mut |s| said.push(s.to_string()));
+        (found.unwrap(), said)
+    }
+
+    fn held(path: &Path) -> Evaluation {
+        evaluate(&[record::read(path).unwrap()], &Asked::default(), &mut |_| ()).unwrap()
+    }
+
+    /// Figures, phases, tables and plots of a test that is gone through piece by piece are those of the whole.
+    #[test]
+    fn a_long_drift_is_evaluated_as_a_short_one() {
+        let folder = tempfile::tempdir().unwrap();
+        for rows in [1201, 5000] {
+            let path = drift(folder.path(), rows, |_, _| ());
+            let whole = held(&path);
+            assert_eq!(whole.doubts, []);
+            assert_eq!(
+                whole.document["axes"][1]["phases"].as_array().map(Vec::len),
+                Some(3),
+                "{}",
+                whole.document
+            );
+            for most_rows in [400, 1200] {
+                let (found, said) = pieces(&path, most_rows);
+                assert_eq!(found.document.to_string(), whole.document.to_string());
+                assert_eq!(found.report.text(), whole.report.text());
+                assert!(found.report.plots().eq(whole.report.plots()));
+                // What stands above it differs by what is said of the pieces alone.
+                let [warning] = found.report.warnings() else { panic!("{:?}", found.report.warnings()) };
+                assert_eq!(said, [format!("warning: {}: {warning}", path.display())]);
+                let html = found.report.html().replace(&format!("<p class=\"warn\">{warning}</p>"), "");
+                assert_eq!(html, whole.report.html());
+            }
+        }
+    }
+
+    /// A mistake has its rows wherever it stands; one of all pieces is one of the record.
+    #[test]
+    fn mistakes_in_a_long_drift_are_found_piece_by_piece() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = drift(folder.path(), 4000, |row, cells| {
+            cells[3] += 273.15;
+            cells[4] = if row >= 3900 { 999.9 } else { cells[4] };
+            cells[6] += if row == 2500 { 500.0 } else { 0.0 };
+        });
+        let (found, said) = pieces(&path, 1000);
+        let doubts: Vec<(&str, What, &str)> =
+            found.doubts.iter().map(|d| (d.column.as_str(), d.what, d.rows.as_str())).collect();
+        let want =
+            [("T1", What::Unit, ""), ("f", What::Outliers, "2501"), ("T2", What::Unplugged, "3901-4000")];
+        assert_eq!(doubts, want, "{said:?}");
+        assert!(said.iter().any(|s| s.contains("in 4 pieces")), "{said:?}");
+        assert_eq!(found.document["suspicions"].as_array().map(Vec::len), Some(3));
+    }
+
+    /// What asks for all rows at once is held: few rows, an axis that moves, another kind, no time.
+    #[test]
+    fn what_cannot_be_cut_is_held() {
+        let folder = tempfile::tempdir().unwrap();
+        let is_long =
+            |path: &Path, most_rows: usize| long_drift(path, &Asked::default(), most_rows).unwrap().is_some();
+        let path = drift(folder.path(), 1000, |_, _| ());
+        assert!(is_long(&path, 999) && !is_long(&path, 1000));
+        let sidecar = std::fs::read_to_string(&path).unwrap();
+        for (from, to) in
+            [("\"drift\"", "\"positioning\""), ("\"time\", unit = \"s\"", "\"channel\", unit = \"s\"")]
+        {
+            std::fs::write(&path, sidecar.replace(from, to)).unwrap();
+            assert!(!is_long(&path, 999), "{to}");
+        }
+        // From the last row of one piece to the first of the next one.
+        let path = drift(folder.path(), 9000, |row, cells| cells[2] += if row < 4096 { 0.0 } else { 1.0 });
+        assert!(!is_long(&path, 999));
+        let path = drift(folder.path(), 9000, |row, cells| cells[2] += if row < 4096 { 0.0 } else { 0.005 });
+        assert!(is_long(&path, 999));
+    }
 }

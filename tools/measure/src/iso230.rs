@@ -16,7 +16,7 @@ mod straightness;
 
 pub use conditions::{Conditions, Contributor, Expansion, Uncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
-pub use drift::{Drift, Figures, Phase, SensorDrift, drift, drift_charts};
+pub use drift::{Drift, Figures, LongDrift, Phase, SensorDrift, drift, drift_charts};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 pub use positioning::{Options, Positioning, Target, has_positioning, positioning, positioning_with};
 pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};

@@ -2,8 +2,8 @@
 
 use crate::record;
 use rtec_files::{InputError, Said};
-use rtec_model::machine::{Asked, Machine, Running};
-use rtec_model::record::Record;
+use rtec_model::machine::{Asked, HalfWidths, Machine, Reach, Running};
+use rtec_model::record::{Record, Role};
 use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
@@ -33,7 +33,8 @@ fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say:
     }
 }
 
-/// As [`csv`] of the record on file at `path`, to `out`; without an interval row by row, in the memory of a few thousand.
+/// As [`csv`] of the record on file at `path`, to `out`; row by row, in the memory of a few thousand, but for a circle's. With an
+/// interval the file is read twice: whether a fit speaks for it depends on where all its rows are.
 ///
 /// # Errors
 /// As [`csv`]; the record cannot be read; what `out` reports. What has been written then is to be thrown away.
@@ -44,36 +45,85 @@ pub fn write(
     out: &mut impl Write,
     say: &mut dyn FnMut(Said),
 ) -> Result<(), Failed> {
-    // An interval asks where all rows are, before the first.
-    let pieces = if interval { None } else { record::Pieces::of(path)? };
-    let Some(mut pieces) = pieces else {
+    let Some(mut pieces) = record::Pieces::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     };
     let (mut running, mut asked) = (Running::of(machine), Asked::of(machine));
-    let (mut first, mut taken_as_zero, mut text) = (true, Vec::new(), String::new());
+    let mut looked_over = None;
+    if interval {
+        looked_over = Some(look_over(&mut pieces, &mut asked)?);
+        pieces.rewind()?;
+    }
+    let mut widths: Vec<HalfWidths<'_>> = Vec::new();
+    let (mut rows, mut taken_as_zero, mut text) = (0, Vec::new(), String::new());
     while let Some(piece) = pieces.next(PIECE_ROWS)? {
         let prediction = running.next(&piece.record)?;
-        asked.see(&piece.record);
         text.clear();
-        if std::mem::take(&mut first) {
+        if rows == 0 {
+            taken_as_zero = prediction.taken_as_zero;
+            if let Some((reach, _)) = &looked_over {
+                widths = half_widths(machine, reach, &piece.record)
+                    .inspect_err(|_| warn(path, &taken_as_zero, &asked.out_of_range(), say))?;
+            }
             text.push_str(pieces.header());
             for (name, _) in &prediction.columns {
-                let _ = write!(text, ",{}", rtec_files::csv::cell(&format!("predicted_{name}")));
+                for bound in if interval { &["low_", "high_", "predicted_"][..] } else { &["predicted_"] } {
+                    let _ = write!(text, ",{}", rtec_files::csv::cell(&format!("{bound}{name}")));
+                }
             }
             text.push('\n');
-            taken_as_zero = prediction.taken_as_zero;
         }
+        if !interval {
+            asked.see(&piece.record);
+        }
+        let widths: Vec<Vec<f64>> = widths.iter_mut().map(|w| w.next(&piece.record)).collect();
         for (n, row) in piece.texts.iter().enumerate() {
             text.push_str(row);
-            for (_, data) in &prediction.columns {
-                let _ = write!(text, ",{}", data[n]);
+            for (response, (_, data)) in prediction.columns.iter().enumerate() {
+                let p = data[n];
+                if let Some(w) = widths.get(response).map(|w| w[n]) {
+                    let _ = write!(text, ",{},{}", p - w, p + w);
+                }
+                let _ = write!(text, ",{p}");
             }
             text.push('\n');
         }
+        rows += piece.texts.len();
         out.write_all(text.as_bytes())?;
+    }
+    if let Some((_, before)) = looked_over.filter(|(_, before)| *before != rows) {
+        let expected = format!("{before} rows, as when it was read first");
+        return Err(InputError::whole(path, format!("{rows} rows"), expected).into());
     }
     warn(path, &taken_as_zero, &asked.out_of_range(), say);
     Ok(())
+}
+
+/// How far a record goes, and how many rows it has.
+fn look_over(pieces: &mut record::Pieces, asked: &mut Asked<'_>) -> Result<(Reach, usize), InputError> {
+    let (mut reach, mut rows) = (Reach::default(), 0);
+    while let Some(record) = pieces.next_record(PIECE_ROWS)? {
+        asked.see(&record);
+        reach.see(&record);
+        rows += record.rows();
+    }
+    Ok((reach, rows))
+}
+
+/// Those of every response of the record.
+fn half_widths<'m>(
+    machine: &'m Machine,
+    reach: &Reach,
+    record: &Record,
+) -> Result<Vec<HalfWidths<'m>>, InputError> {
+    let of = |role: &Role| HalfWidths::of(machine, reach, role).ok_or_else(|| no_interval(machine, role));
+    record.responses().map(|response| of(&response.role)).collect()
+}
+
+fn no_interval(machine: &Machine, response: &Role) -> InputError {
+    let found = format!("no fit of {response}");
+    let expected = "a [[fit]] that states its interval, as `model fit` writes it";
+    InputError::whole(&machine.path, found, expected)
 }
 
 /// Rows that are held at a time.
@@ -103,11 +153,8 @@ pub fn csv(
     let mut columns = Vec::new();
     for (response, (name, data)) in record.responses().zip(predict(machine, record, say)?) {
         if interval {
-            let Some(width) = machine.half_widths_um(record, &response.role) else {
-                let found = format!("no fit of {}", response.role);
-                let expected = "a [[fit]] that states its interval, as `model fit` writes it";
-                return Err(InputError::whole(&machine.path, found, expected));
-            };
+            let width = machine.half_widths_um(record, &response.role);
+            let width = width.ok_or_else(|| no_interval(machine, &response.role))?;
             let bound = |sign: f64| data.iter().zip(&width).map(|(p, w)| p + sign * w).collect::<Vec<f64>>();
             let (low, high) = (bound(-1.0), bound(1.0));
             columns.push((format!("low_{name}"), low));
@@ -129,12 +176,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let model = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T1\"\num_per_K = 1.3\num_per_K2 = 0.01\ntau_s = 900.0\n\
-                     range_K = [-1.0, 4.0]\n[[effect]]\nname = \"position_map.z\"\nknots_mm = [0.0, 10.0]\num = [1.0, 2.0]\n[[effect]]\nname = \"reversal.z\"\num = 4.0\n\
+                     range_K = [-1.0, 4.0]\nstart_K = 0.7\n[[effect]]\nname = \"position_map.z\"\nknots_mm = [0.0, 10.0]\num = [1.0, 2.0]\n[[effect]]\nname = \"reversal.z\"\num = 4.0\n\
                      [[fit]]\nresponse = \"error.z\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 0.1\nhalf_width_um = 0.2\n\
                      valid = [{ sensor = \"T2\", range_K = [0.0, 1.0], um_per_K = 1.0 }]\n";
         std::fs::write(at("m.toml"), model).unwrap();
         let machine = Machine::read(&at("m.toml")).unwrap();
-        for time in ["", "t = { role = \"time\", unit = \"s\" }\n"] {
+        let times = ["", "t = { role = \"time\", unit = \"s\" }\n"];
+        for (time, interval) in times.into_iter().flat_map(|time| [(time, false), (time, true)]) {
             let sidecar = format!(
                 "file = \"r.csv\"\nkind = \"drift\"\n[columns]\n{time}z = {{ role = \"position.z\", unit = \"mm\" }}\n\
                  T1 = {{ role = \"temperature\", unit = \"degC\" }}\nT2 = {{ role = \"temperature\", unit = \"degC\" }}\n\
@@ -152,23 +200,51 @@ mod tests {
             std::fs::write(at("r.csv"), rows).unwrap();
             let (mut said, mut written, mut said_by_rows) = (Vec::new(), Vec::new(), Vec::new());
             let record = record::read(&at("r.run.toml")).unwrap();
-            let whole = csv(&machine, &record, false, &mut |s| said.push(s.to_string())).unwrap();
-            write(&machine, &at("r.run.toml"), false, &mut written, &mut |s| {
+            let whole = csv(&machine, &record, interval, &mut |s| said.push(s.to_string())).unwrap();
+            write(&machine, &at("r.run.toml"), interval, &mut written, &mut |s| {
                 said_by_rows.push(s.to_string());
             })
             .unwrap();
             assert!(String::from_utf8(written).unwrap() == whole, "{time}");
             assert_eq!(said_by_rows, said);
+            assert!(
+                interval == whole.starts_with("t,z,T1,\"a note\",T2,e,low_e,high_e,predicted_e\n"),
+                "{}",
+                &whole[..60]
+            );
             // Held at the bound, beyond what the fit saw, beyond the knots; a direction that nobody logged.
             assert_eq!(said.len(), 4, "{said:?}");
         }
+        // Where no fit speaks for the rows it is said behind what they lack; a place far from the others is behind the first piece.
+        let narrow = model.replace("valid =", "at_mm = { z = [-20.0, 20.0] }\nvalid =");
+        std::fs::write(at("m.toml"), narrow).unwrap();
+        let narrow = Machine::read(&at("m.toml")).unwrap();
+        let both = |machine: &Machine| {
+            let (mut said, mut said_by_rows) = (Vec::new(), Vec::new());
+            let record = record::read(&at("r.run.toml")).unwrap();
+            let whole = csv(machine, &record, true, &mut |s| said.push(s.to_string()));
+            let mut written = Vec::new();
+            let by_rows = write(machine, &at("r.run.toml"), true, &mut written, &mut |s| {
+                said_by_rows.push(s.to_string());
+            });
+            assert_eq!(said_by_rows, said);
+            let by_rows = by_rows.map(|()| String::from_utf8(written).unwrap()).map_err(|e| e.to_string());
+            assert!(by_rows == whole.map_err(|e| e.to_string()));
+            by_rows
+        };
+        assert!(both(&narrow).is_ok());
+        let text = std::fs::read_to_string(at("r.csv")).unwrap();
+        std::fs::write(at("r.csv"), text.clone() + "9999999,90,21,,21,0\n").unwrap();
+        assert!(both(&narrow).unwrap_err().contains("no fit of error.z"));
+        assert!(both(&machine).is_ok());
         // A mistake far behind the first piece has its place.
-        let text = std::fs::read_to_string(at("r.csv")).unwrap() + "5,1,2,,3,4\n";
-        std::fs::write(at("r.csv"), text).unwrap();
+        std::fs::write(at("r.csv"), text + "5,1,2,,3,4\n").unwrap();
         let whole = record::read(&at("r.run.toml")).unwrap_err();
-        let by_rows =
-            write(&machine, &at("r.run.toml"), false, &mut Vec::new(), &mut |_| {}).unwrap_err().to_string();
-        assert_eq!(by_rows, whole.to_string());
-        assert!(by_rows.contains("after"), "{by_rows}");
+        for interval in [false, true] {
+            let by_rows = write(&machine, &at("r.run.toml"), interval, &mut Vec::new(), &mut |_| {});
+            let by_rows = by_rows.unwrap_err().to_string();
+            assert_eq!(by_rows, whole.to_string());
+            assert!(by_rows.contains("after"), "{by_rows}");
+        }
     }
 }

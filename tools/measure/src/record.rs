@@ -67,6 +67,8 @@ pub fn parse_log(path: &Path, sidecar: &str, csv: &[u8]) -> Result<Record, Input
 pub struct Pieces {
     path: PathBuf,
     sidecar: Sidecar,
+    /// Length of the CSV.
+    bytes: u64,
     rows: Rows<File>,
     /// Rows before the present piece.
     before: usize,
@@ -92,9 +94,33 @@ impl Pieces {
             return Ok(None);
         }
         let (csv_path, file) = sidecar.open(path)?;
+        let bytes = file.metadata().map_or(0, |m| m.len());
         let rows = Rows::new(&csv_path, file, &sidecar)?;
         has_response(path, &rows.columns)?;
-        Ok(Some(Self { path: path.to_owned(), sidecar, rows, before: 0 }))
+        Ok(Some(Self { path: path.to_owned(), sidecar, bytes, rows, before: 0 }))
+    }
+
+    /// Goes back to before the first piece.
+    ///
+    /// # Errors
+    /// The file is no longer what it was.
+    pub fn rewind(&mut self) -> Result<(), InputError> {
+        let (csv_path, file) = self.sidecar.open(&self.path)?;
+        self.rows = Rows::new(&csv_path, file, &self.sidecar)?;
+        self.before = 0;
+        Ok(())
+    }
+
+    /// What kind of run it is.
+    #[must_use]
+    pub fn kind(&self) -> Kind {
+        self.sidecar.kind
+    }
+
+    /// No more rows than these are in the file: a field has a character behind it.
+    #[must_use]
+    pub fn most_rows(&self) -> u64 {
+        self.bytes / self.rows.slots.len().max(1) as u64
     }
 
     /// The CSV's header as it stands.
@@ -109,17 +135,32 @@ impl Pieces {
     /// What [`read`] finds in them.
     pub fn next(&mut self, rows: usize) -> Result<Option<Piece>, InputError> {
         let mut texts = Vec::with_capacity(rows);
-        let mut keep = |text: &[u8]| texts.push(String::from_utf8_lossy(text).into_owned());
+        let record = self.fill(rows, |text| texts.push(String::from_utf8_lossy(text).into_owned()))?;
+        Ok(record.map(|record| Piece { record, texts }))
+    }
+
+    /// As [`Pieces::next`], without the texts.
+    ///
+    /// # Errors
+    /// What [`read`] finds in the rows.
+    pub fn next_record(&mut self, rows: usize) -> Result<Option<Record>, InputError> {
+        self.fill(rows, |_| ())
+    }
+
+    fn fill(&mut self, rows: usize, mut keep: impl FnMut(&[u8])) -> Result<Option<Record>, InputError> {
         while self.rows.held() < rows && self.rows.next(&mut keep)? {}
-        if texts.is_empty() {
+        if self.rows.held() == 0 {
             return Ok(None);
         }
         let columns = self.rows.take();
         let mut record = Record::of_checked(&self.path, self.sidecar.kind, columns).from_row(self.before);
-        self.before += texts.len();
+        self.before += record.rows();
         record.file.clone_from(&self.sidecar.file);
         record.count_um = self.sidecar.count_um;
-        Ok(Some(Piece { record, texts }))
+        record.date.clone_from(&self.sidecar.date);
+        record.note.clone_from(&self.sidecar.note);
+        record.zero.clone_from(&self.sidecar.zero);
+        Ok(Some(record))
     }
 }
 

@@ -8,7 +8,7 @@ pub use of::{ballbar, diagonals, drift, history, plate, positioning, repeatabili
 
 use crate::iso230::Conditions;
 use crate::plot::{Picture, PlotError};
-use rtec_model::record::Record;
+use rtec_model::record::{Column, Record, Role};
 use std::fmt::Write as _;
 
 /// A table; columns whose name starts with `#` hold numbers and stand right.
@@ -54,6 +54,43 @@ enum Section {
     Plot { svg: String, picture: Picture },
 }
 
+/// A record as a report speaks of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// The sidecar's name.
+    pub name: String,
+    /// How many rows it has.
+    pub rows: usize,
+    /// The day of the run, as ISO 8601.
+    pub date: Option<String>,
+    /// Free text about it.
+    pub note: Option<String>,
+    /// SHA-256 of its CSV, in hexadecimal; empty where it is on no file.
+    pub sha256: String,
+    /// From where to where each temperature goes, °C.
+    pub ranges_degc: Vec<(String, [f64; 2])>,
+}
+
+impl Run {
+    /// That of a record.
+    #[must_use]
+    pub fn of(record: &Record) -> Self {
+        let range = |c: &Column| {
+            let wider = |[l, h]: [f64; 2], v: &f64| [l.min(*v), h.max(*v)];
+            (c.name.clone(), c.data.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider))
+        };
+        let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
+        Self {
+            name: record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
+            rows: record.rows(),
+            date: record.date.clone(),
+            note: record.note.clone(),
+            sha256: record.sha256.clone(),
+            ranges_degc: temperatures.map(range).collect(),
+        }
+    }
+}
+
 /// A report.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Report {
@@ -88,25 +125,25 @@ impl Report {
     }
 
     fn new(title: &str, records: &[Record], conditions: &Conditions) -> Self {
+        Self::of_runs(title, &records.iter().map(Run::of).collect::<Vec<_>>(), conditions)
+    }
+
+    fn of_runs(title: &str, runs: &[Run], conditions: &Conditions) -> Self {
         let mut facts = Vec::new();
-        for r in records {
-            let name = r.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        for r in runs {
             let date = r.date.as_ref().map(|d| format!(", {d}")).unwrap_or_default();
             let note = r.note.as_ref().map(|n| format!(", {n}")).unwrap_or_default();
             let hash = r.sha256.get(..12).map(|h| format!(", SHA-256 {h}…")).unwrap_or_default();
-            facts.push(("record".to_owned(), format!("{name}, {} rows{date}{hash}{note}", r.rows())));
+            facts.push(("record".to_owned(), format!("{}, {} rows{date}{hash}{note}", r.name, r.rows)));
         }
         facts.extend(conditions.words.iter().cloned());
         facts.extend(conditions.instrument.iter().map(|(k, v)| (format!("instrument {k}"), v.clone())));
         let mut ranges: Vec<(&str, [f64; 2])> = Vec::new();
-        let temperature = |c: &&rtec_model::record::Column| c.role == rtec_model::record::Role::Temperature;
-        for c in records.iter().flat_map(|r| r.columns.iter().filter(temperature)) {
-            let place = ranges.iter().position(|(name, _)| *name == c.name).unwrap_or(ranges.len());
-            if place == ranges.len() {
-                ranges.push((&c.name, [f64::INFINITY, f64::NEG_INFINITY]));
+        for (name, [low, high]) in runs.iter().flat_map(|r| &r.ranges_degc) {
+            match ranges.iter_mut().find(|(known, _)| known == name) {
+                Some((_, [l, h])) => (*l, *h) = (l.min(*low), h.max(*high)),
+                None => ranges.push((name, [*low, *high])),
             }
-            let range = &mut ranges[place].1;
-            *range = c.data.iter().fold(*range, |[l, h], v| [l.min(*v), h.max(*v)]);
         }
         if !ranges.is_empty() {
             let each = ranges.iter().map(|(name, [lo, hi])| format!("{name} {lo:.2} to {hi:.2}"));

@@ -71,6 +71,21 @@ pub struct Chain {
     pub tool_mm: [f64; 3],
 }
 
+/// Where a joint's axis is found, and the difference of each of its components.
+#[derive(Debug, Clone)]
+pub(crate) struct JointPlaces<A, S> {
+    axis: Option<A>,
+    deltas: Vec<Option<Taken<S>>>,
+}
+
+/// Where a difference's sensors are found, and what is taken off where there is only one.
+#[derive(Debug, Clone)]
+struct Taken<S> {
+    sensor: S,
+    minus: Option<S>,
+    reference_degc: f64,
+}
+
 /// The transform of a displacement (mm) and small rotations (rad): exact to the first order, as the method has it.
 #[must_use]
 pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Matrix4<f64> {
@@ -118,13 +133,26 @@ impl Chain {
         position_mm: impl Fn(&Axis) -> f64,
         delta_k: impl Fn(&Difference) -> f64,
     ) -> [f64; 3] {
+        let position = |joint: usize| self.joints[joint].axis.as_ref().map_or(0.0, |(a, _)| position_mm(a));
+        let delta = |joint: usize, component: usize| {
+            self.joints[joint].components[component].delta.as_ref().map_or(0.0, &delta_k)
+        };
+        self.error_by_um(&position, &delta)
+    }
+
+    /// The same by the numbers of the joints, and of the components of each.
+    fn error_by_um(
+        &self,
+        position_mm: &impl Fn(usize) -> f64,
+        delta_k: &impl Fn(usize, usize) -> f64,
+    ) -> [f64; 3] {
         let ends = [
-            self.end(Branch::Work, true, &position_mm, &delta_k),
-            self.end(Branch::Tool, true, &position_mm, &delta_k),
+            self.end(Branch::Work, true, position_mm, delta_k),
+            self.end(Branch::Tool, true, position_mm, delta_k),
         ];
         let ideal = [
-            self.end(Branch::Work, false, &position_mm, &delta_k),
-            self.end(Branch::Tool, false, &position_mm, &delta_k),
+            self.end(Branch::Work, false, position_mm, delta_k),
+            self.end(Branch::Tool, false, position_mm, delta_k),
         ];
         let tip = Vector4::new(self.tool_mm[0], self.tool_mm[1], self.tool_mm[2], 1.0);
         // A transform near the identity has an inverse.
@@ -139,15 +167,15 @@ impl Chain {
         &self,
         branch: Branch,
         with_errors: bool,
-        position_mm: &impl Fn(&Axis) -> f64,
-        delta_k: &impl Fn(&Difference) -> f64,
+        position_mm: &impl Fn(usize) -> f64,
+        delta_k: &impl Fn(usize, usize) -> f64,
     ) -> Matrix4<f64> {
         let mut end = Matrix4::identity();
-        for joint in self.joints.iter().filter(|j| j.branch == branch) {
+        for (number, joint) in self.joints.iter().enumerate().filter(|(_, j)| j.branch == branch) {
             let mut at = joint.offset_mm;
             let mut p = 0.0;
-            if let Some((axis, direction)) = &joint.axis {
-                p = position_mm(axis);
+            if let Some((_, direction)) = &joint.axis {
+                p = position_mm(number);
                 for (a, d) in at.iter_mut().zip(direction) {
                     *a += d * p;
                 }
@@ -155,8 +183,8 @@ impl Chain {
             end *= transform(at, [0.0; 3]);
             if with_errors {
                 let mut six = [0.0; 6];
-                for c in &joint.components {
-                    let delta = c.delta.as_ref().map_or(0.0, delta_k);
+                for (component, c) in joint.components.iter().enumerate() {
+                    let delta = if c.delta.is_some() { delta_k(number, component) } else { 0.0 };
                     six[c.kind] += c.value(p, delta);
                 }
                 let [dx, dy, dz, ex, ey, ez] = six;
@@ -164,6 +192,43 @@ impl Chain {
             }
         }
         end
+    }
+
+    /// Looks up once what it reads: where each joint's axis and the sensors of each component's difference are found.
+    pub(crate) fn places<A, S>(
+        &self,
+        axis: impl Fn(&Axis) -> Option<A>,
+        sensor: impl Fn(&str) -> S,
+    ) -> Vec<JointPlaces<A, S>> {
+        let of = |d: &Difference| {
+            let (minus, reference_degc) = match &d.against {
+                Against::Sensor(m) => (Some(sensor(m)), 0.0),
+                Against::Reference(degc) => (None, *degc),
+                Against::Standard => (None, STANDARD_DEGC),
+            };
+            Taken { sensor: sensor(&d.sensor), minus, reference_degc }
+        };
+        let joint = |j: &Joint| JointPlaces {
+            axis: j.axis.as_ref().and_then(|(a, _)| axis(a)),
+            deltas: j.components.iter().map(|c| c.delta.as_ref().map(of)).collect(),
+        };
+        self.joints.iter().map(joint).collect()
+    }
+
+    /// [`Chain::error_um`] with what [`Chain::places`] found: positions in mm and temperatures in °C by their places. What has
+    /// no place is zero.
+    pub(crate) fn error_at_um<A, S>(
+        &self,
+        places: &[JointPlaces<A, S>],
+        position_mm: impl Fn(&A) -> f64,
+        degc: impl Fn(&S) -> f64,
+    ) -> [f64; 3] {
+        let position = |joint: usize| places[joint].axis.as_ref().map_or(0.0, &position_mm);
+        let delta = |joint: usize, component: usize| {
+            let of = |t: &Taken<S>| degc(&t.sensor) - t.minus.as_ref().map_or(t.reference_degc, &degc);
+            places[joint].deltas[component].as_ref().map_or(0.0, of)
+        };
+        self.error_by_um(&position, &delta)
     }
 
     /// Reads a chain.
@@ -217,18 +282,13 @@ impl Chain {
         for s in self.deltas().flat_map(Difference::sensors) {
             record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
         }
+        // Every sensor is there: it was looked for just now.
+        let places = self.places(
+            |axis| record.data(&Role::Position(axis.clone())),
+            |sensor| record.temperature(sensor).unwrap_or_default(),
+        );
         for (row, o) in out.iter_mut().enumerate() {
-            let at = |data: Option<&[f64]>| data.map_or(0.0, |d| d[row]);
-            let position = |a: &Axis| at(record.data(&Role::Position(a.clone())));
-            let delta = |d: &Difference| {
-                at(record.temperature(&d.sensor))
-                    - match &d.against {
-                        Against::Sensor(m) => at(record.temperature(m)),
-                        Against::Reference(degc) => *degc,
-                        Against::Standard => STANDARD_DEGC,
-                    }
-            };
-            let e = self.error_um(position, delta);
+            let e = self.error_at_um(&places, |p| p[row], |t| t[row]);
             *o += parts.iter().map(|(place, share)| e[*place] * share.map_or(1.0, |s| s[row])).sum::<f64>();
         }
         Ok(())

@@ -10,7 +10,7 @@
 //! An axis whose sensors are lost is held: its temperature differences and lags stand as they were, what depends on
 //! position goes on.
 
-use crate::chain::Chain;
+use crate::chain::{Chain, JointPlaces};
 use crate::effect::{
     Against, Basis, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC,
     State, sign,
@@ -147,6 +147,8 @@ pub struct Part<'l> {
 #[derive(Debug, Clone)]
 struct LiveChain {
     chain: Chain,
+    /// Of each joint: its axis among the layout's, the sensors of its components' differences.
+    places: Vec<JointPlaces<usize, usize>>,
     /// Places of the axes x, y, z.
     out: [Option<usize>; 3],
     /// Temperatures of the last instant at which none of its axes was held.
@@ -193,8 +195,14 @@ impl Live {
                 return Err(missing(format!("temperature.{s}"), layout.sensors.join(", ")));
             }
             let out = ["x", "y", "z"].map(|n| layout.axes.iter().position(|a| a.as_str() == n));
+            // Every one of them is there: it was looked for just now.
+            let places = chain.places(
+                |axis| layout.axes.iter().position(|a| a == axis),
+                |sensor| layout.sensors.iter().position(|s| s == sensor).unwrap_or_default(),
+            );
             live.chain = Some(LiveChain {
                 chain: chain.clone(),
+                places,
                 out,
                 degc: vec![STANDARD_DEGC; live.layout.sensors.len()],
                 now_um: [0.0; 3],
@@ -332,25 +340,11 @@ impl Live {
             }
         }
         if let Some(live) = &mut self.chain {
-            let layout = &self.layout;
-            // What the chain reads was found in the layout when it was taken in.
-            let place =
-                |names: &[String], name: &str| names.iter().position(|n| n == name).unwrap_or_default();
-            let position =
-                |a: &Axis| layout.axes.iter().position(|b| b == a).map_or(0.0, |i| frame.axes[i].position_mm);
             if !live.out.iter().any(|a| frame.holds(*a)) {
-                live.degc.copy_from_slice(&frame.temperatures_degc[..layout.sensors.len()]);
+                live.degc.copy_from_slice(&frame.temperatures_degc[..self.layout.sensors.len()]);
             }
-            let degc = |name: &str| live.degc[place(&layout.sensors, name)];
-            let delta = |d: &Difference| {
-                degc(&d.sensor)
-                    - match &d.against {
-                        Against::Sensor(m) => degc(m),
-                        Against::Reference(t) => *t,
-                        Against::Standard => STANDARD_DEGC,
-                    }
-            };
-            live.now_um = live.chain.error_um(position, delta);
+            let position = |axis: &usize| frame.axes[*axis].position_mm;
+            live.now_um = live.chain.error_at_um(&live.places, position, |sensor| live.degc[*sensor]);
             for (place, e) in live.out.iter().zip(live.now_um) {
                 if let Some(a) = place {
                     self.sums[*a] += e;

@@ -34,6 +34,8 @@ pub struct Record {
     /// The listed columns, in the CSV's order.
     pub columns: Vec<Column>,
     time_s: Vec<f64>,
+    /// Rows before its first one in the record that it is a piece of.
+    first_row: usize,
     /// For a circle measured by a bar: which, and what follows from its angle.
     circle: Option<(Circle, Derived)>,
 }
@@ -105,18 +107,26 @@ impl Record {
             note: None,
             zero: None,
             time_s: times(&columns),
+            first_row: 0,
             columns,
             circle: None,
         }
     }
 
-    /// A record whose rows are those of a longer one from `row` on, where nothing but their number tells the time.
+    /// A record whose rows are those of a longer one from `row` on: where nothing else tells the time, their number does.
     #[must_use]
     pub fn from_row(mut self, row: usize) -> Self {
+        self.first_row = row;
         if self.column(&Role::Time).is_none() {
             self.time_s.iter_mut().for_each(|t| *t += row as f64);
         }
         self
+    }
+
+    /// Of a piece of a longer record: the rows before it there.
+    #[must_use]
+    pub fn first_row(&self) -> usize {
+        self.first_row
     }
 
     /// The circle that a bar measured, where the sidecar states it.

@@ -3,6 +3,9 @@
 
 use rtec_model::chain::{Chain, transform};
 use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
 fn data(name: &str) -> std::path::PathBuf {
@@ -54,6 +57,48 @@ fn turning_centre_by_hand() {
     let x = 1.92 + 2e-3 * 5.0 - 1.1 - 1.5e-3 * -35.0 + 21e-3 * 5.0 - 12e-3 * 385.0;
     let z = 2.6 - 2e-3 * 120.0 + 0.1 - 1.5e-3 * 80.0 - 21e-3 * 120.0 + 12e-3 * 120.0;
     assert!((e[0] - x).abs() < 2e-3 && (e[2] - z).abs() < 2e-3, "{e:?}: {x} {z}");
+}
+
+/// What was looked up once, live and for a record's rows, is what the names say at every instant, to the last bit; sensors and
+/// axes stand in another order than the chain's, and one more of each.
+#[test]
+fn live_and_by_rows_it_is_what_its_names_say() {
+    let chain = Chain::read(&data("turning_centre.toml")).unwrap();
+    let machine =
+        Machine::parse(Path::new("m.toml"), "name = \"m\"\n").unwrap().with_chain(Some(chain.clone()));
+    let (axes, sensors) = (["z", "y", "x"], ["T18", "T3", "T6", "T9", "T2", "T8"]);
+    let axis = |name: &str| Axis::new(name).unwrap();
+    let layout =
+        Layout { axes: axes.map(axis).into(), sensors: sensors.map(String::from).into(), channels: vec![] };
+    let mut live = Live::of(&machine, layout).unwrap();
+    let value = |row: usize, column: usize| ((row * 7 + column * 31) % 23) as f64 * 1.37 - 4.0;
+    let rows = 0..40_usize;
+    let column = |name: &str, role: Role, n: usize| {
+        Column::new(name, role, rows.clone().map(|row| value(row, n)).collect())
+    };
+    let places = axes.iter().enumerate().map(|(n, a)| column(a, Role::Position(axis(a)), n));
+    let degc = sensors.iter().enumerate().map(|(n, s)| column(s, Role::Temperature, 3 + n));
+    let error = std::iter::once(column("e", Role::Error(axis("x")), 20));
+    let columns = places.chain(degc).chain(error).collect();
+    let record = Record::new(Path::new("r.run.toml"), Kind::Drift, columns).unwrap();
+    let mut by_rows = vec![0.0; record.rows()];
+    chain.add(&record, &Role::Error(axis("x")), &mut by_rows).unwrap();
+    for row in rows.clone() {
+        let at = |n: usize| value(row, n);
+        let degc = |s: &str| at(3 + sensors.iter().position(|n| *n == s).unwrap());
+        let delta = |d: &Difference| match &d.against {
+            Against::Sensor(m) => degc(&d.sensor) - degc(m),
+            Against::Reference(t) => degc(&d.sensor) - t,
+            Against::Standard => degc(&d.sensor) - STANDARD_DEGC,
+        };
+        let want = chain.error_um(|a| at(axes.iter().position(|n| *n == a.as_str()).unwrap()), delta);
+        assert!(want.iter().any(|e| e.abs() > 1.0), "{want:?}");
+        let now = [0, 1, 2].map(|n| AxisNow::moving(at(n), 0.0));
+        let temperatures: Vec<f64> = (3..9).map(at).collect();
+        live.evaluate(&Frame { axes: &now, temperatures_degc: &temperatures, ..Frame::default() });
+        assert_eq!(live.chain_um().unwrap().map(f64::to_bits), want.map(f64::to_bits), "{row}");
+        assert_eq!(by_rows[row].to_bits(), want[0].to_bits(), "{row}");
+    }
 }
 
 #[test]

@@ -1,12 +1,19 @@
 //! Thermal effects, ISO 230-3: environment, rotation of the spindle and movement of axes, each a phase of its own.
 
-use super::{correlation, error_axes, lacks, range, targets};
+mod figures;
+mod long;
+mod spans;
+
+pub use long::LongDrift;
+
+use super::{error_axes, lacks, targets};
 use crate::plot::{Chart, Series, Style};
+use figures::{Look, Sums};
 use rtec_files::InputError;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Column, Record, Role};
 use serde::Serialize;
+use spans::{Span, Spans, State, TURNS_RPM};
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 /// Thermal drift of one response over the whole test, and phase by phase. Ranges in µm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -74,8 +81,6 @@ pub struct SensorDrift {
     pub gamma: f64,
 }
 
-/// Shorter than this is no phase of its own, s; nor what is shorter than a twentieth of the test.
-const SHORTEST_S: f64 = 900.0;
 /// Places at which an axis is read while it moves to and fro: more are a log of the movement itself.
 const MOST_PLACES: usize = 10;
 
@@ -87,13 +92,12 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
     let t = record
         .data(&Role::Time)
         .ok_or_else(|| lacks(record, "no time", "a column of role time: drift is an error over time"))?;
-    let spans = spans(record, t);
+    let spans = spans_of(record, t);
     let found: Vec<Drift> = error_axes(record)
         .into_iter()
         .map(|(axis, e)| {
-            let all: Vec<usize> = (0..t.len()).collect();
-            let phases = spans.iter().flat_map(|s| s.of(record, t, e)).collect();
-            Drift { response: format!("error.{axis}"), whole: figures(record, t, e, &all), phases }
+            let phases = spans.iter().flat_map(|s| phases(s, record, t, e)).collect();
+            Drift { response: format!("error.{axis}"), whole: figures(record, t, e, 0..t.len()), phases }
         })
         .collect();
     if found.is_empty() {
@@ -102,21 +106,9 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
     Ok(found)
 }
 
-/// What makes heat at a row.
-#[derive(Debug, Clone, PartialEq)]
-enum State {
-    Rest,
-    Spindle,
-    Moves(String),
-}
-
-/// A stretch of rows in one state.
-#[derive(Debug, Clone)]
-struct Span {
-    state: State,
-    rows: Range<usize>,
-    /// Heat was made before it.
-    after_heat: bool,
+/// An axis moves between two rows, not its reading alone.
+fn is_move(from_mm: f64, to_mm: f64) -> bool {
+    (from_mm - to_mm).abs() > 0.01
 }
 
 fn states(record: &Record) -> Vec<State> {
@@ -126,12 +118,12 @@ fn states(record: &Record) -> Vec<State> {
         .filter_map(|a| Some((a.to_string(), record.data(&Role::Position(a.clone()))?)))
         .collect();
     let moves = |p: &[f64], row: usize| {
-        let other = |i: Option<usize>| i.and_then(|i| p.get(i)).is_some_and(|q| (q - p[row]).abs() > 0.01);
+        let other = |i: Option<usize>| i.and_then(|i| p.get(i)).is_some_and(|q| is_move(*q, p[row]));
         other(row.checked_sub(1)) || other(Some(row + 1))
     };
     (0..record.rows())
         .map(|row| {
-            if rpm.is_some_and(|r| r[row].abs() > 0.5) {
+            if rpm.is_some_and(|r| r[row].abs() > TURNS_RPM) {
                 return State::Spindle;
             }
             let moving: Vec<&str> =
@@ -141,155 +133,57 @@ fn states(record: &Record) -> Vec<State> {
         .collect()
 }
 
-/// The phases of a test: pauses belong to what they interrupt.
-fn spans(record: &Record, t: &[f64]) -> Vec<Span> {
-    let mut spans: Vec<Span> = Vec::new();
+fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
+    let rpm = record.data(&Role::SpindleSpeed);
+    let mut spans = Spans::default();
     for (row, state) in states(record).into_iter().enumerate() {
-        match spans.last_mut() {
-            Some(s) if s.state == state => s.rows.end = row + 1,
-            _ => spans.push(Span { state, rows: row..row + 1, after_heat: false }),
-        }
+        spans.see(state, t[row], rpm.map_or(0.0, |r| r[row]));
     }
-    let last = t.len() - 1;
-    let length = |s: &Span| t[s.rows.end.min(last)] - t[s.rows.start];
-    let shortest = SHORTEST_S.min((t[last] - t[0]) / 20.0);
-    while let Some(i) = (0..spans.len())
-        .filter(|i| spans.len() > 1 && length(&spans[*i]) < shortest)
-        .min_by(|a, b| length(&spans[*a]).total_cmp(&length(&spans[*b])))
-    {
-        let short = spans.remove(i);
-        if i == 0 {
-            spans[0].rows.start = short.rows.start;
-        } else {
-            spans[i - 1].rows.end = short.rows.end;
-            if spans.get(i).is_some_and(|next| next.state == spans[i - 1].state) {
-                let next = spans.remove(i);
-                spans[i - 1].rows.end = next.rows.end;
-            }
-        }
-    }
-    let mut heat = false;
-    for s in &mut spans {
-        s.after_heat = heat;
-        heat |= s.state != State::Rest;
-    }
-    spans
+    spans.phases()
 }
 
-impl Span {
-    fn name(&self, record: &Record) -> (&'static str, String) {
-        match &self.state {
-            State::Rest if self.after_heat => ("cooling", "at rest after heat".to_owned()),
-            State::Rest if record.column(&Role::SpindleSpeed).is_none() => (
-                "environment",
-                "no axis moves, spindle_speed not recorded: environment (ETVE) only if it stood".to_owned(),
-            ),
-            State::Rest => ("environment", "environment (ETVE), at rest".to_owned()),
-            State::Moves(axes) => ("movement", format!("movement of {axes}")),
-            State::Spindle => {
-                let rpm = record.data(&Role::SpindleSpeed).unwrap_or_default();
-                let on: Vec<f64> =
-                    self.rows.clone().filter_map(|r| rpm.get(r)).copied().filter(|v| v.abs() > 0.5).collect();
-                let (lo, hi) =
-                    on.iter().fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v.abs()), h.max(v.abs())));
-                let speed =
-                    if hi - lo > 0.02 * hi { format!("{lo:.0} to {hi:.0}") } else { format!("{hi:.0}") };
-                ("spindle", format!("spindle rotation, {speed} rpm"))
-            }
+/// The phase for one response; one for each place at which a moving axis was read.
+fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64]) -> Vec<Phase> {
+    let rows: Vec<usize> = span.rows.clone().collect();
+    let at = |at_mm: Option<f64>, rows: &[usize]| {
+        let from_min = (t[rows[0]] - t[0]) / 60.0;
+        span.phase(&record.columns, from_min, at_mm, figures(record, t, e, rows.iter().copied()))
+    };
+    let moving = match &span.state {
+        State::Moves(axes) => record.axes(Role::Position).find(|a| axes.split(", ").any(|n| n == a.as_str())),
+        _ => None,
+    };
+    let position = moving.and_then(|a| record.data(&Role::Position(a.clone())));
+    if let Some(p) = position {
+        let own: Vec<f64> = rows.iter().map(|r| p[*r]).collect();
+        let places = targets(&own);
+        if (2..=MOST_PLACES).contains(&places.len()) {
+            let of = |place: &Vec<usize>| {
+                let there: Vec<usize> = place.iter().map(|i| rows[*i]).collect();
+                at(Some(own[place[0]]), &there)
+            };
+            return places.iter().filter(|p| p.len() > 1).map(of).collect();
         }
     }
-
-    /// The phase for one response; one for each place at which a moving axis was read.
-    fn of(&self, record: &Record, t: &[f64], e: &[f64]) -> Vec<Phase> {
-        let (phase, what) = self.name(record);
-        let rows: Vec<usize> = self.rows.clone().collect();
-        let at = |at_mm: Option<f64>, rows: &[usize]| Phase {
-            phase,
-            what: what.clone(),
-            from_min: (t[rows[0]] - t[0]) / 60.0,
-            at_mm,
-            figures: figures(record, t, e, rows),
-        };
-        let moving = match &self.state {
-            State::Moves(axes) => {
-                record.axes(Role::Position).find(|a| axes.split(", ").any(|n| n == a.as_str()))
-            }
-            _ => None,
-        };
-        let position = moving.and_then(|a| record.data(&Role::Position(a.clone())));
-        if let Some(p) = position {
-            let own: Vec<f64> = rows.iter().map(|r| p[*r]).collect();
-            let places = targets(&own);
-            if (2..=MOST_PLACES).contains(&places.len()) {
-                let of = |place: &Vec<usize>| {
-                    let there: Vec<usize> = place.iter().map(|i| rows[*i]).collect();
-                    at(Some(own[place[0]]), &there)
-                };
-                return places.iter().filter(|p| p.len() > 1).map(of).collect();
-            }
-        }
-        vec![at(None, &rows)]
-    }
+    vec![at(None, &rows)]
 }
 
-/// Slope of the straight line through points, per hour.
-fn slope_per_h(t: &[f64], v: &[f64]) -> f64 {
-    let n = t.len() as f64;
-    let (mt, mv) = (t.iter().sum::<f64>() / n, v.iter().sum::<f64>() / n);
-    let (mut tt, mut tv) = (0.0, 0.0);
-    for (t, v) in t.iter().zip(v) {
-        tt += (t - mt) * (t - mt);
-        tv += (t - mt) * (v - mv);
-    }
-    if tt > 0.0 { tv / tt * 3600.0 } else { 0.0 }
+fn temperatures(columns: &[Column]) -> impl Iterator<Item = &Column> {
+    columns.iter().filter(|c| c.role == Role::Temperature)
 }
 
-fn figures(record: &Record, t: &[f64], e: &[f64], rows: &[usize]) -> Figures {
-    let pick = |data: &[f64]| rows.iter().map(|r| data[*r]).collect::<Vec<f64>>();
-    let (t, e) = (pick(t), pick(e));
-    let (first, last) = (t[0], t[t.len() - 1]);
-    let of = |from: f64, to: f64| {
-        let inside = t.iter().zip(&e).filter(|(t, _)| **t >= from && **t <= to);
-        range(inside.map(|(_, e)| (*e, *e))).unwrap_or(0.0)
-    };
-    let few = (e.len() / 100).max(1);
-    let change = |v: &[f64]| {
-        let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
-        mean(&v[v.len() - few..]) - mean(&v[..few])
-    };
-    // Rate over an hour (or the whole where it is shorter), window sliding with the rows.
-    let window = (last - first).min(3600.0);
-    let mut rate: f64 = 0.0;
-    let mut back = 0;
-    for row in 0..t.len() {
-        while t[row] - t[back] > window {
-            back += 1;
-        }
-        let h = t[row] - t[back];
-        if h >= 0.95 * window && h > 0.0 {
-            rate = rate.max((e[row] - e[back]).abs() / h * 3600.0);
-        }
+fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usize> + Clone) -> Figures {
+    let degc: Vec<&[f64]> = temperatures(&record.columns).map(|c| c.data.as_slice()).collect();
+    let of = |row: usize| (t[row], e[row], degc.as_slice(), row);
+    let mut sums = Sums::new(degc.len());
+    for row in rows.clone() {
+        sums.see(of(row));
     }
-    let sensor = |data: &[f64]| {
-        let v = pick(data);
-        SensorDrift {
-            range_k: range(v.iter().map(|v| (*v, *v))).unwrap_or(0.0),
-            end_k: change(&v),
-            rate_k_per_h: slope_per_h(&t, &v),
-            gamma: correlation(&v, &e),
-        }
-    };
-    let columns = record.columns.iter().filter(|c| c.role == Role::Temperature);
-    Figures {
-        d_60: of(first, first + 3600.0),
-        d_t: of(first, last),
-        d_last_60: of(last - 3600.0, last),
-        end: change(&e),
-        rate_per_h: slope_per_h(&t, &e),
-        max_rate_per_h: rate,
-        t_min: (last - first) / 60.0,
-        temperatures: columns.map(|c| (c.name.clone(), sensor(&c.data))).collect(),
+    let mut look = Look::at(sums);
+    for row in rows {
+        look.see(of(row));
     }
+    look.figures(temperatures(&record.columns).map(|c| c.name.as_str()))
 }
 
 /// Displacements and temperatures over time, the phases marked where they begin.
@@ -301,22 +195,24 @@ pub fn drift_charts(record: &Record) -> Vec<Chart> {
     let line = |name: &str, data: &[f64]| {
         Series::new(name, Style::Line, minutes.iter().copied().zip(data.iter().copied()).collect())
     };
-    let spans = spans(record, t);
-    let marked = |mut chart: Chart| {
+    let errors = error_axes(record).into_iter().map(|(axis, e)| line(&format!("error.{axis}"), e)).collect();
+    let degc = temperatures(&record.columns).map(|c| line(&c.name, &c.data)).collect();
+    charts_of(errors, degc, &spans_of(record, t), &record.columns)
+}
+
+/// The charts of these lines over minutes, with these phases.
+fn charts_of(errors: Vec<Series>, degc: Vec<Series>, spans: &[Span], columns: &[Column]) -> Vec<Chart> {
+    let start_s = spans.first().map_or(0.0, |s| s.start_s);
+    let chart = |title: &str, y: &str, series: Vec<Series>| {
+        let mut chart = Chart { series, ..Chart::new(title, "time (min)", y) };
         if spans.len() > 1 {
-            chart.marks = spans.iter().map(|s| (minutes[s.rows.start], s.name(record).1)).collect();
+            chart.marks = spans.iter().map(|s| ((s.start_s - start_s) / 60.0, s.name(columns).1)).collect();
         }
         chart
     };
-    let mut errors = Chart::new("Thermal drift (ISO 230-3)", "time (min)", "displacement (µm)");
-    for (axis, e) in error_axes(record) {
-        errors = errors.with(line(&format!("error.{axis}"), e));
+    let mut charts = vec![chart("Thermal drift (ISO 230-3)", "displacement (µm)", errors)];
+    if !degc.is_empty() {
+        charts.push(chart("Temperatures", "temperature (°C)", degc));
     }
-    let mut temperatures = Chart::new("Temperatures", "time (min)", "temperature (°C)");
-    for c in record.columns.iter().filter(|c| c.role == Role::Temperature) {
-        temperatures = temperatures.with(line(&c.name, &c.data));
-    }
-    let mut charts = vec![marked(errors)];
-    charts.extend(Some(temperatures).filter(|c| !c.series.is_empty()).map(marked));
     charts
 }

@@ -12,6 +12,7 @@
 //! | `rows` | rows that stand twice, wild responses |
 //! | `stuck` | a sensor that stands still, beside itself at other times and beside the others |
 //! | `repeats` | single approaches far off the others to the same target |
+//! | `pieces` | a record that is too long to be held, each of its pieces by itself |
 //! | `between` | several records beside one another: the same rows twice, a sign, a unit, two sensors exchanged |
 //! | `step` | an error that steps and stays: lost counts are the machine's own, so it is no suspicion |
 //! | `told` | what some sensors say of another one |
@@ -21,6 +22,7 @@
 
 mod between;
 mod motion;
+mod pieces;
 mod repeats;
 mod rows;
 mod sensors;
@@ -32,6 +34,7 @@ mod turned;
 mod units;
 
 pub use between::repeated;
+pub use pieces::Pieces;
 pub use step::steps_of;
 
 use rtec_files::{InputError, Said};
@@ -125,12 +128,13 @@ pub struct Suspicion {
 }
 
 impl Suspicion {
-    /// A suspicion against a column; no rows (from 0) stand for all.
+    /// A suspicion against a column; no rows (of this record, from 0) stand for all.
     #[must_use]
     pub fn new(record: &Record, column: &str, what: What, rows: &[usize], text: String) -> Self {
         let sensor = record.columns.iter().any(|c| c.name == column && is_sensor(c));
         let (of, path) = (record.rows(), record.path.display().to_string());
-        Self { record: path, column: column.to_owned(), rows: rows_text(rows), what, text, sensor, of }
+        let rows: Vec<usize> = rows.iter().map(|row| record.first_row() + row).collect();
+        Self { record: path, column: column.to_owned(), rows: rows_text(&rows), what, text, sensor, of }
     }
 
     /// A record that holds the rows of another one, whatever its name.

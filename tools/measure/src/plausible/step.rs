@@ -42,7 +42,7 @@ fn step(record: &Record, c: &Column) -> Option<String> {
             record.path.display(),
             c.name,
             own[at],
-            at + 2
+            record.first_row() + at + 2
         )
     })
 }

@@ -1,9 +1,9 @@
 //! The reports of the evaluations, each in its standard's order.
 
-use super::{Report, Table};
+use super::{Report, Run, Table};
 use crate::ballbar::{Ballbar, Contour};
 use crate::history::History;
-use crate::iso230::{self, Conditions, Diagonals, Drift, Figures, Positioning, Straightness};
+use crate::iso230::{Conditions, Diagonals, Drift, Figures, Positioning, Straightness};
 use crate::plate::Plate;
 use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
@@ -295,8 +295,13 @@ fn natural(name: &str) -> (String, u64) {
 ///
 /// # Errors
 /// A plot without a finite point.
-pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
-    let mut report = Report::new("Thermal effects (ISO 230-3)", std::slice::from_ref(record), conditions);
+pub fn drift(
+    all: &[Drift],
+    run: &Run,
+    charts: Vec<Chart>,
+    conditions: &Conditions,
+) -> Result<Report, PlotError> {
+    let mut report = Report::of_runs("Thermal effects (ISO 230-3)", std::slice::from_ref(run), conditions);
     if let Some(short) = all.iter().map(|d| d.whole.t_min).reduce(f64::min).filter(|t| *t < 59.5) {
         report.warnings.push(format!(
             "the run lasts {short:.1} min: d60 and the last hour are of all of it; or is its time in another unit than stated?"
@@ -312,7 +317,7 @@ pub fn drift(all: &[Drift], record: &Record, conditions: &Conditions) -> Result<
         table.row(std::iter::once(d.response.clone()).chain(cells(&d.whole)));
     }
     report.table(table);
-    for chart in iso230::drift_charts(record) {
+    for chart in charts {
         report.plot(chart)?;
     }
     let count = all.first().map_or(0, |d| d.phases.len());

@@ -1,7 +1,7 @@
 //! What a model says about a record, and within what it says so.
 
-use super::Machine;
 use super::note::unknown_um;
+use super::{FitNote, Machine, Reach};
 use crate::effect::{Effect, Heat, States};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
@@ -41,36 +41,68 @@ impl Machine {
     /// the bound of the range it was fitted on.
     #[must_use]
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
-        let note = self.fits.iter().find(|f| f.response == response.to_string())?;
-        if !note.covers(record) {
-            return None;
-        }
-        let h = note.half_width_for_um(record);
-        let mut squares = vec![h * h; record.rows()];
+        Some(HalfWidths::of(self, &Reach::of(record), response)?.next(record))
+    }
+}
+
+/// The half widths of a record that is gone through piece by piece: at each row what [`Machine::half_widths_um`] says of the whole.
+#[derive(Debug)]
+pub struct HalfWidths<'m> {
+    machine: &'m Machine,
+    response: Role,
+    /// For a record like this one, µm.
+    own_um: f64,
+    /// What the difference that each effect asks for remembers.
+    states: Vec<States>,
+    /// Time of the record's first row, s.
+    start_s: Option<f64>,
+}
+
+impl<'m> HalfWidths<'m> {
+    /// Before the first piece of a record that goes so far; `None` where [`Machine::half_widths_um`] says nothing.
+    #[must_use]
+    pub fn of(machine: &'m Machine, reach: &Reach, response: &Role) -> Option<Self> {
+        let note = machine.fits.iter().find(|f| f.response == response.to_string())?;
+        let states = vec![States::default(); machine.effects().count()];
+        note.covers(reach).then(|| Self {
+            machine,
+            response: response.clone(),
+            own_um: note.half_width_for_um(reach),
+            states,
+            start_s: None,
+        })
+    }
+
+    /// Those of the next rows, µm.
+    pub fn next(&mut self, record: &Record) -> Vec<f64> {
+        let mut squares = vec![self.own_um * self.own_um; record.rows()];
         let t = record.time_s();
-        let valid = self.fits.iter().filter(|f| f.response == response.to_string()).flat_map(|f| &f.valid);
+        let start_s = *self.start_s.get_or_insert(t[0]);
+        let response = self.response.to_string();
+        let fits = self.machine.fits.iter().filter(|f| f.response == response);
         let mut outside = vec![0.0_f64; record.rows()];
-        for v in valid {
+        for v in fits.flat_map(|f: &FitNote| &f.valid) {
             // A sensor that the model does not read may be missing here.
             let Some(differences) = v.of(record) else { continue };
             outside.iter_mut().zip(differences).for_each(|(o, d)| *o = o.max(v.outside_um(d)));
         }
         squares.iter_mut().zip(&outside).for_each(|(s, o)| *s += o * o);
-        for effect in self.effects().filter(|e| e.axes().first() == response.axis()) {
-            let (Some(range), Some(asked)) =
-                (effect.range_k, differences(effect, record, &mut States::default()))
-            else {
+        for (effect, states) in self.machine.effects().zip(&mut self.states) {
+            if effect.axes().first() != self.response.axis() {
+                continue;
+            }
+            let (Some(range), Some(asked)) = (effect.range_k, differences(effect, record, states)) else {
                 continue;
             };
             let of = |name: &str| effect.value(name).map_or(0.0, |v| v[0]);
             let (gain, bend, tau_s) = (of("um_per_K"), of("um_per_K2"), of("tau_s"));
             for (row, (square, asked)) in squares.iter_mut().zip(&asked).enumerate() {
                 let held = asked.clamp(range[0], range[1]);
-                let (start_k, elapsed_s) = (effect.start_k.unwrap_or(0.0), t[row] - t[0]);
+                let (start_k, elapsed_s) = (effect.start_k.unwrap_or(0.0), t[row] - start_s);
                 *square += unknown_um(gain, bend, *asked, held, start_k, tau_s, elapsed_s).powi(2);
             }
         }
-        Some(squares.into_iter().map(f64::sqrt).collect())
+        squares.into_iter().map(f64::sqrt).collect()
     }
 }
 

@@ -21,8 +21,8 @@ mod read;
 mod write;
 
 pub use check::Asked;
-pub use evaluate::{Prediction, Running};
-pub use note::{FitNote, Listed, Provenance, Source, Validity, unknown_um};
+pub use evaluate::{HalfWidths, Prediction, Running};
+pub use note::{FitNote, Listed, Provenance, Reach, Source, Validity, unknown_um};
 
 use crate::chain::Chain;
 use crate::effect::{Dictionary, Difference, Effect};

@@ -1,7 +1,7 @@
 //! What a fit says about itself and about its effects: records, dates, intervals, the range in which it is valid.
 
 use crate::effect::{Against, Difference, Effect, STANDARD_DEGC};
-use crate::record::{Column, Kind, Record, Role};
+use crate::record::{Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -133,43 +133,76 @@ const STILL_MM: f64 = 1.0;
 /// A machine whose temperatures move by more within a record is not the one that a fit without temperatures has seen, K.
 const WARMS_K: f64 = 2.0;
 
-fn warms(record: &Record) -> bool {
-    let span = |c: &Column| {
-        let (lo, hi) = c.data.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
-        hi - lo
-    };
-    record.columns.iter().any(|c| c.role == Role::Temperature && span(c) > WARMS_K)
+/// From where to where a record's axes and temperatures go, gathered piece by piece: what an interval asks of all its rows.
+#[derive(Debug, Clone, Default)]
+pub struct Reach {
+    kind: Option<Kind>,
+    /// Of every axis, mm.
+    at_mm: BTreeMap<String, [f64; 2]>,
+    /// Of every sensor, °C.
+    degc: BTreeMap<String, [f64; 2]>,
+}
+
+impl Reach {
+    /// That of a whole record.
+    #[must_use]
+    pub fn of(record: &Record) -> Self {
+        let mut reach = Self::default();
+        reach.see(record);
+        reach
+    }
+
+    /// The next rows.
+    pub fn see(&mut self, record: &Record) {
+        let widen = |all: &mut BTreeMap<String, [f64; 2]>, name: &str, data: &[f64]| {
+            let range = all.entry(name.to_owned()).or_insert([f64::INFINITY, f64::NEG_INFINITY]);
+            *range = data.iter().fold(*range, |[l, h], v| [l.min(*v), h.max(*v)]);
+        };
+        self.kind = Some(record.kind);
+        for axis in record.axes(Role::Position) {
+            let p = record.data(&Role::Position(axis.clone())).unwrap_or_default();
+            widen(&mut self.at_mm, axis.as_str(), p);
+        }
+        for c in record.columns.iter().filter(|c| c.role == Role::Temperature) {
+            widen(&mut self.degc, &c.name, &c.data);
+        }
+    }
+
+    fn warms(&self) -> bool {
+        self.degc.values().any(|[l, h]| h - l > WARMS_K)
+    }
+
+    /// Where the axes that do not stand still are, mm.
+    fn places(&self) -> impl Iterator<Item = (&String, &[f64; 2])> {
+        self.at_mm.iter().filter(|(_, [l, h])| *h - *l > STILL_MM)
+    }
+
+    /// The kind of the record as an interval knows it: a drift in which an axis moves is like no other.
+    fn kind(&self) -> Option<Kind> {
+        self.kind.filter(|kind| *kind != Kind::Drift || self.places().next().is_none())
+    }
 }
 
 impl FitNote {
     /// Where the axes of records are: from where to where each moves, mm.
     #[must_use]
     pub fn places(records: &[&Record]) -> BTreeMap<String, [f64; 2]> {
-        let mut found: BTreeMap<String, [f64; 2]> = BTreeMap::new();
+        let mut reach = Reach::default();
         for record in records {
-            for axis in record.axes(Role::Position) {
-                let p = record.data(&Role::Position(axis.clone())).unwrap_or_default();
-                let own =
-                    p.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], p| [l.min(*p), h.max(*p)]);
-                let all = found.entry(axis.to_string()).or_insert(own);
-                *all = [all[0].min(own[0]), all[1].max(own[1])];
-            }
+            reach.see(record);
         }
-        found.retain(|_, [l, h]| *h - *l > STILL_MM);
-        found
+        reach.places().map(|(axis, range)| (axis.clone(), *range)).collect()
     }
 
-    /// The interval was seen wherever this record's axes go: a tenth of its range beyond is as good. Where the fit has seen no
+    /// The interval was seen wherever a record's axes go: a tenth of its range beyond is as good. Where the fit has seen no
     /// temperature, a machine that warms is another one.
     #[must_use]
-    pub fn covers(&self, record: &Record) -> bool {
-        if self.valid.is_empty() && warms(record) {
+    pub fn covers(&self, reach: &Reach) -> bool {
+        if self.valid.is_empty() && reach.warms() {
             return false;
         }
         let Some(at) = &self.at_mm else { return true };
-        Self::places(&[record])
-            .iter()
-            .all(|(axis, [l, h])| at.get(axis).is_some_and(|seen| Self::reaches(*seen, [*l, *h])))
+        reach.places().all(|(axis, range)| at.get(axis).is_some_and(|seen| Self::reaches(*seen, *range)))
     }
 
     /// Whether places seen, mm, tell of this stretch of the axis: within them, or a tenth of them beyond.
@@ -182,14 +215,13 @@ impl FitNote {
     /// The kind of a record as an interval knows it: a drift in which an axis moves is like no other.
     #[must_use]
     pub fn kind_of(record: &Record) -> Option<String> {
-        let moves = record.kind == Kind::Drift && !Self::places(&[record]).is_empty();
-        (!moves).then(|| record.kind.name().to_owned())
+        Reach::of(record).kind().map(|kind| kind.name().to_owned())
     }
 
-    /// Half width of the 95 % interval for this record, µm.
+    /// Half width of the 95 % interval for a record, µm.
     #[must_use]
-    pub fn half_width_for_um(&self, record: &Record) -> f64 {
-        let own = Self::kind_of(record).and_then(|kind| self.by_kind_um.get(&kind));
+    pub fn half_width_for_um(&self, reach: &Reach) -> f64 {
+        let own = reach.kind().and_then(|kind| self.by_kind_um.get(kind.name()));
         own.copied().unwrap_or(self.half_width_um)
     }
 

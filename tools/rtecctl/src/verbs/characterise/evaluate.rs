@@ -2,7 +2,7 @@
 
 use crate::verbs::suspicions;
 use anyhow::Context;
-use rtec_measure::evaluation::{self, Asked, evaluate};
+use rtec_measure::evaluation::{self, Asked, evaluate_files};
 use rtec_measure::iso230::Conditions;
 use std::path::{Path, PathBuf};
 
@@ -73,15 +73,13 @@ impl From<Standard> for evaluation::Standard {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let records =
-        args.records.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
     let asked = Asked {
         standard: args.standard.map(Into::into),
         conditions: args.conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
         one_way: args.one_way,
         fourth_powers: args.norm != 2,
     };
-    let found = evaluate(&records, &asked, &mut suspicions::say)?;
+    let found = evaluate_files(&args.records, &asked, &mut suspicions::say)?;
     if let Some(path) = &args.plot {
         for (i, svg) in found.report.plots().enumerate() {
             let path = if i == 0 { path.clone() } else { path.with_extension(format!("{}.svg", i + 1)) };

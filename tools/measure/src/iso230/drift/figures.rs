@@ -1,0 +1,198 @@
+//! What a displacement did over some rows, in two looks at them: of the rows of a whole column, or of a file gone through twice.
+
+use super::{Figures, SensorDrift};
+use std::collections::VecDeque;
+
+/// An hour, s.
+const HOUR_S: f64 = 3600.0;
+
+/// One row: time, displacement, and which row of the temperatures' columns it is.
+pub(super) type Row<'d> = (f64, f64, &'d [&'d [f64]], usize);
+
+/// The first look: what the second has to know of all rows before it.
+#[derive(Debug, Clone)]
+pub(super) struct Sums {
+    rows: usize,
+    first_s: f64,
+    last_s: f64,
+    t: f64,
+    e: f64,
+    degc: Vec<f64>,
+}
+
+impl Sums {
+    pub(super) fn new(sensors: usize) -> Self {
+        Self { rows: 0, first_s: 0.0, last_s: 0.0, t: 0.0, e: 0.0, degc: vec![0.0; sensors] }
+    }
+
+    pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
+        if self.rows == 0 {
+            self.first_s = t;
+        }
+        self.rows += 1;
+        self.last_s = t;
+        self.t += t;
+        self.e += e;
+        self.degc.iter_mut().zip(degc).for_each(|(sum, v)| *sum += v[row]);
+    }
+}
+
+/// From the smallest to the largest.
+#[derive(Debug, Clone, Copy)]
+struct Span([f64; 2]);
+
+impl Span {
+    const NONE: Self = Self([f64::INFINITY, f64::NEG_INFINITY]);
+
+    fn see(&mut self, v: f64) {
+        self.0 = [self.0[0].min(v), self.0[1].max(v)];
+    }
+
+    fn range(self) -> f64 {
+        (self.0[1] - self.0[0]).max(0.0)
+    }
+}
+
+/// Sums of the first and of the last hundredth of the rows.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ends {
+    early: f64,
+    late: f64,
+}
+
+/// A sensor beside the displacement.
+#[derive(Debug, Clone)]
+struct Beside {
+    mean: f64,
+    span: Span,
+    ends: Ends,
+    /// Sums of products about the means: with time, with itself, with the displacement.
+    tv: f64,
+    vv: f64,
+    ve: f64,
+}
+
+/// The second look, at the same rows in the same order.
+#[derive(Debug, Clone)]
+pub(super) struct Look {
+    of: Sums,
+    seen: usize,
+    /// A hundredth of the rows.
+    few: usize,
+    mean_t: f64,
+    mean_e: f64,
+    first_hour: Span,
+    all: Span,
+    last_hour: Span,
+    ends: Ends,
+    tt: f64,
+    te: f64,
+    ee: f64,
+    /// Rates are over an hour, or the whole where it is shorter: the window slides with the rows, and holds those in it.
+    window_s: f64,
+    window: VecDeque<(f64, f64)>,
+    max_rate_per_h: f64,
+    sensors: Vec<Beside>,
+}
+
+impl Look {
+    pub(super) fn at(of: Sums) -> Self {
+        let n = of.rows as f64;
+        let beside = |sum: &f64| Beside {
+            mean: sum / n,
+            span: Span::NONE,
+            ends: Ends::default(),
+            tv: 0.0,
+            vv: 0.0,
+            ve: 0.0,
+        };
+        Self {
+            seen: 0,
+            few: (of.rows / 100).max(1),
+            mean_t: of.t / n,
+            mean_e: of.e / n,
+            first_hour: Span::NONE,
+            all: Span::NONE,
+            last_hour: Span::NONE,
+            ends: Ends::default(),
+            tt: 0.0,
+            te: 0.0,
+            ee: 0.0,
+            window_s: (of.last_s - of.first_s).min(HOUR_S),
+            window: VecDeque::new(),
+            max_rate_per_h: 0.0,
+            sensors: of.degc.iter().map(beside).collect(),
+            of,
+        }
+    }
+
+    pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
+        let (early, late) = (self.seen < self.few, self.seen >= self.of.rows - self.few);
+        self.seen += 1;
+        let at_ends = |ends: &mut Ends, v: f64| {
+            ends.early += if early { v } else { 0.0 };
+            ends.late += if late { v } else { 0.0 };
+        };
+        self.all.see(e);
+        if t <= self.of.first_s + HOUR_S {
+            self.first_hour.see(e);
+        }
+        if t >= self.of.last_s - HOUR_S {
+            self.last_hour.see(e);
+        }
+        at_ends(&mut self.ends, e);
+        let (about_t, about_e) = (t - self.mean_t, e - self.mean_e);
+        self.tt += about_t * about_t;
+        self.te += about_t * about_e;
+        self.ee += about_e * about_e;
+        self.slide(t, e);
+        for (sensor, v) in self.sensors.iter_mut().zip(degc) {
+            let v = v[row];
+            sensor.span.see(v);
+            at_ends(&mut sensor.ends, v);
+            let about = v - sensor.mean;
+            sensor.tv += about_t * about;
+            sensor.vv += about * about;
+            sensor.ve += about * about_e;
+        }
+    }
+
+    fn slide(&mut self, t: f64, e: f64) {
+        self.window.push_back((t, e));
+        while let Some((from_s, from)) = self.window.front().copied() {
+            let h = t - from_s;
+            if h > self.window_s {
+                self.window.pop_front();
+                continue;
+            }
+            if h >= 0.95 * self.window_s && h > 0.0 {
+                self.max_rate_per_h = self.max_rate_per_h.max((e - from).abs() / h * HOUR_S);
+            }
+            break;
+        }
+    }
+
+    /// What was seen; the sensors have these names.
+    pub(super) fn figures<'n>(&self, names: impl Iterator<Item = &'n str>) -> Figures {
+        let few = self.few as f64;
+        let change = |ends: Ends| ends.late / few - ends.early / few;
+        // The slope of the straight line through the rows.
+        let per_h = |with_t: f64| if self.tt > 0.0 { with_t / self.tt * HOUR_S } else { 0.0 };
+        let sensor = |s: &Beside| SensorDrift {
+            range_k: s.span.range(),
+            end_k: change(s.ends),
+            rate_k_per_h: per_h(s.tv),
+            gamma: if s.vv > 0.0 && self.ee > 0.0 { s.ve / (s.vv * self.ee).sqrt() } else { 0.0 },
+        };
+        Figures {
+            d_60: self.first_hour.range(),
+            d_t: self.all.range(),
+            d_last_60: self.last_hour.range(),
+            end: change(self.ends),
+            rate_per_h: per_h(self.te),
+            max_rate_per_h: self.max_rate_per_h,
+            t_min: (self.of.last_s - self.of.first_s) / 60.0,
+            temperatures: names.map(str::to_owned).zip(self.sensors.iter().map(sensor)).collect(),
+        }
+    }
+}

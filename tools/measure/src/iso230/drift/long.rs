@@ -1,0 +1,314 @@
+//! A drift test of any number of rows, in the memory of some: its file is gone through three times.
+
+use super::figures::{Look, Row, Sums};
+use super::spans::{Span, Spans, State, TURNS_RPM};
+use super::{Drift, Figures, Phase, charts_of, error_axes, temperatures};
+use crate::plot::{Chart, Series, Style};
+use crate::record::Pieces;
+use rtec_files::InputError;
+use rtec_model::record::{Column, Record, Role};
+use std::path::{Path, PathBuf};
+
+/// Rows that are held at a time where nothing asks for more.
+const PIECE_ROWS: usize = 4096;
+
+/// A drift test on file that has been gone through once: what the next look has to know of all its rows.
+pub struct LongDrift {
+    path: PathBuf,
+    pieces: Pieces,
+    /// The record with its first rows.
+    head: Record,
+    rows: usize,
+    spans: Vec<Span>,
+    errors: Vec<Outline>,
+    degc: Vec<Outline>,
+}
+
+impl LongDrift {
+    /// Goes through a record of more than so many rows; `None` for a shorter one, and for one whose figures ask for all rows at
+    /// once: where an axis moves, the places that it was read at are found among all of them.
+    ///
+    /// # Errors
+    /// What [`crate::record::read`] finds.
+    pub fn of(path: &Path, more_than: usize) -> Result<Option<Self>, InputError> {
+        let Some(mut pieces) = Pieces::of(path)?.filter(|p| p.most_rows() > more_than as u64) else {
+            return Ok(None);
+        };
+        let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
+        let (mut errors, mut degc): (Vec<Outline>, Vec<Outline>) = (Vec::new(), Vec::new());
+        let mut moves = Moves::default();
+        while let Some(record) = pieces.next_record(PIECE_ROWS)? {
+            let Some(t) = record.data(&Role::Time).filter(|_| !moves.see(&record)) else { return Ok(None) };
+            let rpm = record.data(&Role::SpindleSpeed);
+            for (row, t) in t.iter().enumerate() {
+                let rpm = rpm.map_or(0.0, |r| r[row]);
+                let state = if rpm.abs() > TURNS_RPM { State::Spindle } else { State::Rest };
+                spans.see(state, *t, rpm);
+            }
+            let drawn = error_axes(&record);
+            errors.resize_with(drawn.len(), Outline::default);
+            for (outline, (_, e)) in errors.iter_mut().zip(&drawn) {
+                outline.see(rows, t, e);
+            }
+            let sensors: Vec<&Column> = temperatures(&record.columns).collect();
+            degc.resize_with(sensors.len(), Outline::default);
+            for (outline, c) in degc.iter_mut().zip(sensors) {
+                outline.see(rows, t, &c.data);
+            }
+            rows += record.rows();
+            head.get_or_insert(record);
+        }
+        let head = head.filter(|head| rows > more_than && !error_axes(head).is_empty());
+        let spans = spans.phases();
+        let path = path.to_owned();
+        Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc }))
+    }
+
+    /// Its rows.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The record with its first rows: its columns, its day and note.
+    #[must_use]
+    pub fn head(&self) -> &Record {
+        &self.head
+    }
+
+    /// From where to where each temperature goes, °C.
+    pub fn ranges_degc(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
+        temperatures(&self.head.columns).map(|c| c.name.as_str()).zip(self.degc.iter().map(Outline::range))
+    }
+
+    /// What [`super::drift`] says of the whole, to the last bit. Goes through the file twice; `each` is given its rows, so many at
+    /// a time.
+    ///
+    /// # Errors
+    /// The file is no longer what it was.
+    pub fn drift(
+        &mut self,
+        rows_at_once: usize,
+        mut each: impl FnMut(&Record),
+    ) -> Result<Vec<Drift>, InputError> {
+        let (responses, sensors) = (self.errors.len(), self.degc.len());
+        let none = vec![Sums::new(sensors); responses];
+        let (mut whole, mut by_span) = (none.clone(), vec![none; self.spans.len()]);
+        self.walk(rows_at_once, &mut each, |span, response, row| {
+            whole[response].see(row);
+            by_span[span][response].see(row);
+        })?;
+        let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
+        let looks = |of: Vec<Sums>| of.into_iter().map(Look::at).collect::<Vec<_>>();
+        let (mut whole, mut now) = (looks(whole), Vec::new());
+        let mut phases: Vec<Vec<Figures>> = vec![Vec::new(); responses];
+        let columns = self.head.columns.clone();
+        let figures = |look: &Look| look.figures(temperatures(&columns).map(|c| c.name.as_str()));
+        let mut by_span = by_span.into_iter();
+        let mut present = None;
+        let mut close = |looks: Vec<Look>| {
+            phases.iter_mut().zip(&looks).for_each(|(phases, look)| phases.push(figures(look)));
+        };
+        self.walk(PIECE_ROWS, &mut |_: &Record| (), |span, response, row| {
+            if present != Some(span) {
+                present = Some(span);
+                let next = looks(by_span.next().unwrap_or_default());
+                close(std::mem::replace(&mut now, next));
+            }
+            whole[response].see(row);
+            now[response].see(row);
+        })?;
+        close(now);
+        let phase = |(span, figures): (&Span, Figures)| -> Phase {
+            span.phase(&columns, (span.start_s - start_s) / 60.0, None, figures)
+        };
+        let all = error_axes(&self.head).into_iter().zip(whole).zip(phases);
+        Ok(all
+            .map(|(((axis, _), whole), phases)| Drift {
+                response: format!("error.{axis}"),
+                whole: figures(&whole),
+                phases: self.spans.iter().zip(phases).map(&phase).collect(),
+            })
+            .collect())
+    }
+
+    /// Goes through the file: gives `each` its rows, so many at a time, and `see` each row's phase, response and values.
+    fn walk(
+        &mut self,
+        rows_at_once: usize,
+        each: &mut dyn FnMut(&Record),
+        mut see: impl FnMut(usize, usize, Row<'_>),
+    ) -> Result<(), InputError> {
+        self.pieces.rewind()?;
+        let (mut seen, mut span) = (0, 0);
+        while let Some(record) = self.pieces.next_record(rows_at_once)? {
+            each(&record);
+            let (t, errors) = (record.time_s(), error_axes(&record));
+            let degc: Vec<&[f64]> = temperatures(&record.columns).map(|c| c.data.as_slice()).collect();
+            for row in 0..record.rows().min(self.rows - seen) {
+                span += usize::from(self.spans[span].rows.end <= seen + row);
+                for (response, (_, e)) in errors.iter().enumerate() {
+                    see(span, response, (t[row], e[row], &degc, row));
+                }
+            }
+            seen += record.rows();
+            if seen > self.rows {
+                break;
+            }
+        }
+        if seen != self.rows {
+            let expected = format!("{} rows, as when it was read first", self.rows);
+            return Err(InputError::whole(&self.path, "another number of rows", expected));
+        }
+        Ok(())
+    }
+
+    /// What [`super::drift_charts`] draws, of fewer points that touch the same pixels, but for some at the edge between two.
+    #[must_use]
+    pub fn charts(&self) -> Vec<Chart> {
+        let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
+        let line = |name: &str, of: &Outline| Series::new(name, Style::Line, of.points(start_s));
+        let axes = error_axes(&self.head);
+        let errors = axes.iter().zip(&self.errors).map(|((axis, _), of)| line(&format!("error.{axis}"), of));
+        let degc = temperatures(&self.head.columns).zip(&self.degc).map(|(c, of)| line(&c.name, of));
+        charts_of(errors.collect(), degc.collect(), &self.spans, &self.head.columns)
+    }
+}
+
+/// Whether an axis moves from one row to the next.
+#[derive(Default)]
+struct Moves {
+    before: Vec<f64>,
+}
+
+impl Moves {
+    fn see(&mut self, record: &Record) -> bool {
+        let axes: Vec<&[f64]> =
+            record.axes(Role::Position).filter_map(|a| record.data(&Role::Position(a.clone()))).collect();
+        let from = |n: usize, p: &[f64]| self.before.get(n).copied().unwrap_or(p[0]);
+        let steps = |(n, p): (usize, &&[f64])| {
+            let before = std::iter::once(from(n, p)).chain(p.iter().copied());
+            before.zip(*p).any(|(q, p)| super::is_move(q, *p))
+        };
+        let moves = axes.iter().enumerate().any(steps);
+        self.before = axes.iter().map(|p| p[p.len() - 1]).collect();
+        moves
+    }
+}
+
+/// Blocks of rows that a line is drawn from at most: some to each column of pixels.
+const MOST_BLOCKS: usize = 1 << 13;
+
+/// A row's number, its time (s) and value.
+type Point = (usize, f64, f64);
+
+/// Of a block of rows the first, the lowest, the highest and the last.
+type Block = [Point; 4];
+
+/// A line of any number of points, drawn from four of each block of rows.
+#[derive(Debug, Clone)]
+struct Outline {
+    blocks: Vec<Block>,
+    rows_a_block: usize,
+    /// Rows of the last block.
+    rows: usize,
+}
+
+impl Default for Outline {
+    fn default() -> Self {
+        Self { blocks: Vec::new(), rows_a_block: 1, rows: 0 }
+    }
+}
+
+impl Outline {
+    /// The next rows, the first of them of this number.
+    fn see(&mut self, first: usize, t: &[f64], v: &[f64]) {
+        for (row, (t, v)) in t.iter().zip(v).enumerate() {
+            self.see_one((first + row, *t, *v));
+        }
+    }
+
+    fn see_one(&mut self, now: Point) {
+        if let Some(block) = self.blocks.last_mut().filter(|_| self.rows < self.rows_a_block) {
+            widen(block, &[now; 4]);
+            self.rows += 1;
+            return;
+        }
+        if self.blocks.len() == MOST_BLOCKS {
+            // Twice as many rows to a block from here on.
+            let joined = |pair: &[Block]| {
+                let mut block = pair[0];
+                pair[1..].iter().for_each(|next| widen(&mut block, next));
+                block
+            };
+            self.blocks = self.blocks.chunks(2).map(joined).collect();
+            self.rows_a_block *= 2;
+        }
+        self.blocks.push([now; 4]);
+        self.rows = 1;
+    }
+
+    /// Its points, over minutes from this time on.
+    fn points(&self, start_s: f64) -> Vec<(f64, f64)> {
+        let mut points: Vec<Point> = self.blocks.iter().flatten().copied().collect();
+        points.sort_by_key(|(row, ..)| *row);
+        points.dedup_by_key(|(row, ..)| *row);
+        points.into_iter().map(|(_, t, v)| ((t - start_s) / 60.0, v)).collect()
+    }
+
+    /// From the lowest value to the highest.
+    fn range(&self) -> [f64; 2] {
+        let wider = |[l, h]: [f64; 2], [_, low, high, _]: &Block| [l.min(low.2), h.max(high.2)];
+        self.blocks.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
+    }
+}
+
+/// A block with the rows of the next one.
+fn widen([_, low, high, last]: &mut Block, [_, next_low, next_high, next_last]: &Block) {
+    *last = *next_last;
+    if next_low.2 < low.2 {
+        *low = *next_low;
+    }
+    if next_high.2 > high.2 {
+        *high = *next_high;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of many more rows than blocks: few points, the first and the last of all, and of every column of pixels what lies in
+    /// blocks that are in no other column.
+    #[test]
+    fn an_outline_has_what_a_plot_shows() {
+        let rows = 20 * MOST_BLOCKS + 77;
+        let value = |row: usize| (row as f64 / 9e3).sin() + ((row * row * 7 + row * 3) % 1009) as f64 / 500.0;
+        let mut outline = Outline::default();
+        let all: Vec<(f64, f64)> = (0..rows).map(|row| (60.0 * row as f64, value(row))).collect();
+        for (n, piece) in all.chunks(1000).enumerate() {
+            let (t, v): (Vec<f64>, Vec<f64>) = piece.iter().copied().unzip();
+            outline.see(1000 * n, &t, &v);
+        }
+        let points = outline.points(0.0);
+        assert!(points.len() <= 4 * MOST_BLOCKS && points.is_sorted_by(|a, b| a.0 < b.0), "{}", points.len());
+        assert_eq!(points[0], (0.0, value(0)));
+        assert_eq!(points[points.len() - 1], ((rows - 1) as f64, value(rows - 1)));
+        assert_eq!(outline.rows_a_block, 32);
+        let span = |values: &mut dyn Iterator<Item = f64>| {
+            values.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])
+        };
+        assert_eq!(outline.range().map(f64::to_bits), span(&mut (0..rows).map(value)).map(f64::to_bits));
+        for column in 0..700 {
+            let (from, to) = (column * rows / 700, (column + 1) * rows / 700);
+            let drawn = points.iter().filter(|(row, _)| (from as f64..to as f64).contains(row)).map(|p| p.1);
+            let [low, high] = span(&mut drawn.into_iter());
+            let [inner_low, inner_high] = span(&mut (from.next_multiple_of(32)..to / 32 * 32).map(value));
+            let [whole_low, whole_high] = span(&mut (from..to).map(value));
+            assert!(
+                whole_low <= low && low <= inner_low && inner_high <= high && high <= whole_high,
+                "{column}"
+            );
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! The phases of a drift test: stretches of rows in which heat is made in one way.
+
+use super::{Figures, Phase};
+use rtec_model::record::{Column, Role};
+use std::ops::Range;
+
+/// Shorter than this is no phase of its own, s; nor what is shorter than a twentieth of the test.
+const SHORTEST_S: f64 = 900.0;
+/// The spindle turns from this speed on, rpm.
+pub(super) const TURNS_RPM: f64 = 0.5;
+
+/// What makes heat at a row.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum State {
+    Rest,
+    Spindle,
+    Moves(String),
+}
+
+/// A stretch of rows in one state.
+#[derive(Debug, Clone)]
+pub(super) struct Span {
+    pub(super) state: State,
+    pub(super) rows: Range<usize>,
+    /// Time of its first row, s.
+    pub(super) start_s: f64,
+    /// Slowest and fastest that the spindle turned, rpm.
+    speed_rpm: [f64; 2],
+    /// Heat was made before it.
+    after_heat: bool,
+}
+
+/// The states of rows one after another.
+#[derive(Debug, Default)]
+pub(super) struct Spans {
+    spans: Vec<Span>,
+    last_s: f64,
+}
+
+impl Spans {
+    /// The next row.
+    pub(super) fn see(&mut self, state: State, t_s: f64, rpm: f64) {
+        let row = self.spans.last().map_or(0, |s| s.rows.end);
+        self.last_s = t_s;
+        match self.spans.last_mut() {
+            Some(s) if s.state == state => s.rows.end = row + 1,
+            _ => self.spans.push(Span {
+                state,
+                rows: row..row + 1,
+                start_s: t_s,
+                speed_rpm: [f64::INFINITY, 0.0],
+                after_heat: false,
+            }),
+        }
+        if let Some(s) = self.spans.last_mut().filter(|_| rpm.abs() > TURNS_RPM) {
+            s.speed_rpm = [s.speed_rpm[0].min(rpm.abs()), s.speed_rpm[1].max(rpm.abs())];
+        }
+    }
+
+    /// The phases of the test: pauses belong to what they interrupt.
+    pub(super) fn phases(self) -> Vec<Span> {
+        let Self { mut spans, last_s } = self;
+        let Some(start_s) = spans.first().map(|s| s.start_s) else { return spans };
+        let shortest_s = SHORTEST_S.min((last_s - start_s) / 20.0);
+        let length_s = |spans: &[Span], i: usize| {
+            spans.get(i + 1).map_or(last_s, |next| next.start_s) - spans[i].start_s
+        };
+        while let Some(i) = (0..spans.len())
+            .filter(|i| spans.len() > 1 && length_s(&spans, *i) < shortest_s)
+            .min_by(|a, b| length_s(&spans, *a).total_cmp(&length_s(&spans, *b)))
+        {
+            let short = spans.remove(i);
+            if i == 0 {
+                spans[0].rows.start = short.rows.start;
+                spans[0].start_s = short.start_s;
+                spans[0].turned(short.speed_rpm);
+            } else {
+                spans[i - 1].takes(&short);
+                if spans.get(i).is_some_and(|next| next.state == spans[i - 1].state) {
+                    let next = spans.remove(i);
+                    spans[i - 1].takes(&next);
+                }
+            }
+        }
+        let mut heat = false;
+        for s in &mut spans {
+            s.after_heat = heat;
+            heat |= s.state != State::Rest;
+        }
+        spans
+    }
+}
+
+impl Span {
+    fn takes(&mut self, next: &Self) {
+        self.rows.end = next.rows.end;
+        self.turned(next.speed_rpm);
+    }
+
+    fn turned(&mut self, [slowest, fastest]: [f64; 2]) {
+        self.speed_rpm = [self.speed_rpm[0].min(slowest), self.speed_rpm[1].max(fastest)];
+    }
+
+    /// What it is, of a record with these columns: in one word and in some.
+    pub(super) fn name(&self, columns: &[Column]) -> (&'static str, String) {
+        match &self.state {
+            State::Rest if self.after_heat => ("cooling", "at rest after heat".to_owned()),
+            State::Rest if columns.iter().all(|c| c.role != Role::SpindleSpeed) => (
+                "environment",
+                "no axis moves, spindle_speed not recorded: environment (ETVE) only if it stood".to_owned(),
+            ),
+            State::Rest => ("environment", "environment (ETVE), at rest".to_owned()),
+            State::Moves(axes) => ("movement", format!("movement of {axes}")),
+            State::Spindle => {
+                let [lo, hi] = self.speed_rpm;
+                let speed =
+                    if hi - lo > 0.02 * hi { format!("{lo:.0} to {hi:.0}") } else { format!("{hi:.0}") };
+                ("spindle", format!("spindle rotation, {speed} rpm"))
+            }
+        }
+    }
+
+    /// The phase with what a displacement did in it.
+    pub(super) fn phase(
+        &self,
+        columns: &[Column],
+        from_min: f64,
+        at_mm: Option<f64>,
+        figures: Figures,
+    ) -> Phase {
+        let (phase, what) = self.name(columns);
+        Phase { phase, what, from_min, at_mm, figures }
+    }
+}

@@ -1,0 +1,61 @@
+//! Mistakes in a record that is too long to be held: what each of its pieces shows by itself.
+
+use super::{Suspicion, What, steps_of, suspicions};
+use rtec_files::Said;
+use rtec_model::record::Record;
+
+/// What the pieces of a record show so far.
+#[derive(Debug, Default)]
+pub struct Pieces {
+    /// Of each: its rows as a suspicion writes them, and what was found.
+    found: Vec<(String, Vec<Suspicion>)>,
+    steps: Vec<String>,
+    rows: usize,
+}
+
+impl Pieces {
+    /// The next piece.
+    pub fn see(&mut self, piece: &Record) {
+        let one = std::slice::from_ref(piece);
+        let rows = format!("{}-{}", piece.first_row() + 1, piece.first_row() + piece.rows());
+        self.found.push((rows, suspicions(one)));
+        self.steps.extend(steps_of(one));
+        self.rows += piece.rows();
+    }
+
+    /// How many pieces there were.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.found.len()
+    }
+
+    /// As [`super::said`], of all of them: what is said of every piece as a whole is said once, of the record.
+    pub fn said(self, say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
+        let alike = |a: &Suspicion, b: &Suspicion| {
+            a.column == b.column && a.what == b.what && a.rows.is_empty() == b.rows.is_empty()
+        };
+        let pieces_with =
+            |s: &Suspicion| self.found.iter().filter(|(_, own)| own.iter().any(|o| alike(o, s))).count();
+        let mut all = Vec::new();
+        for (number, (rows, own)) in self.found.iter().enumerate() {
+            for s in own {
+                let pieces = pieces_with(s);
+                let everywhere = s.rows.is_empty() && pieces == self.found.len();
+                // A sensor that jumps in one piece after the other shows something that is switched.
+                let switched = s.what == What::Jump && s.sensor && pieces > 1;
+                if switched || everywhere && number > 0 {
+                    continue;
+                }
+                let rows = if s.rows.is_empty() && !everywhere { rows } else { &s.rows };
+                all.push(Suspicion { rows: rows.clone(), of: self.rows, ..s.clone() });
+            }
+        }
+        for s in &all {
+            say(Said::Warning(s.to_string()));
+        }
+        for step in self.steps {
+            say(Said::Warning(step));
+        }
+        all
+    }
+}
