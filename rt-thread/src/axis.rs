@@ -143,11 +143,20 @@ struct Unsettled {
     done_ns: Option<u64>,
 }
 
+/// An inversion that is to be made at this look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Inversion {
+    /// The inverter to be toggled: 1 A, 2 B.
+    pub inverter: u8,
+    /// Where it ends an insertion: the time since the look that saw its edge, ns.
+    pub edge_to_done_ns: Option<u64>,
+}
+
 /// What an axis has to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Due {
-    /// These inverters are to be toggled now: bit 0 A, bit 1 B; one of them.
-    Now(u8),
+    /// This is to be made now.
+    Now(Inversion),
     /// Nothing before this, ns, unless a line changes.
     At(u64),
 }
@@ -300,7 +309,6 @@ pub(crate) struct AxisEngine {
     beyond_limits: u64,
     /// An inversion of ours has been made since homing.
     touched: bool,
-    edge_to_done_ns: Option<u64>,
 }
 
 /// An axis as it was found at the start.
@@ -380,7 +388,6 @@ impl AxisEngine {
             late: 0,
             beyond_limits: 0,
             touched: half,
-            edge_to_done_ns: None,
         })
     }
 
@@ -389,6 +396,12 @@ impl AxisEngine {
     pub(crate) const fn output(&self, toggled: u8) -> (u64, u64) {
         let mask = if toggled == 1 { self.invert_masks.0 } else { self.invert_masks.1 };
         (mask, if self.wire.inverters & toggled == 0 { 0 } else { mask })
+    }
+
+    /// Mask of its lines in the output word.
+    #[inline]
+    pub(crate) const fn output_mask(&self) -> u64 {
+        self.invert_masks.0 | self.invert_masks.1
     }
 
     /// Mask of its lines in the input word.
@@ -548,11 +561,6 @@ impl AxisEngine {
         true
     }
 
-    /// Time from edge to second inversion of an insertion finished at the last look, ns.
-    pub(crate) fn take_edge_to_done_ns(&mut self) -> Option<u64> {
-        self.edge_to_done_ns.take()
-    }
-
     /// The card knows that the write is in effect at `done_ns`.
     pub(crate) fn written(&mut self, done_ns: u64) {
         if let Some(u) = &mut self.unsettled {
@@ -600,10 +608,14 @@ impl AxisEngine {
         true
     }
 
-    /// One look, at which lines of the axis have changed or not. Returns the inverters to be toggled now (bit 0 A, bit 1
-    /// B; at most one).
+    /// One look, at which lines of the axis have changed or not. Returns the inversion to be made now.
     #[inline]
-    pub(crate) fn look(&mut self, look: &Look, changed: bool, report: &mut impl FnMut(EventKind)) -> u8 {
+    pub(crate) fn look(
+        &mut self,
+        look: &Look,
+        changed: bool,
+        report: &mut impl FnMut(EventKind),
+    ) -> Option<Inversion> {
         if changed {
             let state = self.config.lines.scale(look.inputs);
             if state != self.scale.state() {
@@ -614,7 +626,7 @@ impl AxisEngine {
     }
 
     /// What is under way or due.
-    fn go_on(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> u8 {
+    fn go_on(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
         if let Some(u) = self.unsettled
             && u.done_ns.is_none_or(|done| look.edge_ns.1 > done)
         {
@@ -624,20 +636,16 @@ impl AxisEngine {
             }
             self.unsettled = None;
             self.settle(look.t_ns);
-            let wired_back = self.real.is_none() && self.config.lines.read_back.is_some();
-            self.back_due = wired_back.then(|| u.done_ns.unwrap_or(look.t_ns));
+            self.back_due = if self.config.lines.read_back.is_some() && self.real.is_none() {
+                Some(u.done_ns.unwrap_or(look.t_ns))
+            } else {
+                None
+            };
         }
-        // Gates, receivers and the card's input filter take their time; what the MTC is given, they are given too.
         if let Some(effective_ns) = self.back_due
-            && self.unsettled.is_none()
-            && look.t_ns >= self.apart_ns(effective_ns)
-            && !look.more
-            && look.fresh & self.input_mask == self.input_mask
+            && self.reads_back_wrong(effective_ns, look)
         {
-            self.back_due = None;
-            if self.config.lines.back(look.inputs).is_some_and(|back| back != self.wire.mtc) {
-                self.fault(Fault::ReadBackMismatch, report);
-            }
+            self.fault(Fault::ReadBackMismatch, report);
         }
         if let Some(c) = self.capture
             && look.t_ns > c.trip_ns.1 + CAPTURE_LIMIT_NS
@@ -648,14 +656,29 @@ impl AxisEngine {
         match if look.more { Due::At(self.due_ns()) } else { self.act(look, report) } {
             Due::At(wake_ns) => {
                 self.set_wake(wake_ns);
-                0
+                None
             }
-            Due::Now(toggle) => {
+            Due::Now(inversion) => {
                 // Whether it is in effect, the next look tells.
                 (self.wake_ns, self.calm) = (0, false);
-                toggle
+                Some(inversion)
             }
         }
+    }
+
+    /// A' and B', which are looked at once for each inversion, are not what they should be. Gates, receivers and the card's
+    /// input filter take their time; what the MTC is given, they are given too. Not inlined: few looks need it.
+    #[inline(never)]
+    fn reads_back_wrong(&mut self, effective_ns: u64, look: &Look) -> bool {
+        if self.unsettled.is_some()
+            || look.t_ns < self.apart_ns(effective_ns)
+            || look.more
+            || look.fresh & self.input_mask != self.input_mask
+        {
+            return false;
+        }
+        self.back_due = None;
+        self.config.lines.back(look.inputs).is_some_and(|back| back != self.wire.mtc)
     }
 
     fn fault(&mut self, fault: Fault, report: &mut impl FnMut(EventKind)) {
@@ -667,34 +690,21 @@ impl AxisEngine {
     /// The scale has changed.
     fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         let before = self.scale.state();
-        let step = self.scale.update(state);
-        let last = self.last_edge.replace(look.edge_ns);
-        let period_ns = last.map_or(REST, |(_, last_ns)| look.edge_ns.0.saturating_sub(last_ns));
-        let last_period_ns = std::mem::replace(&mut self.period_ns, period_ns);
-        if let Some((last_ns, _)) = last
+        let Some(step) = self.scale.update(state) else {
+            self.edge_of_both(state, look, report);
+            return;
+        };
+        let last_period_ns = self.period_ns;
+        if let Some((last_ns, _)) = self.enter_time(look, report)
             && look.unseen & self.a_mask != 0
         {
-            if look.gap_ns > self.gate.need_ns() {
-                self.check_gap(look.gap_ns, last_period_ns, report);
-            }
             self.check_limits(step, look.edge_ns.1 - last_ns, last_period_ns, report);
         }
-        self.last_step = step.unwrap_or(0);
-        self.scale_inputs = look.inputs & self.scale_mask;
-        self.onward = match self.last_step {
-            0 => NOWHERE,
-            step => match state.signal_towards(step > 0) {
-                Signal::A => (self.a_mask, Signal::A),
-                Signal::B => (self.scale_mask ^ self.a_mask, Signal::B),
-            },
-        };
-        let Some(_) = step else {
-            self.wire.mtc = state.inverted(self.wire.inverters);
-            if let Insertion::Half { edges, .. } = &mut self.insertion {
-                *edges += 1;
-            }
-            self.fault(Fault::IllegalTransition, report);
-            return;
+        self.last_step = step;
+        // A and B take turns.
+        self.onward = match before.signal_to(state) {
+            Signal::A => (self.scale_mask ^ self.a_mask, Signal::B),
+            Signal::B => (self.a_mask, Signal::A),
         };
         if self.unsettled.is_none() {
             self.wire.pass_on(before.bits() ^ state.bits());
@@ -726,6 +736,31 @@ impl AxisEngine {
         }
     }
 
+    /// A and B have both changed: the step is unknown.
+    #[inline]
+    fn edge_of_both(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
+        self.enter_time(look, report);
+        (self.last_step, self.onward) = (0, NOWHERE);
+        self.wire.mtc = state.inverted(self.wire.inverters);
+        if let Insertion::Half { edges, .. } = &mut self.insertion {
+            *edges += 1;
+        }
+        self.fault(Fault::IllegalTransition, report);
+    }
+
+    /// Enters when an edge came, and what the lines are since. Returns when the one before it did.
+    #[inline]
+    fn enter_time(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<(u64, u64)> {
+        self.scale_inputs = look.inputs & self.scale_mask;
+        let last = self.last_edge.replace(look.edge_ns);
+        let period_ns = last.map_or(REST, |(_, last_ns)| look.edge_ns.0.saturating_sub(last_ns));
+        let last_period_ns = std::mem::replace(&mut self.period_ns, period_ns);
+        if last.is_some() && look.unseen & self.a_mask != 0 && look.gap_ns > self.gate.need_ns() {
+            self.check_gap(look.gap_ns, last_period_ns, report);
+        }
+        last
+    }
+
     /// The position of the boundary that the last edge crossed.
     fn last_boundary(&self) -> i64 {
         self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
@@ -742,14 +777,7 @@ impl AxisEngine {
     /// An edge at most `after_ns` after the one before. Sooner than the axis's limits allow, it proves them wrong, and
     /// with them what was taken for certain of every insertion since homing: that no two edges that cancel out fell
     /// beside it between two looks.
-    fn check_limits(
-        &mut self,
-        step: Option<i8>,
-        after_ns: u64,
-        period_ns: u64,
-        report: &mut impl FnMut(EventKind),
-    ) {
-        let Some(step) = step else { return };
+    fn check_limits(&mut self, step: i8, after_ns: u64, period_ns: u64, report: &mut impl FnMut(EventKind)) {
         // The look before read its lines some time before it took its time.
         let after_ns = after_ns + self.config.detect_ns;
         let beyond = if step == self.last_step {
@@ -810,12 +838,11 @@ impl AxisEngine {
     fn ready(&self) -> bool {
         let pending = self.pending();
         // As a rule, and then the rest need not be asked.
-        if pending == 0 || !self.homed || self.faults.any() {
+        if (-1..=1).contains(&pending) || !self.homed || self.faults.any() {
             return false;
         }
         // Full-cycle designs insert four counts; two switch both inverters off again.
-        let four = self.config.design != Design::C && self.wire.inverters == 0;
-        pending.abs() >= if four { 4 } else { 2 }
+        self.config.design == Design::C || self.wire.inverters != 0 || !(-3..=3).contains(&pending)
     }
 
     /// After an edge, something is pending: an insertion is opened, or why not is noted. Written in place: an insertion that
@@ -896,7 +923,8 @@ impl AxisEngine {
     fn invert_first(&mut self, add: bool, pairs: u8, t_ns: u64, seen_ns: u64) -> Due {
         self.insertion = Insertion::Half { add, pairs, effective_ns: None, edges: 0, seen_ns };
         self.touched |= self.real.is_none();
-        Due::Now(self.invert(self.wire.mtc.signal_towards(add), if add { 1 } else { -1 }, t_ns))
+        let inverter = self.invert(self.wire.mtc.signal_towards(add), if add { 1 } else { -1 }, t_ns);
+        Due::Now(Inversion { inverter, edge_to_done_ns: None })
     }
 
     /// The second inversion. Without an edge in between it is the other signal; with one, the signal that leaves the
@@ -920,7 +948,7 @@ impl AxisEngine {
                 (signal, step) = (signal.other(), -step);
             }
         }
-        let toggle = self.invert(signal, step, t_ns);
+        let inverter = self.invert(signal, step, t_ns);
         let offset = offset + step;
         if overlapped {
             self.wire.completed = offset;
@@ -933,13 +961,12 @@ impl AxisEngine {
         let pairs = pairs - 1;
         if pairs > 0 {
             self.insertion = Insertion::Between { add, pairs, effective_ns: None, seen_ns };
-        } else {
-            self.insertion = Insertion::Idle;
-            self.insertions += 1;
-            self.next_allowed_ns = t_ns + self.min_interval_ns;
-            self.edge_to_done_ns = Some(t_ns - seen_ns);
+            return Due::Now(Inversion { inverter, edge_to_done_ns: None });
         }
-        Due::Now(toggle)
+        self.insertion = Insertion::Idle;
+        self.insertions += 1;
+        self.next_allowed_ns = t_ns + self.min_interval_ns;
+        Due::Now(Inversion { inverter, edge_to_done_ns: Some(t_ns - seen_ns) })
     }
 
     /// Inverts a signal, which is this step to the MTC.
@@ -982,15 +1009,14 @@ impl AxisEngine {
 
     /// Works out until when nothing is due unless a line changes.
     fn set_wake_time(&mut self) {
-        self.set_wake(self.due_ns());
+        let next_look_tells = self.unsettled.is_some_and(|u| u.done_ns.is_none());
+        self.set_wake(if next_look_tells { 0 } else { self.due_ns() });
     }
 
-    /// The same where it is known already when the insertion goes on.
+    /// The same where it is known already when the insertion goes on, and that no look has yet to tell of an inversion.
     fn set_wake(&mut self, due_ns: u64) {
+        debug_assert!(due_ns == 0 || self.unsettled.is_none_or(|u| u.done_ns.is_some()));
         let mut wake = due_ns;
-        if self.unsettled.is_some_and(|u| u.done_ns.is_none()) {
-            wake = 0;
-        }
         if let Some(effective_ns) = self.back_due {
             wake = wake.min(self.apart_ns(effective_ns));
         }
@@ -1149,7 +1175,7 @@ mod tests {
                 let look = Look::new(&sample, since_ns, Permit { insert, shadow: false });
                 let [quick, careful] = &mut axes;
                 let mut told = [Vec::new(), Vec::new()];
-                let mut toggled = [0; 2];
+                let mut toggled = [None; 2];
                 if quick.goes_on_calmly(&look) {
                     calm += 1;
                 } else {
@@ -1159,7 +1185,7 @@ mod tests {
                 prop_assert_eq!(toggled[0], toggled[1]);
                 prop_assert_eq!(&told[0], &told[1]);
                 prop_assert_eq!(format!("{quick:?}"), format!("{careful:?}"));
-                if toggled[0] != 0 && done {
+                if toggled[0].is_some() && done {
                     for axis in &mut axes {
                         axis.written(t_ns + 10);
                     }

@@ -1,6 +1,6 @@
 //! All axes of one machine: looks at the card, lets each axis act, writes once.
 
-use crate::axis::{Answer, AxisConfig, AxisEngine, Found, Look, Permit};
+use crate::axis::{Answer, AxisConfig, AxisEngine, Found, Inversion, Look, Permit};
 use crate::event::{
     AxisStatus, Event, EventKind, Fault, Faults, GateState, MAX_AXES, Mode, Refusal, Request, Status,
 };
@@ -347,57 +347,55 @@ impl Engine {
         self.inputs = inputs;
         let lost = &mut self.events_lost;
         // A fault stays until it is cleared, which no look does; a new one is reported.
-        let mut faulted = self.mode == Mode::Fault || self.mode_due;
+        let mut new_fault = false;
         let mut emit = |axis, kind| {
-            faulted |= matches!(kind, EventKind::Fault(_));
+            new_fault |= matches!(kind, EventKind::Fault(_));
             *lost += u64::from(!report(Event { t_ns, axis, kind }));
         };
 
-        let trip = changed & inputs & self.probe_mask != 0;
-        if trip && self.probing {
+        if changed & inputs & self.probe_mask != 0 {
             for (n, axis) in self.axes.iter_mut().enumerate() {
-                if !axis.trip(look.edge_ns()) {
+                if self.probing && !axis.trip(look.edge_ns()) {
                     emit(Some(n as u8), EventKind::Bounce);
                 }
+                axis.wake();
             }
         }
+        // Of the output lines: those that are toggled, and their levels.
         let (mut mask, mut value) = (0, 0);
-        // One bit per axis.
-        let mut wrote = 0_u8;
         let mut wake_ns = u64::MAX;
         for (n, axis) in self.axes.iter_mut().enumerate() {
             let moved = changed & axis.input_mask() != 0;
-            if moved || t_ns >= axis.wake_ns() || trip {
-                let toggle = axis.look(look, moved, &mut |kind| emit(Some(n as u8), kind));
-                if toggle != 0 {
-                    wrote |= 1 << n;
-                    if let Some(ns) = axis.take_edge_to_done_ns() {
+            if moved || t_ns >= axis.wake_ns() {
+                let inversion = axis.look(look, moved, &mut |kind| emit(Some(n as u8), kind));
+                if let Some(Inversion { inverter, edge_to_done_ns }) = inversion {
+                    if let Some(ns) = edge_to_done_ns {
                         self.edge_to_done_ns.record(ns);
                     }
-                    if !look.permit.shadow {
-                        let (line, level) = axis.output(toggle);
-                        mask |= line;
-                        value |= level;
-                    }
+                    let (line, level) = axis.output(inverter);
+                    mask |= line;
+                    value |= level;
                 }
             }
             wake_ns = wake_ns.min(axis.wake_ns());
         }
         self.wake_ns = wake_ns;
-        if (mask != 0 || faulted) && self.journal.is_some() {
+        if self.journal.is_some()
+            && (mask != 0 && !look.permit.shadow || new_fault || self.mode_due || self.mode == Mode::Fault)
+        {
             self.note();
         }
-        if wrote != 0 {
-            let done_ns = if mask != 0 { card.write(mask, value)? } else { Some(t_ns) };
+        if mask != 0 {
+            let done_ns = if look.permit.shadow { Some(t_ns) } else { card.write(mask, value)? };
             // Where the card does not tell, the next look does.
             if let Some(done_ns) = done_ns {
-                for (_, axis) in self.axes.iter_mut().enumerate().filter(|(n, _)| wrote >> n & 1 != 0) {
+                for axis in self.axes.iter_mut().filter(|a| a.output_mask() & mask != 0) {
                     axis.written(done_ns);
                     self.wake_ns = self.wake_ns.min(axis.wake_ns());
                 }
             }
         }
-        if changed & self.disable_mask != 0 || faulted != (self.mode == Mode::Fault) || self.mode_due {
+        if changed & self.disable_mask != 0 || new_fault || self.mode_due {
             self.switch_off = inputs & self.disable_mask != 0;
             self.update_mode(card, report)?;
         }
