@@ -345,10 +345,7 @@ impl AxisSim {
         self.mtc.take_step(self.mtc.state().flipped(signal), mtc);
         self.next += self.per_count;
         if !self.interpolation.is_empty() {
-            let count = self.origin + self.scale.count();
-            let (last, coming) = if self.up { (count, count + 1) } else { (count + 1, count) };
-            let shift = self.interpolation_at(coming) - self.interpolation_at(last);
-            self.next += shift * if self.up { self.per_count } else { -self.per_count };
+            self.interpolate();
         }
         self.book(self.step.0, step_ns);
         // A and B take turns as long as it goes the same way, which it does throughout a step.
@@ -356,6 +353,15 @@ impl AxisSim {
         let changed = self.signal_lines;
         self.signal_lines ^= self.lines;
         changed
+    }
+
+    /// Moves the next edge by what the interpolation is off there and here. Not inlined: a scale without it stays short.
+    #[inline(never)]
+    fn interpolate(&mut self) {
+        let count = self.origin + self.scale.count();
+        let (last, coming) = if self.up { (count, count + 1) } else { (count + 1, count) };
+        let shift = self.interpolation_at(coming) - self.interpolation_at(last);
+        self.next += shift * if self.up { self.per_count } else { -self.per_count };
     }
 
     /// What the next edge is to the two counters.
