@@ -3,7 +3,7 @@
 
 use super::judge::independent;
 use super::problem::Problem;
-use super::rows::{Rows, lags_of};
+use super::rows::{Centred, Rows, lags_of};
 use super::term::{Term, relagged, squared};
 use crate::statistics::mean;
 use rtec_files::InputError;
@@ -71,18 +71,26 @@ fn best_lags(
         .collect();
     let mut rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
     let taken = rows.runs(&|i| take(rows.fold[i]));
+    let mut centred = (!taken.is_empty()).then(|| Centred::new(&rows, &taken));
     // With more than one, each beside the others, twice round.
     for _ in 0..lagged.len().min(2) {
         for &k in &lagged {
             let shared = shared(terms, k);
             let left = |ln: f64| {
                 rows.lag(problem, terms, &shared, ln.exp(), train)?;
-                let left = rows.solve_on(&taken).map_or(f64::INFINITY, |c| rows.rms_on(&c, &taken));
+                let found = centred.as_mut().and_then(|all| {
+                    all.renew(&rows, &shared);
+                    all.solve()
+                });
+                let left = found.map_or(f64::INFINITY, |c| rows.rms_on(&c, &taken));
                 Ok::<_, InputError>(left)
             };
             let middle = start_s[k].ln();
             let ln = smallest(middle - REACH, middle + REACH, left)?;
             rows.lag(problem, terms, &shared, ln.exp(), train)?;
+            if let Some(all) = &mut centred {
+                all.renew(&rows, &shared);
+            }
             for j in &shared {
                 lags_s[*j] = ln.exp();
             }

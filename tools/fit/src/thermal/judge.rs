@@ -112,6 +112,9 @@ pub(super) struct Beside<'a> {
     /// Per fold and over all: products of every column with those up to itself, row after row.
     products: Vec<Vec<f64>>,
     all: Vec<f64>,
+    /// What least squares without each fold and on all of them has worked out already: of columns that stay, once.
+    roots: Vec<Roots>,
+    roots_of_all: Roots,
 }
 
 /// Least squares on the folds.
@@ -136,7 +139,9 @@ impl<'a> Beside<'a> {
     pub(super) fn new(problem: &'a Problem, folds: &'a [usize]) -> Option<Self> {
         let total = folds.iter().flat_map(|f| &problem.weight[problem.stretches[*f].clone()]).sum();
         let products = vec![Vec::new(); folds.len()];
-        let mut beside = Self { problem, folds, total, columns: Vec::new(), products, all: Vec::new() };
+        let roots = folds.iter().map(|_| Roots::default()).collect();
+        let (columns, all, roots_of_all) = (Vec::new(), Vec::new(), Roots::default());
+        let mut beside = Self { problem, folds, total, columns, products, all, roots, roots_of_all };
         beside.push(&problem.y)?;
         let (values, weighted) = (vec![1.0; problem.y.len()], problem.weight.clone());
         beside.enter(Ready { mean: 0.0, scale: 1.0, values, weighted });
@@ -145,6 +150,32 @@ impl<'a> Beside<'a> {
 
     /// Puts a column at the end; `None` where it does not vary.
     pub(super) fn push(&mut self, column: &[f64]) -> Option<()> {
+        let ready = self.ready(column)?;
+        self.enter(ready);
+        Some(())
+    }
+
+    /// Puts a column in the place of the k-th term's; `None`, and that one stays, where it does not vary.
+    pub(super) fn replace(&mut self, k: usize, column: &[f64]) -> Option<()> {
+        // After response and constant.
+        let place = k + 2;
+        self.columns[place] = self.ready(column)?;
+        self.keep_roots(place - 1);
+        for other in 0..self.columns.len() {
+            let (later, earlier) = (place.max(other), place.min(other));
+            let at = row(later) + earlier;
+            let (later, earlier) = (&self.columns[later], &self.columns[earlier]);
+            self.all[at] = 0.0;
+            for (f, products) in self.folds.iter().zip(&mut self.products) {
+                let stretch = self.problem.stretches[*f].clone();
+                products[at] = dot(&later.weighted[stretch.clone()], &earlier.values[stretch]);
+                self.all[at] += products[at];
+            }
+        }
+        Some(())
+    }
+
+    fn ready(&self, column: &[f64]) -> Option<Ready> {
         let weight = &self.problem.weight;
         let stretches = || self.folds.iter().map(|f| self.problem.stretches[*f].clone());
         let mean = stretches().map(|s| dot(&weight[s.clone()], &column[s])).sum::<f64>() / self.total;
@@ -156,8 +187,7 @@ impl<'a> Beside<'a> {
         }
         let scale = variance.sqrt();
         values.iter_mut().chain(&mut weighted).for_each(|v| *v /= scale);
-        self.enter(Ready { mean, scale, values, weighted });
-        Some(())
+        Some(Ready { mean, scale, values, weighted })
     }
 
     fn enter(&mut self, column: Ready) {
@@ -180,19 +210,24 @@ impl<'a> Beside<'a> {
         let left = self.all.len() - self.columns.len();
         self.columns.pop();
         self.products.iter_mut().chain([&mut self.all]).for_each(|p| p.truncate(left));
+        self.keep_roots(self.columns.len() - 1);
+    }
+
+    /// Of the constant and the terms, only so many are still what they were.
+    fn keep_roots(&mut self, columns: usize) {
+        self.roots.iter_mut().chain([&mut self.roots_of_all]).for_each(|r| r.keep(columns));
     }
 
     /// Least squares on all folds, and judged by leaving out each in turn; `None` when the columns are dependent.
-    pub(super) fn solve(&self) -> Option<Solved> {
+    pub(super) fn solve(&mut self) -> Option<Solved> {
         let response = &self.columns[0];
-        let mut roots = Vec::with_capacity(self.all.len());
-        let fit = least_squares(&self.all, &mut roots)?;
+        let fit = self.roots_of_all.least_squares(&self.all)?;
         let left = left_over(&self.all, &fit) / self.total;
         let mut mse = Vec::with_capacity(self.folds.len());
         let mut others = vec![0.0; self.all.len()];
-        for own in &self.products {
+        for (own, roots) in self.products.iter().zip(&mut self.roots) {
             others.iter_mut().zip(self.all.iter().zip(own)).for_each(|(o, (all, own))| *o = all - own);
-            let c = least_squares(&others, &mut roots)?;
+            let c = roots.least_squares(&others)?;
             mse.push(left_over(own, &c) * response.scale * response.scale / own[CONSTANT].max(1e-300));
         }
         let terms = &self.columns[2..];
@@ -201,6 +236,15 @@ impl<'a> Beside<'a> {
         let means: f64 = coefficients[1..].iter().zip(terms).map(|(c, t)| c * t.mean).sum();
         coefficients[0] = response.mean + fit[0] * response.scale - means;
         Some(Solved { mse, coefficients, left })
+    }
+
+    /// Least squares by these terms, whose columns these are, judged; `None` when they are dependent.
+    pub(super) fn judge(&mut self, terms: &[Term]) -> Option<Judged> {
+        let solved = self.solve()?;
+        let independent = independent(self.residuals(&solved).into_iter()).max(self.folds.len() as f64);
+        let Solved { mse, coefficients, left } = solved;
+        let r = (1.0 - left).max(0.0).sqrt();
+        Some(Judged { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
 
     /// What the solution leaves of the response, one value per bin of the folds.
@@ -226,38 +270,62 @@ const fn row(k: usize) -> usize {
     k * (k + 1) / 2
 }
 
-/// The coefficients of constant and terms by these products (Cholesky, its roots kept in `roots`); `None` where columns are
-/// nearly one another.
-fn least_squares(products: &[f64], roots: &mut Vec<f64>) -> Option<Vec<f64>> {
-    roots.clear();
-    let mut solution: Vec<f64> = Vec::with_capacity(8);
-    // Row by row of the factor, with the forward substitution of the response beside it.
-    let mut begin = row(1);
-    while begin < products.len() {
-        let k = solution.len();
-        let own = &products[begin..begin + k + 2];
+/// Least squares by products of columns (Cholesky): the factor, row after row, and the response by it.
+#[derive(Default)]
+struct Roots {
+    factor: Vec<f64>,
+    response: Vec<f64>,
+}
+
+impl Roots {
+    /// The first so many columns are what they were.
+    fn keep(&mut self, columns: usize) {
+        self.response.truncate(columns);
+        self.factor.truncate(row(self.response.len()));
+    }
+
+    /// The coefficients of constant and terms by these products, of which those of the columns kept are what they were; `None`
+    /// where columns are nearly one another.
+    fn least_squares(&mut self, products: &[f64]) -> Option<Vec<f64>> {
+        let mut begin = row(self.response.len() + 1);
+        while begin < products.len() {
+            let k = self.response.len();
+            if !self.enter(&products[begin..begin + k + 2], 1e-7 * products[CONSTANT]) {
+                self.keep(k);
+                return None;
+            }
+            begin += k + 2;
+        }
+        let roots = &self.factor;
+        let mut solution = self.response.clone();
+        for k in (0..solution.len()).rev() {
+            let known: f64 = (k + 1..solution.len()).map(|i| roots[row(i) + k] * solution[i]).sum();
+            solution[k] = (solution[k] - known) / roots[row(k) + k];
+        }
+        Some(solution)
+    }
+
+    /// The next row of the factor, with the forward substitution of the response beside it; `false` where no more than this is
+    /// left of the column beside those before.
+    fn enter(&mut self, own: &[f64], least: f64) -> bool {
+        let (roots, k) = (&mut self.factor, self.response.len());
         for j in 0..=k {
-            let (mine, theirs) = (roots.len() - j, row(j));
-            let inner: f64 = (0..j).map(|i| roots[mine + i] * roots[theirs + i]).sum();
+            let (mine, theirs) = (row(k), row(j));
+            let inner: f64 = roots[mine..].iter().zip(&roots[theirs..theirs + j]).map(|(m, t)| m * t).sum();
             let rest = own[j + 1] - inner;
             if j < k {
                 roots.push(rest / roots[theirs + j]);
-            } else if rest > 1e-7 * products[CONSTANT] {
+            } else if rest > least {
                 roots.push(rest.sqrt());
             } else {
-                return None;
+                return false;
             }
         }
         let mine = &roots[row(k)..];
-        let known: f64 = solution.iter().zip(mine).map(|(s, r)| s * r).sum();
-        solution.push((own[0] - known) / mine[k]);
-        begin += k + 2;
+        let known: f64 = self.response.iter().zip(mine).map(|(s, r)| s * r).sum();
+        self.response.push((own[0] - known) / mine[k]);
+        true
     }
-    for k in (0..solution.len()).rev() {
-        let known: f64 = (k + 1..solution.len()).map(|i| roots[row(i) + k] * solution[i]).sum();
-        solution[k] = (solution[k] - known) / roots[row(k) + k];
-    }
-    Some(solution)
 }
 
 /// The sum of squares that these coefficients leave, by the products of the response, the constant and the terms.
@@ -276,12 +344,7 @@ impl Problem {
     /// Fits the terms on the given folds and judges them by leaving out each in turn; `None` when the columns are
     /// dependent.
     pub(super) fn judge(&self, terms: &[Term], folds: &[usize]) -> Option<Judged> {
-        let beside = self.beside(terms, folds)?;
-        let solved = beside.solve()?;
-        let independent = independent(beside.residuals(&solved).into_iter()).max(folds.len() as f64);
-        let Solved { mse, coefficients, left } = solved;
-        let r = (1.0 - left).max(0.0).sqrt();
-        Some(Judged { terms: terms.to_vec(), mse, r, coefficients, left, independent })
+        self.beside(terms, folds)?.judge(terms)
     }
 
     /// The columns of these terms on some folds; `None` where one of them does not vary.
@@ -300,7 +363,7 @@ impl Problem {
 
     pub(super) fn gamma(&self, term: Term, folds: &[usize]) -> f64 {
         let u = self.column(term);
-        let of = |v: &[f64]| self.stretches(folds).flat_map(|s| v[s].to_vec()).collect::<Vec<f64>>();
+        let of = |v: &[f64]| self.stretches(folds).map(|s| &v[s]).collect::<Vec<_>>().concat();
         correlation(&of(&u), &of(&self.y))
     }
 
@@ -402,6 +465,34 @@ mod tests {
         assert!(beside.push(&vec![3.0; problem.y.len()]).is_none());
         beside.push(&problem.column(difference(0, 0))).unwrap();
         assert!(beside.solve().is_none());
+    }
+
+    /// What was worked out of columns that stay is what is worked out anew, to the last bit: after another column in any place,
+    /// one more, one less, and one that is another's double.
+    #[test]
+    fn columns_change_places() {
+        let record = drift(4);
+        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let folds: Vec<usize> = (0..problem.folds).filter(|f| *f != 4).collect();
+        let mut terms = vec![difference(0, 0), difference(1, 7), difference(3, 20)];
+        let mut beside = problem.beside(&terms, &folds).unwrap();
+        let same = |beside: &mut Beside, terms: &[Term]| {
+            let (kept, anew) = (beside.judge(terms).unwrap(), problem.judge(terms, &folds).unwrap());
+            assert_eq!((kept.mse, kept.coefficients), (anew.mse, anew.coefficients));
+        };
+        same(&mut beside, &terms);
+        for (k, lag) in [(2, 30), (1, 9), (0, 3), (1, 0), (2, 5)] {
+            let Term::Thermal { sensor, .. } = terms[k] else { unreachable!() };
+            terms[k] = difference(sensor, lag);
+            beside.replace(k, &problem.column(terms[k])).unwrap();
+            same(&mut beside, &terms);
+            assert!(beside.replace(k, &vec![3.0; problem.y.len()]).is_none());
+            same(&mut beside, &terms);
+            beside.push(&problem.column(terms[0])).unwrap();
+            assert!(beside.solve().is_none());
+            beside.pop();
+            same(&mut beside, &terms);
+        }
     }
 
     /// The same structure with its terms in another order leaves the same but for rounding, and so is no better.

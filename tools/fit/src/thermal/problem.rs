@@ -177,8 +177,16 @@ impl Problem {
             Term::Speed => self.speed.clone().unwrap_or_default(),
             Term::Thermal { sensor, minus, lag, square } => {
                 let u = &self.binned[sensor][lag];
-                let d = |i: usize| u[i] - minus.map_or(STANDARD_DEGC, |m| self.binned[m][lag][i]);
-                (0..u.len()).map(|i| if square { d(i) * d(i) } else { d(i) }).collect()
+                let mut column: Vec<f64> = match minus {
+                    Some(m) => u.iter().zip(&self.binned[m][lag]).map(|(u, m)| u - m).collect(),
+                    None => u.iter().map(|u| u - STANDARD_DEGC).collect(),
+                };
+                if square {
+                    for d in &mut column {
+                        *d *= *d;
+                    }
+                }
+                column
             }
         }
     }

@@ -57,28 +57,10 @@ impl Rows {
 
     /// The same on these stretches of rows.
     pub(super) fn solve_on(&self, taken: &[Range<usize>]) -> Option<Vec<f64>> {
-        let n = taken.iter().map(Range::len).sum::<usize>() as f64;
         if taken.is_empty() {
             return None;
         }
-        let about = |v: &[f64]| {
-            let mean = taken.iter().map(|run| v[run.clone()].iter().sum::<f64>()).sum::<f64>() / n;
-            let mut own = Vec::with_capacity(v.len());
-            for run in taken {
-                own.extend(v[run.clone()].iter().map(|v| v - mean));
-            }
-            (own, mean)
-        };
-        let (y, my) = about(&self.y);
-        let (columns, means): (Vec<Vec<f64>>, Vec<f64>) = self.columns.iter().map(|c| about(c)).unzip();
-        if columns.is_empty() {
-            return Some(vec![my]);
-        }
-        let g = DMatrix::from_fn(columns.len(), columns.len(), |i, j| dot(&columns[i], &columns[j]));
-        let b = DVector::from_fn(columns.len(), |i, _| dot(&columns[i], &y));
-        let c = g.cholesky()?.solve(&b);
-        let constant = my - c.iter().zip(&means).map(|(c, m)| c * m).sum::<f64>();
-        Some(std::iter::once(constant).chain(c.iter().copied()).collect())
+        Centred::new(self, taken).solve()
     }
 
     /// The rows that `take` chooses, one stretch after the other.
@@ -148,6 +130,69 @@ impl Rows {
         }
         (sum / n.max(1) as f64).sqrt()
     }
+}
+
+/// Response and columns about their means on some stretches of rows, and the products of the columns: what stays is not made
+/// again when a column changes.
+pub(super) struct Centred<'a> {
+    taken: &'a [Range<usize>],
+    y: (Vec<f64>, f64),
+    columns: Vec<(Vec<f64>, f64)>,
+    products: DMatrix<f64>,
+    with_y: DVector<f64>,
+}
+
+impl<'a> Centred<'a> {
+    pub(super) fn new(rows: &Rows, taken: &'a [Range<usize>]) -> Self {
+        let n = rows.columns.len();
+        let mut all = Self {
+            taken,
+            y: about(&rows.y, taken),
+            columns: vec![(Vec::new(), 0.0); n],
+            products: DMatrix::zeros(n, n),
+            with_y: DVector::zeros(n),
+        };
+        let which: Vec<usize> = (0..n).collect();
+        all.renew(rows, &which);
+        all
+    }
+
+    /// These columns have changed.
+    pub(super) fn renew(&mut self, rows: &Rows, which: &[usize]) {
+        for k in which {
+            self.columns[*k] = about(&rows.columns[*k], self.taken);
+        }
+        for k in which {
+            let (own, _) = &self.columns[*k];
+            self.with_y[*k] = dot(own, &self.y.0);
+            for (j, (other, _)) in self.columns.iter().enumerate() {
+                let product = dot(own, other);
+                (self.products[(*k, j)], self.products[(j, *k)]) = (product, product);
+            }
+        }
+    }
+
+    /// Least squares: constant, then one coefficient per column.
+    pub(super) fn solve(&self) -> Option<Vec<f64>> {
+        let (_, mean) = self.y;
+        if self.columns.is_empty() {
+            return Some(vec![mean]);
+        }
+        let c = self.products.clone().cholesky()?.solve(&self.with_y);
+        let constant = mean - c.iter().zip(&self.columns).map(|(c, (_, m))| c * m).sum::<f64>();
+        Some(std::iter::once(constant).chain(c.iter().copied()).collect())
+    }
+}
+
+/// Values about their mean on these stretches of rows, and the mean.
+fn about(v: &[f64], taken: &[Range<usize>]) -> (Vec<f64>, f64) {
+    let n = taken.iter().map(Range::len).sum::<usize>();
+    let mean = taken.iter().map(|run| v[run.clone()].iter().sum::<f64>()).sum::<f64>() / n as f64;
+    let mut own = Vec::with_capacity(n);
+    for run in taken {
+        own.extend(v[run.clone()].iter().map(|v| v - mean));
+    }
+    (own, mean)
 }
 
 /// The lag of each term as the grid has it, s.

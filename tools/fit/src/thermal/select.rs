@@ -1,6 +1,6 @@
 //! Which terms: CASC over the sensors, the refit round by round, then every term once more beside the others.
 
-use super::judge::Judged;
+use super::judge::{Beside, Judged};
 use super::problem::Problem;
 use super::report::{Dropped, Ranked, Round};
 use super::term::{Pair, Term, pair_of, relagged, squared};
@@ -100,8 +100,7 @@ impl Selection {
 impl Problem {
     /// The whole selection on the given folds: the structure, its rounds, the rivals of its first term.
     pub(super) fn select(&self, folds: &[usize]) -> Option<Selection> {
-        let mut singles: Vec<Judged> =
-            self.offered.iter().filter_map(|(s, m)| self.best_lag(&[], *s, *m, folds)).collect();
+        let mut singles = self.with_best_lags(&[], &self.offered, folds);
         singles.sort_by_key(|j| self.merit(j));
         let sources = self.driven_by_the_source(singles.clone(), folds);
         let best = sources.first()?.clone();
@@ -225,12 +224,11 @@ impl Problem {
     /// The difference of any two sensors that leaves least by itself.
     fn best_pair(&self, candidates: &[Pair], folds: &[usize]) -> Option<Judged> {
         let screened = self.screen(&[], candidates, folds);
-        let fits = screened.iter().filter_map(|(s, m)| {
-            let plain = self.best_lag(&[], *s, *m, folds)?;
+        let fits = self.with_best_lags(&[], &screened, folds).into_iter().map(|plain| {
             let bent = squared(plain.terms[0]).filter(|_| self.square);
             let bent = bent.and_then(|q| self.judge(&[plain.terms[0], q], folds));
             let bent = bent.filter(|b| self.is_physical(b, folds)).map(|b| self.retune(b, folds));
-            Some(bent.filter(|b| b.is_bent(&plain)).unwrap_or(plain))
+            bent.filter(|b| b.is_bent(&plain)).unwrap_or(plain)
         });
         fits.min_by_key(|j| self.merit(j))
     }
@@ -300,8 +298,7 @@ impl Problem {
             };
             let offered: Vec<_> = candidates.iter().copied().filter(new).filter(few).collect();
             let screened = self.screen(&now.terms, &offered, folds);
-            let mut next: Vec<Judged> =
-                screened.iter().filter_map(|(s, m)| self.best_lag(&now.terms, *s, *m, folds)).collect();
+            let mut next = self.with_best_lags(&now.terms, &screened, folds);
             let mut extra = self.unlike_differences(&now.terms);
             extra.retain(|t| !now.terms.contains(t));
             next.extend(extra.into_iter().filter_map(|t| {
@@ -372,8 +369,8 @@ impl Problem {
                 let new = |p: &Pair| rest.iter().all(|t| pair_of(*t) != Some(*p));
                 let offered: Vec<Pair> = candidates.iter().copied().filter(new).collect();
                 let screened = self.screen(&rest, &offered, folds);
-                let fits = screened.iter().filter_map(|(s, m)| self.best_lag(&rest, *s, *m, folds));
-                let few = fits.filter(|j| Self::sensor_count(&j.terms) <= SENSORS);
+                let fits = self.with_best_lags(&rest, &screened, folds);
+                let few = fits.into_iter().filter(|j| Self::sensor_count(&j.terms) <= SENSORS);
                 let best = few.min_by_key(|j| self.merit(j));
                 if let Some(best) = best.filter(|b| b.beats(&now)) {
                     let out = now.terms[k];
@@ -468,33 +465,58 @@ impl Problem {
 
     /// The lags once more, each with the others held, now that all terms are there.
     fn retune(&self, mut now: Judged, folds: &[usize]) -> Judged {
+        let Some(mut beside) = self.beside(&now.terms, folds) else { return now };
+        // The terms whose columns stand there: one that does not vary leaves the one before in its place.
+        let mut standing = now.terms.clone();
         for k in 0..now.terms.len() {
             let Term::Thermal { lag: at @ 1.., square: false, .. } = now.terms[k] else { continue };
             let terms = now.terms.clone();
-            let mut other = |lag: usize| {
+            let mut with = |beside: &mut Beside, lag: usize| {
                 let terms = relagged(&terms, k, lag);
-                let solved = self.beside(&terms, folds)?.solve()?;
+                for n in 0..terms.len() {
+                    if standing[n] != terms[n] {
+                        beside.replace(n, &self.column(terms[n]))?;
+                        standing[n] = terms[n];
+                    }
+                }
+                Some(terms)
+            };
+            let mut other = |lag: usize| {
+                let terms = with(&mut beside, lag)?;
+                let solved = beside.solve()?;
                 self.physical(&terms, &solved.coefficients, folds).then(|| solved.rms())
             };
             let best = self.nearer((at, now.rms()), &mut other).0;
-            if best != at {
-                now = self.judge(&relagged(&terms, k, best), folds).unwrap_or(now);
-            }
+            let found = with(&mut beside, best).filter(|_| best != at);
+            now = found.and_then(|terms| beside.judge(&terms)).unwrap_or(now);
         }
         now
     }
 
-    /// The best lag of a difference beside the terms that are there; no lag unless it earns its place.
-    pub(super) fn best_lag(
+    /// Each of these differences beside the terms that are there, with its best lag.
+    pub(super) fn with_best_lags(&self, terms: &[Term], pairs: &[Pair], folds: &[usize]) -> Vec<Judged> {
+        let Some(mut beside) = self.beside(terms, folds) else { return Vec::new() };
+        pairs.iter().filter_map(|(s, m)| self.best_lag(&mut beside, terms, *s, *m, folds)).collect()
+    }
+
+    /// The best lag of a difference beside the terms that are there, whose columns these are; no lag unless it earns its place.
+    fn best_lag(
         &self,
+        beside: &mut Beside,
         terms: &[Term],
         sensor: usize,
         minus: Option<usize>,
         folds: &[usize],
     ) -> Option<Judged> {
-        let mut beside = self.beside(terms, folds)?;
         let with = |lag: usize| [terms, &[Term::Thermal { sensor, minus, lag, square: false }]].concat();
-        let mut at = |lag: usize| {
+        let judge = |beside: &mut Beside, lag: usize| {
+            let all = with(lag);
+            beside.push(&self.column(all[terms.len()]))?;
+            let judged = beside.judge(&all);
+            beside.pop();
+            judged
+        };
+        let at = |beside: &mut Beside, lag: usize| {
             let all = with(lag);
             let term = all[terms.len()];
             if terms.contains(&term) {
@@ -505,10 +527,13 @@ impl Problem {
             beside.pop();
             solved.filter(|s| self.physical(&all, &s.coefficients, folds)).map(|s| s.rms())
         };
-        let without = at(0).and_then(|_| self.judge(&with(0), folds));
-        let coarse = (1..self.taus.len()).step_by(COARSE).filter_map(|lag| Some((lag, at(lag)?)));
+        let without = at(beside, 0).and_then(|_| judge(beside, 0));
+        let coarse = (1..self.taus.len()).step_by(COARSE).filter_map(|lag| Some((lag, at(beside, lag)?)));
         let coarse = coarse.min_by(|a, b| a.1.total_cmp(&b.1));
-        let lagged = coarse.and_then(|best| self.judge(&with(self.nearer(best, &mut at).0), folds));
+        let lagged = coarse.and_then(|best| {
+            let best = self.nearer(best, &mut |lag| at(beside, lag)).0;
+            judge(beside, best)
+        });
         match (without, lagged) {
             (Some(a), Some(b)) => Some(if b.earns(&a, LAG_CHOICES) { b } else { a }),
             (a, b) => a.or(b),
@@ -533,8 +558,8 @@ impl Problem {
 
     /// The pairs that are offered, the one that moves most with the response first.
     pub(super) fn ranked_pairs(&self, folds: &[usize]) -> Vec<Ranked> {
-        let best = self.pairs.iter().filter_map(|(s, m)| self.best_lag(&[], *s, *m, folds));
-        let mut pairs: Vec<Ranked> = best.map(|j| self.ranked(&j, folds)).collect();
+        let best = self.with_best_lags(&[], &self.pairs, folds);
+        let mut pairs: Vec<Ranked> = best.iter().map(|j| self.ranked(j, folds)).collect();
         pairs.sort_by(|a, b| b.gamma_lagged.abs().total_cmp(&a.gamma_lagged.abs()));
         pairs
     }
