@@ -18,6 +18,11 @@ pub(crate) struct Products {
 }
 
 impl Products {
+    /// The same with so much more, whatever φ is about.
+    pub(crate) fn and(self, more: f64) -> Self {
+        Self { plain: self.plain + more, ..self }
+    }
+
     /// The whitened inner product at φ.
     pub(crate) fn at(self, phi: f64) -> f64 {
         (1.0 + phi * phi) * self.plain - phi * self.lagged - phi * phi * self.ends
@@ -30,7 +35,9 @@ pub(crate) struct Vector {
     pub(crate) data: Vec<f64>,
     neighbours: Vec<f64>,
     /// Outside these rows it is zero.
-    covers: Range<usize>,
+    pub(crate) covers: Range<usize>,
+    /// What is known of its coefficient before the rows are looked at: as much as so many squares of it beside nothing say.
+    pub(crate) known: f64,
 }
 
 impl Vector {
@@ -40,7 +47,7 @@ impl Vector {
         let zero = |s: &&Range<usize>| data[(*s).clone()].iter().all(|x| *x == 0.0);
         let from = segments.iter().find(|s| !zero(s)).map_or(0, |s| s.start);
         let to = segments.iter().rev().find(|s| !zero(s)).map_or(from, |s| s.end);
-        Self { data, neighbours, covers: from..to }
+        Self { data, neighbours, covers: from..to, known: 0.0 }
     }
 
     /// Whether it is zero at all of these rows, as it is at those of another response than its own.

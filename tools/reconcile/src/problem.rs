@@ -63,6 +63,14 @@ impl<'r> Stack<'r> {
         &self.records[segment.record]
     }
 
+    /// What is known beforehand of the coefficient of a map's free direction over these rows: its heights are no larger than a few
+    /// times what was measured there. Where rows tell heights apart that says nothing; where they do not, heights that
+    /// cancel each other at hundreds of µm fitted the rows as well, and nothing beside them.
+    pub(crate) fn height_known(&self, rows: &Range<usize>) -> f64 {
+        let size = rms(&self.measured[rows.clone()]);
+        if size > 0.0 { (HIGHEST * size).powi(-2) } else { 0.0 }
+    }
+
     /// Divides a stacked column by the noise size of each response.
     pub(crate) fn weigh(&self, column: &mut [f64]) {
         for s in &self.segments {
@@ -282,6 +290,8 @@ pub(crate) struct Known {
     pub(crate) target: f64,
 }
 
+/// A map's heights are no larger than so many times what was measured: one standard deviation.
+const HIGHEST: f64 = 5.0;
 /// A map's height that moves the rows by so much less than another one's says nothing of itself.
 const ROUNDED_OFF: f64 = 1e-3;
 /// Where an axis has a smaller share in a circle's radial error it shows nothing there.

@@ -304,7 +304,8 @@ impl Search<'_, '_> {
         cost: f64,
         columns: Vec<Vec<f64>>,
     ) -> Set {
-        let vectors = columns.into_iter().map(|c| self.register(c)).collect();
+        let height = cause.is_map();
+        let vectors = columns.into_iter().map(|c| self.register(c, height)).collect();
         let mut members = set.members.clone();
         members.push(Member { cause: cause.clone(), hypothesis, cost, vectors });
         self.set(members)
