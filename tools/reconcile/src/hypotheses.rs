@@ -69,7 +69,7 @@ pub(crate) struct Hypotheses {
     /// Products among the columns of each atom, packed by rows of the lower triangle.
     pub(crate) own: Vec<Vec<Products>>,
     /// Of these, per column what is known beforehand of its coefficient; none but of a map's.
-    known: Vec<Vec<f64>>,
+    pub(crate) known: Vec<Vec<f64>>,
     /// Price of the family choice alone, per law and per shape.
     pub(crate) family_cost: f64,
 }
@@ -307,5 +307,31 @@ mod tests {
         assert!(column("thermal_growth.x").iter().all(|v| (v - 1.0).abs() < 1e-15));
         let p = records[0].data(&Role::Position(crate::testing::axis())).unwrap();
         assert!(column("thermal_expansion.x").iter().zip(p).all(|(v, p)| (v - p / 1000.0).abs() < 1e-15));
+    }
+
+    /// Maps at places that do not tell their heights apart: what is known beforehand is beside their columns, in a grid point as in
+    /// a fit, and stays there when responses are weighed anew. Nothing is beside other laws' columns.
+    #[test]
+    fn heights_are_known_beforehand() {
+        let records = [record(120, |i| 40.0 * (i / 9.0).sin())];
+        let mut stack = Stack::new(&records);
+        let (mut all, _) = Hypotheses::new(&stack, &Dictionary::default());
+        for sigma in [1.0, 4.0] {
+            if sigma > 1.0 {
+                stack.sigma = vec![sigma];
+                all.weigh(&stack, &[1.0 / sigma]);
+            }
+            let size = crate::problem::rms(&stack.measured);
+            for (atom, own) in all.atoms.iter().zip(&all.own) {
+                let bare = all.bank.own(&atom.columns);
+                for (r, c) in atom.columns.iter().enumerate() {
+                    let at = r * (r + 3) / 2;
+                    let known = (own[at].at(0.0) - bare[at].at(0.0)) * all.bank.scale[*c].powi(2);
+                    let wanted = if atom.cause.is_map() { (5.0 * size).powi(-2) } else { 0.0 };
+                    assert!((known - wanted).abs() < 1e-9 + 1e-6 * wanted, "{known}, not {wanted}");
+                }
+            }
+        }
+        assert!(all.atoms.iter().any(|a| a.cause.is_map()));
     }
 }
