@@ -314,6 +314,9 @@ fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     (left, alone)
 }
 
+/// A state of so few rows makes a peak.
+const SHORT: usize = 3;
+
 /// How many rows on either side of a turn may have a peak. Turns every few rows excuse nothing: that is how the run is made.
 fn after_turns(turns: usize, rows: usize) -> Option<usize> {
     match rows / turns.max(1) {
@@ -360,6 +363,12 @@ pub(super) fn excused(record: &Record) -> Vec<bool> {
                 if changes.len() * 6 <= n {
                     for i in changes {
                         around(i, 2);
+                    }
+                } else if c.role == Role::Coolant {
+                    // A pump that is on or off for few rows shows in those.
+                    let short = |w: &&[usize]| w[1] - w[0] <= SHORT;
+                    for w in changes.windows(2).filter(short) {
+                        (w[0]..w[1]).for_each(|i| around(i, 0));
                     }
                 }
             }
