@@ -1,6 +1,6 @@
 //! What an explanation is: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
 
-use crate::problem::Stack;
+use crate::problem::{Stack, leaves_a_line};
 use crate::teeth::Teeth;
 use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC};
 
@@ -53,6 +53,11 @@ impl Cause {
             Self::Effect { .. } | Self::Sum(_) => None,
             Self::Shape(s) | Self::Teeth(s, _) => Some(s),
         }
+    }
+
+    /// Whether its coefficients are the free directions of a map's heights.
+    pub(crate) fn is_map(&self) -> bool {
+        matches!(self, Self::Effect { effect, .. } if leaves_a_line(effect))
     }
 
     /// The effects of a sum, times one number.

@@ -1,6 +1,6 @@
 //! What chance alone would find: the same search on noise made from the residual by moving its blocks about.
 
-use crate::gram::{Cholesky, Products, Vector, dot};
+use crate::gram::{Cholesky, KNOWN, Products, Vector, dot};
 use crate::search::{AtPhi, Search, Set, Share};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
@@ -163,7 +163,7 @@ impl Rounds {
     fn new(search: &Search<'_, '_>, draws: &[Vector]) -> Self {
         let empty = search.empty();
         let ranges = &search.stack.ranges;
-        let with_bank = search.all.bank.nearly_products(draws);
+        let with_bank = search.all.bank.products(&draws.iter().collect::<Vec<_>>());
         let with_known = |d: &Vector| -> Vec<Products> {
             empty.ids.iter().map(|i| d.products(&search.vectors[*i].data, ranges)).collect()
         };
@@ -268,10 +268,10 @@ impl RoundsAt {
                 p += 1;
                 let explained: f64 = self.shares.iter().map(|s| s[columns[r]] * s[columns[c]]).sum();
                 let left = full - explained;
-                m[r * k + c] = if r == c && left < 1e-6 * full { f64::INFINITY } else { left };
+                m[r * k + c] = if r == c && left < KNOWN * full { f64::INFINITY } else { left };
             }
         }
-        Cholesky::new(&m, k)
+        Cholesky::dropping(&m, k, KNOWN)
     }
 }
 
@@ -279,7 +279,7 @@ impl RoundsAt {
 mod tests {
     use super::*;
     use crate::hypotheses::Hypotheses;
-    use crate::problem::Stack;
+    use crate::problem::{Known, Stack, rms};
     use crate::testing::{noise, record};
     use rtec_model::effect::Dictionary;
 
@@ -309,5 +309,31 @@ mod tests {
         assert!(
             chance.of_name(60.0, true) < 1e-6 && chance.of_name(60.0, false) <= chance.of_name(60.0, true)
         );
+    }
+
+    /// Columns of which the model's own parameters leave next to nothing, and of the second beside the first only what was
+    /// rounded off: no noise is explained by that.
+    #[test]
+    fn what_is_rounded_off_is_no_chance() {
+        let dice = noise(3, 200);
+        let records = [record(200, |i| dice[i as usize])];
+        let stack = Stack::new(&records);
+        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let mut search = Search::new(&stack, &all, &waves);
+        let two = all.atoms.iter().find(|a| a.columns.len() == 2).unwrap();
+        let (left, rounded) = (noise(5, 200), noise(6, 200));
+        let known = two.columns.iter().zip([0.0, 1e-7]).map(|(c, off)| {
+            let column = all.bank.column(*c);
+            let size = rms(&column);
+            let column: Vec<f64> = column
+                .iter()
+                .zip(left.iter().zip(&rounded))
+                .map(|(x, (left, rounded))| x + size * (1.2e-3 * left + off * rounded))
+                .collect();
+            Known { effect: None, along: Vec::new(), column, sd: 1e6, target: 0.0 }
+        });
+        search.begin(1.0, known.collect(), stack.missing(&[]));
+        let chance = search.chance(&search.empty(), 20);
+        assert!(chance.any.location < 20.0, "{:?}", chance.any);
     }
 }

@@ -18,6 +18,11 @@ pub(crate) struct Products {
 }
 
 impl Products {
+    /// The same with so much more, whatever φ is about.
+    pub(crate) fn and(self, more: f64) -> Self {
+        Self { plain: self.plain + more, ..self }
+    }
+
     /// The whitened inner product at φ.
     pub(crate) fn at(self, phi: f64) -> f64 {
         (1.0 + phi * phi) * self.plain - phi * self.lagged - phi * phi * self.ends
@@ -30,7 +35,9 @@ pub(crate) struct Vector {
     pub(crate) data: Vec<f64>,
     neighbours: Vec<f64>,
     /// Outside these rows it is zero.
-    covers: Range<usize>,
+    pub(crate) covers: Range<usize>,
+    /// What is known of its coefficient before the rows are looked at: as much as so many squares of it beside nothing say.
+    pub(crate) known: f64,
 }
 
 impl Vector {
@@ -40,7 +47,7 @@ impl Vector {
         let zero = |s: &&Range<usize>| data[(*s).clone()].iter().all(|x| *x == 0.0);
         let from = segments.iter().find(|s| !zero(s)).map_or(0, |s| s.start);
         let to = segments.iter().rev().find(|s| !zero(s)).map_or(from, |s| s.end);
-        Self { data, neighbours, covers: from..to }
+        Self { data, neighbours, covers: from..to, known: 0.0 }
     }
 
     /// Whether it is zero at all of these rows, as it is at those of another response than its own.
@@ -439,20 +446,7 @@ impl Bank {
     pub(crate) fn products(&self, vectors: &[&Vector]) -> Vec<Vec<Products>> {
         let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
         if vectors.len() > FEW {
-            let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
-            self.by_panels(vectors, &mut out, |of, vectors, rows, new| {
-                panel.resize(of.len(), 0.0);
-                widen(of, &mut panel);
-                if new {
-                    right.clear();
-                    for v in vectors {
-                        right.extend_from_slice(&v.data[rows.clone()]);
-                        right.extend_from_slice(&v.neighbours[rows.clone()]);
-                    }
-                }
-                multiply(&right, &panel, rows.len(), &mut sums);
-                std::mem::take(&mut sums)
-            });
+            self.by_panels(vectors, &mut out);
             return out;
         }
         // Every column is read once.
@@ -474,34 +468,9 @@ impl Bank {
         Products { plain, lagged, ends: ends_of(v, column, &self.segments[place.covers.clone()]) }
     }
 
-    /// The same to six digits, in single precision: for noise that is drawn, which is known no better.
-    pub(crate) fn nearly_products(&self, vectors: &[Vector]) -> Vec<Vec<Products>> {
-        let vectors: Vec<&Vector> = vectors.iter().collect();
-        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
-        let (mut right, mut sums) = (Vec::new(), Vec::new());
-        self.by_panels(&vectors, &mut out, |panel, vectors, rows, new| {
-            if new {
-                right.clear();
-                for v in vectors {
-                    right.extend(v.data[rows.clone()].iter().map(|x| *x as f32));
-                    right.extend(v.neighbours[rows.clone()].iter().map(|x| *x as f32));
-                }
-            }
-            multiply_singles(&right, panel, rows.len(), &mut sums);
-            sums.iter().map(|x| f64::from(*x)).collect()
-        });
-        out
-    }
-
-    /// Products of the columns, as many at once as lie alike, with all vectors. `multiply`: from columns of so many rows that
-    /// stand one after the other the products with each vector and with its neighbours, row by row; told whether the rows are
-    /// others than the last time.
-    fn by_panels(
-        &self,
-        vectors: &[&Vector],
-        out: &mut [Vec<Products>],
-        mut multiply: impl FnMut(&[f32], &[&Vector], &Range<usize>, bool) -> Vec<f64>,
-    ) {
+    /// Products of the columns, as many at once as lie alike, with all vectors.
+    fn by_panels(&self, vectors: &[&Vector], out: &mut [Vec<Products>]) {
+        let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
         let mut from = 0;
         let mut last = 0..0;
         while let Some(Place { at, covers }) = self.places.get(from) {
@@ -516,11 +485,20 @@ impl Bank {
                 continue;
             }
             // Columns stand in the order in which they came.
-            let panel = &self.data[*at..at + alike * rows.len()];
-            let sums = multiply(panel, vectors, &rows, last != rows);
+            let stored = &self.data[*at..at + alike * rows.len()];
+            panel.resize(stored.len(), 0.0);
+            widen(stored, &mut panel);
+            if last != rows {
+                right.clear();
+                for v in vectors {
+                    right.extend_from_slice(&v.data[rows.clone()]);
+                    right.extend_from_slice(&v.neighbours[rows.clone()]);
+                }
+            }
+            multiply(&right, &panel, rows.len(), &mut sums);
             let segments = &self.segments[covers.clone()];
             for (k, (v, out)) in vectors.iter().zip(&mut *out).enumerate() {
-                let columns = panel.chunks_exact(rows.len()).enumerate();
+                let columns = stored.chunks_exact(rows.len()).enumerate();
                 out.extend(columns.map(|(i, column)| Products {
                     plain: sums[2 * k * alike + i],
                     lagged: sums[(2 * k + 1) * alike + i],
@@ -560,23 +538,21 @@ fn products_of_all(columns: &[f64], rows: usize, segments: &[Range<usize>]) -> V
 }
 
 /// Products of every row of `left` with every row of `right`, all of `n` values, row by row of `left`.
-macro_rules! multiply {
-    ($name:ident, $real:ty, $gemm:ident) => {
-        fn $name(left: &[$real], right: &[$real], n: usize, out: &mut Vec<$real>) {
-            let (rows, columns) = (left.len() / n, right.len() / n);
-            out.resize(rows * columns, 0.0);
-            let (n, across) = (n as isize, columns as isize);
-            let (a, b, c) = (left.as_ptr(), right.as_ptr(), out.as_mut_ptr());
-            // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
-            unsafe {
-                matrixmultiply::$gemm(rows, n as usize, columns, 1.0, a, n, 1, b, 1, n, 0.0, c, across, 1);
-            }
-        }
-    };
+fn multiply(left: &[f64], right: &[f64], n: usize, out: &mut Vec<f64>) {
+    let (rows, columns) = (left.len() / n, right.len() / n);
+    out.resize(rows * columns, 0.0);
+    let (n, across) = (n as isize, columns as isize);
+    let (a, b, c) = (left.as_ptr(), right.as_ptr(), out.as_mut_ptr());
+    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
+    unsafe {
+        matrixmultiply::dgemm(rows, n as usize, columns, 1.0, a, n, 1, b, 1, n, 0.0, c, across, 1);
+    }
 }
 
-multiply!(multiply, f64, dgemm);
-multiply!(multiply_singles, f32, sgemm);
+/// What of a column is no new explanation: so much of its square, of which others explain the rest. In the columns of the
+/// bank, kept to seven digits, less would be what was rounded off, and it takes part in nothing. One measure for the search and
+/// for what chance would find, as they are compared.
+pub(crate) const KNOWN: f64 = 1e-6;
 
 /// A lower Cholesky factor of a symmetric matrix, row by row.
 #[derive(Debug, Clone, Default)]
@@ -589,12 +565,17 @@ impl Cholesky {
     /// Factor of a matrix given row by row. A column that the ones before it explain to 1 part in 10⁹ is dropped: its
     /// coefficient will be zero.
     pub(crate) fn new(a: &[f64], n: usize) -> Self {
+        Self::dropping(a, n, 1e-9)
+    }
+
+    /// The same where a column is dropped of which the ones before it leave less than this.
+    pub(crate) fn dropping(a: &[f64], n: usize, least: f64) -> Self {
         let mut l = vec![0.0; n * n];
         for i in 0..n {
             for j in 0..=i {
                 let s = a[i * n + j] - dot(&l[i * n..i * n + j], &l[j * n..j * n + j]);
                 if i == j {
-                    l[i * n + i] = if s > 1e-9 * a[i * n + i] { s.sqrt() } else { f64::INFINITY };
+                    l[i * n + i] = if s > least * a[i * n + i] { s.sqrt() } else { f64::INFINITY };
                 } else {
                     l[i * n + j] = s / l[j * n + j];
                 }
@@ -643,7 +624,7 @@ impl Cholesky {
 }
 
 /// L⁻¹b in place of b, L the Cholesky factor that takes the place of a matrix's lower triangle: [`Cholesky`] for what is
-/// needed once.
+/// needed once, with columns dropped of which less than [`KNOWN`] is new.
 pub(crate) fn reduce(a: &mut [f64], b: &mut [f64]) {
     let n = b.len();
     for i in 0..n {
@@ -651,7 +632,7 @@ pub(crate) fn reduce(a: &mut [f64], b: &mut [f64]) {
             let s = a[i * n + j] - dot(&a[i * n..i * n + j], &a[j * n..j * n + j]);
             a[i * n + j] = if i != j {
                 s / a[j * n + j]
-            } else if s > 1e-9 * a[i * n + i] {
+            } else if s > KNOWN * a[i * n + i] {
                 s.sqrt()
             } else {
                 f64::INFINITY
@@ -759,6 +740,17 @@ mod tests {
             let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
             let (s, c) = wave(turns);
             assert!((s - sin).abs() < 1e-14 && (c - cos).abs() < 1e-14, "{turns}: {s} {c}");
+        }
+    }
+
+    /// Of two columns that differ by so little of their square, the second is dropped or not.
+    #[test]
+    fn how_much_of_a_column_is_new_decides_whether_it_counts() {
+        for (least, new, counts) in [(1e-9, 1e-7, true), (KNOWN, 1e-7, false), (KNOWN, 1e-5, true)] {
+            let a = [1.0, 1.0, 1.0, 1.0 + new];
+            let mut b = [1.0, 2.0];
+            Cholesky::dropping(&a, 2, least).forward(&mut b);
+            assert_eq!(b[1] != 0.0, counts, "{least} {new}: {b:?}");
         }
     }
 

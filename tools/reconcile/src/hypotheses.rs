@@ -68,6 +68,8 @@ pub(crate) struct Hypotheses {
     pub(crate) bank: Bank,
     /// Products among the columns of each atom, packed by rows of the lower triangle.
     pub(crate) own: Vec<Vec<Products>>,
+    /// Of these, per column what is known beforehand of its coefficient; none but of a map's.
+    pub(crate) known: Vec<Vec<f64>>,
     /// Price of the family choice alone, per law and per shape.
     pub(crate) family_cost: f64,
 }
@@ -97,24 +99,44 @@ impl Hypotheses {
             all.effect(stack, effect, cost, &mut waves);
         }
         all.shapes(stack, &mut waves);
-        all.square();
+        all.square(stack);
         (all, waves)
     }
 
-    fn square(&mut self) {
+    fn square(&mut self, stack: &Stack<'_>) {
         self.own = self.atoms.iter().map(|a| self.bank.own(&a.columns)).collect();
+        self.known = vec![Vec::new(); self.atoms.len()];
+        self.know_heights(stack);
+    }
+
+    /// What is known beforehand of maps' heights, into the products of their columns with themselves.
+    fn know_heights(&mut self, stack: &Stack<'_>) {
+        for ((atom, own), known) in self.atoms.iter().zip(&mut self.own).zip(&mut self.known) {
+            if !atom.cause.is_map() {
+                continue;
+            }
+            known.resize(atom.columns.len(), 0.0);
+            for (r, (c, known)) in atom.columns.iter().zip(known).enumerate() {
+                let now = stack.height_known(&self.bank.covered(*c)) / self.bank.scale[*c].powi(2);
+                let diagonal = &mut own[r * (r + 3) / 2];
+                *diagonal = diagonal.and(now - *known);
+                *known = now;
+            }
+        }
     }
 
     /// The same for responses of which each is now weighed so many times as much.
     pub(crate) fn weigh(&mut self, stack: &Stack<'_>, by: &[f64]) {
         let by: Vec<f64> = stack.segments.iter().map(|s| by[s.response]).collect();
         self.bank.weigh(&by);
-        for (atom, own) in self.atoms.iter().zip(&mut self.own) {
+        for ((atom, own), known) in self.atoms.iter().zip(&mut self.own).zip(&mut self.known) {
             // Columns of one response are of unit size, as they were.
             if atom.columns.iter().any(|c| self.bank.differs(*c, &by)) {
                 *own = self.bank.own(&atom.columns);
+                known.clear();
             }
         }
+        self.know_heights(stack);
     }
 
     /// Only the periods near a periodic effect's own: 3 % either way.
@@ -126,7 +148,7 @@ impl Hypotheses {
             let own = 1.0 / (effect.scalar(0) * w.unit);
             (w.from, w.to) = (own * 0.97, own * 1.03);
         }
-        all.square();
+        all.square(stack);
         (all, waves)
     }
 
@@ -285,5 +307,31 @@ mod tests {
         assert!(column("thermal_growth.x").iter().all(|v| (v - 1.0).abs() < 1e-15));
         let p = records[0].data(&Role::Position(crate::testing::axis())).unwrap();
         assert!(column("thermal_expansion.x").iter().zip(p).all(|(v, p)| (v - p / 1000.0).abs() < 1e-15));
+    }
+
+    /// Maps at places that do not tell their heights apart: what is known beforehand is beside their columns, in a grid point as in
+    /// a fit, and stays there when responses are weighed anew. Nothing is beside other laws' columns.
+    #[test]
+    fn heights_are_known_beforehand() {
+        let records = [record(120, |i| 40.0 * (i / 9.0).sin())];
+        let mut stack = Stack::new(&records);
+        let (mut all, _) = Hypotheses::new(&stack, &Dictionary::default());
+        for sigma in [1.0, 4.0] {
+            if sigma > 1.0 {
+                stack.sigma = vec![sigma];
+                all.weigh(&stack, &[1.0 / sigma]);
+            }
+            let size = crate::problem::rms(&stack.measured);
+            for (atom, own) in all.atoms.iter().zip(&all.own) {
+                let bare = all.bank.own(&atom.columns);
+                for (r, c) in atom.columns.iter().enumerate() {
+                    let at = r * (r + 3) / 2;
+                    let known = (own[at].at(0.0) - bare[at].at(0.0)) * all.bank.scale[*c].powi(2);
+                    let wanted = if atom.cause.is_map() { (5.0 * size).powi(-2) } else { 0.0 };
+                    assert!((known - wanted).abs() < 1e-9 + 1e-6 * wanted, "{known}, not {wanted}");
+                }
+            }
+        }
+        assert!(all.atoms.iter().any(|a| a.cause.is_map()));
     }
 }

@@ -63,6 +63,14 @@ impl<'r> Stack<'r> {
         &self.records[segment.record]
     }
 
+    /// What is known beforehand of the coefficient of a map's free direction over these rows: its heights are no larger than a few
+    /// times what was measured there. Where rows tell heights apart that says nothing; where they do not, heights that
+    /// cancel each other at hundreds of µm fitted the rows as well, and nothing beside them.
+    pub(crate) fn height_known(&self, rows: &Range<usize>) -> f64 {
+        let size = rms(&self.measured[rows.clone()]);
+        if size > 0.0 { (HIGHEST * size).powi(-2) } else { 0.0 }
+    }
+
     /// Divides a stacked column by the noise size of each response.
     pub(crate) fn weigh(&self, column: &mut [f64]) {
         for s in &self.segments {
@@ -137,7 +145,8 @@ impl<'r> Stack<'r> {
         if !leaves_a_line(effect) {
             return raw;
         }
-        free_directions(&self.levels(effect, &raw), k)
+        let directions = free_directions(&self.levels(effect, &raw), k);
+        let mut columns: Vec<Vec<f64>> = directions
             .iter()
             .map(|weights| {
                 let mut out = vec![0.0; self.n];
@@ -146,7 +155,13 @@ impl<'r> Stack<'r> {
                 }
                 out
             })
-            .collect()
+            .collect();
+        let largest = columns.iter().map(|c| rms(c)).fold(0.0, f64::max);
+        // A height that no row is near would be anything: a place on the next knot leaves it what was rounded off.
+        for column in columns.iter_mut().filter(|c| rms(c) < ROUNDED_OFF * largest) {
+            column.fill(0.0);
+        }
+        columns
     }
 
     /// What constant and straight line over the rows are made of, in a map's heights: one row of weights each. Offset,
@@ -275,6 +290,10 @@ pub(crate) struct Known {
     pub(crate) target: f64,
 }
 
+/// A map's heights are no larger than so many times what was measured: one standard deviation.
+const HIGHEST: f64 = 5.0;
+/// A map's height that moves the rows by so much less than another one's says nothing of itself.
+const ROUNDED_OFF: f64 = 1e-3;
 /// Where an axis has a smaller share in a circle's radial error it shows nothing there.
 const LEAST_SHARE: f64 = 1e-6;
 /// How far a model's value may be off, as a share of what its effect does to the error: one standard deviation.
@@ -409,6 +428,26 @@ mod tests {
         let records = [record(200, |i| i)];
         let stack = Stack::new(&records);
         assert_eq!(stack.basis(&map).len(), 2);
+    }
+
+    /// A row that rounding alone puts beside a knot says nothing of the next one's height: it was 10¹⁷ µm once, which no machine
+    /// has, and the map was no name.
+    #[test]
+    fn a_height_that_no_row_is_near_stays_where_it_is() {
+        let knots = [0.0, 20.0, 40.0, 60.0, 65.0, 70.0, 90.0, 100.0];
+        let values: Vec<f64> = knots.into_iter().chain(knots.map(|k| 66.0 - k)).collect();
+        let map = effect("position_map.x", &values);
+        for (beside_mm, unmoved) in [(1e-12, 1), (2.0, 0)] {
+            let mut run = record(200, |i| i);
+            for p in &mut run.columns[1].data {
+                *p = (*p / 10.0).round() * 10.0;
+            }
+            run.columns[1].data[7] = 60.0 + beside_mm;
+            let records = [run];
+            let columns = Stack::new(&records).basis(&map);
+            let none = columns.iter().filter(|c| c.iter().all(|x| *x == 0.0)).count();
+            assert_eq!((columns.len(), none), (6, unmoved), "a row {beside_mm} mm beside the knot at 60");
+        }
     }
 
     /// What the file says counts: a value at another point is pulled back to the file's by as much as it is off.

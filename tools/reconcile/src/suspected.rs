@@ -20,7 +20,10 @@ pub(crate) fn is_sensor(record: &Record, name: &str) -> bool {
 
 /// Whether it is about the whole record: what it means all along is not known.
 pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
+    let time = |c: &Column| c.name == s.column && c.role == Role::Time;
     match s.what {
+        // Whatever a second is: places, sensors and errors are what they are, and only a lag is as long as the clock says.
+        What::Unit if record.columns.iter().any(time) => false,
         What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
         What::Swapped => true,
         What::Doubled => s.column.is_empty() && s.rows.is_empty(),

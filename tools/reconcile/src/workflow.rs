@@ -133,15 +133,16 @@ pub fn reconcile(
         why = Some(why.map_or_else(|| note.to_owned(), |w| format!("{w}; {note}")));
     }
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
-    let strangers = doubt::other_machines(&held, &traces_of[first_held..], &gap);
+    let strangers = doubt::other_machines(better.comparable(&answer, &held), &traces_of[first_held..], &gap);
     let mut left_out = [doubts.left_out, held_out].concat();
     if strangers.len() < held.len() {
         // The figures are those of the others.
         let strange = |file: &Record| strangers.iter().any(|(k, _)| held[*k].path == file.path);
         let good: Vec<Record> = held.iter().filter(|r| !strange(r)).cloned().collect();
         gap::on_holdouts(&mut gap, &traces(&[], &good, machine, &better.model));
-        let path = |k: usize| held[k].path.display();
-        left_out.extend(strangers.iter().map(|(k, s)| format!("{}: no figures ({})", path(*k), s.what)));
+        let line =
+            |(k, s): &(usize, Suspicion)| format!("{}: no figures ({})", held[*k].path.display(), s.what);
+        left_out.extend(strangers.iter().map(line));
     } else if !strangers.is_empty() {
         for g in &mut gap {
             g.doubted = true;
@@ -163,13 +164,7 @@ pub fn reconcile(
         answer.unexplained.extend(not_told(&stack, &gap, rows));
     }
     let Better { model, refined, effects, curve, .. } = better;
-    // What was withdrawn on the way is not accepted.
-    let named =
-        |label: &str| label.split(' ').next().is_some_and(|n| effects.iter().any(|e| e.0.effect.name() == n));
-    let shapes = !answer.unexplained.is_empty();
-    for t in answer.ranking.iter_mut().filter(|t| t.accepted) {
-        t.accepted = named(&t.label) || (shapes && t.label.starts_with("unnamed"));
-    }
+    accept(&mut answer, &effects);
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let mut advice = work.advice(verdict, &effects, &answer.unexplained);
     if let Some(why) = why {
@@ -215,6 +210,14 @@ struct Better {
     curve: Option<(Effect, String)>,
     /// What is there, of a size that is not told.
     sizeless: Vec<Shape>,
+}
+
+impl Better {
+    /// The hold-outs, where the training is understood, and in one way: what is not may be all that they show more of.
+    fn comparable<'h>(&self, answer: &Answer, held: &'h [Record]) -> &'h [Record] {
+        let one_way = self.effects.iter().all(|(f, _)| f.rivals.is_empty());
+        if answer.unexplained.is_empty() && one_way { held } else { &[] }
+    }
 }
 
 impl Work<'_> {
@@ -291,6 +294,16 @@ impl Work<'_> {
         let traces = traces(self.train, held, self.machine, &better.model);
         let gap = gaps(self.stack, self.used, &traces, &better.terms, answer);
         (traces, gap)
+    }
+}
+
+/// What was withdrawn on the way is not accepted among what was tried.
+fn accept(answer: &mut Answer, effects: &[(Finding, Vec<f64>)]) {
+    let named =
+        |label: &str| label.split(' ').next().is_some_and(|n| effects.iter().any(|e| e.0.effect.name() == n));
+    let shapes = !answer.unexplained.is_empty();
+    for t in answer.ranking.iter_mut().filter(|t| t.accepted) {
+        t.accepted = named(&t.label) || (shapes && t.label.starts_with("unnamed"));
     }
 }
 

@@ -169,6 +169,11 @@ fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
 /// A sensor that moves by less over a record, K, tells nothing of the others.
 const MOVES_K: f64 = 1.0;
 
+/// So many times as far off as they stand than exchanged: two sensors are in each other's place, as one record says of the other
+/// and as that one has to say of it.
+const CERTAINLY: f64 = 2.5;
+const LIKELY: f64 = 1.5;
+
 /// Two sensors in each other's place: what the other sensors say of one is what the other reads, and the other way
 /// round. The first such pair.
 fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
@@ -182,23 +187,27 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
     let both = |name: &str| moves(a, name) && moves(b, name);
     pairs.map(|(i, k)| (names[i], names[k])).filter(|(p, q)| both(p) && both(q)).find_map(|(p, q)| {
         let rest: Vec<&str> = names.iter().filter(|n| **n != p && **n != q).copied().collect();
-        let at_once = crosses(a, b, (p, q), &rest);
-        let found = at_once || {
+        // Either record says it of the other: a law that was learned from one load alone holds for no other, and looks the same.
+        let crosses = |a: &Record, b: &Record, rest: &[&str]| {
+            crosses(a, b, (p, q), rest).is_some_and(|by| by > CERTAINLY)
+                && crosses(b, a, (p, q), rest).is_some_and(|by| by > LIKELY)
+        };
+        let found = crosses(a, b, &rest) || {
             // What one body passes to another comes late.
             let ((wide_a, all), (wide_b, _)) = (with_lags(a, &rest), with_lags(b, &rest));
             let all: Vec<&str> = all.iter().map(String::as_str).collect();
-            3 * all.len() < a.rows() && crosses(&wide_a, &wide_b, (p, q), &all)
+            3 * all.len() < a.rows().min(b.rows()) && crosses(&wide_a, &wide_b, &all)
         };
         found.then(|| vec![p.to_owned(), q.to_owned()])
     })
 }
 
 /// What the rest says in one record of a pair of sensors is found in the other record with the two exchanged, and not as they
-/// stand there.
-fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> bool {
+/// stand there: how many times as far off they are there. None where nothing is told of the two.
+fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Option<f64> {
     let columns = (a.temperature(p), a.temperature(q), b.temperature(p), b.temperature(q));
-    let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return false };
-    let (Some(of_p), Some(of_q)) = (told(a, ap, rest), told(a, aq, rest)) else { return false };
+    let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return None };
+    let (of_p, of_q) = (told(a, ap, rest)?, told(a, aq, rest)?);
     let (says_p, says_q) = (of_p.says(b, rest), of_q.says(b, rest));
     let away = |t: &[f64], says: &[f64]| {
         let d: f64 = t.iter().zip(says).map(|(t, s)| (t - s).powi(2)).sum();
@@ -208,6 +217,7 @@ fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> bool 
     let crossed = [away(bq, &says_p), away(bp, &says_q)];
     let fits = crossed[0] < (3.0 * of_p.left).max(1.0) && crossed[1] < (3.0 * of_q.left).max(1.0);
     // Both would have to be wrong by the very difference of the two, and to opposite sides.
-    fits && straight[0].hypot(straight[1]) > 2.5 * crossed[0].hypot(crossed[1])
-        && (0..2).all(|s| straight[s] > (2.0 * crossed[s]).max(1.0))
+    let both = fits && (0..2).all(|s| straight[s] > (2.0 * crossed[s]).max(1.0));
+    let by = straight[0].hypot(straight[1]) / crossed[0].hypot(crossed[1]).max(f64::MIN_POSITIVE);
+    Some(if both { by } else { by.min(CERTAINLY) })
 }

@@ -314,6 +314,19 @@ fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     (left, alone)
 }
 
+/// A state of so few rows makes a peak.
+const SHORT: usize = 3;
+
+/// How many rows on either side of a turn may have a peak. Turns every few rows excuse nothing: that is how the run is made.
+fn after_turns(turns: usize, rows: usize) -> Option<usize> {
+    match rows / turns.max(1) {
+        12.. => Some(3),
+        // A circle of thirty rows has one a quarter, and a spike at some of them.
+        6.. => Some(1),
+        _ => None,
+    }
+}
+
 /// Rows where something else may honestly make a short peak: next to a reversal, to a change of coolant, spindle speed,
 /// load or temperature, at the ends.
 pub(super) fn excused(record: &Record) -> Vec<bool> {
@@ -329,18 +342,18 @@ pub(super) fn excused(record: &Record) -> Vec<bool> {
             Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) => {
                 // Signs that turn every few rows excuse nothing: that is how the run is made.
                 let turns: Vec<usize> = (1..n).filter(|i| c.data[*i] * c.data[i - 1] < 0.0).collect();
-                if turns.len() * 12 <= n {
+                if let Some(by) = after_turns(turns.len(), n) {
                     for i in turns {
-                        around(i, 3);
+                        around(i, by);
                     }
                 }
             }
             Role::Position(_) => {
                 let d = steps(&c.data);
                 let turns: Vec<usize> = (1..d.len()).filter(|i| d[*i] * d[i - 1] < 0.0).collect();
-                if turns.len() * 12 <= n {
+                if let Some(by) = after_turns(turns.len(), n) {
                     for i in turns {
-                        around(i, 3);
+                        around(i, by);
                     }
                 }
             }
@@ -350,6 +363,12 @@ pub(super) fn excused(record: &Record) -> Vec<bool> {
                 if changes.len() * 6 <= n {
                     for i in changes {
                         around(i, 2);
+                    }
+                } else if c.role == Role::Coolant {
+                    // A pump that is on or off for few rows shows in those.
+                    let short = |w: &&[usize]| w[1] - w[0] <= SHORT;
+                    for w in changes.windows(2).filter(short) {
+                        (w[0]..w[1]).for_each(|i| around(i, 0));
                     }
                 }
             }

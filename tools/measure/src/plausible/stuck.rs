@@ -10,6 +10,8 @@ use statrs::distribution::{ContinuousCDF, Normal};
 const SHORTEST: usize = 12;
 /// Rows from which a sensor's noise, or what the others say of it, can be learned.
 const ENOUGH: usize = 30;
+/// What the others say moves on by more than so many times what they are wrong by beside the run.
+const NEAR: f64 = 5.0;
 /// Chance that a good sensor stands still so long.
 const CHANCE: f64 = 1e-4;
 
@@ -134,6 +136,8 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
         let rest: Vec<&str> = record.names(&Role::Temperature).filter(common).collect();
         let Some(y) = known.temperature(&c.name).filter(|_| !rest.is_empty()) else { return false };
         let Some(told) = told(known, y, &rest) else { return false };
+        // Where the sensor still moves, near this run, they have to say what it reads.
+        let wrong = beside_the_run(record, c, (start, end), &rest);
         // Asked of states that it has seen only.
         let seen = |n: &&str| {
             let (Some(a), Some(b)) = (known.temperature(n), asked.temperature(n)) else { return false };
@@ -145,8 +149,25 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
         let moved = range(&says);
         told.left < 0.1 * range(y)
             && moved > (8.0 * quantum(y)).max(10.0 * told.left).max(1.0)
+            && wrong.is_none_or(|k| moved > NEAR * k)
             && rest.iter().all(seen)
     })
+}
+
+/// How wrong the others are of a sensor next to the run in which it stands still, K: learned from the rows that are farther away
+/// than the run is long. None where too few are.
+fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), rest: &[&str]) -> Option<f64> {
+    let length = end - start;
+    let near = start.saturating_sub(length)..(end + length).min(record.rows());
+    let far: Vec<usize> = (0..record.rows()).filter(|i| !near.contains(i)).collect();
+    let beside: Vec<usize> = near.filter(|i| *i < start || *i >= end).collect();
+    if far.len() < ENOUGH || beside.is_empty() {
+        return None;
+    }
+    let known = record.select(&far);
+    let says = told(&known, known.temperature(&c.name)?, rest)?.says(&record.select(&beside), rest);
+    let squares: f64 = beside.iter().zip(&says).map(|(i, s)| (c.data[*i] - s).powi(2)).sum();
+    Some((squares / beside.len() as f64).sqrt())
 }
 
 /// All along, among others that change at most rows, one of which moves: a sensor of coarse resolution may stand still in a

@@ -28,9 +28,10 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
             let text = "has the sign opposite to the rows before".to_owned();
             out.push(Suspicion::new(record, &c.name, What::Sign, &rows, text));
         } else if record.kind == Kind::Positioning
-            && let Some((rows, text)) = of_approaches(record, c)
+            && let Some(rows) = of_approaches(record, c)
         {
-            out.push(Suspicion::new(record, &c.name, What::Sign, &rows, text.to_owned()));
+            let text = "has the sign opposite to the other approaches to the same places".to_owned();
+            out.push(Suspicion::new(record, &c.name, What::Sign, &rows, text));
         }
     }
     clock(record, out);
@@ -137,44 +138,24 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     (a.len() >= 8 && correlation(&a, &b) < -0.85).then_some(at)
 }
 
-/// The approaches whose error has the other sign: one cycle beside the others, or all from one side beside those from the other.
-fn of_approaches(record: &Record, c: &Column) -> Option<(Vec<usize>, &'static str)> {
+/// The approaches whose error has the other sign: one cycle beside the others. Not all from one side beside those from the other: a
+/// screw that is worn along its length gives that too.
+fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     let axis = c.role.axis()?;
     let p = record.data(&Role::Position(axis.clone()))?;
     let d = record.data(&Role::Direction(axis.clone()))?;
     let groups = repeats::groups(p, d);
     let cycles = groups.iter().map(Vec::len).min().filter(|n| *n >= 3 && groups.len() >= 8)?;
-    let mean = |rows: &[usize]| rows.iter().map(|i| c.data[*i]).sum::<f64>() / rows.len() as f64;
     let others_of = |g: &Vec<usize>| medians_of_others(&g.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
     let without: Vec<Vec<f64>> = groups.iter().map(others_of).collect();
     for k in 0..cycles {
         let (own, others): (Vec<f64>, Vec<f64>) =
             groups.iter().zip(&without).map(|(g, others)| (c.data[g[k]], others[k])).unzip();
         if is_turned(&own, &others) {
-            let rows = groups.iter().map(|g| g[k]).collect();
-            return Some((rows, "has the sign opposite to the other approaches to the same places"));
+            return Some(groups.iter().map(|g| g[k]).collect());
         }
     }
-    // From both sides an error runs alike along the axis, but for a constant.
-    let (up, down): (Vec<&Vec<usize>>, Vec<&Vec<usize>>) = groups.iter().partition(|g| d[g[0]] > 0.0);
-    if up.len() < 8 || up.len() != down.len() {
-        return None;
-    }
-    let about = |side: &[&Vec<usize>]| -> Vec<f64> {
-        let means: Vec<f64> = side.iter().map(|g| mean(g)).collect();
-        let middle = means.iter().sum::<f64>() / means.len() as f64;
-        means.into_iter().map(|m| m - middle).collect()
-    };
-    let scatter =
-        median(groups.iter().map(|g| range(&g.iter().map(|i| c.data[*i]).collect::<Vec<_>>())).collect());
-    let (above, below) = (about(&up), about(&down));
-    if range(&above) < 5.0 * scatter || !is_turned(&below, &above) {
-        return None;
-    }
-    Some((
-        down.into_iter().flatten().copied().collect(),
-        "runs opposite along the axis to what is measured from the other side",
-    ))
+    None
 }
 
 /// Values that are those of others with the other sign, and by far not with their own.

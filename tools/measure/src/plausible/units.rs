@@ -6,8 +6,10 @@ use crate::iso230::{Round, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::VecDeque;
 
-/// No part of a machine tool warms through half of what it warms at all in less, s.
-const HALF_WARM_S: f64 = 40.0;
+/// No part of a machine tool warms through half of what it warms at all in less, s: a bearing's ring takes a minute.
+const HALF_WARM_S: f64 = 20.0;
+/// Faster than this it is hours that are called seconds, not minutes, s.
+const HOURS_S: f64 = 0.7;
 /// Temperatures that move by less say nothing of time, K.
 const MOVES_K: f64 = 2.0;
 const MM_PER_INCH: f64 = 25.4;
@@ -116,7 +118,7 @@ fn heat(record: &Record, out: &mut Vec<Suspicion>) {
     if half > 0.0 && half < HALF_WARM_S && !out.iter().any(named) {
         let text = format!(
             "temperatures go half their way in {half:.2} s, faster than a machine warms, which looks like {}",
-            if half < HALF_WARM_S / 60.0 { "hours" } else { "minutes" }
+            if half < HOURS_S { "hours" } else { "minutes" }
         );
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
     }

@@ -1064,8 +1064,7 @@ fn cycles(seed: u64) -> Vec<Column> {
     ]
 }
 
-/// One cycle with the other sign, all approaches from one side with it, one cycle pasted under a number of its own; and their clean
-/// twins.
+/// One cycle with the other sign, one cycle pasted under a number of its own; and their clean twins.
 #[test]
 fn signs_and_copies_of_cycles_are_said() {
     for seed in 1..=20 {
@@ -1079,8 +1078,8 @@ fn signs_and_copies_of_cycles_are_said() {
             let found = said(&|i, e| if i / 22 == cycle { -e } else { e });
             assert!(found.iter().any(|s| s.what == What::Sign), "{seed}, {cycle}: {found:?}");
         }
-        let found = said(&|i, e| if i / 11 % 2 == 1 { -e } else { e });
-        assert!(found.iter().any(|s| s.text.contains("from the other side")), "{seed}: {found:?}");
+        // A screw that is worn in its middle gives that too: backlash that changes along the axis.
+        assert_eq!(said(&|i, e| if i / 11 % 2 == 1 { -e } else { e }), [], "{seed}");
         let own = cycles(seed)[3].data.clone();
         let found = said(&|i, e| if i / 22 == 3 { own[i - 22] } else { e });
         assert!(found.iter().any(|s| s.what == What::Doubled), "{seed}: {found:?}");

@@ -102,9 +102,6 @@ fn kept_of(atom: &Atom) -> usize {
     if k > 1 { k * (k + 1) / 2 } else { 0 }
 }
 
-/// What a set leaves of a column is nothing new where it is so little of the column.
-const KNOWN: f64 = 1e-6;
-
 impl Left {
     /// By how much an atom of several columns shrinks what the set leaves.
     fn gain(
@@ -122,7 +119,7 @@ impl Left {
         let mut packed = self.own[own].iter().zip(full);
         for (r, row) in m.chunks_exact_mut(k.max(1)).enumerate() {
             for ((c, m), (own, full)) in row[..=r].iter_mut().enumerate().zip(&mut packed) {
-                let known = c == r && *own < KNOWN * full.at(self.phi);
+                let known = c == r && *own < gram::KNOWN * full.at(self.phi);
                 *m = if known { f64::INFINITY } else { *own };
             }
         }
@@ -156,7 +153,7 @@ impl Search<'_, '_> {
                     [one] => {
                         let (with, own) = (left.with_y[one], left.squares[one]);
                         // What the set explains already to 1 part in 10⁶ is no new explanation, and a column of zeros none.
-                        if own > KNOWN * full[0].at(fit.phi) { with * with / own } else { 0.0 }
+                        if own > gram::KNOWN * full[0].at(fit.phi) { with * with / own } else { 0.0 }
                     }
                     _ => left.gain(atom, full, at.clone(), &mut m, &mut g),
                 };

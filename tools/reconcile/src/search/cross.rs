@@ -37,8 +37,7 @@ impl Search<'_, '_> {
                     let full = cross.own[p].at(at.phi);
                     p += 1;
                     let left = full - dot(&a[i * b..(i + 1) * b], &a[j * b..(j + 1) * b]);
-                    // What the set explains already to 1 part in 10⁶ is no new explanation.
-                    m[i * k + j] = if i == j && left < 1e-6 * full { f64::INFINITY } else { left };
+                    m[i * k + j] = if i == j && left < gram::KNOWN * full { f64::INFINITY } else { left };
                 }
             }
             gram::reduce(&mut m, &mut g);

@@ -78,6 +78,8 @@ pub(crate) struct Search<'p, 'r> {
     with_own: RefCell<WithOwn>,
     /// Products among vectors, once they are asked for: `pairs[i][j]`, j ≤ i.
     pairs: Vec<Vec<OnceCell<Products>>>,
+    /// Which of the vectors are heights of maps.
+    heights: Vec<bool>,
     /// Vectors by their bits.
     places: HashMap<u64, Vec<usize>>,
     /// Degrees of freedom that noise is judged by.
@@ -125,6 +127,7 @@ impl<'p, 'r> Search<'p, 'r> {
             columns_of: all.columns_of(),
             with_own: RefCell::default(),
             pairs: Vec::new(),
+            heights: Vec::new(),
             places: HashMap::new(),
             nu: 0.0,
             phis,
@@ -147,8 +150,8 @@ impl<'p, 'r> Search<'p, 'r> {
     /// worked out for columns that stay is kept. `missing`: measured minus simulated, weighed.
     pub(crate) fn begin(&mut self, noise: f64, known: Vec<Known>, missing: Vec<f64>) {
         self.noise = noise;
-        self.y = self.register(missing);
-        self.slopes = known.iter().map(|k| self.register(k.column.clone())).collect();
+        self.y = self.register(missing, false);
+        self.slopes = known.iter().map(|k| self.register(k.column.clone(), false)).collect();
         self.nu = (self.stack.n as f64 - known.len() as f64).max(self.stack.n as f64 / 2.0);
         self.known = known;
         *self.peaks.borrow_mut() = vec![Vec::new(); self.waves.len()];
@@ -172,17 +175,24 @@ impl<'p, 'r> Search<'p, 'r> {
         at
     }
 
-    /// The number of a vector, that of one with the same values where there is one.
-    fn register(&mut self, column: Vec<f64>) -> usize {
+    /// The number of a vector, that of one with the same values where there is one. `height`: of a map.
+    fn register(&mut self, column: Vec<f64>, height: bool) -> usize {
         let key = column
             .iter()
             .fold(0u64, |h, x| (h.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        if let Some(at) =
-            self.places.get(&key).and_then(|p| p.iter().find(|i| self.vectors[**i].data == column))
+        if let Some(at) = self
+            .places
+            .get(&key)
+            .and_then(|p| p.iter().find(|i| self.heights[**i] == height && self.vectors[**i].data == column))
         {
             return *at;
         }
         let at = self.add(column);
+        self.heights.push(height);
+        if height {
+            let covers = self.vectors[at].covers.clone();
+            self.vectors[at].known = self.stack.height_known(&covers);
+        }
         self.places.entry(key).or_default().push(at);
         at
     }
@@ -219,7 +229,10 @@ impl<'p, 'r> Search<'p, 'r> {
 
     fn pair(&self, a: usize, b: usize) -> Products {
         let (a, b) = (a.max(b), a.min(b));
-        *self.pairs[a][b].get_or_init(|| self.vectors[a].products(&self.vectors[b].data, &self.stack.ranges))
+        *self.pairs[a][b].get_or_init(|| {
+            let products = self.vectors[a].products(&self.vectors[b].data, &self.stack.ranges);
+            if a == b { products.and(self.vectors[a].known) } else { products }
+        })
     }
 
     /// The columns of an effect with free coefficients, weighed.

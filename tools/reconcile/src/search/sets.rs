@@ -3,7 +3,7 @@
 
 use super::{NOISE_GRID, NOISE_STEP, Search};
 use crate::cause::Cause;
-use crate::gram::{Cholesky, Products, dot};
+use crate::gram::{Cholesky, KNOWN, Products, dot};
 use crate::hypotheses::Atom;
 use crate::problem::{Segment, rms};
 use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
@@ -99,7 +99,7 @@ impl Search<'_, '_> {
                     g[i] += w * k.target;
                     rss += w * k.target * k.target;
                 }
-                let factor = Cholesky::new(&a, b);
+                let factor = Cholesky::dropping(&a, b, KNOWN);
                 let mut z = g;
                 factor.forward(&mut z);
                 let rss = (rss - dot(&z, &z)).max(1e-9);
@@ -304,7 +304,8 @@ impl Search<'_, '_> {
         cost: f64,
         columns: Vec<Vec<f64>>,
     ) -> Set {
-        let vectors = columns.into_iter().map(|c| self.register(c)).collect();
+        let height = cause.is_map();
+        let vectors = columns.into_iter().map(|c| self.register(c, height)).collect();
         let mut members = set.members.clone();
         members.push(Member { cause: cause.clone(), hypothesis, cost, vectors });
         self.set(members)

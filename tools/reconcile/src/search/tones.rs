@@ -95,8 +95,7 @@ impl Search<'_, '_> {
             let [sine, cosine] = with_y.map(|p| p.at(fit.phi));
             let mut g = [sine - dot(sines, &fit.z), cosine - dot(cosines, &fit.z)];
             let [ss, cs, cc] = own.map(|p| p.at(fit.phi));
-            // What the set explains already to 1 part in 10⁶ is no new explanation.
-            let new = |full: f64, left: f64| if left < 1e-6 * full { f64::INFINITY } else { left };
+            let new = |full: f64, left: f64| if left < gram::KNOWN * full { f64::INFINITY } else { left };
             let mut m = [
                 new(ss, ss - dot(sines, sines)),
                 0.0,
