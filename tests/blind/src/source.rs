@@ -104,25 +104,38 @@ impl Source {
             um.iter_mut().for_each(|v| *v *= by);
         }
     }
+
     /// Takes the constant and the straight line over the rows that show it out of a map: those are other effects.
     pub fn level(&mut self, runs: &[Run]) {
         let (response, along) =
             (format!("error.{}", self.part(1)), self.name.rsplit('.').next().unwrap_or(""));
         let role = format!("position.{along}");
         let [(_, knots), (_, um)] = &mut self.arr[..] else { return };
-        let shown = runs.iter().filter(|r| r.responses.contains(&response));
-        let p: Vec<f64> = shown.filter_map(|r| r.get(&role)).flatten().copied().collect();
+        let places = |response: &str| -> Vec<f64> {
+            let shown = runs.iter().filter(|r| r.responses.iter().any(|own| own == response));
+            shown.filter_map(|r| r.get(&role)).flatten().copied().collect()
+        };
+        let mut p = places(&response);
+        if p.is_empty() {
+            // Along a bar it counts as it is, not by the axis's share.
+            p = places("error.r");
+        }
         if p.is_empty() {
             return;
         }
-        let at: Vec<f64> = p.iter().map(|p| broken_line(knots, um, *p)).collect();
         let n = p.len() as f64;
-        let (mp, me) = (p.iter().sum::<f64>() / n, at.iter().sum::<f64>() / n);
-        let square: f64 = p.iter().map(|p| (p - mp).powi(2)).sum();
-        let both: f64 = p.iter().zip(&at).map(|(p, e)| (p - mp) * (e - me)).sum();
-        let slope = if square > 0.0 { both / square } else { 0.0 };
-        for (u, k) in um.iter_mut().zip(knots.iter()) {
-            *u -= me + slope * (k - mp);
+        let middle = p.iter().sum::<f64>() / n;
+        // Beyond its knots a map goes on level, and so does a line that is taken off its heights.
+        let sums = |heights: &[f64]| {
+            let at: Vec<f64> = p.iter().map(|p| broken_line(knots, heights, *p)).collect();
+            let turned = p.iter().zip(&at).map(|(p, e)| (p - middle) * e).sum::<f64>();
+            [at.iter().sum::<f64>() / n, turned]
+        };
+        let rising: Vec<f64> = knots.iter().map(|k| k - middle).collect();
+        let ([mean, turned], [own_mean, own_turned]) = (sums(um), sums(&rising));
+        let slope = if own_turned > 0.0 { turned / own_turned } else { 0.0 };
+        for (u, k) in um.iter_mut().zip(&rising) {
+            *u -= mean + slope * (k - own_mean);
         }
     }
     /// `[[effect]]` of a model.
@@ -307,5 +320,33 @@ pub(crate) fn flatten(x: &[f64], y: &mut [f64]) {
     let sxy: f64 = x.iter().zip(y.iter()).map(|(a, b)| (a - mx) * (b - my)).sum();
     for (a, b) in x.iter().zip(y) {
         *b -= my + sxy / sxx * (a - mx);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Nothing of a constant or a straight line is left over the rows, wherever a map's knots end: a scale was hidden with it once that
+    /// nobody knew of.
+    #[test]
+    fn a_level_map_has_no_line_over_its_rows() {
+        let p: Vec<f64> = (0..60).map(|i| f64::from(i * i % 61) - 20.0).collect();
+        for (from, to) in [(-30.0, 50.0), (0.0, 30.0), (10.0, 15.0)] {
+            for (response, role) in [("error.x", "position.x"), ("error.r", "position.x")] {
+                let mut run = Run { responses: vec![response.into()], ..Run::default() };
+                run.add("p", role, "mm", p.clone(), response == "error.x");
+                let mut map = Source::new("position_map.x".into());
+                let knots: Vec<f64> = (0..5).map(|k| from + (to - from) * f64::from(k) / 4.0).collect();
+                map.arr = vec![("knots_mm", knots), ("um", vec![3.0, -1.0, 7.0, 2.0, 9.0])];
+                map.level(&[run]);
+                let [(_, knots), (_, um)] = &map.arr[..] else { panic!("two arrays") };
+                let at: Vec<f64> = p.iter().map(|p| broken_line(knots, um, *p)).collect();
+                let (mean, middle) = (at.iter().sum::<f64>() / 60.0, p.iter().sum::<f64>() / 60.0);
+                let turned: f64 = p.iter().zip(&at).map(|(p, e)| (p - middle) * e).sum();
+                assert!(mean.abs() < 1e-12 && turned.abs() < 1e-9, "{response} {from}: {mean} {turned}");
+                assert!(um.iter().any(|u| u.abs() > 0.5));
+            }
+        }
     }
 }
