@@ -423,9 +423,16 @@ fn every_state_direction_and_sign_is_served() {
 
 #[test]
 fn a_remainder_smaller_than_one_increment_stays() {
-    for (design, total, served) in
-        [(Design::C, 7, 6), (Design::C, -3, -2), (Design::A, 7, 4), (Design::C, 1, 0)]
-    {
+    for (design, total, served) in [
+        (Design::C, 7, 6),
+        (Design::C, -3, -2),
+        (Design::C, 1, 0),
+        (Design::A, 7, 4),
+        (Design::A, 3, 0),
+        (Design::A, -2, 0),
+        (Design::A, -3, 0),
+        (Design::A, -7, -4),
+    ] {
         let edges = (1..=200).map(|n| (n * 50_000, 1)).collect();
         let config = AxisConfig { design, ..AxisConfig::default() };
         let (seen, status, _) = run(config, Rig::new(edges, 0, Steady(30), false), &[(60_000, total)]);
