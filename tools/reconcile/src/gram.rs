@@ -36,8 +36,9 @@ pub(crate) struct Vector {
     neighbours: Vec<f64>,
     /// Outside these rows it is zero.
     pub(crate) covers: Range<usize>,
-    /// What is known of its coefficient before the rows are looked at: as much as so many squares of it beside nothing say.
-    pub(crate) known: f64,
+    /// Of a map's height: what is known of its coefficient before the rows are looked at, as much as so many squares of it beside
+    /// nothing say.
+    pub(crate) known: Option<f64>,
 }
 
 impl Vector {
@@ -47,7 +48,7 @@ impl Vector {
         let zero = |s: &&Range<usize>| data[(*s).clone()].iter().all(|x| *x == 0.0);
         let from = segments.iter().find(|s| !zero(s)).map_or(0, |s| s.start);
         let to = segments.iter().rev().find(|s| !zero(s)).map_or(from, |s| s.end);
-        Self { data, neighbours, covers: from..to, known: 0.0 }
+        Self { data, neighbours, covers: from..to, known: None }
     }
 
     /// Whether it is zero at all of these rows, as it is at those of another response than its own.

@@ -219,5 +219,6 @@ fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Optio
     // Both would have to be wrong by the very difference of the two, and to opposite sides.
     let both = fits && (0..2).all(|s| straight[s] > (2.0 * crossed[s]).max(1.0));
     let by = straight[0].hypot(straight[1]) / crossed[0].hypot(crossed[1]).max(f64::MIN_POSITIVE);
+    // By the two together it may be many times as far off: where one of them does not say so it is not certain.
     Some(if both { by } else { by.min(CERTAINLY) })
 }

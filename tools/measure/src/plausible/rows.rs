@@ -340,7 +340,6 @@ pub(super) fn excused(record: &Record) -> Vec<bool> {
     for c in &record.columns {
         match &c.role {
             Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) => {
-                // Signs that turn every few rows excuse nothing: that is how the run is made.
                 let turns: Vec<usize> = (1..n).filter(|i| c.data[*i] * c.data[i - 1] < 0.0).collect();
                 if let Some(by) = after_turns(turns.len(), n) {
                     for i in turns {

@@ -78,8 +78,6 @@ pub(crate) struct Search<'p, 'r> {
     with_own: RefCell<WithOwn>,
     /// Products among vectors, once they are asked for: `pairs[i][j]`, j ≤ i.
     pairs: Vec<Vec<OnceCell<Products>>>,
-    /// Which of the vectors are heights of maps.
-    heights: Vec<bool>,
     /// Vectors by their bits.
     places: HashMap<u64, Vec<usize>>,
     /// Degrees of freedom that noise is judged by.
@@ -127,7 +125,6 @@ impl<'p, 'r> Search<'p, 'r> {
             columns_of: all.columns_of(),
             with_own: RefCell::default(),
             pairs: Vec::new(),
-            heights: Vec::new(),
             places: HashMap::new(),
             nu: 0.0,
             phis,
@@ -180,18 +177,15 @@ impl<'p, 'r> Search<'p, 'r> {
         let key = column
             .iter()
             .fold(0u64, |h, x| (h.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        if let Some(at) = self
-            .places
-            .get(&key)
-            .and_then(|p| p.iter().find(|i| self.heights[**i] == height && self.vectors[**i].data == column))
-        {
+        if let Some(at) = self.places.get(&key).and_then(|p| {
+            p.iter().find(|i| self.vectors[**i].known.is_some() == height && self.vectors[**i].data == column)
+        }) {
             return *at;
         }
         let at = self.add(column);
-        self.heights.push(height);
         if height {
-            let covers = self.vectors[at].covers.clone();
-            self.vectors[at].known = self.stack.height_known(&covers);
+            let known = self.stack.height_known(&self.vectors[at].covers);
+            self.vectors[at].known = Some(known);
         }
         self.places.entry(key).or_default().push(at);
         at
@@ -231,7 +225,8 @@ impl<'p, 'r> Search<'p, 'r> {
         let (a, b) = (a.max(b), a.min(b));
         *self.pairs[a][b].get_or_init(|| {
             let products = self.vectors[a].products(&self.vectors[b].data, &self.stack.ranges);
-            if a == b { products.and(self.vectors[a].known) } else { products }
+            let known = self.vectors[a].known.filter(|_| a == b);
+            known.map_or(products, |known| products.and(known))
         })
     }
 
