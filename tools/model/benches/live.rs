@@ -56,8 +56,11 @@ impl Motion {
         for _ in 0..instants {
             self.t_s += 0.01;
             let t = self.t_s;
-            let axes =
-                [AxisNow::moving(100.0 * t.sin(), t.cos()), AxisNow::moving(t, 1.0), AxisNow::moving(2.0, -1.0)];
+            let axes = [
+                AxisNow::moving(100.0 * t.sin(), t.cos()),
+                AxisNow::moving(t, 1.0),
+                AxisNow::moving(2.0, -1.0),
+            ];
             self.instants.push((t, axes));
         }
     }

@@ -179,13 +179,18 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
         };
         let now = share(1.0, &s);
         let told = |what: What, column: &str, text: String| Suspicion::new(record, column, what, &[], text);
+        let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
+        let beside = |what: fn(&Role) -> bool| (beside_lines(record, &missing, what) / rms(&y).max(1e-300)).powi(2);
         for (by, what, text) in [
             (-1.0, What::Sign, "it agrees with the model only with the other sign: nominal minus measured?"),
             (1e3, What::Unit, "it agrees with the model only 1000 times as large: given in mm, called µm?"),
             (1e-3, What::Unit, "it agrees with the model only 1000 times smaller: given in nm?"),
         ] {
-            // No effect that is missing makes of a model its own opposite.
-            let opposite = by < 0.0 && share(by, &s) > OPPOSITE && now < -1.0;
+            // A model turned into its opposite by what is missing is so by an effect of the other sign, and that leaves less.
+            let opposite = by < 0.0
+                && share(by, &s) > OPPOSITE
+                && now < -1.0
+                && 1.0 - share(by, &s) < NO_PLAINER * beside(moves);
             if opposite || share(by, &s) > ALIKE && now < UNLIKE {
                 return Some(told(what, &c.name, text.to_owned()));
             }
@@ -211,9 +216,7 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
             let text = "the run agrees with the model only with the directions exchanged";
             return Some(told(What::Direction, &name(&direction), text.to_owned()));
         }
-        let position = |r: &Role| matches!(r, Role::Position(_));
-        let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
-        let line = (beside_lines(record, &missing) / rms(&y).max(1e-300)).powi(2);
+        let line = beside(position);
         for (by, unit) in [(1e3, "m"), (1e-3, "µm"), (25.4, "inch")] {
             let other = changed(&position, by);
             // A scale that is farther off than the model says is the plainer answer.
@@ -228,17 +231,26 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
     })
 }
 
-/// RMS of what straight lines over the positions leave of what the model leaves; all of it where a machine has no such lines.
-fn beside_lines(record: &Record, missing: &[f64]) -> f64 {
-    let moved = |c: &&Column| matches!(c.role, Role::Position(_));
-    let lines: Vec<Vec<f64>> = record.columns.iter().filter(moved).map(|c| centred(&c.data)).collect();
+fn position(role: &Role) -> bool {
+    matches!(role, Role::Position(_))
+}
+
+/// What an axis's place and motion give by themselves: a scale or a squareness, a reversal, a following error.
+fn moves(role: &Role) -> bool {
+    matches!(role, Role::Position(_) | Role::Direction(_) | Role::Velocity(_))
+}
+
+/// RMS of what straight lines over these columns leave of what the model leaves; all of it where a machine has no such lines.
+fn beside_lines(record: &Record, missing: &[f64], what: fn(&Role) -> bool) -> f64 {
+    let columns: Vec<&Column> = record.columns.iter().filter(|c| what(&c.role)).collect();
+    let lines: Vec<Vec<f64>> = columns.iter().map(|c| centred(&c.data)).collect();
     let k = lines.len();
     let products: Vec<f64> = lines.iter().flat_map(|a| lines.iter().map(|b| gram::dot(a, b))).collect();
     let factor = Cholesky::new(&products, k);
     let mut slopes: Vec<f64> = lines.iter().map(|a| gram::dot(a, missing)).collect();
     factor.forward(&mut slopes);
     factor.backward(&mut slopes);
-    if slopes.iter().any(|um_per_mm| um_per_mm.abs() > STEEPEST) {
+    if columns.iter().zip(&slopes).any(|(c, um_per_mm)| position(&c.role) && um_per_mm.abs() > STEEPEST) {
         return rms(missing);
     }
     let mut left = missing.to_vec();

@@ -1,10 +1,10 @@
 //! Several records beside one another.
 
-use super::stats::{median, middle_range, range};
+use super::stats::{median, middle_range, range, span};
 use super::told::{told, with_lags};
-use super::{Suspicion, What};
+use super::{Suspicion, What, repeats};
 use crate::iso230::correlation;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role};
 
 /// Records that hold the very rows of an earlier one: the earlier one's number, and its own.
 #[must_use]
@@ -108,29 +108,51 @@ fn as_warm(a: &Record, b: &Record) -> bool {
     a.names(&Role::Temperature).all(near)
 }
 
-fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
-    const BINS: usize = 12;
-    let Some(axis) = ea.role.axis() else { return false };
-    let role = Role::Position(axis.clone());
-    let (Some(pa), Some(pb)) = (a.data(&role), b.data(&role)) else { return false };
-    let lo = pa.iter().chain(pb).copied().fold(f64::INFINITY, f64::min);
-    let hi = pa.iter().chain(pb).copied().fold(f64::NEG_INFINITY, f64::max);
-    if hi <= lo || !as_warm(a, b) {
-        return false;
+/// The positions of an axis in two records, in bins over both.
+struct Bins<'r> {
+    count: usize,
+    lo: f64,
+    size: f64,
+    data: [&'r [f64]; 2],
+}
+
+impl<'r> Bins<'r> {
+    /// None where it does not move, or was not logged in both.
+    fn of(axis: &Axis, count: usize, a: &'r Record, b: &'r Record) -> Option<Self> {
+        let role = Role::Position(axis.clone());
+        let data = [a.data(&role)?, b.data(&role)?];
+        let [lo, hi] = span(&data.concat());
+        (hi > lo).then_some(Self { count, lo, size: hi - lo, data })
     }
-    let means = |r: &Record, p: &[f64], e: &[f64]| {
+
+    /// That of a row of the first or the second record.
+    fn bin(&self, side: usize, row: usize) -> usize {
+        (((self.data[side][row] - self.lo) / self.size * self.count as f64) as usize).min(self.count - 1)
+    }
+}
+
+fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
+    let Some(axis) = ea.role.axis() else { return false };
+    let Some(own) = Bins::of(axis, 12, a, b).filter(|_| as_warm(a, b)) else { return false };
+    // On a plate or a circle one axis alone makes no place: the others that move have theirs, coarser.
+    let mut bins = vec![own];
+    for other in a.axes(Role::Position).filter(|o| *o != axis) {
+        bins.extend(Bins::of(other, 4, a, b).filter(|o| o.size > repeats::MOVES * bins[0].size));
+    }
+    let all = bins.iter().map(|b| b.count).product::<usize>();
+    let means = |r: &Record, e: &[f64], side: usize| {
         let d = r.data(&Role::Direction(axis.clone()));
-        let mut sums = vec![(0.0, 0.0, 0.0); 2 * BINS];
-        for (i, (p, e)) in p.iter().zip(e).enumerate() {
-            let bin = (((p - lo) / (hi - lo) * BINS as f64) as usize).min(BINS - 1);
+        let mut sums = vec![(0.0, 0.0, 0.0); 2 * all];
+        for (i, e) in e.iter().enumerate() {
+            let bin = bins.iter().fold(0, |bin, b| bin * b.count + b.bin(side, i));
             let up = usize::from(d.is_some_and(|d| d[i] > 0.0));
             let s = &mut sums[2 * bin + up];
             *s = (s.0 + 1.0, s.1 + e, s.2 + e * e);
         }
         sums
     };
-    let (ma, mb) = (means(a, pa, &ea.data), means(b, pb, &eb.data));
-    let both: Vec<usize> = (0..2 * BINS).filter(|k| ma[*k].0 >= 2.0 && mb[*k].0 >= 2.0).collect();
+    let (ma, mb) = (means(a, &ea.data, 0), means(b, &eb.data, 1));
+    let both: Vec<usize> = (0..2 * all).filter(|k| ma[*k].0 >= 2.0 && mb[*k].0 >= 2.0).collect();
     if both.len() < 8 {
         return false;
     }

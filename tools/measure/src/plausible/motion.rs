@@ -1,6 +1,6 @@
 //! Positions, directions, speeds, times and errors of a run beside one another.
 
-use super::stats::{distinct, median, middle_range, quantum, range, span, steps};
+use super::stats::{distinct, median, middle_range, quantum, range, span, spread, steps};
 use super::{Suspicion, What};
 use crate::iso230::{Round, correlation, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -164,6 +164,17 @@ fn agreement(p: &[f64], way: &[f64]) -> (f64, usize) {
     (asked.iter().filter(|a| **a).count() as f64 / asked.len().max(1) as f64, asked.len())
 }
 
+/// Values minus the mean of those with the same sign of `way`.
+fn beside_sides(v: &[f64], way: &[f64]) -> Vec<f64> {
+    let mean = |up: bool| {
+        let own = v.iter().zip(way).filter(|(_, w)| (**w > 0.0) == up);
+        let (sum, n) = own.fold((0.0, 0.0), |(sum, n), (v, _)| (sum + v, n + 1.0));
+        sum / f64::max(n, 1.0)
+    };
+    let means = [mean(false), mean(true)];
+    v.iter().zip(way).map(|(v, w)| v - means[usize::from(*w > 0.0)]).collect()
+}
+
 /// So many rows show whether a column repeats: every period of theirs is looked at, rows times rows.
 const ROWS_THAT_REPEAT: usize = 20_000;
 /// Share of the rows of a column that repeats which may differ from those a period before.
@@ -199,7 +210,9 @@ fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec
         .or_else(|| record.data(&Role::Velocity(axis.clone())).filter(|_| record.kind == Kind::Positioning));
     let by_direction = way.is_some_and(|w| {
         let ((as_error, asked), (as_position, others)) = (agreement(&e.data, w), agreement(&p.data, w));
-        asked.min(others) >= 10 && as_error >= 0.95 && (0.2..=0.8).contains(&as_position)
+        // What differs from side to side by a reversal also moves as they alternate; a position goes on along each side.
+        let (along, left) = agreement(&beside_sides(&e.data, w), w);
+        asked.min(others).min(left) >= 10 && as_error.min(along) >= 0.95 && (0.2..=0.8).contains(&as_position)
     });
     let by_places = n >= 20 && repeats(&e.data) && !repeats(&p.data);
     let ramp = |v: &[f64]| {
@@ -355,6 +368,9 @@ fn per_second(x: &[f64], t: &[f64], rate: &[f64]) -> Option<(f64, f64)> {
     (ratios.len() >= 10).then(|| (median(ratios), correlation(&a, &b)))
 }
 
+/// From row to row a machine's error varies by no more counts, where it is read in counts.
+const MOST_COUNTS: f64 = 20.0;
+
 /// Millimetres called micrometres, and errors that no machine has.
 fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
     if e.data.len() < 8 || distinct(&e.data) < 3 {
@@ -365,12 +381,21 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
     let multiples = |of: f64| {
         e.data.iter().all(|v| ((v / of) - (v / of).round()).abs() < 1e-3 * (v / of).abs().clamp(1.0, 100.0))
     };
+    // Counts of a thousandth, and a noise of few of them: a precise gauge rounds to finer or coarser steps, and varies by many.
+    let noise =
+        spread(&e.data.windows(3).map(|w| w[0] - 2.0 * w[1] + w[2]).collect::<Vec<_>>()) / 6_f64.sqrt();
     let counted = record.count_um.is_some_and(|count| {
         let small = count / 1000.0;
-        size < 0.5 * count && q > 0.9 * small && multiples(small) && range(&e.data) > 3.0 * small
+        size < 0.5 * count
+            && (0.9..1.1).contains(&(q / small))
+            && multiples(small)
+            && range(&e.data) > 3.0 * small
+            && noise < MOST_COUNTS * small
     });
     let driven = record.columns.iter().any(|c| matches!(c.role, Role::Velocity(_)));
-    let text = if size < 0.1 || counted {
+    // Where what a count is worth is known, less than one is no machine's error either way.
+    let tiny = size < 0.1 && record.count_um.is_none_or(|count| size < count);
+    let text = if tiny || counted {
         format!("varies by {size:.2e} µm, which looks like millimetres")
     } else if size > 3000.0 && !driven {
         format!("varies by {size:.0} µm, which looks like another unit or another quantity")

@@ -1,8 +1,8 @@
 //! Single approaches to a target that are far from the others to the same target.
 
-use super::stats::{distinct, median};
+use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// So many of the approaches' own spread away, an approach is wild; and the worst of them so many.
 const FAR: f64 = 10.0;
@@ -52,6 +52,31 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
             out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
         }
     }
+}
+
+/// An axis moves where its positions run over this share of what those of another one do.
+pub(super) const MOVES: f64 = 0.01;
+
+/// The positions of the axes beside this one that move in a record: on a plate or a circle one axis alone makes no place.
+pub(super) fn also_moved<'r>(record: &'r Record, axis: &Axis) -> Vec<&'r [f64]> {
+    let least = MOVES * record.data(&Role::Position(axis.clone())).map_or(0.0, range);
+    let other = |c: &&Column| matches!(&c.role, Role::Position(a) if a != axis) && range(&c.data) > least;
+    record.columns.iter().filter(other).map(|c| c.data.as_slice()).collect()
+}
+
+/// Each group's rows apart where another axis is elsewhere.
+pub(super) fn apart_by(groups: Vec<Vec<usize>>, q: &[f64]) -> Vec<Vec<usize>> {
+    let apart = range(q) / 200.0;
+    let mut out = Vec::new();
+    for mut group in groups {
+        group.sort_by(|a, b| q[*a].total_cmp(&q[*b]).then(a.cmp(b)));
+        for part in group.chunk_by(|a, b| q[*b] - q[*a] <= apart) {
+            let mut rows = part.to_vec();
+            rows.sort_unstable();
+            out.push(rows);
+        }
+    }
+    out
 }
 
 /// Rows of one target and direction: positions that lie together.

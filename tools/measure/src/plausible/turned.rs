@@ -109,7 +109,8 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     let p = record.data(&Role::Position(axis.clone()))?;
     let none = vec![0.0; p.len()];
     let d = record.data(&Role::Direction(axis.clone())).unwrap_or(&none);
-    let groups = repeats::groups(p, d);
+    let others = repeats::also_moved(record, axis);
+    let groups = others.iter().fold(repeats::groups(p, d), |groups, q| repeats::apart_by(groups, q));
     let n = p.len();
     if groups.iter().filter(|g| g.len() >= 3).count() < 8 || range(&c.data) <= 0.0 {
         return None;

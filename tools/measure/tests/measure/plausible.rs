@@ -1310,3 +1310,76 @@ fn the_turns_of_a_steep_curve_are_no_wild_rows() {
     }
     assert!(said.is_empty(), "{said:#?}");
 }
+
+/// Rounded as it is written.
+fn rounded(v: impl Iterator<Item = f64>, step: f64) -> Vec<f64> {
+    v.map(|v| (v / step).round() * step).collect()
+}
+
+/// A gauge finer than the scale, circles to and fro, a plate gone over from below, approaches from alternate sides: errors that look
+/// like those of a mistake along one axis alone, and are none.
+#[test]
+fn what_a_good_machine_does_is_no_mistake() {
+    for seed in 1..=20 {
+        let mut d = Dice::new(seed);
+        // Far less than a count of the scale, which the gauge does not read in.
+        let t: Vec<f64> = (0..200).map(|i| 60.0 * f64::from(i)).collect();
+        let e = rounded(t.iter().map(|_| 0.08 * d.normal()), [0.01, 0.002][seed as usize % 2]);
+        let mut quiet =
+            record("q", Kind::Drift, vec![column("t", "time", t.clone()), column("e", "error.x", e)]);
+        quiet.count_um = Some(2.0);
+        assert_eq!(suspicions(&[quiet]), [], "{seed}");
+
+        // A turn either way, of a frame that is not square: at each x the one way is above where the other is below.
+        let turn = |way: f64, begins: f64| -> Vec<f64> {
+            (0..311).map(|i| begins + way * TAU * f64::from(i) / 311.0).collect()
+        };
+        let mut circle = |name: &str, angles: &[f64]| {
+            let places = |f: fn(f64) -> f64| -> Vec<f64> { angles.iter().map(|a| 150.0 * f(*a)).collect() };
+            let (x, y) = (places(f64::cos), places(f64::sin));
+            let way = |v: &[f64]| -> Vec<f64> {
+                (0..v.len()).map(|i| (v[i.max(1)] - v[i.max(1) - 1]).signum()).collect()
+            };
+            let (ways_x, ways_y) = (way(&x), way(&y));
+            let e_x = rounded(y.iter().map(|y| -0.06 * y + 0.3 * d.normal()), 0.01);
+            let e_y = rounded(x.iter().map(|x| 0.05 * x + 0.3 * d.normal()), 0.01);
+            let columns = vec![
+                column("x", "position.x", x),
+                column("y", "position.y", y),
+                column("d_x", "direction.x", ways_x),
+                column("d_y", "direction.y", ways_y),
+                column("e_x", "error.x", e_x),
+                column("e_y", "error.y", e_y),
+            ];
+            record(name, Kind::Ballbar, columns)
+        };
+        let begins = 0.31 * seed as f64;
+        let both = circle("c", &[turn(1.0, begins), turn(-1.0, begins)].concat());
+        assert_eq!(suspicions(&[both]), [], "{seed}");
+        let records = [circle("a", &turn(1.0, begins)), circle("b", &turn(-1.0, begins))];
+        assert_eq!(suspicions(&records), [], "{seed}");
+
+        let (mut x, mut y) = (Vec::new(), Vec::new());
+        for row in 0..12 {
+            for k in 0..3 * 15 {
+                x.push(20.0 * f64::from(k % 15));
+                y.push(20.0 * f64::from(row) - 110.0);
+            }
+        }
+        let e = rounded(y.iter().map(|y| 0.04 * y + 0.3 * d.normal()), 0.01);
+        let plate = vec![
+            column("x", "position.x", x.clone()),
+            column("y", "position.y", y.clone()),
+            column("e", "error.x", e),
+        ];
+        assert_eq!(suspicions(&[record("p", Kind::Plate, plate)]), [], "{seed}");
+
+        // Targets drawn from a few, each from the other side than the one before.
+        let ways: Vec<f64> = (0..60).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let z: Vec<f64> = ways.iter().map(|_| [0.0, 20.0, 50.0][d.below(3)]).collect();
+        let e = rounded(ways.iter().map(|w| 0.6 * w + 0.15 * d.normal()), 0.01);
+        let columns =
+            vec![column("z", "position.z", z), column("d", "direction.z", ways), column("e", "error.z", e)];
+        assert_eq!(suspicions(&[record("r", Kind::Probing, columns)]), [], "{seed}");
+    }
+}
