@@ -310,10 +310,7 @@ pub(crate) fn without_rows(record: &Record, rows: &[usize]) -> Record {
 /// their numbers: how much of their gap is closed says nothing. `traces` are those of the hold-outs, record by record.
 pub(crate) fn other_machines(holdout: &[Record], traces: &[Trace], gap: &[Gap]) -> Vec<(usize, Suspicion)> {
     let mut found = Vec::new();
-    let mut rest = traces;
-    for (k, record) in holdout.iter().enumerate() {
-        let (own, further) = rest.split_at(record.responses().count().min(rest.len()));
-        rest = further;
+    for (k, (record, own)) in holdout.iter().zip(gap::by_record(holdout, traces)).enumerate() {
         for g in gap {
             let floor = g.floor.max(g.train[1]);
             let Some([before, after]) = gap::pooled(own, &g.unit, true) else { continue };

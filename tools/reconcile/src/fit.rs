@@ -158,6 +158,12 @@ pub(crate) fn residual(stack: &Stack<'_>, terms: &[Term]) -> Vec<f64> {
     r
 }
 
+/// Squares of what the terms leave, under noise of coefficient `phi`.
+pub(crate) fn left(stack: &Stack<'_>, terms: &[Term], phi: f64) -> f64 {
+    let r = residual(stack, terms);
+    Vector::new(r.clone(), &stack.ranges).products(&r, &stack.ranges).at(weights(phi).0)
+}
+
 /// Gauss–Newton steps under noise of coefficient `phi`, each halved until it helps.
 pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize, keep: Keep<'_>) {
     let (phi, wider) = weights(phi);

@@ -13,6 +13,9 @@ use rtec_model::record::Record;
 
 /// How far a value must move from the model's, in standard errors: about one in ten thousand by chance.
 const BEYOND_CHANCE: f64 = 3.9;
+/// The same of an effect's values together, nats: half the square of that, and so much more for each value but one.
+const TOGETHER: f64 = 7.6;
+const EACH_VALUE: f64 = 1.5;
 /// A finding without which less than so much less is explained is none where its interval holds zero, nats.
 const NEEDED: f64 = 4.0;
 /// A value that was left out does no more than this share of what its effect does: one standard deviation.
@@ -67,11 +70,8 @@ impl Fitted {
         let mut terms = present(stack, answer);
         terms.extend(answer.findings.iter().map(|f| Term::new(stack, f.effect.clone(), &f.held)));
         fit::fit(stack, &mut terms, answer.phi, STEPS, None);
-        let moved: Vec<bool> = file.iter().zip(&terms).map(|(f, t)| beyond_chance(f, t)).collect();
-        for (term, effect) in terms.iter_mut().zip(&file).zip(&moved).filter(|(_, m)| !**m).map(|(t, _)| t) {
-            *term = Term::fixed(effect.clone());
-        }
-        fit::fit(stack, &mut terms, answer.phi, STEPS, None);
+        let mut moved: Vec<bool> = file.iter().zip(&terms).map(|(f, t)| beyond_chance(f, t)).collect();
+        let terms = settled(stack, &file, &terms, &mut moved, answer.phi);
         let mut fitted = Self { terms, file, moved, found: answer.findings.len(), sizeless: Vec::new() };
         fitted.widen(stack, answer);
         fitted
@@ -149,6 +149,42 @@ impl Fitted {
         (*model, self.terms) = (machine, all);
         Some(laws)
     }
+}
+
+/// The fit with those of the model's own effects as the file has them that did not move beyond chance. Values that stand for one
+/// another (a slope and its bend over few kelvins) may each be anywhere and both be wrong: they moved where they explain too much
+/// together.
+fn settled(stack: &Stack<'_>, file: &[Effect], free: &[Term], moved: &mut [bool], phi: f64) -> Vec<Term> {
+    let with = |moved: &[bool]| {
+        let mut terms = free.to_vec();
+        for ((term, effect), _) in terms.iter_mut().zip(file).zip(moved).filter(|(_, moved)| !**moved) {
+            *term = Term::fixed(effect.clone());
+        }
+        fit::fit(stack, &mut terms, phi, STEPS, None);
+        terms
+    };
+    let left = |terms: &[Term]| stack.n as f64 / 2.0 * fit::left(stack, terms, phi).max(1e-300).ln();
+    let several = |e: usize| free[e].ways.len() > 1;
+    let mut terms = with(moved);
+    let (least, mut now) = (left(free), left(&terms));
+    while now - least > TOGETHER && (0..file.len()).any(|e| !moved[e] && several(e)) {
+        let mut best: Option<(f64, usize, Vec<Term>)> = None;
+        for e in (0..file.len()).filter(|e| several(*e)) {
+            if std::mem::replace(&mut moved[e], true) {
+                continue;
+            }
+            let terms = with(moved);
+            moved[e] = false;
+            let gain = now - left(&terms) - EACH_VALUE * (free[e].ways.len() - 1) as f64;
+            if gain > best.as_ref().map_or(TOGETHER, |b| b.0) {
+                best = Some((gain, e, terms));
+            }
+        }
+        let Some((_, e, better)) = best else { break };
+        moved[e] = true;
+        (now, terms) = (left(&better), better);
+    }
+    terms
 }
 
 /// A finding that is one of the model's own effects, farther off than its value was trusted to be, is a correction to that one:

@@ -143,7 +143,18 @@ pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2
     (!of.is_empty()).then(|| [pool(|t| &t.before), pool(|t| &t.after)])
 }
 
-/// The gaps with other hold-outs' traces in place of those they have.
+/// The traces of each hold-out, where `traces` are those of all of them, record by record.
+pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [Trace]) -> Vec<&'t [Trace]> {
+    let mut rest = traces;
+    let own = |record: &Record| {
+        let (own, further) = rest.split_at(record.responses().count().min(rest.len()));
+        rest = further;
+        own
+    };
+    held.iter().map(own).collect()
+}
+
+/// The gaps with these hold-outs' traces in place of those they have.
 pub(crate) fn on_holdouts(gap: &mut [Gap], traces: &[Trace]) {
     for g in gap {
         g.holdout = pooled(traces, &g.unit, true);

@@ -16,6 +16,7 @@
 //! | `fit`, `fitted` | all effects jointly, with an interval for each value; which of them keep their place |
 //! | `where_found` | where measured and simulated disagree |
 //! | `room` | the sensors that a fit of growth chooses on the same drift |
+//! | `rhythm` | whether what is left changes from row to row as noise does |
 //! | `unexplained` | a curve that stands for what has no name |
 //! | `answer` | what the analysis found, before anything is written |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
@@ -42,6 +43,7 @@ mod leftover;
 mod naming;
 mod problem;
 mod report;
+mod rhythm;
 mod room;
 mod search;
 mod shapes;

@@ -10,6 +10,7 @@ use crate::fit::Term;
 use crate::fitted::Fitted;
 use crate::gap::{self, Gap, Trace, gaps, traces};
 use crate::problem::Stack;
+use crate::rhythm;
 use crate::room;
 use crate::swapped;
 use crate::verdict::{Reconciliation, Refined, Verdict};
@@ -137,9 +138,10 @@ pub fn reconcile(
     let mut left_out = [doubts.left_out, held_out].concat();
     if strangers.len() < held.len() {
         // The figures are those of the others.
-        let strange = |file: &Record| strangers.iter().any(|(k, _)| held[*k].path == file.path);
-        let good: Vec<Record> = held.iter().filter(|r| !strange(r)).cloned().collect();
-        gap::on_holdouts(&mut gap, &traces(&[], &good, machine, &better.model));
+        let of = gap::by_record(&held, &traces_of[first_held..]);
+        let strange = |k: &usize| strangers.iter().any(|(s, _)| s == k);
+        let good: Vec<Trace> = (0..of.len()).filter(|k| !strange(k)).flat_map(|k| of[k].to_vec()).collect();
+        gap::on_holdouts(&mut gap, &good);
         let line =
             |(k, s): &(usize, Suspicion)| format!("{}: no figures ({})", held[*k].path.display(), s.what);
         left_out.extend(strangers.iter().map(line));
@@ -162,6 +164,9 @@ pub fn reconcile(
     said.extend(strangers.into_iter().map(|(_, s)| s));
     if better.effects.is_empty() && answer.unexplained.is_empty() {
         answer.unexplained.extend(not_told(&stack, &gap, rows));
+    }
+    if answer.unexplained.is_empty() && why_nothing.is_none() {
+        answer.unexplained.extend(rhythm::slower_than_noise(&stack, &better.terms));
     }
     let Better { model, refined, effects, curve, .. } = better;
     accept(&mut answer, &effects);
@@ -546,7 +551,8 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{noise, record};
+    use crate::testing::{axis, column, noise, record};
+    use rtec_model::effect::Against;
 
     /// A reversal of no name is in no one's way: an error in proportion to the position is a scale, and nothing else.
     #[test]
@@ -563,6 +569,49 @@ mod tests {
         assert_eq!((f.effect.name().as_str(), r.model.effects().count()), ("scale.x", 1));
         assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && f.p_value < 1e-3);
         assert!(r.gap[0].closed().is_some_and(|c| c > 0.9), "{:?}", r.gap);
+    }
+
+    /// A bug once: the figures of a hold-out that shares a training record's zero kept that zero, 5 µm of it here.
+    #[test]
+    fn a_hold_out_s_own_zero_is_no_gap() {
+        let of = |seed: u64, zero: &str, um: f64| {
+            let dice = noise(seed, 200);
+            let mut run = record(200, |i| um + dice[i as usize]);
+            let p = run.columns[1].data.clone();
+            run.columns[2].data.iter_mut().zip(&p).for_each(|(e, p)| *e += 120.0 * p / 1000.0);
+            run.zero = Some(zero.to_owned());
+            run
+        };
+        let (train, held) = ([of(1, "a", 0.0), of(2, "b", 5.0)], [of(3, "b", 5.0)]);
+        let r = reconcile(&train, &held, &Machine::ideal("m"), &Options::default()).unwrap();
+        assert_eq!(r.effects.len(), 1, "{}", r.to_json());
+        let [before, after] = r.gap[0].holdout.unwrap();
+        assert!(before > 3.0 && after < 1.3, "{before} {after}");
+    }
+
+    /// A growth and its bend over few kelvins stand for each other: each value may be anywhere, and both together be a fifth off.
+    #[test]
+    fn values_that_lean_on_one_another_are_corrected_together() {
+        let dice = noise(5, 150);
+        let warm: Vec<f64> = (0..150).map(|i| 22.0 + 0.4 * f64::from(i) / 150.0).collect();
+        let growth = |scale: f64| {
+            let mut effect = Dictionary::default().effect("thermal_growth.x").unwrap();
+            effect.set_values(&[-1.2 * scale, -0.1 * scale]).unwrap();
+            effect.delta =
+                Some(rtec_model::effect::Difference { sensor: "T".to_owned(), against: Against::Standard });
+            effect
+        };
+        let mut run = record(150, |i| dice[i as usize] * 0.1);
+        run.columns.push(column("T", Role::Temperature, warm));
+        let run = Record::new(&run.path, run.kind, run.columns).unwrap();
+        let mut columns = run.columns.clone();
+        growth(1.25).add(&run, &Role::Error(axis()), &mut columns[2].data).unwrap();
+        let run = Record::new(&run.path, run.kind, columns).unwrap();
+        let mut machine = Machine::ideal("m");
+        machine.push(growth(1.0), Provenance::default()).unwrap();
+        let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
+        assert_eq!((r.verdict, r.refined.len()), (Verdict::NothingMissing, 1), "{}", r.to_json());
+        assert!(r.gap[0].train[1] < 0.13, "{:?}", r.gap);
     }
 
     /// A bug once: the first row behind a pause was given, and a hold-out that ran through the pause was wrong all that time.
