@@ -14,59 +14,72 @@ const BEYOND: f64 = 4.0;
 /// Fewer rows of a response say nothing of its rhythm.
 const FEWEST: usize = 24;
 
+/// A column by its name and role.
+type Of<'r> = (&'r str, &'r Role);
+
 /// The response in which what is left goes on for longer than noise does: from row to row, from place to place, from one temperature
 /// to the next.
 pub(crate) fn slower_than_noise(stack: &Stack<'_>, terms: &[Term]) -> Option<Shape> {
     let left = fit::residual(stack, terms);
-    let found = (0..stack.responses.len()).find_map(|j| {
+    (0..stack.responses.len()).find_map(|j| {
         let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == j).collect();
-        let over = |order: &Vec<Role>| {
+        let records: Vec<&Record> = segments.iter().map(|s| stack.record(s)).collect();
+        let over = |order: &Vec<Of<'_>>| {
             let of = |s: &&Segment| -> Vec<f64> {
                 let rows = in_order(stack.record(s), order);
                 rows.into_iter().map(|row| left[s.rows.start + row]).collect()
             };
             is_slow(&segments.iter().map(of).collect::<Vec<_>>())
         };
-        let records: Vec<&Record> = segments.iter().map(|s| stack.record(s)).collect();
-        Some((j, orders(&records, &stack.responses[j]).into_iter().find(over)?))
-    });
-    found.map(|(j, order)| Shape {
-        response: stack.responses[j].to_string(),
-        against: vec![order.last().map_or_else(|| "time".to_owned(), Role::to_string)],
-        manner: "slower than noise, in no shape that is known".to_owned(),
+        let order = orders(&records, &stack.responses[j]).into_iter().find(over)?;
+        let label = |(name, role): &Of<'_>| match role {
+            Role::Temperature | Role::Channel => format!("{role}.{name}"),
+            role => role.to_string(),
+        };
+        Some(Shape {
+            response: stack.responses[j].to_string(),
+            against: vec![order.last().map_or_else(|| "time".to_owned(), label)],
+            manner: "slower than noise, in no shape that is known".to_owned(),
+        })
     })
 }
 
 /// What the rows of some records may be put in order by, the last of each within equal values of the others; first as they
-/// are. Sensors that share a role are left out: a smooth one runs with the time.
-fn orders(records: &[&Record], response: &Role) -> Vec<Vec<Role>> {
+/// are.
+fn orders<'r>(records: &[&'r Record], response: &Role) -> Vec<Vec<Of<'r>>> {
     let mut out = vec![Vec::new()];
     let Some(axis) = response.axis() else { return out };
-    let place = Role::Position(axis.clone());
-    let moves = |role: &Role| {
-        records.iter().all(|r| r.data(role).is_some())
-            && records
-                .iter()
-                .any(|r| r.data(role).is_some_and(|d| d.windows(2).any(|w| w[0].to_bits() != w[1].to_bits())))
+    let moves = |(name, role): &Of<'_>| {
+        let data = records.iter().map(|r| data(r, (name, role)));
+        let moved = |d: &[f64]| d.windows(2).any(|w| w[0].to_bits() != w[1].to_bits());
+        data.clone().all(|d| d.is_some()) && data.flatten().any(moved)
     };
-    if moves(&place) {
-        out.push(vec![Role::Direction(axis.clone()), place.clone()]);
-        let others =
-            records[0].axes(Role::Position).filter(|o| *o != axis).map(|o| Role::Position(o.clone()));
-        for other in others.filter(moves) {
-            out.push(vec![other.clone(), place.clone()]);
-            out.push(vec![place.clone(), other]);
+    let columns = records[0].columns.iter().map(|c| (c.name.as_str(), &c.role));
+    let all: Vec<Of<'r>> = columns.filter(moves).collect();
+    let of = |wanted: &Role| all.iter().copied().find(|(_, role)| *role == wanted);
+    if let Some(place) = of(&Role::Position(axis.clone())) {
+        out.push(of(&Role::Direction(axis.clone())).into_iter().chain([place]).collect());
+        for other in all.iter().filter(|(_, role)| matches!(role, Role::Position(o) if o != axis)) {
+            out.extend([vec![*other, place], vec![place, *other]]);
         }
     }
-    let more = [Role::Velocity(axis.clone()), Role::Acceleration(axis.clone()), Role::Angle];
-    out.extend(more.into_iter().filter(moves).map(|role| vec![role]));
+    let own = |role: &Role| match role {
+        Role::Velocity(a) | Role::Acceleration(a) | Role::Load(a) => a == axis,
+        Role::Angle | Role::Temperature | Role::Channel => true,
+        _ => false,
+    };
+    out.extend(all.iter().filter(|(_, role)| own(role)).map(|of| vec![*of]));
     out
 }
 
-/// A record's rows by these columns, one within the other; those it lacks are passed over.
-fn in_order(record: &Record, by: &[Role]) -> Vec<usize> {
+fn data<'d>(record: &'d Record, (name, role): Of<'_>) -> Option<&'d [f64]> {
+    record.columns.iter().find(|c| c.name == name && c.role == *role).map(|c| c.data.as_slice())
+}
+
+/// A record's rows by these columns, one within the other.
+fn in_order(record: &Record, by: &[Of<'_>]) -> Vec<usize> {
     let mut rows: Vec<usize> = (0..record.rows()).collect();
-    let columns: Vec<&[f64]> = by.iter().filter_map(|role| record.data(role)).collect();
+    let columns: Vec<&[f64]> = by.iter().filter_map(|of| data(record, *of)).collect();
     rows.sort_by(|a, b| {
         let each = columns.iter().map(|c| c[*a].total_cmp(&c[*b]));
         each.fold(Ordering::Equal, Ordering::then)
