@@ -15,7 +15,7 @@ const SHAPE_INSTEAD: f64 = 12.0;
 /// little of everything.
 const WORTH: f64 = 0.2;
 /// Where named effects leave less than this share of the gap, what is left does not make the whole unknown.
-const EXPLAINED: f64 = 0.25;
+pub(crate) const EXPLAINED: f64 = 0.25;
 /// Where named effects leave less than this share of the gap, they are not exchanged for a shape without a name,
 /// however well it fits: no law is true to a fiftieth.
 const NEARLY_ALL: f64 = 0.05;

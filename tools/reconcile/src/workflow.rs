@@ -9,6 +9,7 @@ use crate::doubt::{self, Doubts, doubts};
 use crate::fit::Term;
 use crate::fitted::Fitted;
 use crate::gap::{self, Gap, Trace, gaps, traces};
+use crate::leftover::EXPLAINED;
 use crate::problem::Stack;
 use crate::rhythm;
 use crate::room;
@@ -162,11 +163,8 @@ pub fn reconcile(
     );
     said.extend(wild);
     said.extend(strangers.into_iter().map(|(_, s)| s));
-    if better.effects.is_empty() && answer.unexplained.is_empty() {
-        answer.unexplained.extend(not_told(&stack, &gap, rows));
-    }
-    if answer.unexplained.is_empty() && why_nothing.is_none() {
-        answer.unexplained.extend(rhythm::slower_than_noise(&stack, &better.terms));
+    if answer.unexplained.is_empty() {
+        answer.unexplained.extend(left_unsaid(&stack, &better, &gap, rows));
     }
     let Better { model, refined, effects, curve, .. } = better;
     accept(&mut answer, &effects);
@@ -310,6 +308,19 @@ fn accept(answer: &mut Answer, effects: &[(Finding, Vec<f64>)]) {
     for t in answer.ranking.iter_mut().filter(|t| t.accepted) {
         t.accepted = named(&t.label) || (shapes && t.label.starts_with("unnamed"));
     }
+}
+
+/// What of a model's gap would be passed over in silence.
+fn left_unsaid(stack: &Stack<'_>, better: &Better, gap: &[Gap], rows: usize) -> Option<Shape> {
+    if better.effects.is_empty()
+        && let Some(shape) = not_told(stack, gap, rows)
+    {
+        return Some(shape);
+    }
+    // What names leave makes the whole unknown only where it is much of the gap.
+    let mostly = |g: &Gap| g.train[1] < EXPLAINED * g.train[0];
+    let explained = !better.effects.is_empty() && gap.iter().all(mostly);
+    (!explained).then(|| rhythm::slower_than_noise(stack, &better.terms)).flatten()
 }
 
 /// Where nothing was found, why that is no model without a gap: far more is left than the noise, or so few rows tell nothing.
