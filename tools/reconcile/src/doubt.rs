@@ -6,9 +6,11 @@ use crate::answer::Answer;
 use crate::gap::{self, Gap, Trace};
 use crate::gram::{self, Cholesky};
 use crate::problem::{Stack, rms};
-use crate::suspected::{ALIKE, about, centred, is_sensor, simulated, whole};
+use crate::suspected::{ALIKE, about, centred, is_of_clock, is_sensor, simulated, whole};
 use crate::swapped::{exchanged, swapped_alike};
+use crate::undone::{exchanged_columns, is_as_told, times};
 use rtec_measure::plausible::{self, Suspicion, What};
+use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role};
 
@@ -22,6 +24,9 @@ const BETTER: f64 = 0.2;
 /// machine has lines steeper than this, µm/mm (the bound of a scale and of a squareness).
 const NO_PLAINER: f64 = 1.2;
 const STEEPEST: f64 = 1.0;
+/// Targets are chosen on multiples of this, and reached to within that, mm.
+const ROUND_MM: f64 = 5.0;
+const ROUND_OFF_MM: f64 = 0.05;
 /// A row is wild that is so many robust standard deviations off; more than this share of them are no wild rows.
 const WILD: f64 = 20.0;
 const MOST_WILD: f64 = 0.12;
@@ -89,6 +94,20 @@ impl Doubts {
         (left, lines)
     }
 
+    /// Leaves out the training records whose clock is doubted: no lag is told by them. Whether there were any.
+    pub(crate) fn without_clocks(&mut self) -> bool {
+        let before = self.train.len();
+        for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
+            if self.said.iter().any(|s| about(s, &record) && is_of_clock(s, &record)) {
+                self.rows.remove(k);
+                self.left_out.push(format!("{}: all of it ({})", record.path.display(), What::Unit));
+            } else {
+                self.train.insert(0, record);
+            }
+        }
+        self.train.len() < before
+    }
+
     /// More that is doubted of whole records of the training.
     pub(crate) fn also(&mut self, more: Vec<Suspicion>) {
         for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
@@ -128,11 +147,13 @@ fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String>
 
 /// The record without what is doubted of it; none where nothing is left that could be trusted.
 fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Record, Vec<usize>)> {
-    if said.iter().any(|s| about(s, record) && whole(s, record)) {
+    let clocked = machine.effects().any(reads_clock);
+    let useless = |s: &Suspicion| whole(s, record) || clocked && is_of_clock(s, record);
+    if said.iter().any(|s| about(s, record) && useless(s)) {
         return None;
     }
     let read = |name: &str| {
-        let reads = |e: &rtec_model::effect::Effect| {
+        let reads = |e: &Effect| {
             e.channel() == Some(name) || e.delta.as_ref().is_some_and(|d| d.sensors().any(|n| n == name))
         };
         machine.effects().any(reads)
@@ -166,12 +187,18 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Re
     Some((left, keep))
 }
 
+/// An effect that is as long as the clock says.
+pub(crate) fn reads_clock(effect: &Effect) -> bool {
+    let law = effect.description();
+    law.lag.is_some() || law.heat == Heat::FromStart
+}
+
 /// A mistake that the record and the model show together.
 fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
     if record.rows() < FEWEST || machine.effects().next().is_none() {
         return None;
     }
-    record.responses().find_map(|c| {
+    let of_one = record.responses().find_map(|c| {
         let (y, s) = (centred(&c.data), simulated(record, &c.role, machine));
         let share = |by: f64, s: &[f64]| {
             let left: Vec<f64> = y.iter().zip(s).map(|(y, s)| by * y - s).collect();
@@ -201,34 +228,63 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
             let left_then = 1.0 - share(1.0, &simulated(other, &c.role, machine));
             left_then < BETTER * left && left_then < 1.0 - ALIKE
         };
-        let changed = |role: &dyn Fn(&Role) -> bool, by: f64| {
-            let mut other = record.clone();
-            for column in other.columns.iter_mut().filter(|c| role(&c.role)) {
-                column.data.iter_mut().for_each(|x| *x *= by);
-            }
-            other
-        };
-        let name = |role: &dyn Fn(&Role) -> bool| {
-            record.columns.iter().find(|c| role(&c.role)).map_or(String::new(), |c| c.name.clone())
-        };
-        let direction = |r: &Role| matches!(r, Role::Direction(_) | Role::Velocity(_));
-        if better(&changed(&direction, -1.0)) {
+        let direction = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
+        if better(&times(record, &direction, -1.0)) {
             let text = "the run agrees with the model only with the directions exchanged";
-            return Some(told(What::Direction, &name(&direction), text.to_owned()));
+            let first = record.columns.iter().find(|c| direction(c));
+            return Some(told(What::Direction, first.map_or("", |c| c.name.as_str()), text.to_owned()));
         }
         let line = beside(position);
-        for (by, unit) in [(1e3, "m"), (1e-3, "µm"), (25.4, "inch")] {
-            let other = changed(&position, by);
-            // A scale that is farther off than the model says is the plainer answer.
-            if better(&other) && line > NO_PLAINER * (1.0 - share(1.0, &simulated(&other, &c.role, machine))) {
-                let text = format!("the run agrees with the model only with positions {by} times these: given in {unit}, called mm?");
-                return Some(told(What::Unit, &name(&position), text));
+        for (column, alone) in in_units(record) {
+            let which = |c: &Column| if alone { c.name == column.name } else { position(&c.role) };
+            for (by, unit) in other_units(&column.role) {
+                let other = times(record, &which, *by);
+                if !better(&other) {
+                    continue;
+                }
+                let then = simulated(&other, &c.role, machine);
+                // A scale that is farther off than the model says is the plainer answer, but for one by just that much.
+                let no_plainer = position(&column.role) && line > NO_PLAINER * (1.0 - share(1.0, &then));
+                if no_plainer || !is_of_round_mm(column) && is_as_told(&y, &s, &then) {
+                    let (name, called) = (&column.name, &column.unit);
+                    let text = format!(
+                        "the run agrees with the model only with {name} {by} times this: given in {unit}, called {called}?"
+                    );
+                    return Some(told(What::Unit, name, text));
+                }
             }
         }
-        exchanged(record, c, machine).map(|[a, b]| {
-            told(What::Swapped, &a, format!("the run agrees with the model only with {a} and {b} exchanged"))
-        })
-    })
+        exchanged(record, c, machine).map(|pair| swapped(record, &pair))
+    });
+    of_one.or_else(|| exchanged_columns(record, machine).map(|pair| swapped(record, &pair)))
+}
+
+fn swapped(record: &Record, [a, b]: &[String; 2]) -> Suspicion {
+    let text = format!("the run agrees with the model only with {a} and {b} exchanged");
+    Suspicion::new(record, a, What::Swapped, &[], text)
+}
+
+/// The columns that may be in another unit, positions all together first and then one by one (`true`: it alone).
+fn in_units(record: &Record) -> Vec<(&Column, bool)> {
+    let all = record.columns.iter().find(|c| position(&c.role));
+    let each = record.columns.iter().filter(|c| !other_units(&c.role).is_empty());
+    all.map(|c| (c, false)).into_iter().chain(each.map(|c| (c, true))).collect()
+}
+
+/// What a column may be in instead of its unit, and by how much that is more.
+fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
+    match role {
+        Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch")],
+        Role::SpindleSpeed => &[(60.0, "rev/s"), (1e3, "krpm")],
+        Role::Time => &[(60.0, "min"), (3600.0, "h"), (1e-3, "ms")],
+        _ => &[],
+    }
+}
+
+/// Targets people choose in mm: those of another unit are round in that one.
+fn is_of_round_mm(column: &Column) -> bool {
+    let off = |p: &f64| (p - ROUND_MM * (p / ROUND_MM).round()).abs() < ROUND_OFF_MM;
+    position(&column.role) && column.data.iter().all(off)
 }
 
 fn position(role: &Role) -> bool {

@@ -55,6 +55,7 @@ mod teeth;
 #[cfg(test)]
 mod testing;
 mod tuning;
+mod undone;
 mod unexplained;
 mod verdict;
 mod waves;

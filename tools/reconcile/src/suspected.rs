@@ -18,12 +18,17 @@ pub(crate) fn is_sensor(record: &Record, name: &str) -> bool {
     record.columns.iter().any(sensor)
 }
 
+/// Whether it doubts what a second of the record is.
+pub(crate) fn is_of_clock(s: &Suspicion, record: &Record) -> bool {
+    let time = |c: &Column| c.name == s.column && c.role == Role::Time;
+    s.what == What::Unit && record.columns.iter().any(time)
+}
+
 /// Whether it is about the whole record: what it means all along is not known.
 pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
-    let time = |c: &Column| c.name == s.column && c.role == Role::Time;
     match s.what {
         // Whatever a second is: places, sensors and errors are what they are, and only a lag is as long as the clock says.
-        What::Unit if record.columns.iter().any(time) => false,
+        What::Unit if is_of_clock(s, record) => false,
         What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
         What::Swapped => true,
         What::Doubled => s.column.is_empty() && s.rows.is_empty(),

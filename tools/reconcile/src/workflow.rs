@@ -410,7 +410,14 @@ impl Analysed {
             let whole = train.iter().map(|r| (0..r.rows()).collect()).collect();
             return Self::of(train.to_vec(), whole, machine, level);
         }
-        let first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
+        let mut first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
+        let lags = first.answer.findings.iter().any(|f| doubt::reads_clock(&f.effect));
+        if lags && doubts.without_clocks() {
+            if doubts.train.is_empty() {
+                return first;
+            }
+            first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
+        }
         let evidence = |records: &[Record]| analyse(records, machine, level, false).map(|a| a.evidence);
         let swapped = swapped::instead(&first.used, machine, &first.answer, evidence);
         let more = !swapped.is_empty();

@@ -10,6 +10,7 @@
 //! | `sensors` | one temperature or channel beside the others: unplugged, range, unit, stuck, jump, wild values, a copy |
 //! | `motion` | positions, directions, speeds, times and errors of a run beside one another |
 //! | `rows` | rows that stand twice, wild responses |
+//! | `slips` | a position with its decimal point in another place |
 //! | `stuck` | a sensor that stands still, beside itself at other times and beside the others |
 //! | `repeats` | single approaches far off the others to the same target |
 //! | `pieces` | a record that is too long to be held, each of its pieces by itself |
@@ -26,6 +27,7 @@ mod pieces;
 mod repeats;
 mod rows;
 mod sensors;
+mod slips;
 mod stats;
 mod step;
 mod stuck;
@@ -211,6 +213,7 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
         sensors::look(record, &mut found);
         motion::look(record, &mut found);
         rows::look(record, &mut found);
+        slips::look(record, &mut found);
         repeats::look(record, &mut found);
         units::look(record, &mut found);
         turned::look(record, &mut found);

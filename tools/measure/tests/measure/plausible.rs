@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::plausible::{What, steps_of, suspicions, unusable};
+use rtec_measure::plausible::{Suspicion, What, steps_of, suspicions, unusable};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -346,8 +346,43 @@ fn wild(mut r: Record, d: &mut Dice, share: f64, sds: f64) -> Record {
     again(&r)
 }
 
+/// A record with the decimal point of one position elsewhere; not of the first or the last row, nor one close to zero.
+fn slipped(mut r: Record, name: &str, d: &mut Dice, by: f64) -> Record {
+    let p = &mut by_name(&mut r, name).data;
+    let farthest = p.iter().fold(0.0_f64, |m, p| m.max(p.abs()));
+    let rows: Vec<usize> = (1..p.len() - 1).filter(|i| p[*i].abs() > 0.3 * farthest).collect();
+    p[rows[d.below(rows.len())]] *= by;
+    again(&r)
+}
+
 /// Name, the clean records, the mistake, what must be said, and of which column ("" for any).
-const PAIRS: [(&str, Clean, Mistake, What, &str); 53] = [
+const PAIRS: [(&str, Clean, Mistake, What, &str); 57] = [
+    (
+        "decimal point to the right",
+        positioning,
+        |r, d| vec![slipped(one(r), "x", d, 10.0)],
+        What::Outliers,
+        "x",
+    ),
+    (
+        "decimal point to the left",
+        positioning,
+        |r, d| vec![slipped(one(r), "x", d, 0.1)],
+        What::Outliers,
+        "x",
+    ),
+    ("decimal point, plate", plate, |r, d| vec![slipped(one(r), "X", d, 0.1)], What::Outliers, "X"),
+    (
+        "decimal point by two, three runs",
+        three_positioning,
+        |r, d| {
+            let mut r = r;
+            r[1] = slipped(r[1].clone(), "x", d, 100.0);
+            r
+        },
+        What::Outliers,
+        "x",
+    ),
     ("position in m", positioning, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
     ("position in µm", positioning, |r, _| vec![scaled(one(r), "x", 1e3, 0.0)], What::Unit, "x"),
     ("plate in m", plate, |r, _| vec![scaled(one(r), "X", 1e-3, 0.0)], What::Unit, "X"),
@@ -1381,5 +1416,57 @@ fn what_a_good_machine_does_is_no_mistake() {
         let columns =
             vec![column("z", "position.z", z), column("d", "direction.z", ways), column("e", "error.z", e)];
         assert_eq!(suspicions(&[record("r", Kind::Probing, columns)]), [], "{seed}");
+    }
+}
+
+/// Targets whose positions are given, three times to and fro; a position for each row.
+fn to_and_fro(targets: &[f64], d: &mut Dice) -> Vec<f64> {
+    let there = targets.iter();
+    let once: Vec<f64> = there.clone().chain(there.rev()).copied().collect();
+    (0..3).flat_map(|_| once.clone()).map(|p| p + 0.003 * d.normal()).collect()
+}
+
+fn along(kind: Kind, p: Vec<f64>, d: &mut Dice) -> Record {
+    let e = p.iter().map(|p| 0.02 * p + 0.4 * d.normal()).collect();
+    record("a", kind, vec![column("x", "position.x", p), column("e", "error.x", e)])
+}
+
+/// A slip of the decimal point and a lost digit are said with the row, which is left out; targets that are a tenth of others, a run
+/// back to a datum at a tenth of where it goes on, and targets in any order are none.
+#[test]
+fn a_position_that_slipped_is_said_and_targets_that_are_there_are_not() {
+    let even: Vec<f64> = (0..11).map(|k| 50.0 * f64::from(k)).collect();
+    let odd = [0.0, 17.3, 61.0, 95.5, 160.2, 188.8, 240.0, 301.7, 355.1, 399.9, 470.0];
+    let tenths = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0];
+    for seed in 1..=20 {
+        let mut d = Dice::new(seed);
+        for targets in [&even[..], &odd, &tenths] {
+            let p = to_and_fro(targets, &mut d);
+            let clean = along(Kind::Positioning, p.clone(), &mut d);
+            assert_eq!(suspicions(&[clean]), [], "{seed}");
+        }
+        for (targets, row, by) in
+            [(&even[..], 8, 0.1), (&even, 30, 10.0), (&odd, 5, 0.1), (&odd, 10, 0.1), (&odd, 27, 100.0)]
+        {
+            let mut p = to_and_fro(targets, &mut d);
+            p[row] *= by;
+            let r = along(Kind::Positioning, p, &mut d);
+            let found = suspicions(std::slice::from_ref(&r));
+            assert_eq!(found.len(), 1, "{seed}: {row} by {by}: {found:?}");
+            assert_eq!(
+                (found[0].what, found[0].column.as_str(), found[0].row_list()),
+                (What::Outliers, "x", vec![row])
+            );
+            assert_eq!(unusable(&found).rows(&r), [row]);
+        }
+        let mut p = to_and_fro(&even, &mut d);
+        p[7] = 50.0 + (p[7] - 350.0);
+        let lost = suspicions(&[along(Kind::Positioning, p.clone(), &mut d)]);
+        assert_eq!(lost.iter().map(Suspicion::row_list).collect::<Vec<_>>(), [vec![7]], "{lost:?}");
+        // Back to a datum at 10 mm before each of the targets, where 100 mm is one of them.
+        let datum: Vec<f64> = even.iter().flat_map(|p| [10.0, *p]).collect();
+        assert_eq!(suspicions(&[along(Kind::Probing, datum, &mut d)]), [], "{seed}");
+        let drawn: Vec<f64> = (0..60).map(|_| tenths[d.below(tenths.len())]).collect();
+        assert_eq!(suspicions(&[along(Kind::Probing, drawn, &mut d)]), [], "{seed}");
     }
 }

@@ -1,0 +1,126 @@
+//! A single position with its decimal point in another place, or a digit too few: others of its place, or the run's own way, say
+//! where the axis was.
+
+use super::stats::{median, middle_range, steps};
+use super::{Suspicion, What};
+use rtec_model::record::{Column, Record, Role};
+
+/// Fewer rows show no way.
+const FEWEST: usize = 10;
+/// A decimal point that slipped by a place, or by two.
+const SLIPS: [f64; 4] = [10.0, 0.1, 100.0, 0.01];
+/// Rows closer than this share of a step, or of the travel, are at one place.
+const NEAR_STEP: f64 = 0.05;
+const NEAR_TRAVEL: f64 = 0.002;
+/// Between two rows a run goes through the middle, off by no more than this share of the way between them; and what does not
+/// is farther off by at least that share.
+const MIDDLE: f64 = 0.35;
+const BESIDE: f64 = 0.5;
+/// More than one row in so many is how a run is made.
+const ONE_IN: usize = 25;
+/// So many rows beside rows are looked at; a run of more that turns all the time is not.
+const MOST_PAIRS: usize = 50_000_000;
+
+pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
+    if record.rows() < FEWEST {
+        return;
+    }
+    for c in record.columns.iter().filter(|c| matches!(c.role, Role::Position(_))) {
+        let way = Way::of(&c.data);
+        let beside: Vec<usize> = (1..record.rows() - 1).filter(|i| way.is_beside(*i)).collect();
+        if beside.len() * record.rows() > MOST_PAIRS {
+            continue;
+        }
+        let found: Vec<(usize, f64)> = beside.into_iter().filter_map(|i| Some((i, way.meant(i)?))).collect();
+        let rows: Vec<usize> = found.iter().map(|f| f.0).collect();
+        let Some((first, meant)) = found.first().filter(|_| rows.len() <= 1 + record.rows() / ONE_IN) else {
+            continue;
+        };
+        let text = said(c, *first, *meant, rows.len());
+        out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+    }
+}
+
+fn said(c: &Column, row: usize, meant: f64, rows: usize) -> String {
+    let more = if rows > 1 { format!(", as in {rows} rows") } else { String::new() };
+    format!(
+        "goes to {} where the run goes through {meant}: a slip of the decimal point, or of a digit{more}",
+        c.data[row]
+    )
+}
+
+/// The positions of a run in the order of its rows.
+struct Way<'p> {
+    p: &'p [f64],
+    /// What is closer than this is one place.
+    near: f64,
+    /// It goes along in sweeps.
+    sweeps: bool,
+}
+
+impl<'p> Way<'p> {
+    fn of(p: &'p [f64]) -> Self {
+        let own = steps(p);
+        let sizes: Vec<f64> = own.iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();
+        let near = (NEAR_STEP * median(sizes)).max(NEAR_TRAVEL * middle_range(p));
+        let turns = own.windows(2).filter(|w| w[0] * w[1] < 0.0 && w[0].abs().min(w[1].abs()) > near);
+        let sweeps = turns.count() * 4 <= p.len() + 8;
+        Self { p, near, sweeps }
+    }
+
+    fn at(&self, a: f64, b: f64) -> bool {
+        (a - b).abs() <= self.near
+    }
+
+    /// Positions of the rows before and after one.
+    fn around(&self, i: usize) -> [f64; 2] {
+        [self.p[i - 1], self.p[i + 1]]
+    }
+
+    /// It stands far off the way from the row before to the row after it.
+    fn is_beside(&self, i: usize) -> bool {
+        let (own, [a, b]) = (self.p[i], self.around(i));
+        let (lo, hi) = (a.min(b), a.max(b));
+        own != 0.0 && self.near > 0.0 && (lo - own).max(own - hi) > self.near.max(BESIDE * (hi - lo))
+    }
+
+    /// Where a row was that stands beside the way, if it is at no place of its own; none where it may stand there.
+    fn meant(&self, i: usize) -> Option<f64> {
+        let (p, n) = (self.p, self.p.len());
+        let (own, [a, b]) = (p[i], self.around(i));
+        // Other rows between the same two places.
+        let same = |k: &usize| {
+            let [c, d] = self.around(*k);
+            *k != i && (self.at(a, c) && self.at(b, d) || self.at(a, d) && self.at(b, c))
+        };
+        let others: Vec<f64> = (1..n - 1).filter(same).map(|k| p[k]).collect();
+        let alone = (0..n).all(|k| k == i || !self.at(p[k], own));
+        // Where targets come in any order another one between the same two is no wonder.
+        if others.iter().any(|o| self.at(*o, own)) || !(self.sweeps || alone && others.len() >= 2) {
+            return None;
+        }
+        // What is about zero is so with any decimal point.
+        let slipped = || SLIPS.iter().map(|by| own * by).filter(|q| q.abs() > 4.0 * self.near);
+        if let Some(place) = others.iter().find(|o| slipped().any(|q| self.at(q, **o))) {
+            return Some(*place);
+        }
+        let alike = others.len() >= 2 && others.iter().all(|o| self.at(*o, others[0]));
+        if alike && with_a_digit_more(own).any(|q| self.at(q, others[0])) {
+            return Some(others[0]);
+        }
+        // In a sweep that comes by here no second time, its neighbours say so.
+        let (middle, apart) = (f64::midpoint(a, b), (b - a).abs());
+        let through = |q: &f64| apart > 2.0 * self.near && (q - middle).abs() < MIDDLE * apart;
+        if self.sweeps && alone { slipped().find(through) } else { None }
+    }
+}
+
+/// What a value may have been before a digit of it was lost.
+fn with_a_digit_more(value: f64) -> impl Iterator<Item = f64> {
+    let text = value.to_string();
+    let places: Vec<usize> = (usize::from(value < 0.0)..=text.len()).collect();
+    places.into_iter().flat_map(move |at| {
+        let text = text.clone();
+        (0..10).filter_map(move |digit| format!("{}{digit}{}", &text[..at], &text[at..]).parse().ok())
+    })
+}

@@ -1,0 +1,142 @@
+//! Two columns in each other's place, beside the model: what it leaves of all responses of a record as it stands, and with the exchange
+//! undone. An exchange has no size that could be fitted, so it is believed before a scale or a squareness that the model lacks.
+
+use crate::gram::{self, Cholesky};
+use crate::problem::rms;
+use crate::suspected::{centred, simulated};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Record, Role};
+
+/// With the exchange undone the model leaves less than this share of the squares that it leaves of the record as it stands, and of
+/// those of the responses themselves.
+const BETTER: f64 = 0.4;
+/// What straight lines leave that the model says nothing of is so many times as much; and that is no chance, nats.
+const NO_PLAINER: f64 = 1.3;
+const NO_CHANCE: f64 = 15.0;
+/// A slope that makes less than this share of what the model says is none of its own.
+const SAID: f64 = 0.25;
+/// The amplitudes of a model are off by no more than this where a column in another unit makes it agree.
+const AS_TOLD: std::ops::Range<f64> = 0.85..1.18;
+/// A value of the model of less than so many standard errors may be anything: refined by whatever factor, it was not known.
+const SAYS: f64 = 0.5;
+
+/// Two positions, or two errors, that agree with the model only in each other's place.
+pub(crate) fn exchanged_columns(record: &Record, machine: &Machine) -> Option<[String; 2]> {
+    let all: Vec<&Column> = record.columns.iter().filter(|c| c.role.axis().is_some()).collect();
+    let of = |what: fn(&Role) -> bool| -> Vec<&Column> {
+        all.iter().filter(|c| what(&c.role) && rms(&centred(&c.data)) > 0.0).copied().collect()
+    };
+    let errors = of(|r| matches!(r, Role::Error(_)));
+    let positions = of(|r| matches!(r, Role::Position(_)));
+    let (now, own) = squares(record, machine);
+    let mut best: Option<(f64, [String; 2])> = None;
+    for columns in [&errors, &positions] {
+        for (i, a) in columns.iter().enumerate() {
+            for b in &columns[i + 1..] {
+                let (Some(x), Some(y)) = (a.role.axis(), b.role.axis()) else { continue };
+                let alone = |c: &Column| c.name == a.name || c.name == b.name;
+                let motion = |c: &Column| !matches!(c.role, Role::Error(_) | Role::Force(_));
+                let is_error = matches!(a.role, Role::Error(_));
+                let mut others = vec![with_exchanged(record, [x, y], &alone)];
+                // A speed that follows from the positions is exchanged with them.
+                others.extend((!is_error).then(|| with_exchanged(record, [x, y], &motion)));
+                let then = others.iter().map(|r| squares(r, machine).0).fold(f64::INFINITY, f64::min);
+                if then < BETTER * now.min(own) && best.as_ref().is_none_or(|b| then < b.0) {
+                    best = Some((then, [a.name.clone(), b.name.clone()]));
+                }
+            }
+        }
+    }
+    let (then, pair) = best?;
+    let plain = beside_free_lines(record, machine);
+    let rows = (record.rows() * record.responses().count()) as f64;
+    let nats = 0.5 * rows * (plain / then.max(f64::MIN_POSITIVE)).ln();
+    (plain > NO_PLAINER * then && nats > NO_CHANCE).then_some(pair)
+}
+
+/// The record with the columns of two axes in each other's place, those that are asked for.
+fn with_exchanged(record: &Record, [a, b]: [&Axis; 2], which: &dyn Fn(&Column) -> bool) -> Record {
+    let mut other = record.clone();
+    for column in other.columns.iter_mut().filter(|c| which(c)) {
+        let from = match column.role.axis() {
+            Some(axis) if axis == a => b,
+            Some(axis) if axis == b => a,
+            _ => continue,
+        };
+        let alike = |c: &&Column| {
+            std::mem::discriminant(&c.role) == std::mem::discriminant(&column.role)
+                && c.role.axis() == Some(from)
+        };
+        if let Some(source) = record.columns.iter().find(alike) {
+            column.data.clone_from(&source.data);
+        }
+    }
+    other
+}
+
+/// Squares that the model leaves of all responses, and of the responses themselves, without their means.
+fn squares(record: &Record, machine: &Machine) -> (f64, f64) {
+    record.responses().fold((0.0, 0.0), |(left, all), c| {
+        let (y, s) = (centred(&c.data), simulated(record, &c.role, machine));
+        let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
+        (left + gram::dot(&missing, &missing), all + gram::dot(&y, &y))
+    })
+}
+
+/// Squares that are left of the record as it stands beside the straight lines over positions that the model says nothing of.
+fn beside_free_lines(record: &Record, machine: &Machine) -> f64 {
+    let of_place = |c: &&Column| matches!(c.role, Role::Position(_)) && rms(&centred(&c.data)) > 0.0;
+    let lines: Vec<Vec<f64>> = record.columns.iter().filter(of_place).map(|c| centred(&c.data)).collect();
+    let left = |c: &Column| {
+        let s = simulated(record, &c.role, machine);
+        let mut missing: Vec<f64> = centred(&c.data).iter().zip(&s).map(|(y, s)| y - s).collect();
+        let says = |(line, slope): (&Vec<f64>, f64)| slope.abs() * rms(line) > SAID * rms(&s);
+        let own = slopes(&lines.iter().collect::<Vec<_>>(), &s);
+        let free: Vec<&Vec<f64>> = lines
+            .iter()
+            .zip(own)
+            .filter(|(line, slope)| !says((line, *slope)))
+            .map(|(line, _)| line)
+            .collect();
+        for (line, slope) in free.iter().zip(slopes(&free, &missing)) {
+            gram::minus(&mut missing, slope, line);
+        }
+        gram::dot(&missing, &missing)
+    };
+    record.responses().map(left).sum()
+}
+
+/// Slopes of the straight lines that leave least.
+fn slopes(lines: &[&Vec<f64>], y: &[f64]) -> Vec<f64> {
+    if lines.is_empty() {
+        return Vec::new();
+    }
+    let products: Vec<f64> = lines.iter().flat_map(|a| lines.iter().map(|b| gram::dot(a, b))).collect();
+    let factor = Cholesky::new(&products, lines.len());
+    let mut slopes: Vec<f64> = lines.iter().map(|a| gram::dot(a, y)).collect();
+    factor.forward(&mut slopes);
+    factor.backward(&mut slopes);
+    slopes
+}
+
+/// The record with some columns times a number; times, too.
+pub(crate) fn times(record: &Record, which: &dyn Fn(&Column) -> bool, by: f64) -> Record {
+    let mut other = record.clone();
+    for column in other.columns.iter_mut().filter(|c| which(c)) {
+        column.data.iter_mut().for_each(|x| *x *= by);
+    }
+    if record.columns.iter().any(|c| c.role == Role::Time && which(c)) {
+        // The rows' times are the column's, and no circle is looked at here.
+        other = Record::new(&record.path, record.kind, other.columns).unwrap_or_else(|_| record.clone());
+    }
+    other
+}
+
+/// Whether what the model says then is what was measured, to the size; and what it says as it stands is not its noise.
+pub(crate) fn is_as_told(y: &[f64], now: &[f64], then: &[f64]) -> bool {
+    let size = gram::dot(then, then);
+    let left: Vec<f64> = y.iter().zip(then).map(|(y, s)| y - s).collect();
+    size > 0.0
+        && AS_TOLD.contains(&(gram::dot(then, y) / size))
+        && rms(now) * (y.len() as f64).sqrt() > SAYS * rms(&left)
+}
