@@ -224,6 +224,29 @@ fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
     assert!(unknown.iter().filter(|u| **u).count() >= 8, "{unknown:?}");
 }
 
+/// Growth from another reference temperature has its name; that an offset beside it from 20 °C is the same is said beside it.
+#[test]
+fn another_reference_temperature_is_not_an_offset() {
+    let r = answer(warm(|a, _| 2.0 * (a - 22.5), 0.4));
+    assert_eq!(r.verdict, Verdict::Named, "{:?}", r.effects);
+    let offset = r.effects[0].0.rivals.iter().find(|v| v.name == "offset.z").unwrap();
+    assert_eq!(offset.differs, Some(("reference_degC".to_owned(), 20.0)));
+}
+
+/// What hardly moves is as good a constant as an offset.
+#[test]
+fn a_channel_that_hardly_moves_is_a_rival_of_an_offset() {
+    let mut normal = noise(32);
+    let oil: Vec<f64> = (0..200).map(|_| 50.0 + 0.3 * normal()).collect();
+    let e = oil.iter().map(|o| 0.02 * o + 0.2 * normal()).collect();
+    let t = (0..200).map(|i| 30.0 * f64::from(i)).collect();
+    let r = answer(record(Kind::Drift, vec![("t", "time", t), ("oil", "channel", oil), ("e", "error.z", e)]));
+    let said = |f: &str| f == "channel.z.oil" || f == "offset.z";
+    assert_eq!((r.verdict, r.effects.len()), (Verdict::NotSeparable, 1), "{:?}", names(&r));
+    let finding = &r.effects[0].0;
+    assert!(said(&finding.effect.name()) && finding.rivals.iter().any(|v| said(&v.name)), "{finding:?}");
+}
+
 /// Far from zero a short period and its phase lean on each other: no angle is more open than half a turn to either side.
 #[test]
 fn a_phase_is_open_by_half_a_turn_at_most() {
