@@ -41,6 +41,7 @@ mod hypotheses;
 mod leftover;
 mod naming;
 mod problem;
+mod remainder;
 mod report;
 mod room;
 mod search;
