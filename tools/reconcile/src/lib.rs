@@ -42,6 +42,7 @@ mod hypotheses;
 mod leftover;
 mod naming;
 mod problem;
+mod remainder;
 mod report;
 mod rhythm;
 mod room;

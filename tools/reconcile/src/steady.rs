@@ -7,7 +7,7 @@ use crate::cause::Cause;
 use crate::gram::{Cholesky, dot};
 use crate::hypotheses::Atom;
 use crate::problem::rms;
-use crate::search::{Search, Set};
+use crate::search::{Member, Search, Set};
 use rtec_model::effect::{Against, Difference, Effect, Heat};
 use rtec_model::record::{Kind, Role};
 
@@ -29,8 +29,9 @@ const LONGEST_LAG: f64 = 1.0 / 3.0;
 const SURROUNDINGS_K: f64 = 1.0;
 /// So many explanations, of as many places, are averaged.
 const AVERAGED: usize = 5;
-/// Prediction so much worse than fitting is no matter of few early rows.
+/// Prediction so much worse than fitting is no matter of few early rows, nor so much worse than those rows promise.
 const WANDERS: f64 = 2.5;
+const BROKEN: f64 = 2.0;
 /// What is left of a longer memory is structure and no noise.
 const NOISE_MEMORY: f64 = 0.7;
 /// Fewer rows predict nothing.
@@ -40,14 +41,16 @@ const FEWEST_ROWS: usize = 200;
 struct Trial {
     /// RMS of later rows, predicted.
     ahead: f64,
+    /// RMS that the early rows promise: of noise as large as what is left of all rows, with what they do not tell.
+    promised: f64,
     /// RMS over all rows, fitted.
     fitted: f64,
     /// Best grid point over all rows.
     at: usize,
 }
 
-/// Coefficients of a least-squares fit on rows, and its sum of squares.
-fn fit(y: &[f64], columns: &[&[f64]], to: usize) -> (Vec<f64>, f64) {
+/// Factor of the products among columns on the first rows.
+fn factor(columns: &[&[f64]], to: usize) -> Cholesky {
     let k = columns.len();
     let mut a = vec![0.0; k * k];
     for i in 0..k {
@@ -55,8 +58,26 @@ fn fit(y: &[f64], columns: &[&[f64]], to: usize) -> (Vec<f64>, f64) {
             a[i * k + j] = dot(&columns[i][..to], &columns[j][..to]);
         }
     }
+    Cholesky::new(&a, k)
+}
+
+/// By how much the variance of later rows' prediction exceeds that of their noise, on average.
+fn leverage(columns: &[&[f64]], to: usize) -> f64 {
+    let n = columns.first().map_or(0, |c| c.len());
+    let factor = factor(columns, to);
+    let mut sum = 0.0;
+    for row in to..n {
+        let mut x: Vec<f64> = columns.iter().map(|c| c[row]).collect();
+        factor.forward(&mut x);
+        sum += dot(&x, &x);
+    }
+    sum / (n - to).max(1) as f64
+}
+
+/// Coefficients of a least-squares fit on rows, and its sum of squares.
+fn fit(y: &[f64], columns: &[&[f64]], to: usize) -> (Vec<f64>, f64) {
+    let factor = factor(columns, to);
     let mut b: Vec<f64> = columns.iter().map(|c| dot(&c[..to], &y[..to])).collect();
-    let factor = Cholesky::new(&a, k);
     factor.forward(&mut b);
     let left = dot(&y[..to], &y[..to]) - dot(&b, &b);
     factor.backward(&mut b);
@@ -78,16 +99,20 @@ fn trial(y: &[f64], fixed: &[&[f64]], grid: &[(f64, Vec<&[f64]>)], span_s: f64) 
             })
             .min_by(|a, b| a.3.total_cmp(&b.3))
     };
-    let mut sum = 0.0;
+    let (mut sum, mut beyond) = (0.0, 0.0);
     for share in MOMENTS {
         let to = (n as f64 * share) as usize;
         let (_, columns, beta, _) = best(to)?;
         let later: Vec<f64> =
             (to..n).map(|r| y[r] - columns.iter().zip(&beta).map(|(c, b)| c[r] * b).sum::<f64>()).collect();
         sum += rms(&later).powi(2);
+        beyond += leverage(&columns, to);
     }
     let (at, _, _, left) = best(n)?;
-    Some(Trial { ahead: (sum / MOMENTS.len() as f64).sqrt(), fitted: (left / n as f64).sqrt(), at })
+    let moments = MOMENTS.len() as f64;
+    let fitted = (left / n as f64).sqrt();
+    let promised = fitted * (1.0 + beyond / moments).sqrt();
+    Some(Trial { ahead: (sum / moments).sqrt(), promised, fitted, at })
 }
 
 /// A drift of one record with several temperatures.
@@ -126,13 +151,15 @@ impl Search<'_, '_> {
     /// is steady, or nothing is steadier.
     pub(crate) fn steadier(&mut self, set: &Set) -> Option<(Set, Vec<usize>)> {
         let run = Run::of(self, set)?;
-        let all: Vec<&[f64]> = set.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
-        let own = trial(&run.y, &all, &[(0.0, Vec::new())], run.span_s)?;
         let plausible = self.plausible(set);
-        if own.ahead < WANDERS * own.fitted && self.leaves_noise(set) && self.physical(set) {
+        let simple = plausible && set.members.iter().filter(|m| grows(&m.cause)).count() < 2;
+        let (y, ids) = if simple { self.without_steps(&run, set) } else { (run.y.clone(), set.ids.clone()) };
+        let all: Vec<&[f64]> = ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
+        let own = trial(&y, &all, &[(0.0, Vec::new())], run.span_s)?;
+        let promised = if simple { BROKEN * own.promised } else { 0.0 };
+        if own.ahead < promised.max(WANDERS * own.fitted) && self.leaves_noise(set) && self.physical(set) {
             return None;
         }
-        let simple = plausible && set.members.iter().filter(|m| grows(&m.cause)).count() < 2;
         let bound = if simple { UNSTEADY } else { UNSTEADY_SUM };
         if plausible && own.ahead < bound * own.fitted {
             return None;
@@ -153,6 +180,19 @@ impl Search<'_, '_> {
         tried.retain(|t| t.trial.ahead <= EQUAL * least);
         let equals = tried.iter().map(|t| t.hypothesis).collect();
         Some((self.in_place(&rest, &sum), equals))
+    }
+
+    /// What is to be explained, and by which columns, but for the steps of counts that were lost: no earlier row foretells them.
+    fn without_steps(&self, run: &Run, set: &Set) -> (Vec<f64>, Vec<usize>) {
+        let (mut y, mut ids) = (run.y.clone(), set.ids.clone());
+        for (i, m) in set.members.iter().enumerate().rev() {
+            if self.all.list[m.hypothesis].law().is_some_and(|law| law.whole_counts) {
+                y.iter_mut().zip(self.does(set, i)).for_each(|(y, d)| *y -= d);
+                let before: usize = set.members[..i].iter().map(Member::columns).sum();
+                ids.drain(self.slopes.len() + before..self.slopes.len() + before + m.columns());
+            }
+        }
+        (y, ids)
     }
 
     /// Whether nothing but noise is left, of no longer memory than noise has: then what explains the rows explains all of

@@ -223,3 +223,77 @@ fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
     // The parabola fits some of them better by chance.
     assert!(unknown.iter().filter(|u| **u).count() >= 8, "{unknown:?}");
 }
+
+/// Rows of a spindle's growth by the difference of two sensors among six, beside counts that were lost near the end.
+fn growth_and_counts() -> Record {
+    let mut normal = noise(31);
+    let t: Vec<f64> = (0..300).map(|i| 80.0 * f64::from(i)).collect();
+    let heat = |t: f64, tau: f64| {
+        let cool = if t > 14_000.0 { 1.0 - (-(t - 14_000.0) / tau).exp() } else { 0.0 };
+        1.0 - (-t / tau).exp() - cool
+    };
+    let degc: Vec<Vec<f64>> =
+        [(9.0, 1500.0), (6.0, 1900.0), (7.0, 1600.0), (8.0, 1700.0), (5.0, 1400.0), (0.3, 9000.0)]
+            .iter()
+            .map(|(k, tau)| t.iter().map(|t| 20.0 + k * heat(*t, *tau)).collect())
+            .collect();
+    let lost = |t: f64| if t > 23_000.0 { 4.0 } else { 0.0 };
+    let d = |i: usize| degc[0][i] - degc[1][i];
+    let e = (0..t.len()).map(|i| -2.4 * d(i) - 0.5 * d(i).powi(2) + lost(t[i]) + 0.3 * normal()).collect();
+    let mut columns = vec![("t", "time", t.clone())];
+    for (name, of) in ["A", "B", "C", "D", "E", "F"].into_iter().zip(&degc) {
+        columns.push((name, "temperature", of.iter().map(|v| v + 0.01 * normal()).collect()));
+    }
+    columns.push(("e", "error.x", e));
+    record(Kind::Drift, columns)
+}
+
+/// Counts that no earlier row foretells are no sign that the growth does not predict: it was taken for five of other sensors.
+#[test]
+fn what_comes_late_does_not_refute_what_grows() {
+    let r = answer(growth_and_counts());
+    let mut all = names(&r);
+    all.sort();
+    assert_eq!(all, ["lost_counts.x", "thermal_growth.x"], "{:?} {:?}", r.gap, r.unexplained);
+    assert!(r.effects.iter().all(|(_, half)| half[0] > 0.0 && half[0].is_finite()));
+}
+
+/// Growth from another reference temperature has its name; that an offset beside it from 20 °C is the same is said beside it.
+#[test]
+fn another_reference_temperature_is_not_an_offset() {
+    let r = answer(warm(|a, _| 2.0 * (a - 22.5), 0.4));
+    assert_eq!(r.verdict, Verdict::Named, "{:?}", r.effects);
+    let offset = r.effects[0].0.rivals.iter().find(|v| v.name == "offset.z").unwrap();
+    assert_eq!(offset.differs, Some(("reference_degC".to_owned(), 20.0)));
+}
+
+/// What hardly moves is as good a constant as an offset.
+#[test]
+fn a_channel_that_hardly_moves_is_a_rival_of_an_offset() {
+    let mut normal = noise(32);
+    let oil: Vec<f64> = (0..200).map(|_| 50.0 + 0.3 * normal()).collect();
+    let e = oil.iter().map(|o| 0.02 * o + 0.2 * normal()).collect();
+    let t = (0..200).map(|i| 30.0 * f64::from(i)).collect();
+    let r = answer(record(Kind::Drift, vec![("t", "time", t), ("oil", "channel", oil), ("e", "error.z", e)]));
+    let said = |f: &str| f == "channel.z.oil" || f == "offset.z";
+    assert_eq!((r.verdict, r.effects.len()), (Verdict::NotSeparable, 1), "{:?}", names(&r));
+    let finding = &r.effects[0].0;
+    assert!(said(&finding.effect.name()) && finding.rivals.iter().any(|v| said(&v.name)), "{finding:?}");
+}
+
+/// Far from zero a short period and its phase lean on each other: no angle is more open than half a turn to either side.
+#[test]
+fn a_phase_is_open_by_half_a_turn_at_most() {
+    let mut normal = noise(33);
+    let p: Vec<f64> = (0..400).map(|i| 800.0 + f64::from(i) * 0.0007).collect();
+    let e = p.iter().map(|p| 1.0 * (TAU * p / 0.02).sin() + 0.5 * normal()).collect();
+    let t = (0..400).map(f64::from).collect();
+    let r = answer(record(
+        Kind::Positioning,
+        vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)],
+    ));
+    let (finding, half) = &r.effects[0];
+    assert_eq!(finding.effect.name(), "subdivision.x", "{} {:?}", r.verdict, names(&r));
+    assert!((finding.effect.scalar(0) - 20.0).abs() < 0.1);
+    assert!(half.iter().all(|h| *h > 0.0 && *h <= std::f64::consts::PI), "{half:?}");
+}
