@@ -61,9 +61,14 @@ fn factor(columns: &[&[f64]], to: usize) -> Cholesky {
     Cholesky::new(&a, k)
 }
 
-/// By how much the variance of later rows' prediction exceeds that of their noise, on average.
+/// By how much the variance of later rows' prediction exceeds that of their noise, on average; infinite where a column is
+/// first seen in them.
 fn leverage(columns: &[&[f64]], to: usize) -> f64 {
     let n = columns.first().map_or(0, |c| c.len());
+    let unseen = |c: &&[f64]| c[..to].iter().all(|x| *x == 0.0) && c[to..].iter().any(|x| *x != 0.0);
+    if columns.iter().any(unseen) {
+        return f64::INFINITY;
+    }
     let factor = factor(columns, to);
     let mut sum = 0.0;
     for row in to..n {
@@ -372,6 +377,21 @@ mod tests {
         let wrong = trial(&y, &columns, &[(0.0, Vec::new())], 400.0).unwrap();
         assert!(right.ahead < 1e-6 && right.fitted < 1e-6);
         assert!(wrong.ahead > UNSTEADY * wrong.fitted, "{} and {}", wrong.ahead, wrong.fitted);
+    }
+
+    /// Early rows promise nothing of what is first seen later, and little of what hardly moved.
+    #[test]
+    fn what_early_rows_do_not_tell_is_not_promised() {
+        let n = 200;
+        let quiet: Vec<f64> = line(n).iter().map(|i| if *i < 170.0 { 0.0 } else { 1.0 }).collect();
+        let slow: Vec<f64> = line(n).iter().map(|i| if *i < 150.0 { 0.01 } else { 1.0 }).collect();
+        let y: Vec<f64> = line(n).iter().map(|i| (7.0 * i).sin()).collect();
+        let promised = |c: &[f64]| {
+            let trial = trial(&y, &[c], &[(0.0, Vec::new())], 200.0).unwrap();
+            trial.promised / trial.fitted
+        };
+        assert!(promised(&quiet).is_infinite());
+        assert!(promised(&slow) > 2.0 && promised(&vec![1.0; n]) < 1.1);
     }
 
     #[test]
