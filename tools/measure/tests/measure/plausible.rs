@@ -357,32 +357,6 @@ fn slipped(mut r: Record, name: &str, d: &mut Dice, by: f64) -> Record {
 
 /// Name, the clean records, the mistake, what must be said, and of which column ("" for any).
 const PAIRS: [(&str, Clean, Mistake, What, &str); 57] = [
-    (
-        "decimal point to the right",
-        positioning,
-        |r, d| vec![slipped(one(r), "x", d, 10.0)],
-        What::Outliers,
-        "x",
-    ),
-    (
-        "decimal point to the left",
-        positioning,
-        |r, d| vec![slipped(one(r), "x", d, 0.1)],
-        What::Outliers,
-        "x",
-    ),
-    ("decimal point, plate", plate, |r, d| vec![slipped(one(r), "X", d, 0.1)], What::Outliers, "X"),
-    (
-        "decimal point by two, three runs",
-        three_positioning,
-        |r, d| {
-            let mut r = r;
-            r[1] = slipped(r[1].clone(), "x", d, 100.0);
-            r
-        },
-        What::Outliers,
-        "x",
-    ),
     ("position in m", positioning, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
     ("position in µm", positioning, |r, _| vec![scaled(one(r), "x", 1e3, 0.0)], What::Unit, "x"),
     ("plate in m", plate, |r, _| vec![scaled(one(r), "X", 1e-3, 0.0)], What::Unit, "X"),
@@ -646,6 +620,32 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 57] = [
         },
         What::Swapped,
         "",
+    ),
+    (
+        "decimal point to the right",
+        positioning,
+        |r, d| vec![slipped(one(r), "x", d, 10.0)],
+        What::Outliers,
+        "x",
+    ),
+    (
+        "decimal point to the left",
+        positioning,
+        |r, d| vec![slipped(one(r), "x", d, 0.1)],
+        What::Outliers,
+        "x",
+    ),
+    ("decimal point, plate", plate, |r, d| vec![slipped(one(r), "X", d, 0.1)], What::Outliers, "X"),
+    (
+        "decimal point by two, three runs",
+        three_positioning,
+        |r, d| {
+            let mut r = r;
+            r[1] = slipped(r[1].clone(), "x", d, 100.0);
+            r
+        },
+        What::Outliers,
+        "x",
     ),
 ];
 
