@@ -44,13 +44,6 @@ pub struct Finding {
     pub rivals: Vec<Rival>,
 }
 
-impl Finding {
-    /// Whether it is a part of a sum: chosen for what it predicts, as it is, not for what it fits.
-    pub(crate) fn is_part(&self) -> bool {
-        !self.held.is_empty() && self.held.len() == self.effect.values().len()
-    }
-}
-
 /// The answer, before anything is written.
 #[derive(Debug)]
 pub struct Answer {

@@ -209,18 +209,6 @@ pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize,
     }
     for term in terms {
         tidy(term);
-        within_a_turn(term);
-    }
-}
-
-/// Half a turn to either side is every angle: no interval of one is wider.
-fn within_a_turn(term: &mut Term) {
-    let (law, width) = (term.effect.description(), term.effect.width());
-    for (v, half) in term.half.iter_mut().enumerate() {
-        let parameter = &law.parameters[v / width];
-        if parameter.search == Search::Phase || parameter.cyclic {
-            *half = half.min(std::f64::consts::PI);
-        }
     }
 }
 

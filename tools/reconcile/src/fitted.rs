@@ -44,9 +44,9 @@ impl Fitted {
         take_in(answer);
         let mut fitted = Self::once(stack, machine, answer);
         let mut sizeless = Vec::new();
-        for place in (0..fitted.found).rev().chain((0..fitted.found).rev()) {
+        for place in (0..fitted.found).rev() {
             // One of two that stand for each other is certain once the other is gone.
-            let Some(doubt) = fitted.found().get(place).and_then(doubt) else { continue };
+            let Some(doubt) = doubt(&fitted.found()[place]) else { continue };
             let finding = answer.findings.remove(place);
             let without = Self::once(stack, machine, answer);
             let [with, left] = [&fitted, &without].map(|f| rms(&fit::residual(stack, &f.terms)).max(1e-12));
@@ -65,7 +65,7 @@ impl Fitted {
         fitted
     }
 
-    pub(crate) fn once(stack: &Stack<'_>, machine: &Machine, answer: &Answer) -> Self {
+    fn once(stack: &Stack<'_>, machine: &Machine, answer: &Answer) -> Self {
         let file: Vec<Effect> = machine.effects().cloned().collect();
         let mut terms = present(stack, answer);
         terms.extend(answer.findings.iter().map(|f| Term::new(stack, f.effect.clone(), &f.held)));
@@ -84,10 +84,8 @@ impl Fitted {
         let mut widened = Vec::new();
         for (i, f) in answer.findings.iter().enumerate() {
             let at = self.file.len() + i;
-            if !f.held.is_empty() {
-                // Of the parts of a sum each may be nothing, or several of them.
-                let share = if whole[at].ways.is_empty() { 1.0 } else { LEFT_OUT };
-                whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, share);
+            if !f.held.is_empty() && !whole[at].ways.is_empty() {
+                whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, LEFT_OUT);
                 widened.push(at);
             }
         }
@@ -223,14 +221,8 @@ enum Doubt {
 fn doubt(term: &Term) -> Option<Doubt> {
     let law = term.effect.description();
     let kind = [Search::Linear, Search::Amplitude].into_iter().find(|s| law.place(*s).is_some())?;
-    // The parts of a sum are as uncertain as the choice among them.
-    if term.effect.width() > 1 || term.ways.is_empty() {
+    if term.effect.width() > 1 {
         return None;
-    }
-    let free = |i: &usize| term.ways.iter().any(|w| w.along.iter().any(|(v, _)| v == i));
-    if (0..law.parameters.len()).any(|i| free(&i) && !(term.half[i] > 0.0 && term.half[i].is_finite())) {
-        // A value that nothing tells, the fit having dropped it beside the others.
-        return Some(Doubt::OfAll);
     }
     let sizes = (0..law.parameters.len()).filter(|i| law.parameters[*i].search == kind);
     let free: Vec<usize> = sizes.filter(|i| term.half[*i] > 0.0).collect();

@@ -42,7 +42,6 @@ mod hypotheses;
 mod leftover;
 mod naming;
 mod problem;
-mod remainder;
 mod report;
 mod rhythm;
 mod room;

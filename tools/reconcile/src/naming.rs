@@ -4,9 +4,7 @@
 use crate::answer::{Answer, Finding, ROUNDS, Rival, Tried};
 use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
-use crate::gram::dot;
 use crate::leftover::{beyond_bounds, knee_instead, slightest, unexplained};
-use crate::problem::rms;
 use crate::search::{Found, Member, Search, Set};
 use crate::simpler::{DECISIVE, merged, plainer, slimmed, waved, with_offset};
 use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC};
@@ -19,10 +17,6 @@ const BEYOND_CHANCE: f64 = 60.0;
 const FEW_ROUNDS: usize = 12;
 /// More waves of one law on an axis are no name.
 const NAMED_WAVES: usize = 2;
-/// Of another set that is as good an explanation stands for one of this where so much of what both do is the same.
-const INSTEAD: f64 = 0.5;
-/// What varies by less than this share of itself is a constant.
-const CONSTANT: f64 = 0.2;
 /// Most rivals that are listed for one effect.
 const MOST_RIVALS: usize = 12;
 
@@ -242,8 +236,7 @@ impl Conclusion<'_> {
             {
                 // Another reference temperature and a constant (or a scale) beside the law do the same to these data.
                 if effect.delta.as_ref().is_some_and(plausible_reference) {
-                    let differs = Some(("reference_degC".to_owned(), STANDARD_DEGC));
-                    rivals.push(Rival { name: level.name(), sensor: None, differs, margin: 0.0 });
+                    rivals.push(Rival { name: level.name(), sensor: None, differs: None, margin: 0.0 });
                 } else if let Some((own, level)) = split_reference(&effect, level) {
                     effect = own;
                     let (held, rivals) = (Vec::new(), Vec::new());
@@ -319,7 +312,7 @@ impl Conclusion<'_> {
             return Vec::new();
         }
         let mut rivals = self.ranked(search, i, tried);
-        self.visited(search, i, &mut rivals);
+        self.visited(search, &self.set.members[i], &mut rivals);
         rivals
     }
 
@@ -331,14 +324,11 @@ impl Conclusion<'_> {
         let ranking = search.ranking(&rest);
         let top = ranking.iter().find(|r| r.name == own).map_or(set.score, |r| r.evidence.max(set.score));
         let mut rivals = Vec::new();
-        let constant = search.all.list[member.hypothesis].law().is_some_and(|law| law.constant);
         for r in &*ranking {
             let label = search.all.list[r.offers[0].hypothesis].label();
             tried.note(label, r.offers[0].score - set.score, false);
             let alike = r.name == own;
-            // A channel that hardly moves is a constant, too: what it costs to have no physics does not tell them apart.
-            let price = if constant { unfounded(search, r.offers[0].hypothesis) } else { 0.0 };
-            let margin = if alike { 0.0 } else { (top - r.evidence - price).max(0.0) };
+            let margin = if alike { 0.0 } else { top - r.evidence };
             if margin >= DECISIVE {
                 continue;
             }
@@ -361,10 +351,9 @@ impl Conclusion<'_> {
         (0..set.members.len()).all(|i| self.chance.of_name(gain(i), alone) <= self.level)
     }
 
-    /// Members of other sets that were visited, as good as this one and without this member, that do what this one does.
-    fn visited(&self, search: &Search<'_, '_>, i: usize, rivals: &mut Vec<Rival>) {
+    /// Members of other sets that were visited, as good as this one and without this member.
+    fn visited(&self, search: &Search<'_, '_>, member: &Member, rivals: &mut Vec<Rival>) {
         let set = &self.set;
-        let (member, own) = (&set.members[i], search.does(set, i));
         let name = |h: usize| &search.all.list[h].name;
         let lacks = |h: usize| !set.members.iter().any(|m| name(m.hypothesis) == name(h));
         for v in self.found.visited.iter().filter(|v| set.score - v.score < DECISIVE) {
@@ -372,8 +361,7 @@ impl Conclusion<'_> {
             if has || !search.physical(v) || !self.stands(search, v) {
                 continue;
             }
-            let alike = |k: usize| same(&own, &search.does(v, k)) > INSTEAD;
-            for (_, x) in v.members.iter().enumerate().filter(|(k, x)| lacks(x.hypothesis) && alike(*k)) {
+            for x in v.members.iter().filter(|x| lacks(x.hypothesis)) {
                 let rival = rival(search, x.hypothesis, set.score - v.score);
                 if !rivals.iter().any(|r| r.name == rival.name && r.sensor == rival.sensor) {
                     rivals.push(rival);
@@ -383,32 +371,10 @@ impl Conclusion<'_> {
     }
 }
 
-/// How much of what two explanations do is the same: square of the cosine between them, but for constants where neither is one.
-fn same(a: &[f64], b: &[f64]) -> f64 {
-    let part = |x: &[f64]| {
-        let there = x.iter().filter(|x| **x != 0.0);
-        let mean = there.clone().sum::<f64>() / there.count().max(1) as f64;
-        let centred: Vec<f64> = x.iter().map(|x| if *x == 0.0 { 0.0 } else { x - mean }).collect();
-        (rms(&centred) > CONSTANT * rms(x)).then_some(centred)
-    };
-    let (a, b) = match (part(a), part(b)) {
-        (Some(a), Some(b)) => (a, b),
-        (None, None) => (a.to_vec(), b.to_vec()),
-        _ => return 0.0,
-    };
-    dot(&a, &b).powi(2) / (dot(&a, &a) * dot(&b, &b)).max(f64::MIN_POSITIVE)
-}
-
 /// A hypothesis as another explanation.
 fn rival(search: &Search<'_, '_>, hypothesis: usize, margin: f64) -> Rival {
     let h = &search.all.list[hypothesis];
     Rival { name: h.name.clone(), sensor: h.sensor().cloned(), differs: None, margin }
-}
-
-/// What a logged channel costs for want of physics.
-fn unfounded(search: &Search<'_, '_>, hypothesis: usize) -> f64 {
-    let law = search.all.list[hypothesis].law().filter(|law| law.needs == [Need::Channel]);
-    law.map_or(0.0, |law| law.searched.price)
 }
 
 /// Linear parameters that a cause does not let free.

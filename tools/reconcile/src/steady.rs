@@ -7,7 +7,7 @@ use crate::cause::Cause;
 use crate::gram::{Cholesky, dot};
 use crate::hypotheses::Atom;
 use crate::problem::rms;
-use crate::search::{Member, Search, Set};
+use crate::search::{Search, Set};
 use rtec_model::effect::{Against, Difference, Effect, Heat};
 use rtec_model::record::{Kind, Role};
 
@@ -29,9 +29,8 @@ const LONGEST_LAG: f64 = 1.0 / 3.0;
 const SURROUNDINGS_K: f64 = 1.0;
 /// So many explanations, of as many places, are averaged.
 const AVERAGED: usize = 5;
-/// Prediction so much worse than fitting is no matter of few early rows, nor so much worse than those rows promise.
+/// Prediction so much worse than fitting is no matter of few early rows.
 const WANDERS: f64 = 2.5;
-const BROKEN: f64 = 2.0;
 /// What is left of a longer memory is structure and no noise.
 const NOISE_MEMORY: f64 = 0.7;
 /// Fewer rows predict nothing.
@@ -41,16 +40,14 @@ const FEWEST_ROWS: usize = 200;
 struct Trial {
     /// RMS of later rows, predicted.
     ahead: f64,
-    /// RMS that the early rows promise: of noise as large as what is left of all rows, with what they do not tell.
-    promised: f64,
     /// RMS over all rows, fitted.
     fitted: f64,
     /// Best grid point over all rows.
     at: usize,
 }
 
-/// Factor of the products among columns on the first rows.
-fn factor(columns: &[&[f64]], to: usize) -> Cholesky {
+/// Coefficients of a least-squares fit on rows, and its sum of squares.
+fn fit(y: &[f64], columns: &[&[f64]], to: usize) -> (Vec<f64>, f64) {
     let k = columns.len();
     let mut a = vec![0.0; k * k];
     for i in 0..k {
@@ -58,31 +55,8 @@ fn factor(columns: &[&[f64]], to: usize) -> Cholesky {
             a[i * k + j] = dot(&columns[i][..to], &columns[j][..to]);
         }
     }
-    Cholesky::new(&a, k)
-}
-
-/// By how much the variance of later rows' prediction exceeds that of their noise, on average; infinite where a column is
-/// first seen in them.
-fn leverage(columns: &[&[f64]], to: usize) -> f64 {
-    let n = columns.first().map_or(0, |c| c.len());
-    let unseen = |c: &&[f64]| c[..to].iter().all(|x| *x == 0.0) && c[to..].iter().any(|x| *x != 0.0);
-    if columns.iter().any(unseen) {
-        return f64::INFINITY;
-    }
-    let factor = factor(columns, to);
-    let mut sum = 0.0;
-    for row in to..n {
-        let mut x: Vec<f64> = columns.iter().map(|c| c[row]).collect();
-        factor.forward(&mut x);
-        sum += dot(&x, &x);
-    }
-    sum / (n - to).max(1) as f64
-}
-
-/// Coefficients of a least-squares fit on rows, and its sum of squares.
-fn fit(y: &[f64], columns: &[&[f64]], to: usize) -> (Vec<f64>, f64) {
-    let factor = factor(columns, to);
     let mut b: Vec<f64> = columns.iter().map(|c| dot(&c[..to], &y[..to])).collect();
+    let factor = Cholesky::new(&a, k);
     factor.forward(&mut b);
     let left = dot(&y[..to], &y[..to]) - dot(&b, &b);
     factor.backward(&mut b);
@@ -104,20 +78,16 @@ fn trial(y: &[f64], fixed: &[&[f64]], grid: &[(f64, Vec<&[f64]>)], span_s: f64) 
             })
             .min_by(|a, b| a.3.total_cmp(&b.3))
     };
-    let (mut sum, mut beyond) = (0.0, 0.0);
+    let mut sum = 0.0;
     for share in MOMENTS {
         let to = (n as f64 * share) as usize;
         let (_, columns, beta, _) = best(to)?;
         let later: Vec<f64> =
             (to..n).map(|r| y[r] - columns.iter().zip(&beta).map(|(c, b)| c[r] * b).sum::<f64>()).collect();
         sum += rms(&later).powi(2);
-        beyond += leverage(&columns, to);
     }
     let (at, _, _, left) = best(n)?;
-    let moments = MOMENTS.len() as f64;
-    let fitted = (left / n as f64).sqrt();
-    let promised = fitted * (1.0 + beyond / moments).sqrt();
-    Some(Trial { ahead: (sum / moments).sqrt(), promised, fitted, at })
+    Some(Trial { ahead: (sum / MOMENTS.len() as f64).sqrt(), fitted: (left / n as f64).sqrt(), at })
 }
 
 /// A drift of one record with several temperatures.
@@ -156,15 +126,13 @@ impl Search<'_, '_> {
     /// is steady, or nothing is steadier.
     pub(crate) fn steadier(&mut self, set: &Set) -> Option<(Set, Vec<usize>)> {
         let run = Run::of(self, set)?;
+        let all: Vec<&[f64]> = set.ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
+        let own = trial(&run.y, &all, &[(0.0, Vec::new())], run.span_s)?;
         let plausible = self.plausible(set);
-        let simple = plausible && set.members.iter().filter(|m| grows(&m.cause)).count() < 2;
-        let (y, ids) = if simple { self.without_steps(&run, set) } else { (run.y.clone(), set.ids.clone()) };
-        let all: Vec<&[f64]> = ids.iter().map(|i| self.vectors[*i].data.as_slice()).collect();
-        let own = trial(&y, &all, &[(0.0, Vec::new())], run.span_s)?;
-        let promised = if simple { BROKEN * own.promised } else { 0.0 };
-        if own.ahead < promised.max(WANDERS * own.fitted) && self.leaves_noise(set) && self.physical(set) {
+        if own.ahead < WANDERS * own.fitted && self.leaves_noise(set) && self.physical(set) {
             return None;
         }
+        let simple = plausible && set.members.iter().filter(|m| grows(&m.cause)).count() < 2;
         let bound = if simple { UNSTEADY } else { UNSTEADY_SUM };
         if plausible && own.ahead < bound * own.fitted {
             return None;
@@ -185,19 +153,6 @@ impl Search<'_, '_> {
         tried.retain(|t| t.trial.ahead <= EQUAL * least);
         let equals = tried.iter().map(|t| t.hypothesis).collect();
         Some((self.in_place(&rest, &sum), equals))
-    }
-
-    /// What is to be explained, and by which columns, but for the steps of counts that were lost: no earlier row foretells them.
-    fn without_steps(&self, run: &Run, set: &Set) -> (Vec<f64>, Vec<usize>) {
-        let (mut y, mut ids) = (run.y.clone(), set.ids.clone());
-        for (i, m) in set.members.iter().enumerate().rev() {
-            if self.all.list[m.hypothesis].law().is_some_and(|law| law.whole_counts) {
-                y.iter_mut().zip(self.does(set, i)).for_each(|(y, d)| *y -= d);
-                let before: usize = set.members[..i].iter().map(Member::columns).sum();
-                ids.drain(self.slopes.len() + before..self.slopes.len() + before + m.columns());
-            }
-        }
-        (y, ids)
     }
 
     /// Whether nothing but noise is left, of no longer memory than noise has: then what explains the rows explains all of
@@ -377,21 +332,6 @@ mod tests {
         let wrong = trial(&y, &columns, &[(0.0, Vec::new())], 400.0).unwrap();
         assert!(right.ahead < 1e-6 && right.fitted < 1e-6);
         assert!(wrong.ahead > UNSTEADY * wrong.fitted, "{} and {}", wrong.ahead, wrong.fitted);
-    }
-
-    /// Early rows promise nothing of what is first seen later, and little of what hardly moved.
-    #[test]
-    fn what_early_rows_do_not_tell_is_not_promised() {
-        let n = 200;
-        let quiet: Vec<f64> = line(n).iter().map(|i| if *i < 170.0 { 0.0 } else { 1.0 }).collect();
-        let slow: Vec<f64> = line(n).iter().map(|i| if *i < 150.0 { 0.01 } else { 1.0 }).collect();
-        let y: Vec<f64> = line(n).iter().map(|i| (7.0 * i).sin()).collect();
-        let promised = |c: &[f64]| {
-            let trial = trial(&y, &[c], &[(0.0, Vec::new())], 200.0).unwrap();
-            trial.promised / trial.fitted
-        };
-        assert!(promised(&quiet).is_infinite());
-        assert!(promised(&slow) > 2.0 && promised(&vec![1.0; n]) < 1.1);
     }
 
     #[test]

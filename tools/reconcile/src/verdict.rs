@@ -1,6 +1,6 @@
 //! The answer as a whole.
 
-use crate::answer::{Finding, Rival, Tried};
+use crate::answer::{Finding, Tried};
 use crate::cause::Shape;
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
@@ -34,7 +34,7 @@ impl Verdict {
             Self::NothingMissing
         } else if added
             .iter()
-            .any(|(f, _)| !is_companion(f, added) && f.rivals.iter().any(|r| is_another(f, r)))
+            .any(|(f, _)| !is_companion(f, added) && f.rivals.iter().any(|r| r.name != f.effect.name()))
         {
             Self::NotSeparable
         } else {
@@ -58,12 +58,6 @@ impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
-}
-
-/// Whether a rival is another name for a finding. A constant beside the same law read from 20 °C is another reference temperature.
-fn is_another(finding: &Finding, rival: &Rival) -> bool {
-    let beside = finding.effect.companion().is_some_and(|c| c.name() == rival.name);
-    rival.name != finding.effect.name() && !(beside && rival.differs.is_some())
 }
 
 /// Whether a finding is the constant of another, a law's own zero: what else it may be does not matter. Lost counts are whole,
@@ -129,6 +123,7 @@ pub struct Reconciliation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::answer::Rival;
     use rtec_model::effect::Dictionary;
 
     #[test]

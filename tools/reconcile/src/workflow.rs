@@ -11,7 +11,6 @@ use crate::fitted::Fitted;
 use crate::gap::{self, Gap, Trace, gaps, traces};
 use crate::leftover::EXPLAINED;
 use crate::problem::Stack;
-use crate::remainder;
 use crate::rhythm;
 use crate::room;
 use crate::swapped;
@@ -85,19 +84,6 @@ fn doubt_the_worse(gap: &mut [Gap]) -> Option<&'static str> {
     Some("the hold-out is not better off with what was found: how much is closed is not said")
 }
 
-/// What is to be said before the advice, with what is doubted of the figures.
-fn also_doubted(why: Option<String>, answer: &Answer, gap: &mut [Gap]) -> Option<String> {
-    let left = remainder::too_much(gap).filter(|_| answer.findings.iter().any(Finding::is_part));
-    let left = left.map(|(_, manner)| {
-        format!(
-            "what is left is {manner}: of the temperatures those are given that predict, not those that fit"
-        )
-    });
-    let worse = doubt_the_worse(gap).map(str::to_owned);
-    let said: Vec<String> = why.into_iter().chain(left).chain(worse).collect();
-    (!said.is_empty()).then(|| said.join("; "))
-}
-
 /// Reconciles: the whole workflow.
 ///
 /// # Errors
@@ -127,10 +113,6 @@ pub fn reconcile(
     let mut better = work.better(&mut answer, why_nothing.is_none());
     let (mut held, held_out) = doubts.holdouts(&better.model);
     let (mut traces_of, mut gap) = work.figures(&better, &answer, &held);
-    if why_nothing.is_none() && work.disown(&mut answer, &mut better, &gap) {
-        held = doubts.holdouts(&better.model).0;
-        (traces_of, gap) = work.figures(&better, &answer, &held);
-    }
     let mut why = why_nothing.clone();
     let withdrawn = work.withdraw(&mut answer, &mut better, &mut gap);
     if !withdrawn.is_empty() {
@@ -149,7 +131,9 @@ pub fn reconcile(
             g.doubted = true;
         }
     }
-    why = also_doubted(why, &answer, &mut gap);
+    if let Some(note) = doubt_the_worse(&mut gap) {
+        why = Some(why.map_or_else(|| note.to_owned(), |w| format!("{w}; {note}")));
+    }
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
     let strangers = doubt::other_machines(better.comparable(&answer, &held), &traces_of[first_held..], &gap);
     let mut left_out = [doubts.left_out, held_out].concat();
@@ -266,42 +250,6 @@ impl Work<'_> {
         Better { terms: fitted.terms, model, refined, effects, curve, sizeless: fitted.sizeless }
     }
 
-    /// Takes out what is a part of something that stays unexplained, which is then said; whether anything changed.
-    fn disown(&self, answer: &mut Answer, better: &mut Better, gap: &[Gap]) -> bool {
-        let (mut gap, mut parts) = (gap.to_vec(), Vec::new());
-        while !answer.findings.is_empty() {
-            let shapes = [&answer.unexplained[..], &better.sizeless, &parts].concat();
-            let terms = |answer: &mut Answer| Fitted::once(self.stack, self.machine, answer).terms;
-            let out = remainder::part_of_the_unknown(self.stack, answer, &gap, &shapes, terms);
-            if out.is_empty() {
-                break;
-            }
-            for i in out.into_iter().rev() {
-                let effect = answer.findings.remove(i).effect;
-                parts.extend(remainder::shape_of(self.stack, &effect));
-            }
-            let sizeless = std::mem::take(&mut better.sizeless);
-            *better = self.better(answer, true);
-            better.sizeless.extend(sizeless);
-            gap = self.figures(better, answer, &[]).1;
-        }
-        let mut changed = !parts.is_empty();
-        if answer.unexplained.is_empty() && better.sizeless.is_empty() {
-            // What is there has the plainest of what stood for it in part, or nothing, for its manner.
-            answer.unexplained.extend(parts.into_iter().next());
-            let fits = answer.findings.iter().all(|f| !f.is_part());
-            let too_much = remainder::too_much(&gap).filter(|_| fits && !better.effects.is_empty());
-            if let Some((at, manner)) = too_much.filter(|_| answer.unexplained.is_empty()) {
-                answer.unexplained.push(along_nothing(self.stack, &gap[at], &manner));
-                changed = true;
-            }
-            if changed {
-                *better = self.better(answer, true);
-            }
-        }
-        changed
-    }
-
     /// Takes out what makes rows worse that it was not learned from, that is no explanation: one finding after the other,
     /// each time that without which blocks are predicted best. The names of those.
     fn withdraw(&self, answer: &mut Answer, better: &mut Better, gap: &mut Vec<Gap>) -> Vec<String> {
@@ -369,12 +317,10 @@ fn left_unsaid(stack: &Stack<'_>, better: &Better, gap: &[Gap], rows: usize) -> 
     {
         return Some(shape);
     }
-    // What names leave makes the whole unknown only where it is much of the gap; and temperatures that are given for what they
-    // predict leave what they do.
+    // What names leave makes the whole unknown only where it is much of the gap.
     let mostly = |g: &Gap| g.train[1] < EXPLAINED * g.train[0];
     let explained = !better.effects.is_empty() && gap.iter().all(mostly);
-    let predicts = better.effects.iter().any(|(f, _)| f.is_part());
-    (!explained && !predicts).then(|| rhythm::slower_than_noise(stack, &better.terms)).flatten()
+    (!explained).then(|| rhythm::slower_than_noise(stack, &better.terms)).flatten()
 }
 
 /// Where nothing was found, why that is no model without a gap: far more is left than the noise, or so few rows tell nothing.

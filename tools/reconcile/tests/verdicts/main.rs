@@ -5,5 +5,4 @@ mod doubted;
 mod names;
 mod noise;
 mod one_room;
-mod remainder;
 mod zeros;
