@@ -4,11 +4,11 @@
 
 use crate::answer::Answer;
 use crate::gap::{self, Gap, Trace};
-use crate::gram::{self, Cholesky};
+use crate::gram;
 use crate::problem::{Stack, rms};
 use crate::suspected::{ALIKE, about, centred, is_of_clock, is_sensor, simulated, whole};
 use crate::swapped::{exchanged, swapped_alike};
-use crate::undone::{exchanged_columns, is_as_told, times};
+use crate::undone::{exchanged_columns, is_as_told, slopes, times};
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
@@ -300,12 +300,7 @@ fn moves(role: &Role) -> bool {
 fn beside_lines(record: &Record, missing: &[f64], what: fn(&Role) -> bool) -> f64 {
     let columns: Vec<&Column> = record.columns.iter().filter(|c| what(&c.role)).collect();
     let lines: Vec<Vec<f64>> = columns.iter().map(|c| centred(&c.data)).collect();
-    let k = lines.len();
-    let products: Vec<f64> = lines.iter().flat_map(|a| lines.iter().map(|b| gram::dot(a, b))).collect();
-    let factor = Cholesky::new(&products, k);
-    let mut slopes: Vec<f64> = lines.iter().map(|a| gram::dot(a, missing)).collect();
-    factor.forward(&mut slopes);
-    factor.backward(&mut slopes);
+    let slopes = slopes(&lines.iter().collect::<Vec<_>>(), missing);
     if columns.iter().zip(&slopes).any(|(c, um_per_mm)| position(&c.role) && um_per_mm.abs() > STEEPEST) {
         return rms(missing);
     }

@@ -107,7 +107,7 @@ fn beside_free_lines(record: &Record, machine: &Machine) -> f64 {
 }
 
 /// Slopes of the straight lines that leave least.
-fn slopes(lines: &[&Vec<f64>], y: &[f64]) -> Vec<f64> {
+pub(crate) fn slopes(lines: &[&Vec<f64>], y: &[f64]) -> Vec<f64> {
     if lines.is_empty() {
         return Vec::new();
     }

@@ -610,16 +610,16 @@ mod tests {
     /// A growth and its bend over few kelvins stand for each other: each value may be anywhere, and both together be a fifth off.
     #[test]
     fn values_that_lean_on_one_another_are_corrected_together() {
-        let dice = noise(5, 150);
-        let warm: Vec<f64> = (0..150).map(|i| 22.0 + 0.4 * f64::from(i) / 150.0).collect();
+        let dice = noise(5, 145);
+        let warm: Vec<f64> = (0..145).map(|i| 26.5 + 0.4 * f64::from(i) / 145.0).collect();
         let growth = |scale: f64| {
             let mut effect = Dictionary::default().effect("thermal_growth.x").unwrap();
-            effect.set_values(&[-1.2 * scale, -0.1 * scale]).unwrap();
+            effect.set_values(&[-0.12 * scale, -0.01 * scale]).unwrap();
             effect.delta =
                 Some(rtec_model::effect::Difference { sensor: "T".to_owned(), against: Against::Standard });
             effect
         };
-        let mut run = record(150, |i| dice[i as usize] * 0.1);
+        let mut run = record(145, |i| dice[i as usize] * 0.09);
         run.columns.push(column("T", Role::Temperature, warm));
         let run = Record::new(&run.path, run.kind, run.columns).unwrap();
         let mut columns = run.columns.clone();
