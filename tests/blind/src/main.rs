@@ -139,7 +139,7 @@ fn main() -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let narrow: Vec<&Outcome> = outcomes.iter().filter(|o| matches!(o.class, Class::Narrow(_))).collect();
-    let good = narrow.is_empty() || report(&narrow);
+    let good = narrow.is_empty() || report(&narrow, !asked.bare);
     if narrow.len() < outcomes.len() {
         print!("{}", table::markdown(&outcomes, !asked.bare));
     }
@@ -220,8 +220,9 @@ fn tell(o: &Outcome) {
         o.refused.as_ref().map_or(String::new(), |why| format!("\n    refused: {why}")),
     );
 }
-/// Prints everything; whether the figures hold, within what so many cases can show.
-fn report(lines: &[&Outcome]) -> bool {
+
+/// Prints everything, BIC and LASSO where they were asked too; whether the figures hold, within what so many cases can show.
+fn report(lines: &[&Outcome], baselines: bool) -> bool {
     println!("confusion: what was hidden, what was answered (all others right)");
     let mut confusion: BTreeMap<(String, String), usize> = BTreeMap::new();
     for l in lines.iter().filter(|l| !right(l.mark)) {
@@ -247,35 +248,36 @@ fn report(lines: &[&Outcome]) -> bool {
         (all.iter().filter(|l| yes(l)).count(), all.len())
     };
     println!(
-        "detection against amplitude (one hidden): effect/noise, cases, right, of these as a group; BIC right; LASSO right"
+        "detection against amplitude (one hidden): effect/noise, cases, right, of these as a group{}",
+        if baselines { "; BIC right; LASSO right" } else { "" }
     );
     for (lo, hi) in [(0.0, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 3.0), (3.0, 5.0), (5.0, 99.0)] {
         let of = |l: &Outcome| l.case.hides == Hides::One && l.case.snr[0] >= lo && l.case.snr[0] < hi;
         let (r, n) = share(&of, &|l| right(l.mark));
         let (g, _) = share(&of, &|l| l.mark == Mark::Group);
         let [b, l] = [0, 1].map(|k| share(&of, &|l| right(l.base[k])).0);
-        println!("    {lo:4.1} to {hi:4.1}  {n:4}  {r:4}  {g:4}   {b:4}  {l:4}");
+        let beside = if baselines { format!("   {b:4}  {l:4}") } else { String::new() };
+        println!("    {lo:4.1} to {hi:4.1}  {n:4}  {r:4}  {g:4}{beside}");
     }
     let mut good = true;
-    let mut row = |name: &str,
-                   of: &dyn Fn(&Outcome) -> bool,
-                   yes: fn(Mark) -> bool,
-                   at_least: bool,
-                   bound: f64| {
-        let (k, n) = share(of, &|l| yes(l.mark));
-        let percent = |k: usize| 100.0 * k as f64 / n.max(1) as f64;
-        let rate = percent(k);
-        let [bic, lasso] = [0, 1].map(|b| percent(share(of, &|l| yes(l.base[b])).0));
-        let met = n == 0 || (at_least && rate >= bound) || (!at_least && rate <= bound);
-        // A few dozen cases of rare events scatter: the run fails where a figure is missed by two standard errors.
-        let scatter = 200.0 * (bound / 100.0 * (1.0 - bound / 100.0) / n.max(1) as f64).sqrt();
-        good &= n == 0 || (at_least && rate >= bound - scatter) || (!at_least && rate <= bound + scatter);
-        println!(
-            "    {name:40} {rate:5.1} % ({k}/{n})  BIC {bic:5.1} %  LASSO {lasso:5.1} %  {} {bound} %  {}",
-            if at_least { "at least" } else { "at most" },
-            if met { "reached" } else { "NOT REACHED" }
-        );
-    };
+    let mut row =
+        |name: &str, of: &dyn Fn(&Outcome) -> bool, yes: fn(Mark) -> bool, at_least: bool, bound: f64| {
+            let (k, n) = share(of, &|l| yes(l.mark));
+            let percent = |k: usize| 100.0 * k as f64 / n.max(1) as f64;
+            let rate = percent(k);
+            let [bic, lasso] = [0, 1].map(|b| percent(share(of, &|l| yes(l.base[b])).0));
+            let met = n == 0 || (at_least && rate >= bound) || (!at_least && rate <= bound);
+            // A few dozen cases of rare events scatter: the run fails where a figure is missed by two standard errors.
+            let scatter = 200.0 * (bound / 100.0 * (1.0 - bound / 100.0) / n.max(1) as f64).sqrt();
+            good &= n == 0 || (at_least && rate >= bound - scatter) || (!at_least && rate <= bound + scatter);
+            let beside =
+                if baselines { format!("  BIC {bic:5.1} %  LASSO {lasso:5.1} %") } else { String::new() };
+            println!(
+                "    {name:40} {rate:5.1} % ({k}/{n}){beside}  {} {bound} %  {}",
+                if at_least { "at least" } else { "at most" },
+                if met { "reached" } else { "NOT REACHED" }
+            );
+        };
     let one = |l: &Outcome| l.case.hides == Hides::One;
     let high = |l: &Outcome| one(l) && l.case.snr[0] >= 2.0;
     let two = |l: &Outcome| l.case.hides == Hides::Two && l.case.snr.iter().all(|s| *s >= 3.0);
