@@ -33,6 +33,28 @@ fn noise_guess(stack: &Stack<'_>, missing: &[f64]) -> Vec<f64> {
         .collect()
 }
 
+/// The answer where nothing is looked for: the model as it is, and what it leaves.
+pub(crate) fn nothing_learned(records: &[Record], machine: &Machine) -> Answer {
+    let mut stack = Stack::new(records);
+    let file: Vec<Effect> = machine.effects().cloned().collect();
+    let mut residual = stack.missing(&file);
+    stack.without_zeros(&mut residual);
+    stack.sigma = noise_guess(&stack, &residual);
+    stack.weigh(&mut residual);
+    Answer {
+        findings: Vec::new(),
+        unexplained: Vec::new(),
+        present: file.clone(),
+        anchor: file.clone(),
+        file,
+        ranking: Vec::new(),
+        residual,
+        phi: 0.0,
+        sigma: stack.sigma,
+        evidence: 0.0,
+    }
+}
+
 /// Finds and names what is missing. With `thinnable`, `None` when the rows are too close together for that: fewer of
 /// them say more.
 pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64, thinnable: bool) -> Option<Answer> {

@@ -77,6 +77,11 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     // What only the hold-outs' side of a pair shows of a training record is said, and no more.
     let (mut of_holdout, beside): (Vec<_>, Vec<_>) =
         together.into_iter().partition(|s| holdout.iter().any(|r| about(s, r)));
+    // Of two that are each other's opposite the training is it, where the model says so.
+    let turned = |s: &Suspicion| {
+        s.what == What::Sign && of_train.iter().any(|t| (t.what, &t.column) == (s.what, &s.column))
+    };
+    of_holdout.retain(|s| !turned(s));
     against_model(&holdout, &mut of_holdout);
     said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
     let (left, rows): (Vec<Record>, Vec<Vec<usize>>) =
@@ -272,7 +277,7 @@ fn in_units(record: &Record) -> Vec<(&Column, bool)> {
 }
 
 /// What a column may be in instead of its unit, and by how much that is more.
-fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
+pub(crate) fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
     match role {
         Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch")],
         Role::SpindleSpeed => &[(60.0, "rev/s"), (1e3, "krpm")],
@@ -282,7 +287,7 @@ fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
 }
 
 /// Targets people choose in mm: those of another unit are round in that one.
-fn is_of_round_mm(column: &Column) -> bool {
+pub(crate) fn is_of_round_mm(column: &Column) -> bool {
     let off = |p: &f64| (p - ROUND_MM * (p / ROUND_MM).round()).abs() < ROUND_OFF_MM;
     position(&column.role) && column.data.iter().all(off)
 }

@@ -4,6 +4,7 @@
 
 use crate::answer::Answer;
 use crate::suspected::{ALIKE, about, centred, simulated, whole};
+use crate::undone::with_errors_exchanged;
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
@@ -184,6 +185,53 @@ const LOOKED_INTO: usize = 3;
 /// An exchange that explains the records better by so much, nats, than effects that are looked for is the likelier: that one
 /// should go as another sensor's, to the size, is the price of a coincidence.
 const LIKELIER: f64 = 3.0;
+
+/// An exchange of errors has nothing else to be held beside: it is believed where it explains so much more, nats.
+const FAR_LIKELIER: f64 = 15.0;
+
+/// Errors along two axes in each other's place, in one record or in all of them, that explain what nothing explains as they stand.
+/// `evidence`: what an analysis of other records comes to.
+pub(crate) fn errors_instead(
+    records: &[Record],
+    answer: &Answer,
+    evidence: impl Fn(&[Record]) -> Option<f64>,
+) -> Vec<Suspicion> {
+    if answer.unexplained.is_empty() {
+        return Vec::new();
+    }
+    let varies = |c: &&Column| matches!(c.role, Role::Error(_)) && centred(&c.data).iter().any(|x| *x != 0.0);
+    let mut best: Option<(f64, Vec<Suspicion>)> = None;
+    let pair = |r: &'_ Record| -> Option<[Column; 2]> {
+        let [a, b]: [&Column; 2] = r.columns.iter().filter(varies).collect::<Vec<_>>().try_into().ok()?;
+        Some([a.clone(), b.clone()])
+    };
+    let pairs: Vec<Option<[Column; 2]>> = records.iter().map(pair).collect();
+    let with: Vec<usize> = (0..records.len()).filter(|k| pairs[*k].is_some()).collect();
+    let together = (with.len() > 1).then(|| with.clone());
+    for group in with.iter().map(|k| vec![*k]).chain(together).take(LOOKED_INTO) {
+        let other = |(k, r): (usize, &Record)| match &pairs[k] {
+            Some([a, b]) if group.contains(&k) => match (a.role.axis(), b.role.axis()) {
+                (Some(x), Some(y)) => with_errors_exchanged(r, [x, y]),
+                _ => r.clone(),
+            },
+            _ => r.clone(),
+        };
+        let others: Vec<Record> = records.iter().enumerate().map(other).collect();
+        let Some(found) = evidence(&others) else { continue };
+        if found > best.as_ref().map_or(answer.evidence + FAR_LIKELIER, |b| b.0) {
+            let said = group.iter().filter_map(|k| {
+                let [a, b] = pairs[*k].as_ref()?;
+                let text = format!(
+                    "the run is explained far better with {} and {} exchanged than with anything missing",
+                    a.name, b.name
+                );
+                Some(Suspicion::new(&records[*k], &a.name, What::Swapped, &[], text))
+            });
+            best = Some((found, said.collect()));
+        }
+    }
+    best.map_or_else(Vec::new, |b| b.1)
+}
 
 /// Sensors in each other's place, in one record or in all of them, that explain the records better than what was found does.
 /// `evidence`: what an analysis of other records comes to.

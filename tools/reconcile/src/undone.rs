@@ -1,9 +1,13 @@
 //! Two columns in each other's place, beside the model: what it leaves of all responses of a record as it stands, and with the exchange
 //! undone. An exchange has no size that could be fitted, so it is believed before a scale or a squareness that the model lacks.
 
+use crate::doubt::{is_of_round_mm, other_units};
 use crate::gram::{self, Cholesky};
 use crate::problem::rms;
 use crate::suspected::{centred, simulated};
+use crate::verdict::Refined;
+use rtec_measure::plausible::{Suspicion, What};
+use rtec_model::effect::Need;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role};
 
@@ -52,6 +56,44 @@ pub(crate) fn exchanged_columns(record: &Record, machine: &Machine) -> Option<[S
     let rows = (record.rows() * record.responses().count()) as f64;
     let nats = 0.5 * rows * (plain / then.max(f64::MIN_POSITIVE)).ln();
     (plain > NO_PLAINER * then && nats > NO_CHANCE).then_some(pair)
+}
+
+/// The record with its errors along two axes in each other's place.
+pub(crate) fn with_errors_exchanged(record: &Record, axes: [&Axis; 2]) -> Record {
+    with_exchanged(record, axes, &|c| matches!(c.role, Role::Error(_)))
+}
+
+/// A slope over an axis's position that the rows correct by the factor between two units of length, in each record that shows it: its
+/// positions are given in another unit. Targets on round millimetres are in millimetres.
+pub(crate) fn by_a_unit(train: &[Record], refined: &[Refined]) -> Vec<Suspicion> {
+    let mut out = Vec::new();
+    for r in refined
+        .iter()
+        .filter(|r| r.before.description().needs == [Need::Position(0)] && r.before.width() == 1)
+    {
+        let by = r.after.0.scalar(0) / r.before.scalar(0);
+        let role = Role::Position(r.before.axes()[0].clone());
+        let Some((_, unit)) = other_units(&role).iter().find(|(unit, _)| AS_TOLD.contains(&(by / unit)))
+        else {
+            continue;
+        };
+        let text = |c: &Column| {
+            let law = &r.before.description().parameters[0];
+            format!(
+                "the run agrees with the model only with {} of {:.1} {} for {:.1}: {} given in {unit}, called {}?",
+                r.before.name(),
+                r.after.0.scalar(0),
+                law.unit,
+                r.before.scalar(0),
+                c.name,
+                c.unit
+            )
+        };
+        let shown = train.iter().filter_map(|t| Some((t, t.column(&role)?)));
+        let shown = shown.filter(|(_, c)| rms(&centred(&c.data)) > 0.0 && !is_of_round_mm(c));
+        out.extend(shown.map(|(t, c)| Suspicion::new(t, &c.name, What::Unit, &[], text(c))));
+    }
+    out
 }
 
 /// The record with the columns of two axes in each other's place, those that are asked for.

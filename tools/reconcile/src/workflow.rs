@@ -2,7 +2,7 @@
 
 use crate::Options;
 use crate::advice::advice;
-use crate::analysis::analyse;
+use crate::analysis::{analyse, nothing_learned};
 use crate::answer::{Answer, Finding, Rival};
 use crate::cause::Shape;
 use crate::doubt::{self, Doubts, doubts};
@@ -14,6 +14,7 @@ use crate::problem::Stack;
 use crate::rhythm;
 use crate::room;
 use crate::swapped;
+use crate::undone::by_a_unit;
 use crate::verdict::{Reconciliation, Refined, Verdict};
 use crate::where_found::{self, Place};
 use rtec_files::InputError;
@@ -96,8 +97,24 @@ pub fn reconcile(
 ) -> Result<Reconciliation, InputError> {
     can_be_read(train, holdout, machine)?;
     let (train, holdout, derived) = with_motion(train, holdout);
-    let (train, holdout) = (&train[..], &holdout[..]);
+    let mut first = looked_at(&train, &holdout, machine, options, Vec::new());
+    let slipped = by_a_unit(&train, &first.refined);
+    if !slipped.is_empty() {
+        first = looked_at(&train, &holdout, machine, options, slipped);
+    }
+    Ok(Reconciliation { derived, ..first })
+}
+
+/// The same of records whose motion is known; `also`: what is doubted of them besides.
+fn looked_at(
+    train: &[Record],
+    holdout: &[Record],
+    machine: &Machine,
+    options: &Options,
+    also: Vec<Suspicion>,
+) -> Reconciliation {
     let mut doubts = doubts(train, holdout, machine);
+    doubts.also(also);
     let analysed = Analysed::without_doubts(train, &mut doubts, machine, options.level);
     let rows: usize = doubts.train.iter().map(Record::rows).sum();
     let why_nothing = too_few(rows);
@@ -128,7 +145,8 @@ pub fn reconcile(
     answer.unexplained.append(&mut better.sizeless);
     if why_nothing.is_some() {
         for g in &mut gap {
-            g.doubted = true;
+            // The model is what it was, and so is what it leaves.
+            (g.doubted, g.blocked) = (true, None);
         }
     }
     if let Some(note) = doubt_the_worse(&mut gap) {
@@ -174,13 +192,13 @@ pub fn reconcile(
         let alone = advice.is_empty() || why_nothing.is_some();
         advice = if alone { why } else { format!("{why}; {advice}") };
     }
-    Ok(Reconciliation {
+    Reconciliation {
         verdict,
         places: where_found::places(&stack, &answer.file),
         advice,
         suspicions: said,
         left_out,
-        derived,
+        derived: Vec::new(),
         effects,
         unexplained: answer.unexplained,
         curve,
@@ -192,7 +210,7 @@ pub fn reconcile(
         level: options.level,
         phi: answer.phi,
         every,
-    })
+    }
 }
 
 /// What a better model is made with.
@@ -325,19 +343,23 @@ fn left_unsaid(stack: &Stack<'_>, better: &Better, gap: &[Gap], rows: usize) -> 
 
 /// Where nothing was found, why that is no model without a gap: far more is left than the noise, or so few rows tell nothing.
 fn not_told(stack: &Stack<'_>, gap: &[Gap], rows: usize) -> Option<Shape> {
-    if let Some(g) = gap.iter().find(|g| g.train[1] > FAR * g.floor) {
-        let times = g.train[1] / g.floor;
-        // Beside no noise at all a number says nothing.
-        let times = if times < 1e4 { format!("{times:.0}") } else { "over 10000".to_owned() };
-        let manner = format!("{times} times as large as the noise, along nothing in particular");
-        return Some(along_nothing(stack, g, &manner));
-    }
     let manner = match rows {
-        0 => "not looked at, as every record is doubted",
-        n if n < FEWEST_TO_LEARN => "not told from chance in so few rows",
-        _ => return None,
+        0 => Some("not looked at, as every record is doubted"),
+        n if n < FEWEST_TO_LEARN => Some("not told from chance in so few rows"),
+        _ => None,
     };
-    Some(along_nothing(stack, gap.first()?, manner))
+    if let Some(manner) = manner {
+        return Some(along_nothing(stack, gap.first()?, manner));
+    }
+    let g = gap.iter().find(|g| g.train[1] > FAR * g.floor)?;
+    let times = g.train[1] / g.floor;
+    // Beside no noise at all a number says nothing.
+    let times = if times < 1e4 { format!("{times:.0}") } else { "over 10000".to_owned() };
+    Some(along_nothing(
+        stack,
+        g,
+        &format!("{times} times as large as the noise, along nothing in particular"),
+    ))
 }
 
 /// Structure of a unit's responses that is said to be there and is given no cause.
@@ -407,25 +429,36 @@ impl Analysed {
     /// all are doubted.
     fn without_doubts(train: &[Record], doubts: &mut Doubts, machine: &Machine, level: f64) -> Self {
         if doubts.train.is_empty() {
-            let whole = train.iter().map(|r| (0..r.rows()).collect()).collect();
-            return Self::of(train.to_vec(), whole, machine, level);
+            return Self::unlearned(train, machine);
         }
         let mut first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
         let lags = first.answer.findings.iter().any(|f| doubt::reads_clock(&f.effect));
         if lags && doubts.without_clocks() {
             if doubts.train.is_empty() {
-                return first;
+                return Self::unlearned(train, machine);
             }
             first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
         }
         let evidence = |records: &[Record]| analyse(records, machine, level, false).map(|a| a.evidence);
-        let swapped = swapped::instead(&first.used, machine, &first.answer, evidence);
-        let more = !swapped.is_empty();
-        doubts.also(swapped);
-        if !more || doubts.train.is_empty() {
+        let mut swapped = swapped::instead(&first.used, machine, &first.answer, evidence);
+        if swapped.is_empty() {
+            swapped = swapped::errors_instead(&first.used, &first.answer, evidence);
+        }
+        if swapped.is_empty() {
             return first;
         }
+        doubts.also(swapped);
+        if doubts.train.is_empty() {
+            return Self::unlearned(train, machine);
+        }
         Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level)
+    }
+
+    /// All records as they are, beside the model as it is: where every one of them is doubted nothing is looked for.
+    fn unlearned(train: &[Record], machine: &Machine) -> Self {
+        let used = bounded(train).into_owned();
+        let answer = nothing_learned(&used, machine);
+        Self { train: train.to_vec(), wild: Vec::new(), answer, used, every: at_least_every(train) }
     }
 
     /// A few wild rows hide all else: what an answer leaves of them is far off everything, and then it is looked at once
@@ -460,11 +493,7 @@ impl Analysed {
 /// The analysis of every nth row, n the least power of two at which noise and effects are told apart: rows much closer
 /// than the noise forgets (a filtered force, sampled fast) say the same thing over and over.
 fn thinned<'r>(train: &'r [Record], machine: &Machine, level: f64) -> (Answer, Cow<'r, [Record]>, usize) {
-    let first = at_least_every(train);
-    let bounded: Cow<'r, [Record]> = match first {
-        1 => Cow::Borrowed(train),
-        _ => train.iter().map(|r| r.select(&drawn(r.rows(), first))).collect(),
-    };
+    let (first, bounded) = (at_least_every(train), bounded(train));
     let mut beyond = 1;
     let mut used = bounded.clone();
     loop {
@@ -475,6 +504,14 @@ fn thinned<'r>(train: &'r [Record], machine: &Machine, level: f64) -> (Answer, C
         beyond *= 2;
         let of = |r: &Record| r.select(&(0..r.rows()).step_by(beyond).collect::<Vec<_>>());
         used = bounded.iter().map(of).collect();
+    }
+}
+
+/// So many rows as are looked at.
+fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
+    match at_least_every(train) {
+        1 => Cow::Borrowed(train),
+        every => train.iter().map(|r| r.select(&drawn(r.rows(), every))).collect(),
     }
 }
 

@@ -6,7 +6,7 @@ use crate::terminal::patiently;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, SEED, find, html, reconcile};
+use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, find, html, reconcile};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -82,6 +82,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
     let values: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
     if args.stage == Stage::Find {
+        super::suspicions::warn(&train);
         let places = patiently(&format!("reconciling {values} measured values"), || find(&train, &machine))?;
         let document = json!({
             "where": places.iter().map(Place::to_json).collect::<Vec<_>>(), "level": args.level, "seed": SEED,
@@ -163,6 +164,20 @@ fn found(places: &[Place]) -> String {
     s
 }
 
+/// What an effect of the model was corrected from and to; nothing of a curve's many values.
+fn values(x: &Refined) -> String {
+    let (after, half) = &x.after;
+    let law = x.before.description();
+    let each = law.parameters.iter().enumerate().filter(|(i, p)| !p.array && half[*i] > 0.0);
+    let each: Vec<String> = each
+        .map(|(i, p)| {
+            let (was, now) = (x.before.scalar(i), with_half(after.scalar(i), half[i]));
+            format!("{} {was} -> {now} {}", p.name, p.unit)
+        })
+        .collect();
+    if each.is_empty() { String::new() } else { format!(": {}", each.join(", ")) }
+}
+
 fn summary(r: &Reconciliation) -> String {
     use std::fmt::Write as _;
     let mut s = found(&r.places);
@@ -191,7 +206,7 @@ fn summary(r: &Reconciliation) -> String {
             writeln!(s, "  {} takes its place in the model: a bounded curve, no explanation", curve.name());
     }
     for x in &r.refined {
-        let _ = writeln!(s, "  {} corrected", x.before.name());
+        let _ = writeln!(s, "  {} corrected{}", x.before.name(), values(x));
     }
     for g in &r.gap {
         let [before, after] = g.holdout.or(g.blocked).unwrap_or(g.train);
