@@ -115,11 +115,41 @@ pub fn closed(before: f64, after: f64, floor: f64) -> Option<f64> {
     (before > 1.05 * floor).then(|| (before - after) / (before - floor))
 }
 
+/// A parameter of an effect that was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Covered {
+    /// The effect, the parameter, the truth and the interval.
+    pub what: String,
+    /// The truth lies within the interval.
+    pub holds: bool,
+    /// Where it does not: it belongs to a wave whose true period is not the one given, and stands beside it among the alternatives,
+    /// as one that looks the same at these places.
+    pub alias_said: bool,
+}
+
+/// Whether a wave has another period than the true one, which stands among its alternatives: no farther from there, in frequency, than
+/// the interval is wide.
+fn alias_said(e: &Value, t: &Source) -> bool {
+    ["period_mm", "period_um"].into_iter().filter(|key| t.has(key)).any(|key| {
+        let p = &e["parameters"][key];
+        let (Some(value), Some(high)) = (p["value"].as_f64(), p["high"].as_f64()) else { return false };
+        let width = (high - value) / (value * value);
+        let off = |period: f64| (1.0 / period - 1.0 / t.val(key)).abs();
+        let same = |a: &Value| {
+            a["name"] == e["name"] && a[key].as_f64().is_some_and(|p| off(p) <= width.max(SAME_PERIOD / p))
+        };
+        off(value) > width && list(&e["alternatives"]).iter().any(same)
+    })
+}
+
+/// A period is another's alias as near as its places lie on a grid: within this share.
+const SAME_PERIOD: f64 = 2e-3;
+
 /// Parameters of found effects, by name, and whether the truth lies within their interval. A value without an interval (a
 /// time, a whole number, a term that was left out) claims none; by another sensor, or from another reference, growth is
 /// another number, and with it the constant and the straight line beside it.
 #[must_use]
-pub fn covered(document: &Value, hidden: &[Source]) -> Vec<(String, bool)> {
+pub fn covered(document: &Value, hidden: &[Source]) -> Vec<Covered> {
     let mut out = Vec::new();
     let effects = list(&document["effects"]);
     let truth = |e: &Value| {
@@ -145,6 +175,7 @@ pub fn covered(document: &Value, hidden: &[Source]) -> Vec<(String, bool)> {
         if (name.starts_with("offset.") || name.starts_with("scale.")) && moved.contains(&axis(&name)) {
             continue;
         }
+        let alias = alias_said(e, t);
         for (key, p) in e["parameters"].as_object().into_iter().flatten() {
             let (Some(low), Some(high), true) = (p["low"].as_f64(), p["high"].as_f64(), t.has(key)) else {
                 continue;
@@ -157,7 +188,9 @@ pub fn covered(document: &Value, hidden: &[Source]) -> Vec<(String, bool)> {
                 let middle = f64::midpoint(low, high);
                 v = middle + (v - middle + PI).rem_euclid(TAU) - PI;
             }
-            out.push((format!("{name} {key} {v:.4} in {low:.4} to {high:.4}"), (low..=high).contains(&v)));
+            let holds = (low..=high).contains(&v);
+            let what = format!("{name} {key} {v:.4} in {low:.4} to {high:.4}");
+            out.push(Covered { what, holds, alias_said: !holds && alias });
         }
     }
     out

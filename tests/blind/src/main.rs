@@ -119,7 +119,7 @@ fn main() -> anyhow::Result<ExitCode> {
             }
             let by_truth = o.oracle_closed.unwrap_or(1.0);
             let open = o.closed.is_some_and(|c| c < OPEN && c < by_truth);
-            !right(o.mark) || open || o.covered.iter().any(|c| !c.1) || !o.suspicions.is_empty()
+            !right(o.mark) || open || o.covered.iter().any(|c| !c.holds) || !o.suspicions.is_empty()
         };
         outcomes.iter().filter(told).for_each(tell);
         let mut longest: Vec<&Outcome> = outcomes.iter().collect();
@@ -188,8 +188,11 @@ fn tell(o: &Outcome) {
     let missed: Vec<String> = o
         .covered
         .iter()
-        .filter(|c| !c.1)
-        .map(|(what, _)| format!("\n    not in its interval: {what}"))
+        .filter(|c| !c.holds)
+        .map(|c| {
+            let alias = if c.alias_said { "; the true period stands beside it" } else { "" };
+            format!("\n    not in its interval: {}{alias}", c.what)
+        })
         .collect();
     let suspected = match &o.suspicions[..] {
         [] => String::new(),

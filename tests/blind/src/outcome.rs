@@ -3,7 +3,7 @@
 use crate::baseline;
 use crate::case::{Case, Hides};
 use crate::class::{Class, Made};
-use crate::judge::{self, Heard};
+use crate::judge::{self, Covered, Heard};
 use crate::many;
 use crate::oracle::oracle;
 use crate::plan::Manner;
@@ -45,7 +45,7 @@ pub struct Outcome {
     /// Many effects: the answer's counts, then the baselines', then the oracle's.
     pub counts: [Counts; 4],
     /// Parameters of found effects, and whether they lie within their interval.
-    pub covered: Vec<(String, bool)>,
+    pub covered: Vec<Covered>,
     /// How many sizes the oracle has within their interval, of how many.
     pub oracle_covered: [usize; 2],
     /// Values that no machine can have.

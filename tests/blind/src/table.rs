@@ -90,9 +90,15 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
         all().filter(many).map(|o| f(o.counts[k])).fold(Share(0, 0), |s, [a, b]| Share(s.0 + a, s.1 + b))
     };
     let covered = |o: &Outcome| match k {
-        0 => [o.covered.iter().filter(|c| c.1).count(), o.covered.len()],
+        0 => [o.covered.iter().filter(|c| c.holds).count(), o.covered.len()],
         3 => o.oracle_covered,
         _ => [0, 0],
+    };
+    let add = |s: Share, [a, b]: [usize; 2]| Share(s.0 + a, s.1 + b);
+    // Of those outside: a period that looks the same as the true one, which is listed beside it.
+    let aliased = |o: &Outcome| {
+        let outside = o.covered.iter().filter(|c| !c.holds && k == 0);
+        [outside.clone().filter(|c| c.alias_said).count(), outside.count()]
     };
     let shares = vec![
         ("right, effect/noise ≥ 2", Share::of(all().filter(high), |o| right(mark(o)))),
@@ -103,7 +109,11 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
         ("both of two", Share::of(all().filter(|o| is(o, Hides::Two)), |o| right(mark(o)))),
         ("recall", sum(&|c| [c.found, c.asked])),
         ("precision", if k == 3 { Share::default() } else { sum(&|c| [c.true_names, c.named]) }),
-        ("in the 95 % interval", all().map(covered).fold(Share(0, 0), |s, [a, b]| Share(s.0 + a, s.1 + b))),
+        ("in the 95 % interval", all().map(covered).fold(Share(0, 0), add)),
+        (
+            "of those outside: of an alias, the true period beside it",
+            all().map(aliased).fold(Share(0, 0), add),
+        ),
     ];
     // What has no name is not closed by one, and where nothing is missing there is no gap.
     let closed: Vec<f64> = all()

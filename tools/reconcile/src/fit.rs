@@ -41,8 +41,8 @@ struct Bends {
     share: Vec<f64>,
     /// For each way, how far it bends each of those knots.
     ways: Vec<Vec<f64>>,
-    /// How far they may be off: one standard deviation.
-    sd: f64,
+    /// How far each may be off: one standard deviation.
+    sd: Vec<f64>,
 }
 
 /// A map's knots may be off the line between their neighbours by so many times the heights that the data ask for: far more
@@ -50,15 +50,14 @@ struct Bends {
 const BENT: f64 = 3.0;
 
 impl Bends {
-    /// `height`: what the map does to the error.
-    fn of(effect: &Effect, ways: &[Way], height: f64) -> Option<Self> {
+    /// `sd`: how far each knot between two others may be off.
+    fn of(effect: &Effect, ways: &[Way], sd: Vec<f64>) -> Option<Self> {
         let law = effect.description();
         let knots = effect.get(law.place(Search::Chosen)?);
         let first = law.place(Search::Linear)? * effect.width();
         let share: Vec<f64> = knots.windows(3).map(|k| (k[2] - k[1]) / (k[2] - k[0])).collect();
-        let sd = BENT * height;
         let mut bends = Self { first, share, ways: Vec::new(), sd };
-        if ways.is_empty() || bends.share.is_empty() || sd <= 0.0 {
+        if ways.is_empty() || bends.share.is_empty() || bends.sd.iter().any(|sd| *sd <= 0.0) {
             return None;
         }
         let along = |way: &Way| {
@@ -100,9 +99,7 @@ impl Term {
         let bends = if directions.is_empty() {
             None
         } else {
-            let mut does = stack.predict([&effect]);
-            does.retain(|d| *d != 0.0);
-            Bends::of(&effect, &ways, rms(&does))
+            Bends::of(&effect, &ways, vec![BENT * height(stack, &effect); effect.width()])
         };
         Self { effect, ways, listed: None, half, bends }
     }
@@ -132,6 +129,26 @@ impl Term {
         term
     }
 
+    /// A map with a knot more between any two of its own; those may be off the line between their neighbours by a share of what
+    /// the map does: one standard deviation. None where it is no map.
+    pub(crate) fn finer(stack: &Stack<'_>, effect: &Effect, share: f64) -> Option<Self> {
+        let law = effect.description();
+        let (at, heights) = (law.place(Search::Chosen)?, law.place(Search::Linear)?);
+        let halved = |v: &[f64]| -> Vec<f64> {
+            let both = v.windows(2).flat_map(|w| [w[0], f64::midpoint(w[0], w[1])]);
+            both.chain(v.last().copied()).collect()
+        };
+        let mut fine = effect.clone();
+        let (knots, um) = (halved(effect.get(at)), halved(effect.get(heights)));
+        let values = if at < heights { [knots, um] } else { [um, knots] }.concat();
+        fine.set_values(&values).ok()?;
+        let height = height(stack, effect);
+        let mut term = Self::new(stack, fine, &[]);
+        let sd = (1..term.effect.width()).map(|k| if k % 2 == 1 { share * height } else { BENT * height });
+        term.bends = Some(Bends::of(&term.effect, &term.ways, sd.collect())?);
+        Some(term)
+    }
+
     /// A term that stays as it is.
     pub(crate) fn fixed(effect: Effect) -> Self {
         let half = vec![0.0; effect.values().len()];
@@ -145,6 +162,13 @@ impl Term {
         let off = |(v, w): &(usize, f64)| w * (listed[*v] - self.effect.values()[*v]);
         way.along.iter().map(off).sum::<f64>() / squares.max(1e-300)
     }
+}
+
+/// What an effect does to the error where it does anything, RMS.
+fn height(stack: &Stack<'_>, effect: &Effect) -> f64 {
+    let mut does = stack.predict([effect]);
+    does.retain(|d| *d != 0.0);
+    rms(&does)
 }
 
 /// Rows that count, for a fit without some of them.
@@ -189,7 +213,10 @@ pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize,
             break;
         }
     }
-    if let Some(Step { places, factor, scale, .. }) = newton(stack, terms, phi, keep) {
+    // A fit without some of the rows is asked for what it predicts, and not for how certain it is.
+    if keep.is_none()
+        && let Some(Step { places, factor, scale, .. }) = newton(stack, terms, phi, keep)
+    {
         let r = residual(stack, terms);
         let noise = Vector::new(r.clone(), &stack.ranges).products(&r, &stack.ranges).at(phi)
             / (stack.n as f64 - places.len() as f64).max(1.0);
@@ -209,6 +236,18 @@ pub(crate) fn fit(stack: &Stack<'_>, terms: &mut [Term], phi: f64, steps: usize,
     }
     for term in terms {
         tidy(term);
+        within_a_turn(term);
+    }
+}
+
+/// Half a turn to either side is every angle: no interval of one is wider.
+fn within_a_turn(term: &mut Term) {
+    let (law, width) = (term.effect.description(), term.effect.width());
+    for (v, half) in term.half.iter_mut().enumerate() {
+        let parameter = &law.parameters[v / width];
+        if parameter.search == Search::Phase || parameter.cyclic {
+            *half = half.min(std::f64::consts::PI);
+        }
     }
 }
 
@@ -246,7 +285,8 @@ fn cost(stack: &Stack<'_>, terms: &[Term], phi: f64, keep: Keep<'_>) -> f64 {
     for t in terms {
         sum += t.ways.iter().map(|way| (t.off(way) / way.sd).powi(2)).sum::<f64>();
         if let Some(b) = &t.bends {
-            sum += b.at(t.effect.values()).iter().map(|off| (off / b.sd).powi(2)).sum::<f64>();
+            let off = b.at(t.effect.values());
+            sum += off.iter().zip(&b.sd).map(|(off, sd)| (off / sd).powi(2)).sum::<f64>();
         }
     }
     sum
@@ -364,12 +404,15 @@ impl Normal {
     /// Where no row says otherwise a map runs straight from knot to knot.
     fn straighten(&mut self, terms: &[Term], free: &Free) {
         for (t, bends) in terms.iter().enumerate().filter_map(|(t, term)| Some((t, term.bends.as_ref()?))) {
-            let now = bends.at(terms[t].effect.values());
+            // Each knot's by what it may be off.
+            let by_sd =
+                |off: &[f64]| off.iter().zip(&bends.sd).map(|(off, sd)| off / sd).collect::<Vec<f64>>();
+            let now = by_sd(&bends.at(terms[t].effect.values()));
             let own = free.places.iter().enumerate().filter(|(_, place)| place.0 == t);
-            let own: Vec<(usize, &[f64])> =
-                own.map(|(i, (_, way))| (i, bends.ways[*way].as_slice())).collect();
+            let own: Vec<(usize, Vec<f64>)> =
+                own.map(|(i, (_, way))| (i, by_sd(&bends.ways[*way]))).collect();
             for (i, a) in &own {
-                let weight = 1.0 / (bends.sd * bends.sd * free.scale[*i]);
+                let weight = 1.0 / free.scale[*i];
                 self.g[*i] -= weight * dot(a, &now);
                 for (j, b) in &own {
                     self.a[i * self.k + j] += weight * dot(a, b) / free.scale[*j];
@@ -479,6 +522,29 @@ mod tests {
         for (got, want) in terms[0].effect.get(1).iter().zip(&heights) {
             assert!((got - want).abs() < 2.0, "{:?} {heights:?}", terms[0].effect.get(1));
         }
+    }
+
+    /// Between its knots a map may be off its straight lines by a share of its height, and a scale beside it is less certain for it.
+    #[test]
+    fn what_a_map_does_between_its_knots_is_in_the_others_intervals() {
+        let records = [run()];
+        let stack = Stack::new(&records);
+        let top = records[0].columns[1].data.iter().copied().fold(0.0, f64::max);
+        let knots: Vec<f64> = (0..6).map(|k| top / 5.0 * f64::from(k)).collect();
+        let mut map = Dictionary::default().effect("position_map.x").unwrap();
+        map.set_values(&[knots, vec![0.0, 3.0, -2.0, 2.0, -3.0, 0.0]].concat()).unwrap();
+        let scale = Dictionary::default().effect("scale.x").unwrap();
+        let width = |map: Term| {
+            let mut terms = vec![Term::new(&stack, scale.clone(), &[]), map];
+            fit(&stack, &mut terms, 0.0, 12, None);
+            let squares = residual(&stack, &terms).iter().map(|r| r * r).sum::<f64>();
+            (terms[0].half[0] / rms(&residual(&stack, &terms)), squares)
+        };
+        let finer = Term::finer(&stack, &map, 0.4).unwrap();
+        assert_eq!(finer.effect.width(), 11);
+        let [coarse, fine] = [Term::new(&stack, map, &[]), finer].map(width);
+        assert!(fine.0 > coarse.0 && fine.1 < coarse.1, "{coarse:?} {fine:?}");
+        assert!(Term::finer(&stack, &scale, 0.4).is_none());
     }
 
     #[test]

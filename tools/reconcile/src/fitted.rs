@@ -78,26 +78,30 @@ impl Fitted {
     }
 
     /// A value that was left out is no estimate of nothing: how large it may be, and how far the others are off for it,
-    /// a fit with it shows. It is the lesser part of its effect, or it would have been found.
+    /// a fit with it shows. It is the lesser part of its effect, or it would have been found. Nor is a map straight between
+    /// its knots: it has as many as the rows call for, and what it does beside them is in the others' values.
     fn widen(&mut self, stack: &Stack<'_>, answer: &Answer) {
         let mut whole = self.terms.clone();
-        let mut widened = Vec::new();
+        let (mut widened, mut finer) = (false, Vec::new());
         for (i, f) in answer.findings.iter().enumerate() {
             let at = self.file.len() + i;
             if !f.held.is_empty() && !whole[at].ways.is_empty() {
                 whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, LEFT_OUT);
-                widened.push(at);
+                widened = true;
+            } else if let Some(map) = Term::finer(stack, &whole[at].effect, LEFT_OUT) {
+                whole[at] = map;
+                finer.push(at);
             }
         }
-        if widened.is_empty() {
+        if !widened && finer.is_empty() {
             return;
         }
         fit::fit(stack, &mut whole, answer.phi, STEPS, None);
-        for at in widened {
+        for at in (self.file.len()..self.file.len() + self.found).filter(|at| !finer.contains(at)) {
             let (own, other) = (&mut self.terms[at], &whole[at]);
             let values = own.effect.values().iter().zip(other.effect.values()).zip(&other.half);
             for (half, ((a, b), h)) in own.half.iter_mut().zip(values) {
-                *half = half.max((a - b).abs() + h);
+                *half = half.max(reach((a - b).abs(), *h));
             }
         }
     }
@@ -207,6 +211,15 @@ fn take_in(answer: &mut Answer) {
         false
     });
 }
+
+/// Half width of an interval about a value that holds 95 % where the truth is so far from it, give or take an interval's half
+/// width: of what is far off one side alone counts.
+fn reach(off: f64, half: f64) -> f64 {
+    off.hypot(half).max(off + ONE_SIDED * half)
+}
+
+/// What 95 % are above, as a share of the half width that holds 95 %.
+const ONE_SIDED: f64 = 0.84;
 
 /// Why an effect may be nothing.
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -300,11 +300,17 @@ fn intervals_and_bounds_are_read_from_the_document() {
         { "name": "subdivision.y", "parameters": { "um": { "value": 3.0 }, "period_um": { "value": 8.0 } } },
     ] });
     let covered = judge::covered(&document, &hidden);
-    let inside = |key: &str| covered.iter().find(|(what, _)| what.contains(key)).map(|c| c.1);
+    let inside = |key: &str| covered.iter().find(|c| c.what.contains(key)).map(|c| c.holds);
     assert_eq!(inside("period_mm"), Some(false));
     assert_eq!(inside(" um "), Some(true));
     assert_eq!(inside("phase_rad"), Some(true));
     assert_eq!(inside("ppm"), None, "an interval of no width claims nothing");
+    assert!(covered.iter().all(|c| !c.alias_said), "the true period is not listed");
+    let mut listed = document.clone();
+    listed["effects"][0]["alternatives"] = json!([{ "name": "screw_periodic.x", "period_mm": 10.001 }]);
+    let covered = judge::covered(&listed, &hidden);
+    let alias: Vec<bool> = covered.iter().map(|c| c.alias_said).collect();
+    assert_eq!(alias.iter().filter(|a| **a).count(), 1, "what lies outside, and no more: {covered:?}");
     let impossible = judge::impossible(&document);
     assert!(
         impossible.len() == 2 && impossible[0].contains("scale.x") && impossible[1].contains("subdivision.y")

@@ -99,6 +99,11 @@ fn signs(a: &Record, b: &Record) -> Vec<String> {
     a.responses().filter_map(opposite).collect()
 }
 
+/// A temperature that goes from place to place by more than this in both records, K, and the other way round in one of them:
+/// correlated by less than this.
+const TURNS_K: f64 = 0.5;
+const TURNS: f64 = -0.5;
+
 /// The same temperatures within 2 K on average, or none logged: heat does not turn the sign then.
 fn as_warm(a: &Record, b: &Record) -> bool {
     let near = |name: &str| match (a.temperature(name), b.temperature(name)) {
@@ -166,6 +171,16 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
         let between: f64 = both.iter().zip(x).map(|(k, x)| m[*k].0 * (x - all).powi(2)).sum();
         between > 2.0 * within && rows >= 16.0
     };
+    // What warms from place to place in one record and cools in the other turns the sign by itself.
+    let turns = |name: &str| {
+        let at = |r: &Record, side: usize| r.temperature(name).map(|t| mean(&means(r, t, side)));
+        at(a, 0)
+            .zip(at(b, 1))
+            .is_some_and(|(x, y)| range(&x).min(range(&y)) > TURNS_K && correlation(&x, &y) < TURNS)
+    };
+    if a.names(&Role::Temperature).any(turns) {
+        return false;
+    }
     let ratio = range(&xa) / range(&xb).max(1e-12);
     correlation(&xa, &xb) < -0.85 && (0.5..2.0).contains(&ratio) && clear(&ma, &xa) && clear(&mb, &xb)
 }

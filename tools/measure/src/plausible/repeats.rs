@@ -1,5 +1,6 @@
 //! Single approaches to a target that are far from the others to the same target.
 
+use super::rows::stays;
 use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -39,7 +40,9 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         // Before it has turned for the first time an axis lacks the spike that each later pass begins with.
         let begun = (0..away.len()).take_while(far).count();
         let begun = if d[..begun].windows(2).all(|w| w[0] * w[1] > 0.0) { begun } else { 0 };
-        let rows: Vec<usize> = (begun..away.len()).filter(far).collect();
+        // Nor is a level that the error stays on a single approach.
+        let single = |i: &usize| far(i) && !stays(&c.data, *i, away[*i]);
+        let rows: Vec<usize> = (begun..away.len()).filter(single).collect();
         let worst = rows.iter().map(|i| away[*i].abs()).fold(0.0, f64::max);
         let tails = away[begun..].iter().filter(|v| v.abs() > 5.0 * spread).count() - rows.len();
         if spread > 0.0 && worst > WORST * spread && rows.len() * 20 <= away.len() && 2 * tails <= rows.len()

@@ -207,7 +207,9 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
         }
     }
     let far = |i: usize| left[i].abs() / scale;
-    let own = |i: &usize| alone[*i] && !excused[*i] && !usual_there[*i];
+    // What stays where it is in time is a state of the machine, however few rows of a place fall into it: before or after
+    // counts were lost, coolant that is on, a run that nothing came before.
+    let own = |i: &usize| alone[*i] && !excused[*i] && !usual_there[*i] && !stays(&c.data, *i, left[*i]);
     let worst = (0..n).filter(own).map(far).fold(0.0, f64::max);
     // What is far beyond all others is told apart from them, however heavy their tails.
     let apart = (worst / APART).max(8.0);
@@ -312,6 +314,19 @@ fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
         }
     }
     (left, alone)
+}
+
+/// So many rows on end, one of them far off others, are a level and no single readings; and they lie this near, as a share of how
+/// far it is off.
+const LEVEL: usize = 4;
+const LEVEL_SHARE: f64 = 0.5;
+
+/// Whether a row that is so far off others stands among rows that are as it is, in the order of time.
+pub(super) fn stays(v: &[f64], row: usize, off: f64) -> bool {
+    let alike = |x: &&f64| (**x - v[row]).abs() < LEVEL_SHARE * off.abs();
+    let before = v[..row].iter().rev().take(LEVEL).take_while(alike).count();
+    let behind = v[row..].iter().take(LEVEL).take_while(alike).count();
+    before + behind >= LEVEL
 }
 
 /// A state of so few rows makes a peak.

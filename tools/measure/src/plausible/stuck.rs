@@ -1,7 +1,7 @@
 //! A sensor that stands still: beside its own noise and movement at other times, in other records, and beside the others.
 
 use super::stats::{quantum, range, steps};
-use super::told::told;
+use super::told::{Told, told};
 use super::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -145,13 +145,37 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
             let ((l, h), (from, to)) = (bounds(a), bounds(b));
             from > l - 0.5 * (h - l) - 0.5 && to < h + 0.5 * (h - l) + 0.5
         };
-        let says = told.says(&asked, &rest);
-        let moved = range(&says);
+        let moved = moves_on(told.says(&asked, &rest));
+        // What was learned from another record has to hold beside this run too.
+        let wrong = wrong.unwrap_or(0.0).max(wrong_beside(record, c, (start, end), &told, &rest));
         told.left < 0.1 * range(y)
             && moved > (8.0 * quantum(y)).max(10.0 * told.left).max(1.0)
-            && wrong.is_none_or(|k| moved > NEAR * k)
+            && moved > NEAR * wrong
             && rest.iter().all(seen)
     })
+}
+
+/// How far values move on: twice the range of the middle half of them, which is the range of what goes on evenly. A step in their
+/// last few rows is none: heat comes late.
+fn moves_on(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let at = |share: usize| values[(values.len() - 1) * share / 4];
+    2.0 * (at(3) - at(1))
+}
+
+/// The rows on either side of a run, as many as it has.
+fn rows_beside(record: &Record, (start, end): (usize, usize)) -> Vec<usize> {
+    let length = end - start;
+    let near = start.saturating_sub(length)..(end + length).min(record.rows());
+    near.filter(|i| *i < start || *i >= end).collect()
+}
+
+/// How wrong what was learned elsewhere is of a sensor next to the run in which it stands still, K.
+fn wrong_beside(record: &Record, c: &Column, run: (usize, usize), told: &Told, rest: &[&str]) -> f64 {
+    let rows = rows_beside(record, run);
+    let off: Vec<f64> =
+        rows.iter().zip(told.says(&record.select(&rows), rest)).map(|(i, s)| c.data[*i] - s).collect();
+    (off.iter().map(|x| x * x).sum::<f64>() / off.len().max(1) as f64).sqrt()
 }
 
 /// How wrong the others are of a sensor next to the run in which it stands still, K: learned from the rows that are farther away
@@ -160,14 +184,12 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
     let length = end - start;
     let near = start.saturating_sub(length)..(end + length).min(record.rows());
     let far: Vec<usize> = (0..record.rows()).filter(|i| !near.contains(i)).collect();
-    let beside: Vec<usize> = near.filter(|i| *i < start || *i >= end).collect();
+    let beside = rows_beside(record, (start, end));
     if far.len() < ENOUGH || beside.is_empty() {
         return None;
     }
     let known = record.select(&far);
-    let says = told(&known, known.temperature(&c.name)?, rest)?.says(&record.select(&beside), rest);
-    let squares: f64 = beside.iter().zip(&says).map(|(i, s)| (c.data[*i] - s).powi(2)).sum();
-    Some((squares / beside.len() as f64).sqrt())
+    Some(wrong_beside(record, c, (start, end), &told(&known, known.temperature(&c.name)?, rest)?, rest))
 }
 
 /// All along, among others that change at most rows, one of which moves: a sensor of coarse resolution may stand still in a
@@ -185,4 +207,42 @@ fn among_lively_ones(record: &Record, c: &Column) -> bool {
 fn fine(v: f64) -> bool {
     let whole = |v: f64| (v - v.round()).abs() < 1e-6;
     !(whole(16.0 * v) || whole(10.0 * v))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_model::record::Kind;
+    use std::path::Path;
+
+    /// Heat comes late: what the spindle's own sensor does in the last rows of a run says nothing of one farther away.
+    #[test]
+    fn a_step_at_the_end_of_a_run_is_no_moving_on() {
+        let even: Vec<f64> = (0..20).map(|i| 0.1 * f64::from(i)).collect();
+        assert!((moves_on(even) - 1.9).abs() < 0.15);
+        let late: Vec<f64> = (0..20).map(|i| if i < 16 { 20.0 } else { 23.0 }).collect();
+        assert!(moves_on(late) < 1e-9);
+    }
+
+    /// A law that was learned in another record, and is wrong beside the run in this one, does not say that the sensor is stuck.
+    #[test]
+    fn a_law_of_another_record_has_to_hold_beside_the_run() {
+        let record = |name: &str, near: Vec<f64>, far: Vec<f64>| {
+            let column = |name: &str, data| Column::new(name, Role::Temperature, data);
+            let e = Column::new("e", Role::parse("error.x").unwrap(), near.iter().map(|v| 0.1 * v).collect());
+            Record::new(Path::new(name), Kind::Drift, vec![column("T1", near), column("T2", far), e]).unwrap()
+        };
+        let ramp = |i: i32| 20.0 + 0.05 * f64::from(i);
+        let other = record("a", (0..100).map(ramp).collect(), (0..100).map(ramp).collect());
+        // In this one the second sensor hardly follows the first.
+        let slow = |i: i32| 22.0 + (f64::from(i) / 30.0).floor() * 0.0625;
+        let this = record("b", (0..100).map(ramp).collect(), (0..100).map(slow).collect());
+        let c = this.columns[1].clone();
+        let run = (30, 60);
+        assert!(!by_the_others(&this, &c, run, &[&other]));
+        // Beside the run it does as the law says, and in it it stands still.
+        let stuck = |i: i32| ramp(if (30..60).contains(&i) { 30 } else { i });
+        let this = record("c", (0..100).map(ramp).collect(), (0..100).map(stuck).collect());
+        assert!(by_the_others(&this, &this.columns[1].clone(), run, &[&other]));
+    }
 }

@@ -4,6 +4,7 @@ use super::stats::{median, medians_of_others, quantum, range, spread, steps};
 use super::told::told;
 use super::{Suspicion, What, motion, repeats};
 use crate::iso230::correlation;
+use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// Fewer moves are no run.
@@ -103,14 +104,29 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     out.push(Suspicion::new(record, &d.name, What::Direction, &rows, text));
 }
 
+/// Which way an axis went at each row: as logged, or as its velocity says, or, around a circle, its positions: what follows late
+/// is to the other side on the way back. Nothing of a run that says none of it.
+fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
+    if let Some(d) = record.data(&Role::Direction(axis.clone())) {
+        return d.to_vec();
+    }
+    if let Some(v) = record.data(&Role::Velocity(axis.clone())) {
+        return v.iter().map(|v| sign(*v)).collect();
+    }
+    if record.kind != Kind::Ballbar {
+        return vec![0.0; p.len()];
+    }
+    let near = |i: usize| (i.saturating_sub(1), (i + 1).min(p.len() - 1));
+    (0..p.len()).map(|i| sign(p[near(i).1] - p[near(i).0])).collect()
+}
+
 /// The row from which on an error has the other sign than at the same place and direction before.
 fn by_place(record: &Record, c: &Column) -> Option<usize> {
     let axis = c.role.axis()?;
     let p = record.data(&Role::Position(axis.clone()))?;
-    let none = vec![0.0; p.len()];
-    let d = record.data(&Role::Direction(axis.clone())).unwrap_or(&none);
+    let d = ways(record, axis, p);
     let others = repeats::also_moved(record, axis);
-    let groups = others.iter().fold(repeats::groups(p, d), |groups, q| repeats::apart_by(groups, q));
+    let groups = others.iter().fold(repeats::groups(p, &d), |groups, q| repeats::apart_by(groups, q));
     let n = p.len();
     if groups.iter().filter(|g| g.len() >= 3).count() < 8 || range(&c.data) <= 0.0 {
         return None;

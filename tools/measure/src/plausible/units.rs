@@ -64,7 +64,9 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let steep =
         record.column(&Role::Error(axis.clone())).and_then(|e| line(&p.data, &e.data).map(|l| (e, l)));
     let steep = steep.filter(|(e, (_, slope, left))| {
-        slope.abs() * 1000.0 > STEEPEST_PPM && *left < left_share * range(&e.data)
+        slope.abs() * 1000.0 > STEEPEST_PPM
+            && *left < left_share * range(&e.data)
+            && !(record.kind == Kind::Plate && drifts(&e.data, *left))
     });
     let text = if whole(MM_PER_INCH) < 0.004 && whole(1.0) > 0.1 {
         format!("{travel:.3} mm of travel, whole millimetres if it were inches")
@@ -75,6 +77,16 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
         return;
     };
     out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
+}
+
+/// So many times what a line over the positions leaves, a line over the rows leaves no more where time does the same.
+const AS_WELL: f64 = 1.5;
+
+/// Whether an error may run along with time as well as with the positions of an axis, beside which so much is left: over a plate
+/// one of the two goes across once, and the machine may have warmed the while.
+fn drifts(e: &[f64], left: f64) -> bool {
+    let rows: Vec<f64> = (0..e.len()).map(|i| i as f64).collect();
+    line(&rows, e).is_some_and(|(_, _, over_time)| over_time < AS_WELL * left)
 }
 
 /// A temperature and the error in each other's place: the error begins where the hall is, the sensor at a gauge's zero.

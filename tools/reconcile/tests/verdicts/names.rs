@@ -223,3 +223,20 @@ fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
     // The parabola fits some of them better by chance.
     assert!(unknown.iter().filter(|u| **u).count() >= 8, "{unknown:?}");
 }
+
+/// Far from zero a short period and its phase lean on each other: no angle is more open than half a turn to either side.
+#[test]
+fn a_phase_is_open_by_half_a_turn_at_most() {
+    let mut normal = noise(33);
+    let p: Vec<f64> = (0..400).map(|i| 800.0 + f64::from(i) * 0.0007).collect();
+    let e = p.iter().map(|p| 1.0 * (TAU * p / 0.02).sin() + 0.5 * normal()).collect();
+    let t = (0..400).map(f64::from).collect();
+    let r = answer(record(
+        Kind::Positioning,
+        vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)],
+    ));
+    let (finding, half) = &r.effects[0];
+    assert_eq!(finding.effect.name(), "subdivision.x", "{} {:?}", r.verdict, names(&r));
+    assert!((finding.effect.scalar(0) - 20.0).abs() < 0.1);
+    assert!(half.iter().all(|h| *h > 0.0 && *h <= std::f64::consts::PI), "{half:?}");
+}
