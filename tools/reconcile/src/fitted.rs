@@ -85,8 +85,10 @@ impl Fitted {
         let (mut widened, mut finer) = (false, Vec::new());
         for (i, f) in answer.findings.iter().enumerate() {
             let at = self.file.len() + i;
-            if !f.held.is_empty() && !whole[at].ways.is_empty() {
-                whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, LEFT_OUT);
+            if !f.held.is_empty() {
+                // Of the parts of a sum each may be nothing, or twice itself.
+                let share = if whole[at].ways.is_empty() { 1.0 } else { LEFT_OUT };
+                whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, share);
                 widened = true;
             } else if let Some(map) = Term::finer(stack, &whole[at].effect, LEFT_OUT) {
                 whole[at] = map;
@@ -234,7 +236,8 @@ enum Doubt {
 fn doubt(term: &Term) -> Option<Doubt> {
     let law = term.effect.description();
     let kind = [Search::Linear, Search::Amplitude].into_iter().find(|s| law.place(*s).is_some())?;
-    if term.effect.width() > 1 {
+    // The parts of a sum are as uncertain as the choice among them.
+    if term.effect.width() > 1 || term.ways.is_empty() {
         return None;
     }
     let sizes = (0..law.parameters.len()).filter(|i| law.parameters[*i].search == kind);
@@ -276,5 +279,54 @@ fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]
             values.iter().zip(&half[i * width..]).map(|(v, h)| [v - h, v + h]).collect();
         // The values come from the law itself; they keep its bounds.
         let _written = model.set(place, &p.name, values, Some(&interval));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::nothing_learned;
+    use crate::answer::Finding;
+    use crate::testing::{axis, column};
+    use rtec_model::effect::Difference;
+    use rtec_model::record::{Kind, Record, Role};
+    use std::path::Path;
+
+    /// The mean of two explanations by sensors that warm alike: how much of it is of which is open, and the intervals say so.
+    #[test]
+    fn the_parts_of_a_sum_have_intervals() {
+        let warm = |i: usize| 8.0 * (1.0 - (-(i as f64) / 60.0).exp());
+        let noise = |i: usize| ((i * 7919 % 101) as f64 - 50.0) / 50.0;
+        let of = |f: &dyn Fn(usize) -> f64| (0..200).map(f).collect::<Vec<f64>>();
+        let columns = vec![
+            column("t", Role::Time, of(&|i| 30.0 * i as f64)),
+            column("T1", Role::Temperature, of(&|i| 20.0 + warm(i))),
+            column("T2", Role::Temperature, of(&|i| 20.0 + 0.8 * warm(i) + 0.02 * noise(i))),
+            column("e", Role::Error(axis()), of(&|i| 3.0 * warm(i) + 0.1 * noise(i + 3))),
+        ];
+        let records = [Record::new(Path::new("drift.run.toml"), Kind::Drift, columns).unwrap()];
+        let machine = Machine::ideal("m");
+        let mut answer = nothing_learned(&records, &machine);
+        for (sensor, um_per_k) in [("T1", 1.5), ("T2", 1.875)] {
+            let mut effect = machine.dictionary().effect("thermal_growth.x").unwrap();
+            effect.delta = Some(Difference::single(sensor));
+            let effect = effect.with(&[(0, um_per_k)]).unwrap();
+            let held = (0..effect.values().len()).collect();
+            answer.findings.push(Finding {
+                effect,
+                held,
+                p_value: 0.001,
+                evidence: 50.0,
+                rivals: Vec::new(),
+            });
+        }
+        let mut stack = Stack::new(&records);
+        stack.sigma.clone_from(&answer.sigma);
+        let fitted = Fitted::of(&stack, &machine, &mut answer);
+        assert_eq!(fitted.found().len(), 2);
+        for part in fitted.found() {
+            let (um_per_k, half) = (part.effect.scalar(0), part.half[0]);
+            assert!(half > 0.01 * um_per_k && half < 5.0 * um_per_k, "{um_per_k} ± {half}");
+        }
     }
 }
