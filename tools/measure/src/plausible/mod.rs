@@ -17,7 +17,7 @@
 //! | `between` | several records beside one another: the same rows twice, a sign, a unit, two sensors exchanged |
 //! | `step` | an error that steps and stays: lost counts are the machine's own, so it is no suspicion |
 //! | `told` | what some sensors say of another one |
-//! | `turned` | a record beside itself: single runs of a wrong direction, a sign that turns, a clock put forward, two sensors exchanged on the way |
+//! | `turned` | a record beside itself: single runs of a wrong direction, a sign that turns, another unit from a row on, a clock put forward or in the repeats' place, two sensors exchanged on the way |
 //! | `units` | minutes, hours, inches |
 //! | `stats` | medians, robust deviations, straight lines |
 

@@ -14,6 +14,9 @@ const RUN: usize = 5;
 const TURNED: f64 = 0.1;
 /// Two sensors that exchange their places from one row to the next are at least so far apart, K.
 const EXCHANGE_K: f64 = 1.5;
+/// So few rows are no part of a record in another unit; what is in it is smaller by about this.
+const PART: usize = 12;
+const A_THOUSAND: std::ops::RangeInclusive<f64> = 350.0..=3000.0;
 /// A clock's step is out of the ordinary from so many usual ones on.
 const PAUSE: f64 = 20.0;
 
@@ -35,8 +38,63 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
             out.push(Suspicion::new(record, &c.name, What::Sign, &rows, text));
         }
     }
+    for c in record.responses() {
+        other_unit_midway(record, c, out);
+    }
     clock(record, out);
     exchanged(record, out);
+    counts_as_clock(record, out);
+}
+
+/// Rows from one on, or up to it, that are a thousand times smaller than the others: in their size, and in how they go from row to row.
+fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
+    let n = c.data.len();
+    if n < 2 * PART {
+        return;
+    }
+    // Bends from row to row: neither a zero nor a drift is in them. A value that stands still says nothing.
+    let least = quantum(&c.data).max(f64::MIN_POSITIVE);
+    let bends: Vec<f64> = c.data.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()).collect();
+    let sizes: Vec<f64> = bends.iter().map(|b| b.max(0.1 * least).ln()).collect();
+    let whole: f64 = sizes.iter().sum();
+    let (mut before, mut best) = (0.0, (0.0, 0));
+    for (i, size) in sizes.iter().enumerate() {
+        before += size;
+        let (k, rest) = ((i + 1) as f64, (sizes.len() - i - 1) as f64);
+        if i + 2 >= PART && n - i - 2 >= PART {
+            let apart = (before / k - (whole - before) / rest).powi(2) * k * rest;
+            best = if apart > best.0 { (apart, i + 2) } else { best };
+        }
+    }
+    let at = best.1;
+    if at == 0 {
+        return;
+    }
+    let times = median(bends[..at - 2].to_vec()) / median(bends[at..].to_vec());
+    let [rows, other] = if times > 1.0 { [at..n, 0..at] } else { [0..at, at..n] };
+    let size = |rows: std::ops::Range<usize>| median(c.data[rows].iter().map(|x| x.abs()).collect());
+    let (small, large) = (size(rows.clone()), size(other));
+    if A_THOUSAND.contains(&times.max(1.0 / times)) && small > 0.0 && large > A_THOUSAND.start() * small {
+        let rows: Vec<usize> = rows.collect();
+        let text =
+            "is some 1000 times smaller than in the other rows: given in mm there, called µm?".to_owned();
+        out.push(Suspicion::new(record, &c.name, What::Unit, &rows, text));
+    }
+}
+
+/// Time and repeat in each other's place: what counts the repeats is no whole number, and the time stands still at whole seconds.
+fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
+    let column = |role: &Role| record.columns.iter().find(|c| c.role == *role);
+    let (Some(t), Some(n)) = (column(&Role::Time), column(&Role::Cycle)) else { return };
+    let whole = |c: &Column| c.data.iter().all(|v| (v - v.round()).abs() < 1e-9);
+    let stands = t.data.windows(2).filter(|w| w[1] <= w[0]).count() * 2 > t.data.len();
+    if whole(t) && stands && !whole(n) && n.data.windows(2).all(|w| w[1] >= w[0]) {
+        let text = format!(
+            "stands still at whole numbers as a repeat does, and {} goes on as a time: the two look exchanged",
+            n.name
+        );
+        out.push(Suspicion::new(record, &t.name, What::Swapped, &[], text));
+    }
 }
 
 /// Two sensors of one record in each other's place from a row on: both step at once, each to where the other was.
@@ -96,7 +154,7 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
         rows.iter().filter(|i| d.data[**i] * way < 0.0).count() * 10 >= rows.len() * 9
     };
     let wrong: Vec<&(f64, Vec<usize>)> = stretches.iter().filter(against).collect();
-    if wrong.is_empty() || wrong.len() * 2 >= stretches.len() {
+    if wrong.is_empty() || wrong.len() == stretches.len() {
         return;
     }
     let rows: Vec<usize> = wrong.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();

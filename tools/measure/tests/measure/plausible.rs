@@ -1545,3 +1545,66 @@ fn an_axis_that_follows_late_around_a_circle_has_no_turned_sign() {
     ];
     assert_eq!(suspicions(&[record("c", Kind::Ballbar, columns)]), []);
 }
+
+/// Half of a run in mm among µm, and the directions of half of its runs turned; a drift that begins at nothing, or at rest, is neither.
+#[test]
+fn another_unit_and_other_directions_from_a_row_on_are_said() {
+    for seed in 1..=20 {
+        let mut d = Dice::new(seed);
+        let targets: Vec<f64> = (0..13).map(|k| 77.3 * f64::from(k) - 460.0).collect();
+        let (mut p, mut way, mut e) = (Vec::new(), Vec::new(), Vec::new());
+        for run in 0..10 {
+            let up = run % 2 == 0;
+            for k in 0..13 {
+                let at = targets[if up { k } else { 12 - k }];
+                p.push(at + 20.0 * d.unit());
+                way.push(if up { 1.0 } else { -1.0 });
+                e.push(0.022 * at + if up { -3.0 } else { 3.0 } + 0.1 * d.normal());
+            }
+        }
+        let made = |way: Vec<f64>, e: Vec<f64>| {
+            let columns = [("z", "position.z", p.clone()), ("dir", "direction.z", way), ("e", "error.z", e)];
+            record("half", Kind::Positioning, columns.into_iter().map(|(n, r, v)| column(n, r, v)).collect())
+        };
+        assert_eq!(suspicions(&[made(way.clone(), e.clone())]), [], "{seed}");
+        let rounded = |x: f64| (x * 1e4).round() / 1e4;
+        for rows in [0..65, 65..130, 91..130] {
+            let half = |i: usize, x: f64| if rows.contains(&i) { rounded(x / 1000.0) } else { rounded(x) };
+            let found =
+                suspicions(&[made(way.clone(), e.iter().enumerate().map(|(i, x)| half(i, *x)).collect())]);
+            let unit = found.iter().find(|s| s.what == What::Unit && s.column == "e");
+            let said = unit.map_or(Vec::new(), Suspicion::row_list);
+            let same = said.iter().filter(|i| rows.contains(i)).count();
+            assert!(same + 3 >= rows.len() && said.len() <= rows.len() + 3, "{seed} {rows:?}: {found:?}");
+        }
+        let turned = way.iter().enumerate().map(|(i, w)| if i < 65 { *w } else { -w }).collect();
+        let found = suspicions(&[made(turned, e.clone())]);
+        let said = found.iter().find(|s| s.what == What::Direction).map_or(Vec::new(), Suspicion::row_list);
+        assert!(said.len() > 55 && said.iter().all(|i| (65..130).contains(i)), "{found:?}");
+        // A spindle that stands for a while, and then grows by a thousand times its noise.
+        let grows = |i: i32| if i < 100 { 0.0 } else { 60.0 * (1.0 - (-f64::from(i - 100) / 60.0).exp()) };
+        let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
+        let e = (0..300).map(|i| grows(i) + 0.05 * d.normal()).collect();
+        let r = record("drift", Kind::Drift, vec![column("t", "time", t), column("e", "error.z", e)]);
+        assert_eq!(suspicions(&[r]), [], "{seed}");
+    }
+}
+
+/// The repeat's column holds the times, and the time's the repeats.
+#[test]
+fn time_and_repeat_exchanged_are_said() {
+    let mut d = Dice::new(5);
+    let targets: Vec<f64> = (0..12).map(|k| 25.0 * f64::from(k)).collect();
+    let p = to_and_fro(&targets, &mut d);
+    let n = p.len();
+    let clean = along(Kind::Positioning, p, &mut d);
+    let with = |t: Vec<f64>, cycle: Vec<f64>| {
+        let more = vec![column("t", "time", t), column("n", "cycle", cycle)];
+        record("a", Kind::Positioning, [more, clean.columns.clone()].concat())
+    };
+    let time: Vec<f64> = (0..n).map(|i| 4.18 + 2.3 * i as f64).collect();
+    let cycle: Vec<f64> = (0..n).map(|i| (i / 24 + 1) as f64).collect();
+    assert_eq!(suspicions(&[with(time.clone(), cycle.clone())]), []);
+    let found = suspicions(&[with(cycle, time)]);
+    assert!(found.iter().any(|s| (s.what, s.column.as_str()) == (What::Swapped, "t")), "{found:?}");
+}

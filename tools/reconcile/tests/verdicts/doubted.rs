@@ -143,7 +143,8 @@ fn doubted_records_name_nothing() {
     assert!(r.left_out[0].contains("all of it (sign)"), "{:?}", r.left_out);
     // The model is what it was: so is the gap.
     let g = &r.gap[0];
-    assert_eq!((g.closed(), g.blocked.is_none(), g.train[0] == g.train[1]), (None, true, true), "{g:?}");
+    let unchanged = |[before, after]: [f64; 2]| (before - after).abs() < 1e-12;
+    assert!(g.closed().is_none() && g.blocked.is_none() && unchanged(g.train), "{g:?}");
     assert!(r.unexplained[0].manner.contains("every record is doubted"), "{:?}", r.unexplained);
 }
 
@@ -155,7 +156,7 @@ fn a_clean_holdout_is_not_accused_of_the_trainings_sign() {
     let r = answer(&[train], &[later]);
     let said: Vec<(What, &str)> = r.suspicions.iter().map(|s| (s.what, s.record.as_str())).collect();
     assert_eq!(said, [(What::Sign, "a.run.toml")], "{:?}", r.suspicions);
-    assert!(r.gap[0].holdout.is_some_and(|[before, after]| before == after), "{:?}", r.gap);
+    assert!(r.gap[0].holdout.is_some_and(|[before, after]| (before - after).abs() < 1e-12), "{:?}", r.gap);
 }
 
 /// Two sensors exchanged under noise as large as what that does, in one record or in all of them: more likely than growth that
