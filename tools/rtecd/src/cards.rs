@@ -35,11 +35,6 @@ impl Stand {
         self.operator.feed(on);
     }
 
-    /// Feed hold: the axes stop where they are, and go on from there.
-    pub(crate) fn hold(&self, on: bool) {
-        self.operator.hold(on);
-    }
-
     /// Sends an axis to a place of the controller's display, mm.
     pub(crate) fn jog_to(&self, n: usize, display_mm: f64) {
         let (truth, simulated) = &self.axes[n];

@@ -220,7 +220,6 @@ impl Session {
         if let Some(stand) = &self.stand {
             // As a machine's operator: it goes on once it is homed, and not while feed hold is on.
             let held = matches!(status.mode, Mode::Hold | Mode::Fault);
-            stand.hold(status.mode == Mode::Hold);
             stand.feed(!held && status.axes().iter().all(|a| a.homed));
         }
         let (now_s, sensors) = (self.temperatures.now_s(), self.temperatures.sensors());

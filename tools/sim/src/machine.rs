@@ -88,8 +88,6 @@ pub struct SimMachine {
     /// Share of the programmed speed at which the path is run: feed hold takes it to zero and back.
     pace: f64,
     hold: bool,
-    /// Feed hold at the machine's own panel.
-    held_here: bool,
     /// What the operator wants instead of the program, as soon as the path has come to rest.
     jog: Option<Block>,
     /// Blocks begun so far.
@@ -146,7 +144,6 @@ impl SimMachine {
             command: Command { p_mm: at_mm, ..Command::default() },
             pace: 1.0,
             hold: false,
-            held_here: false,
             jog: None,
             begun: 0,
             fault: None,
@@ -389,18 +386,13 @@ impl SimMachine {
         self.hold
     }
 
-    /// Feed hold as the machine's own operator asks for it.
-    pub const fn hold_feed(&mut self, on: bool) {
-        self.held_here = on;
-    }
-
     /// The controller's side of a new servo period.
     fn servo(&mut self) {
         let dt = SERVO_NS as f64 * 1e-9;
         // Where the axes should be now; speed and acceleration are fed forward for the period that begins.
         let due_mm = self.command.p_mm;
         // Feed hold: the path slows down within a tenth of a second, and is taken up again alike.
-        let rests = self.hold || self.held_here || self.fault.is_some() || self.jog.is_some();
+        let rests = self.hold || self.fault.is_some() || self.jog.is_some();
         let target = if rests { 0.0 } else { 1.0 };
         self.pace += (target - self.pace).clamp(-dt / 0.1, dt / 0.1);
         if (self.pace == 0.0 || self.job == Job::Idle)

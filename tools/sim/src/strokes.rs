@@ -85,7 +85,6 @@ pub struct Operator {
     /// What each axis really does, in the order of the axes.
     pub truth: Vec<Arc<Truth>>,
     go: Arc<AtomicBool>,
-    held: Arc<AtomicBool>,
 }
 
 impl Operator {
@@ -98,11 +97,6 @@ impl Operator {
     pub fn feed(&self, on: bool) {
         self.go.store(on, Ordering::Relaxed);
     }
-
-    /// Feed hold: the cycle stops where it is, and goes on from there.
-    pub fn hold(&self, on: bool) {
-        self.held.store(on, Ordering::Relaxed);
-    }
 }
 
 /// An axis and its operator.
@@ -113,8 +107,6 @@ pub struct Stroking {
     truth: Arc<Truth>,
     /// Cycle start. Written by whoever has the machine's other end, read by the card's thread.
     go: Arc<AtomicBool>,
-    /// Feed hold, from there too.
-    held: Arc<AtomicBool>,
     /// The last jog taken, as the operator wrote it.
     jogged: u64,
 }
@@ -159,7 +151,7 @@ impl StrokeMotion {
 pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (MovingAxes, Operator) {
     // Such a controller believes what it is sent, however fast it comes and wherever it leads.
     let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: f64::INFINITY };
-    let (go, held, mut truth) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default(), Vec::new());
+    let (go, mut truth) = (Arc::<AtomicBool>::default(), Vec::new());
     let stroking = axes.iter().enumerate().map(|(n, &(lines, motion))| {
         let mut machine = SimMachine::new(&[motion.axis()], controller.clone(), [0.0; AXES]);
         if n == 0 {
@@ -167,12 +159,12 @@ pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (
             machine.set_surface(Some(Box::new(move |p| middle_mm - p[0])), 0);
         }
         truth.push(Arc::<Truth>::default());
-        let (truth, go, held) = (Arc::clone(&truth[n]), Arc::clone(&go), Arc::clone(&held));
+        let (truth, go) = (Arc::clone(&truth[n]), Arc::clone(&go));
         let jogged = f64::NAN.to_bits();
-        (Stroking { machine, motion, truth, go, held, jogged }, vec![lines])
+        (Stroking { machine, motion, truth, go, jogged }, vec![lines])
     });
     let wires = MachineWires::new(stroking.collect::<Vec<_>>(), MachineLines { hold: None, ..lines });
-    (wires, Operator { truth, go, held })
+    (wires, Operator { truth, go })
 }
 
 impl Attended for Stroking {
@@ -186,8 +178,6 @@ impl Attended for Stroking {
 
     fn tick(&mut self) {
         let jog = self.truth.jog.load(Ordering::Relaxed);
-        // Who jogs it moves it himself.
-        self.machine.hold_feed(f64::from_bits(jog).is_nan() && self.held.load(Ordering::Relaxed));
         if jog != self.jogged {
             self.jogged = jog;
             self.machine.jog(self.motion.to(f64::from_bits(jog)));
@@ -296,30 +286,6 @@ mod tests {
             (at + 700.0).abs() < 1.0 && (operator.truth[0].commanded_counts() + 700.0).abs() < 1e-9,
             "{at}"
         );
-    }
-
-    #[test]
-    fn feed_hold_stops_the_cycle_where_it_is_and_it_goes_on_from_there() {
-        let motion = StrokeMotion {
-            stroke_counts: 10_000.0,
-            feed_counts_s: 10_000.0,
-            dwell_s: 0.1,
-            on_feedback: true,
-        };
-        let (mut axes, operator) = axes(motion);
-        operator.cycle_start();
-        axes.levels(1, 0);
-        run(&mut axes, 1, 300_000_000, 0);
-        operator.hold(true);
-        run(&mut axes, 300_000_000, 500_000_000, 0);
-        let stands = operator.truth[0].position_counts();
-        assert!((2000.0..5000.0).contains(&stands), "{stands}");
-        run(&mut axes, 500_000_000, 2_000_000_000, 0);
-        assert!((operator.truth[0].position_counts() - stands).abs() < 1.0);
-        operator.hold(false);
-        run(&mut axes, 2_000_000_000, 3_000_000_000, 0);
-        let at = operator.truth[0].position_counts();
-        assert!((at - 10_000.0).abs() < 1.0, "{at}");
     }
 
     #[test]
