@@ -44,7 +44,10 @@ import tempfile
 from collections import Counter, namedtuple
 from pathlib import Path
 
-import numpy as np
+try:
+    import numpy as np
+except ImportError:
+    sys.exit("elsewhere.py: found no numpy, expected it with this Python: pip install numpy, or apt install python3-numpy")
 
 from elsewhere_cases import CLASSES, SEEN_IN_FIT, Case, case_of, free, left_of, stack, stacked
 from elsewhere_records import KINDS, Record, contribution, kind_of, write_model, write_record

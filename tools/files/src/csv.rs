@@ -8,7 +8,7 @@
 use crate::input::InputError;
 use crate::lines::Lines;
 use crate::text::{UTF8, not_utf8, opened};
-use crate::words::{nearest, quoted, shown};
+use crate::words::{cut, nearest, quoted, shown};
 use std::borrow::Cow;
 use std::cell::RefCell;
 use std::fs::File;
@@ -255,6 +255,14 @@ impl<'a> Row<'a> {
         }
     }
 
+    /// A row of more fields than there are columns, as one of decimal commas between commas is: numbers all, none with a point.
+    #[must_use]
+    pub fn has_decimal_commas(&self, columns: usize) -> bool {
+        let cells: Vec<&str> = self.text.split(',').map(str::trim).collect();
+        let whole = |c: &&str| !c.contains('.') && c.parse::<f64>().is_ok_and(f64::is_finite);
+        (columns + 1..=2 * columns).contains(&cells.len()) && cells.iter().all(whole)
+    }
+
     fn short(&self, cells: usize, columns: usize, missing: &str) -> InputError {
         let found = format!("the end of the row after {cells} of {columns} fields");
         let column = self.text.chars().count() + 1;
@@ -410,6 +418,13 @@ impl<'a> Cell<'a> {
         number.ok_or_else(|| self.finding("a finite number"))
     }
 
+    /// A number that has a decimal comma.
+    #[must_use]
+    pub fn has_decimal_comma(&self) -> bool {
+        let point = self.text.replacen(',', ".", 1);
+        self.text.contains(',') && point.parse().is_ok_and(f64::is_finite)
+    }
+
     fn beyond(&self, columns: usize, names: &str) -> InputError {
         let after =
             if names.len() <= 60 { names.to_owned() } else { format!("{columns} fields, one per column") };
@@ -552,10 +567,32 @@ impl Header {
         &self.text
     }
 
-    /// The names as a message shows them.
+    /// The names as a message shows them: so many, and each cut where it is long.
     #[must_use]
     pub fn shown(&self) -> String {
-        self.names().collect::<Vec<_>>().join(", ")
+        const SHOWN: usize = 40;
+        let names = self.names().take(SHOWN).map(cut).collect::<Vec<_>>().join(", ");
+        match self.names.len().saturating_sub(SHOWN) {
+            0 => names,
+            more => format!("{names} and {more} more"),
+        }
+    }
+
+    /// A finding where the first row is one of numbers, not of names: more of its cells are numbers than are not.
+    #[must_use]
+    pub fn is_missing(&self) -> Option<InputError> {
+        let is_number = |text: &str| text.trim().replace(',', ".").parse::<f64>().is_ok();
+        // Whatever parts the cells: a table that is not parted by commas may lack its names, too.
+        let by = [';', '\t'].into_iter().find(|by| self.text.contains(*by));
+        let cells: Vec<&str> = match by {
+            Some(by) => self.text.split(by).collect(),
+            None => self.names().collect(),
+        };
+        let numbers = cells.iter().filter(|c| is_number(c)).count();
+        (2 * numbers > cells.len()).then(|| {
+            let found = format!("numbers ({}) in the first line", quoted(&self.text));
+            self.finding(found, "the columns' names there: the line that names them is missing")
+        })
     }
 
     /// Where a column is, and that it is there once.
@@ -568,6 +605,9 @@ impl Header {
             (Some((place, _)), None) => Ok(place),
             (Some(_), Some((again, _))) => Err(self.twice(again)),
             (None, _) => {
+                if let Some(missing) = self.is_missing() {
+                    return Err(missing);
+                }
                 let names: Vec<&str> = self.names().collect();
                 let near = nearest(name, &names).map_or_else(String::new, |n| format!("; did you mean {n}?"));
                 let found = format!("no column {name}");
@@ -821,6 +861,45 @@ mod tests {
         let says =
             "a.csv:2:4: found a quote that is not closed: '\"1,2', expected a second quote on the same line";
         assert_eq!(error.to_string(), says);
+    }
+
+    #[test]
+    fn lines_that_end_in_cr_alone_are_said_and_not_quoted() {
+        let says = "a.csv:1: found lines that end in CR alone, expected lines that end in LF or CRLF, \
+                    as `tr '\\r' '\\n' < FILE > NEW` writes them";
+        for text in ["t,e\r0,1\r1,2\r".to_owned(), "t,e\r".to_owned() + &"0,1\r".repeat(50_000)] {
+            assert_eq!(reader(&text).header("t and e").unwrap_err().to_string(), says);
+        }
+        assert_eq!(rows("t,e\r\r\n0,1\r\n").unwrap(), [["t", "e"], ["0", "1"]]);
+    }
+
+    #[test]
+    fn utf_16_is_said_and_how_to_convert_it() {
+        let read = |text: &[u8]| Reader::new(Path::new("a.csv"), text).unwrap_err().to_string();
+        let little: Vec<u8> = "\u{feff}t,e\n0,1\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let says = |mark: &str, from: &str| {
+            format!(
+                "a.csv:1:1: found text in UTF-16 {mark}, expected text in UTF-8, as `iconv -f {from} -t UTF-8 FILE > NEW` writes it"
+            )
+        };
+        assert_eq!(read(&little), says("(its mark 0xff 0xfe)", "UTF-16"));
+        assert_eq!(read(&little[2..]), says("without its mark", "UTF-16LE"));
+    }
+
+    #[test]
+    fn a_first_line_of_numbers_is_no_header() {
+        let numbers = (0..25).map(|n| format!("{n}.125")).collect::<Vec<_>>().join(",");
+        let says = "a.csv:1:1: found numbers ('0.125,1.125,2.125,3.125,4.125,5.125,6.125,7.125,8.125,9.125,…') in \
+                    the first line, expected the columns' names there: the line that names them is missing";
+        assert_eq!(reader(&numbers).header("t").unwrap().place("t").unwrap_err().to_string(), says);
+        for (text, missing) in
+            [("0;1,5;20", true), ("T1,T2,20", false), ("2026-05-01,1,2", true), ("t,1", false)]
+        {
+            assert_eq!(reader(text).header("t").unwrap().is_missing().is_some(), missing, "{text}");
+        }
+        let many = (0..100).map(|n| format!("T{n}")).collect::<Vec<_>>().join(",");
+        let error = reader(&many).header("t").unwrap().place("e").unwrap_err().to_string();
+        assert!(error.contains(", T39 and 60 more") && error.len() < 400, "{error}");
     }
 
     #[test]

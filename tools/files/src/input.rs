@@ -1,8 +1,11 @@
 //! The one shape of error for a file that a person wrote: where, what was found, what was expected.
 
-use crate::words::printable;
+use crate::words::{cut_at, printable};
 use std::fmt;
 use std::path::{Path, PathBuf};
+
+/// No more characters than these are said of what was found or expected: some of it may come from the file.
+const LONGEST: usize = 2000;
 
 /// Bad input in a file: one finding, with its place and its remedy. Ends a command with exit code 2.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -64,7 +67,8 @@ impl fmt::Display for InputError {
                 write!(f, ":{}", self.column)?;
             }
         }
-        write!(f, ": found {}, expected {}", printable(&self.found), printable(&self.expected))
+        let [found, expected] = [&self.found, &self.expected].map(|text| cut_at(text, LONGEST));
+        write!(f, ": found {}, expected {}", printable(&found), printable(&expected))
     }
 }
 
@@ -104,6 +108,12 @@ mod tests {
         let e = InputError::whole(Path::new("m\u{1b}[1m.toml"), "unknown key \u{1b}[2J\n", "none of\u{7}");
         let said = "m\\u{1b}[1m.toml: found unknown key \\u{1b}[2J\\n, expected none of\\u{7}";
         assert_eq!(e.to_string(), said);
+    }
+
+    #[test]
+    fn what_a_file_says_is_not_said_without_end() {
+        let e = InputError::whole(Path::new("m"), "µ".repeat(25_000), "x");
+        assert_eq!(e.to_string(), format!("m: found {}…, expected x", "µ".repeat(LONGEST)));
     }
 
     #[test]

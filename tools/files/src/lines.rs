@@ -1,7 +1,7 @@
 //! Buffered input of any length that knows its line: rows of a CSV, words of a VCD.
 
 use crate::input::InputError;
-use crate::text::unreadable;
+use crate::text::{unreadable, utf16};
 use std::io::{self, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -30,7 +30,11 @@ impl<R: Read> Lines<R> {
         let buffer = vec![0; BUFFER].into_boxed_slice();
         let file = file.to_owned();
         let mut lines = Self { file, input, buffer, start: 0, end: 0, exhausted: false, line: 0, gone: 0 };
-        while lines.end < 3 && lines.fill()? {}
+        // Four bytes tell UTF-16 without a mark.
+        while lines.end < 4 && lines.fill()? {}
+        if let Some((found, expected)) = utf16(&lines.buffer[..lines.end]) {
+            return Err(InputError::at(&lines.file, 1, 1, found, expected));
+        }
         if lines.buffer[..lines.end].starts_with(b"\xEF\xBB\xBF") {
             lines.buffer.copy_within(3..lines.end, 0);
             lines.end -= 3;
@@ -78,6 +82,9 @@ impl<R: Read> Lines<R> {
         self.end -= self.start;
         self.start = 0;
         if self.end == self.buffer.len() {
+            if self.line == 0 && self.buffer.contains(&b'\r') {
+                return Err(self.carriage_returns());
+            }
             // Dropped, so that whoever reads on gets further.
             self.end = 0;
             let found = format!("{BUFFER} bytes without an end of line");
@@ -116,6 +123,9 @@ impl<R: Read> Lines<R> {
         let range = self.start..self.start + length;
         self.start = (range.end + 1).min(self.end);
         self.line += 1;
+        if self.line == 1 && self.bytes(range.clone()).trim_ascii_end().contains(&b'\r') {
+            return Err(self.carriage_returns());
+        }
         Ok(Some(range))
     }
 
@@ -152,6 +162,12 @@ impl<R: Read> Lines<R> {
 }
 
 impl<R> Lines<R> {
+    /// What seems to be one line is many: found, and how to mend it.
+    fn carriage_returns(&self) -> InputError {
+        let expected = "lines that end in LF or CRLF, as `tr '\\r' '\\n' < FILE > NEW` writes them";
+        InputError::at(&self.file, 1, 0, "lines that end in CR alone", expected)
+    }
+
     /// A finding at the word that was just read.
     pub(crate) fn at_word(&self, found: &str, expected: &str) -> InputError {
         let before = &self.buffer[..self.start];

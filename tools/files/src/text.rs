@@ -64,6 +64,9 @@ pub(crate) fn opened(file: &Path) -> Result<File, InputError> {
 /// # Errors
 /// The place of the first byte that is not UTF-8.
 pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
+    if let Some((found, expected)) = utf16(bytes) {
+        return Err(InputError::at(file, 1, 1, found, expected));
+    }
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     match std::str::from_utf8(bytes) {
         Ok(text) => Ok(text.to_owned()),
@@ -87,6 +90,19 @@ pub fn unreadable(file: &Path, error: &std::io::Error) -> InputError {
     InputError::whole(file, error.to_string(), "a file that can be read")
 }
 
+/// Text in UTF-16, as spreadsheets save it, by its mark or, without one, by the zero beside its first letter: what was found,
+/// and how to mend it.
+pub(crate) fn utf16(bytes: &[u8]) -> Option<(String, String)> {
+    let (found, from) = match bytes {
+        [0xff, 0xfe, ..] => ("text in UTF-16 (its mark 0xff 0xfe)", "UTF-16"),
+        [0xfe, 0xff, ..] => ("text in UTF-16 (its mark 0xfe 0xff)", "UTF-16"),
+        [1..=0x7f, 0, 1..=0x7f, 0, ..] => ("text in UTF-16 without its mark", "UTF-16LE"),
+        [0, 1..=0x7f, 0, 1..=0x7f, ..] => ("text in UTF-16 without its mark", "UTF-16BE"),
+        _ => return None,
+    };
+    Some((found.to_owned(), format!("{UTF8}, as `iconv -f {from} -t UTF-8 FILE > NEW` writes it")))
+}
+
 pub(crate) const UTF8: &str = "text in UTF-8";
 
 pub(crate) fn not_utf8(byte: u8) -> String {
@@ -105,6 +121,22 @@ mod tests {
         assert!(error.is_ok());
         let error = decode(file, b"\xc2\xb5 = 1\nb = '\xe9'\n").unwrap_err();
         assert_eq!(error.to_string(), "a.toml:2:6: found byte 0xe9, expected text in UTF-8");
+        for (bytes, says) in [
+            (
+                b"\xff\xfet\0,\0".as_slice(),
+                "text in UTF-16 (its mark 0xff 0xfe), expected text in UTF-8, as `iconv -f UTF-16 -t UTF-8 FILE > NEW` writes it",
+            ),
+            (
+                b"\xfe\xff\0t\0,",
+                "text in UTF-16 (its mark 0xfe 0xff), expected text in UTF-8, as `iconv -f UTF-16 -t UTF-8 FILE > NEW` writes it",
+            ),
+            (
+                b"t\0,\0",
+                "text in UTF-16 without its mark, expected text in UTF-8, as `iconv -f UTF-16LE -t UTF-8 FILE > NEW` writes it",
+            ),
+        ] {
+            assert_eq!(decode(file, bytes).unwrap_err().to_string(), format!("a.toml:1:1: found {says}"));
+        }
         for (special, found) in [("/dev/zero", "a pipe, socket or device"), ("/tmp", "a folder")] {
             assert_eq!(read(Path::new(special)).unwrap_err().found, found);
         }

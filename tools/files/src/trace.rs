@@ -281,9 +281,25 @@ impl TraceFile {
     /// # Errors
     /// The extension is unknown, or the directory of `file` cannot be written to.
     pub fn create(file: &Path) -> Result<Self, InputError> {
+        Self::create_noted(file, &[])
+    }
+
+    /// As [`TraceFile::create`], with lines of comment in front that say what it is.
+    ///
+    /// # Errors
+    /// As [`TraceFile::create`].
+    pub fn create_noted(file: &Path, notes: &[&str]) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
-        let out = WholeFile::create(file).and_then(|out| TraceWriter::new(format, out));
-        Ok(Self(out.map_err(|e| InputError::whole(file, e.to_string(), "a place that can be written to"))?))
+        let noted = WholeFile::create(file).and_then(|mut out| {
+            for note in notes {
+                match format {
+                    TraceFormat::Csv => writeln!(out, "# {note}")?,
+                    TraceFormat::Vcd => writeln!(out, "$comment {note} $end")?,
+                }
+            }
+            TraceWriter::new(format, out)
+        });
+        Ok(Self(noted.map_err(|e| InputError::whole(file, e.to_string(), "a place that can be written to"))?))
     }
 
     /// Writes one point; see [`TraceWriter::write`].

@@ -43,8 +43,12 @@ pub(crate) fn shown(text: &str) -> String {
 
 /// Text cut where it is long.
 pub(crate) fn cut(text: &str) -> String {
-    const SHOWN: usize = 60;
-    match text.char_indices().nth(SHOWN) {
+    cut_at(text, 60)
+}
+
+/// Text cut behind so many characters.
+pub(crate) fn cut_at(text: &str, characters: usize) -> String {
+    match text.char_indices().nth(characters) {
         None => text.to_owned(),
         Some((at, _)) => format!("{}…", &text[..at]),
     }

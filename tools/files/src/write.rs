@@ -30,6 +30,14 @@ pub(crate) fn is_input(file: &File) {
 
 /// Nothing of the user's is to be lost: what was read stays.
 fn spared(file: &Path) -> io::Result<()> {
+    is_no_input(file).map_err(io::Error::other)
+}
+
+/// That a file to be written is none that was read, for whoever asks before the work.
+///
+/// # Errors
+/// After [`spare_inputs`], the file was read.
+pub fn is_no_input(file: &Path) -> Result<(), InputError> {
     let (Some(inputs), Ok(is)) =
         (&*INPUTS.lock().unwrap_or_else(PoisonError::into_inner), std::fs::metadata(file))
     else {
@@ -39,7 +47,7 @@ fn spared(file: &Path) -> io::Result<()> {
         return Ok(());
     }
     let (found, expected) = ("a file that this command reads", "another name for what it writes");
-    Err(io::Error::other(InputError::whole(file, found, expected)))
+    Err(InputError::whole(file, found, expected))
 }
 
 /// Writes a file whole or not at all.

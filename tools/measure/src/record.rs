@@ -18,6 +18,9 @@ use std::path::{Path, PathBuf};
 pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
      velocity, acceleration, load, error, force with an axis (position.y), or angle_error with two (angle_error.x.b)";
 
+/// The way for a table whose numbers have decimal commas.
+const IMPORT: &str = "`rtecctl characterise import FILE --format csv --decimal comma` takes decimal commas";
+
 /// Reads a record from its sidecar.
 ///
 /// # Errors
@@ -351,14 +354,19 @@ impl<R: Read> Rows<R> {
     fn new(path: &Path, csv: R, sidecar: &Sidecar) -> Result<Self, InputError> {
         let mut reader = Reader::new(path, csv)?;
         let header = reader.header("a header line")?;
+        if sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
+            && let Some(missing) = header.is_missing()
+        {
+            return Err(missing);
+        }
         if let Some((by, name)) =
             [(';', "semicolons"), ('\t', "tabs")].into_iter().find(|(by, _)| header.text().contains(*by))
             && !header.text().contains(',')
             && sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
         {
             let found = format!("columns parted by {name} ('{}')", by.escape_default());
-            let expected =
-                "commas and decimal points; `rtecctl characterise import --format csv` takes such a table";
+            let expected = "commas and decimal points; `rtecctl characterise import FILE --format csv` takes such a table, with \
+                 decimal commas too: `--decimal comma`";
             return Err(InputError::at(path, header.line(), 0, found, expected));
         }
         for listed in &sidecar.columns {
@@ -452,11 +460,27 @@ impl<R: Read> Rows<R> {
         header.each(row, |place, cell| {
             let Some(slot) = self.slots[place] else { return Ok(()) };
             let column = &mut self.columns[slot];
-            let v = cell.finite().map_err(|e| header.named(place, e))?;
+            let v = cell.finite().map_err(|e| {
+                let comma = cell.has_decimal_comma();
+                let expected = if comma { format!("a decimal point; {IMPORT}") } else { e.expected };
+                header.named(place, InputError { expected, ..e })
+            })?;
             let checked = check(&column.role, v, column.data.last().copied().or(before[slot]));
             checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
             column.data.push(v);
             Ok(())
+        })
+        .map_err(|e| {
+            let columns = header.names().count();
+            if !row.has_decimal_commas(columns) {
+                return e;
+            }
+            // Not certain: a field too many is a field too many.
+            let expected = format!(
+                "{}; or, if these are decimal commas between commas, the table written with semicolons: {IMPORT}",
+                e.expected
+            );
+            InputError { expected, ..e }
         })?;
         kept(row.text().as_bytes());
         Ok(true)
@@ -709,12 +733,42 @@ mod tests {
                 }
                 (Err(ours), Err(plain)) => {
                     bad += 1;
-                    assert_eq!(ours.to_string(), plain.to_string(), "{csv}");
+                    // Decimal commas get a hint on top.
+                    let hint = ours.expected.contains(IMPORT);
+                    let expected = if hint { plain.expected.clone() } else { ours.expected.clone() };
+                    assert_eq!(InputError { expected, ..ours }, plain, "{csv}");
                 }
                 (ours, plain) => panic!("{csv}: {ours:?}, {plain:?}"),
             }
         }
         assert!(good > 100 && bad > 100, "{good} read, {bad} refused");
+    }
+
+    #[test]
+    fn a_table_as_a_spreadsheet_may_save_it_is_told_how_it_can_be_read() {
+        let import = "`rtecctl characterise import FILE --format csv --decimal comma` takes decimal commas";
+        let comma = format!("2:8: found '-7,3703' in column e, expected a decimal point; {import}");
+        let between = format!(
+            "2:11: found '3703', expected the end of the row after t,y,T3,e; or, if these are decimal commas between commas, \
+             the table written with semicolons: {import}"
+        );
+        let parted = "1: found columns parted by semicolons (';'), expected commas and decimal points; `rtecctl characterise \
+                      import FILE --format csv` takes such a table, with decimal commas too: `--decimal comma`";
+        let nameless = "1:1: found numbers ('0,1.5,20,3') in the first line, expected the columns' names there: the line that \
+                        names them is missing";
+        for (csv, says) in [
+            ("t,y,T3,e\n0,1,20,\"-7,3703\"\n", comma.as_str()),
+            ("t,y,T3,e\n0,1,20,-7,3703\n", &between),
+            ("t;y;T3;e\n0;1;20;-7,3703\n", parted),
+            ("0,1.5,20,3\n1,1.5,20,3\n", nameless),
+        ] {
+            let error = read(SIDECAR, csv).unwrap_err();
+            assert!(error.to_string().ends_with(&format!("y.csv:{says}")), "{error}\n{says}");
+        }
+        let utf16: Vec<u8> = "\u{feff}t,y,T3,e\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let error = parse_log(Path::new("y.run.toml"), SIDECAR, &utf16).unwrap_err();
+        assert!(error.found.contains("UTF-16") && error.expected.contains("iconv"), "{error}");
+        assert!(read(SIDECAR, &"0,1,20,3\r".repeat(3000)).unwrap_err().to_string().len() < 300);
     }
 
     #[test]

@@ -1,7 +1,10 @@
 //! The help: verbs by the door that their user comes through, an example and the exit codes for each.
 
 use crate::Cli;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory};
+use rtec_files::words::nearest;
+use std::ffi::OsString;
 use std::fmt::Write as _;
 
 /// Doors, and who comes through them.
@@ -157,6 +160,62 @@ pub(crate) fn command_of(verb: &str) -> Option<Command> {
     Some(crate::with_negative_values(Command::new("rtecctl").subcommand(own)))
 }
 
+/// An error about a verb that is none, with the verbs that were probably meant: clap compares letters of verbs in one place
+/// only, and takes `evaluate` for `enable`.
+pub(crate) fn with_meant(mut error: clap::Error, words: &[OsString]) -> clap::Error {
+    let word = match (error.kind(), error.get(ContextKind::InvalidSubcommand)) {
+        (ErrorKind::InvalidSubcommand, Some(ContextValue::String(word))) => word.clone(),
+        _ => return error,
+    };
+    let command = Cli::command();
+    let (mut place, mut under) = (&command, Vec::new());
+    for name in words.iter().skip(1).filter_map(|w| w.to_str()).filter(|w| *w != "help") {
+        let Some(next) = place.find_subcommand(name) else { break };
+        place = next;
+        under.push(name.to_owned());
+    }
+    let suggestion = match &meant(&command, place, &under, &word)[..] {
+        [] => ContextValue::None,
+        [one] => ContextValue::String(one.clone()),
+        all => ContextValue::Strings(all.to_vec()),
+    };
+    error.insert(ContextKind::SuggestedSubcommand, suggestion);
+    error
+}
+
+/// The verbs that a word may mean where `place` was to have one: with their full names, unless they are `place`'s own.
+fn meant(command: &Command, place: &Command, under: &[String], word: &str) -> Vec<String> {
+    let mut all = Vec::new();
+    paths(command, &mut Vec::new(), &mut all);
+    let called = |name: &str| {
+        let of_name =
+            all.iter().filter(|p| p.last().is_some_and(|last| last == name) && p[..p.len() - 1] != *under);
+        of_name.map(|p| p.join(" ")).collect::<Vec<_>>()
+    };
+    let exactly = called(word);
+    if !exactly.is_empty() {
+        return exactly;
+    }
+    let own: Vec<&str> = place.get_subcommands().map(Command::get_name).collect();
+    // What switches corrections on is proposed to nobody who did not nearly write it.
+    let begun = |near: &str| near != "enable" || word.starts_with("en");
+    if let Some(near) = nearest(word, &own).filter(|near| begun(near)) {
+        return vec![near.to_owned()];
+    }
+    let others: Vec<&str> = all.iter().filter_map(|p| p.last().map(String::as_str)).collect();
+    nearest(word, &others).filter(|near| begun(near)).map_or_else(Vec::new, called)
+}
+
+/// Every verb, with those that it stands under.
+fn paths(command: &Command, under: &mut Vec<String>, all: &mut Vec<Vec<String>>) {
+    for verb in command.get_subcommands() {
+        under.push(verb.get_name().to_owned());
+        all.push(under.clone());
+        paths(verb, under, all);
+        under.pop();
+    }
+}
+
 /// What follows a usage error: an example of the verb and its list of names, where the error does not show them itself.
 pub(crate) fn next(verb: &str, said: &str) -> String {
     let Some((.., example, _)) = VERBS.iter().find(|v| v.0 == verb).filter(|_| !said.contains("Example:"))
@@ -220,6 +279,48 @@ mod tests {
                 && error.exit_code() != 0
             {
                 panic!("{example}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_verb_that_is_none_is_answered_with_the_full_names_of_those_that_were_meant() {
+        let said = |line: &str| {
+            let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
+            let error = super::command().try_get_matches_from(&words).unwrap_err();
+            let said = with_meant(error, &words).render().to_string();
+            said.lines().find_map(|l| l.trim().strip_prefix("tip: ").map(str::to_owned)).unwrap_or_default()
+        };
+        for (line, verbs) in [
+            ("rtecctl evaluate x.run.toml", "'characterise evaluate'"),
+            ("rtecctl fit", "'model fit'"),
+            ("rtecctl import", "'characterise import'"),
+            ("rtecctl plan", "'characterise plan'"),
+            ("rtecctl errors", "'part errors'"),
+            ("rtecctl evalaute", "'characterise evaluate'"),
+            ("rtecctl recncile", "'reconcile'"),
+            ("rtecctl statsu", "'status'"),
+            ("rtecctl enabel", "'enable'"),
+            ("rtecctl help evaluate", "'characterise evaluate'"),
+            ("rtecctl model evaluate", "'characterise evaluate'"),
+            ("rtecctl model vaildate", "'validate'"),
+            ("rtecctl model status", "'status'"),
+            ("rtecctl stable", "'part table'"),
+            ("rtecctl nonsense", ""),
+        ] {
+            let tip = said(line);
+            assert_eq!(tip.split_once(": ").map_or("", |(_, verbs)| verbs), verbs, "{line}: {tip}");
+        }
+        let export = said("rtecctl export");
+        assert!(export.contains("'model export'") && export.contains("'ledger export'"), "{export}");
+        // Whatever stands under another verb: never the one that switches corrections on.
+        let mut all = Vec::new();
+        paths(&Cli::command(), &mut Vec::new(), &mut all);
+        for path in all.iter().filter(|p| p.len() > 1) {
+            let word = path.last().unwrap();
+            if !VERBS.iter().any(|v| v.0 == word) {
+                let tip = said(&format!("rtecctl {word}"));
+                assert!(!tip.contains("'enable'") && tip.contains(&path.join(" ")), "{word}: {tip}");
             }
         }
     }

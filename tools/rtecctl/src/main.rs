@@ -168,6 +168,7 @@ fn main() -> ExitCode {
     let cli = match asked(&words).and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
+            let error = help::with_meant(error, &words);
             // Where standard error takes nothing there is nowhere to say so.
             let _ = error.print();
             let verb = std::env::args_os().nth(1).unwrap_or_default();

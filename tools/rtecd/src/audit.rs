@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 const WAITING: usize = 1024;
 /// The same refusal to the same caller is one line in this time.
 const TOGETHER: Duration = Duration::from_secs(1);
+/// A simulated axis is asked where it stands many times a second: the same question of one caller is one line in this time.
+const LOOKING: Duration = Duration::from_secs(60);
 /// Different refusals of one user that are told apart at a time: whoever varies what is refused him would else write the
 /// record full, and what was in it is lost.
 const KINDS: usize = 16;
@@ -37,8 +39,20 @@ pub(crate) struct Command {
 
 struct Repeated {
     since: Instant,
+    last: Instant,
     entry: Entry,
     times: u64,
+    /// A jog that was done: held as long as it comes again, not only for a moment.
+    looks: bool,
+}
+
+impl Repeated {
+    fn is_due(&self, now: Instant) -> bool {
+        if self.looks {
+            return now.duration_since(self.last) >= TOGETHER || now.duration_since(self.since) >= LOOKING;
+        }
+        now.duration_since(self.since) >= TOGETHER
+    }
 }
 
 /// What waits to be written, and how the writing goes.
@@ -85,15 +99,25 @@ impl Audit {
         }
     }
 
-    /// Records a command. A refusal that comes again and again is one line with its number.
+    /// Records a command. A refusal that comes again and again is one line with its number, and so is a jog that asks for
+    /// nothing new: where a simulated axis stands, or what it is asked for already.
     pub(crate) fn command(&mut self, command: Command) {
         let Command { by, request, result, text, before, after, model } = command;
-        let refused = result != "done";
+        let looks = result == "done" && request["do"] == "jog";
         let uid = by.uid;
-        let mut key = refused.then(|| (uid, format!("{} {} {result} {request}", by.pid, by.role)));
+        let mut key =
+            (looks || result != "done").then(|| (uid, format!("{} {} {result} {request}", by.pid, by.role)));
+        // What was asked before stands before what is done now; other questions change nothing.
+        let new = key.as_ref().is_none_or(|key| !self.repeated.contains_key(key));
+        if new && result == "done" && !(looks && request["display_mm"].is_null()) {
+            let (looked, held) = std::mem::take(&mut self.repeated).into_iter().partition(|(_, r)| r.looks);
+            self.repeated = held;
+            self.release(looked);
+        }
         // Too many to be told apart: by their verbs alone, which are few.
         let of_user = || self.repeated.range((uid, String::new())..=(uid, char::MAX.to_string())).count();
-        if let Some(key) = key.as_mut().filter(|key| !self.repeated.contains_key(*key) && of_user() >= KINDS)
+        if let Some(key) =
+            key.as_mut().filter(|key| !looks && !self.repeated.contains_key(*key) && of_user() >= KINDS)
         {
             key.1 = format!("{result} {}", request["do"]);
         }
@@ -109,12 +133,15 @@ impl Audit {
         };
         let Some(key) = key else { return self.send(entry) };
         if let Some(known) = self.repeated.get_mut(&key) {
-            known.times += 1;
-            known.entry = entry;
+            (known.times, known.last) = (known.times + 1, Instant::now());
+            // The first of them had the totals before.
+            let before = if known.times == 1 { entry.before.clone() } else { known.entry.before.clone() };
+            known.entry = Entry { before, ..entry };
             return;
         }
         self.send(entry.clone());
-        self.repeated.insert(key, Repeated { since: Instant::now(), entry, times: 0 });
+        let now = Instant::now();
+        self.repeated.insert(key, Repeated { since: now, last: now, entry, times: 0, looks });
     }
 
     /// Lets what was held together go.
@@ -122,7 +149,7 @@ impl Audit {
         let now = Instant::now();
         let (due, held) = std::mem::take(&mut self.repeated)
             .into_iter()
-            .partition(|(_, r): &((u32, String), Repeated)| now.duration_since(r.since) >= TOGETHER);
+            .partition(|(_, r): &((u32, String), Repeated)| r.is_due(now));
         self.repeated = held;
         self.release(due);
     }
@@ -271,6 +298,40 @@ mod tests {
         assert_eq!(all.len(), 5, "{all:?}");
         let repeated: Vec<_> = all.iter().filter_map(|e| e.times).collect();
         assert_eq!(repeated, [999, 999]);
+        assert!(verify(&path).unwrap().broken.is_empty());
+    }
+
+    /// `commission` asks a simulated axis every 20 ms whether it is there: commands must be found between it.
+    #[test]
+    fn a_jog_that_is_asked_again_and_again_is_one_line_with_its_number_and_every_new_one_its_own() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("audit.log");
+        let mut audit = Audit::start(&path, None).unwrap();
+        let jog = |mm: Option<f64>| serde_json::json!({"do": "jog", "axis": "x", "display_mm": mm});
+        for mm in [1.0, 2.0] {
+            audit.command(Command { request: jog(Some(mm)), ..command(1, "done") });
+            for _ in 0..400 {
+                audit.command(Command { request: jog(None), ..command(1, "done") });
+                audit.turn();
+            }
+            audit.command(command(1, "done"));
+        }
+        audit.command(Command { request: jog(None), ..command(1, "done") });
+        // Somebody else's is another line.
+        audit.command(Command { request: jog(None), ..command(2, "done") });
+        audit.end(Duration::from_secs(30));
+        let told = |e: &Entry| {
+            let request = e.request.as_ref().unwrap();
+            (request["do"].as_str().unwrap().to_owned(), request["display_mm"].as_f64(), e.times)
+        };
+        let all: Vec<_> = lines(&path).iter().map(told).collect();
+        let round = |mm| {
+            [("jog", Some(mm), None), ("jog", None, None), ("jog", None, Some(399)), ("enable", None, None)]
+        };
+        let expected: Vec<_> =
+            [round(1.0), round(2.0)].concat().into_iter().chain([("jog", None, None); 2]).collect();
+        let all: Vec<_> = all.iter().map(|(what, mm, times)| (what.as_str(), *mm, *times)).collect();
+        assert_eq!(all, expected);
         assert!(verify(&path).unwrap().broken.is_empty());
     }
 

@@ -291,7 +291,7 @@ fn cells<'a>(header: Option<&Header>, row: Row<'a>, decimal: Decimal) -> Result<
     let Some(header) = header else { return Ok(row.cells().collect()) };
     header.cells(row).map_err(|e| {
         let (fields, names) = (row.cells().count(), header.names().count());
-        if fields == 2 * names && decimal == Decimal::Point && row.text().contains(',') {
+        if decimal == Decimal::Point && row.has_decimal_commas(names) {
             let found = format!("{fields} fields in {names} columns: decimal commas between commas?");
             return row
                 .finding(found, "numbers with a decimal point, or columns parted by semicolons or tabs");

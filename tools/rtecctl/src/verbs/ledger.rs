@@ -30,8 +30,10 @@ enum What {
     ///
     /// For each axis `AXIS_trace.csv` and `AXIS_requests.csv`, which are replayed at once to see that they give the same totals,
     /// and `AXIS_insertions.csv`: every change of the ledger between two looks of the daemon, with position and totals then.
-    /// The daemon looks every 10 ms or so and keeps the last 8192 changes. Positions are right at those looks; the edges
-    /// between them are put evenly. Exit 1 where the replay gives other totals.
+    /// The daemon looks every 10 ms or so and keeps the last 8192 changes of the ledger: positions are right at the look that saw
+    /// a change and at the one before it, and now. From one change to the next the trace is one even, straight way, whatever
+    /// the axis did there: it is no record of the motion. The requests are what leads to these insertions in a replay; what was
+    /// asked for is `requested` of the insertions. Exit 1 where the replay gives other totals.
     Export {
         /// The folder to write to; it is made where it is not there
         #[arg(long, value_name = "DIR")]
@@ -49,6 +51,13 @@ enum What {
 
 /// More edges than this in one trace are nobody's wish.
 const MOST_EDGES: u64 = 50_000_000;
+/// What stands in front of a trace.
+const TRACE_IS: [&str; 2] = [
+    "made from a ledger: positions are right at the looks at which the ledger changed (since_ns, t_ns of the insertions) and at the end;",
+    "between two changes it is one even, straight way, whatever the axis did there: no record of the motion",
+];
+/// What stands in front of the requests.
+const REQUESTS_ARE: &str = "# totals that lead to the ledger's insertions when they are replayed; what was asked for: requested of the insertions\n";
 /// Time for an edge that was never seen, where an insertion needs one.
 const EDGE_NS: u64 = 100_000;
 
@@ -86,7 +95,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         told.write(&kept, &files("trace"), &files("requests"), &files("insertions"))?;
         let again = replayed(&files("trace"), &files("requests"))?;
-        let same = (again.0, again.1, again.2) == (told.counts, told.requested, told.completed);
+        let same = (again.counts_in, again.requested, again.completed)
+            == (told.counts, told.requested, told.completed);
         if !same {
             other.push(axis.name.clone());
         }
@@ -99,7 +109,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 told.completed,
                 told.insertions,
                 (kept.now_ns - told.whole_from_ns) as f64 * 1e-9,
-                if same { "the same" } else { "NOT the same" }
+                if same { told.compared(again.insertions) } else { "NOT the same".to_owned() }
             );
             if told.before != 0 || kept.dropped > 0 {
                 println!(
@@ -113,7 +123,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "axis": axis.name, "counts": told.counts, "requested": told.requested, "completed": told.completed,
             "insertions": told.insertions, "whole_from_ns": told.whole_from_ns, "completed_before": told.before,
             "changes_dropped": kept.dropped, "until_ns": kept.now_ns, "replays": same,
-            "replayed": { "counts_in": again.0, "requested": again.1, "completed": again.2 },
+            "insertions_in_shadow": told.shadow,
+            "replayed": {
+                "counts_in": again.counts_in, "requested": again.requested, "completed": again.completed,
+                "insertions": again.insertions,
+            },
         }));
     }
     let document = json!({ "machine": status.machine, "axes": all });
@@ -183,6 +197,8 @@ struct Told {
     requested: i64,
     completed: i64,
     insertions: u64,
+    /// Of these, in shadow mode: nothing was written.
+    shadow: u64,
     edges: u64,
 }
 
@@ -198,6 +214,7 @@ impl Told {
             requested: last.requested,
             completed: last.completed,
             insertions: last.insertions - first.insertions,
+            shadow: in_shadow(&kept.rows),
             edges: 0,
         };
         let mut edges = 0;
@@ -212,6 +229,18 @@ impl Told {
         );
         told.edges = edges;
         told
+    }
+
+    /// How a replay that gives the same totals compares.
+    fn compared(&self, insertions: u64) -> String {
+        if insertions == self.insertions {
+            return "the same".to_owned();
+        }
+        let why = match self.shadow {
+            0 => "what took each other back between two looks, or was not inserted one by one, is not told apart".to_owned(),
+            n => format!("{n} of the {} in shadow mode, which the MTC did not see", self.insertions),
+        };
+        format!("the same totals, by {insertions} insertions ({why})")
     }
 
     /// Gives every edge (time, position) after the first row and every request (time, total), in order of time.
@@ -271,8 +300,8 @@ impl Told {
         requests: &Path,
         insertions: &Path,
     ) -> anyhow::Result<()> {
-        let mut file = TraceFile::create(trace)?;
-        let mut rows = "t_ns,requested\n".to_owned();
+        let mut file = TraceFile::create_noted(trace, &TRACE_IS)?;
+        let mut rows = REQUESTS_ARE.to_owned() + "t_ns,requested\n";
         let first = kept.rows.first().copied().unwrap_or_default();
         let writing = |file: &Path| format!("writing {}", file.display());
         file.write(TracePoint { t_ns: Self::start_ns(&first), state: state(0) })
@@ -307,6 +336,13 @@ impl Told {
         }
         rtec_files::write::whole(insertions, table.as_bytes()).with_context(|| writing(insertions))
     }
+}
+
+/// Insertions that changed the total and not what is in effect.
+fn in_shadow(rows: &[LedgerRow]) -> u64 {
+    let pairs =
+        rows.windows(2).filter(|w| w[0].completed != w[1].completed && w[0].in_effect == w[1].in_effect);
+    pairs.map(|w| w[1].insertions.saturating_sub(w[0].insertions)).sum()
 }
 
 /// Edges before the first row, for what had been inserted by then.
@@ -356,13 +392,21 @@ fn state(counts: i64) -> State {
     State::new(n == 1 || n == 2, n == 2 || n == 3)
 }
 
-/// Counts, requested and completed of the files, by the engine.
-fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<(i64, i64, i64)> {
+/// What the engine makes of the files.
+struct Replayed {
+    counts_in: i64,
+    requested: i64,
+    completed: i64,
+    insertions: u64,
+}
+
+fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<Replayed> {
     let (trace, requests) = (TraceReader::open(trace)?, RequestReader::open(requests)?);
     let config = AxisConfig { max_correction_counts: i64::MAX, ..AxisConfig::default() };
     let (outcome, _) = replay_any(AnyDesign::C, config, trace, requests, true, |_, _: State| {})
         .map_err(|e| anyhow::anyhow!("replaying what was written: {e}"))?;
-    Ok((outcome.counts_in, outcome.requested, outcome.completed))
+    let rtec_sim::replay::ReplayOutcome { counts_in, requested, completed, insertions, .. } = outcome;
+    Ok(Replayed { counts_in, requested, completed, insertions })
 }
 
 #[cfg(test)]
@@ -395,12 +439,20 @@ mod tests {
         told.write(kept, &file("t.csv"), &file("r.csv"), &file("i.csv")).unwrap();
         let again = replayed(&file("t.csv"), &file("r.csv")).unwrap();
         assert_eq!(
-            again,
+            (again.counts_in, again.requested, again.completed),
             (counts, requested, completed),
             "{}",
             std::fs::read_to_string(file("r.csv")).unwrap()
         );
         assert_eq!((told.counts, told.requested, told.completed), (counts, requested, completed));
+        // Whoever opens a file finds in it what it is.
+        let trace = std::fs::read_to_string(file("t.csv")).unwrap();
+        assert!(
+            trace.starts_with("# made from a ledger")
+                && trace.contains("no record of the motion\nt_ns,a,b\n")
+        );
+        let requests = std::fs::read_to_string(file("r.csv")).unwrap();
+        assert!(requests.starts_with("# totals that lead to") && requests.contains("\nt_ns,requested\n"));
         let table = std::fs::read_to_string(file("i.csv")).unwrap();
         assert_eq!(table.lines().count(), kept.rows.len() + 1);
     }
@@ -423,6 +475,22 @@ mod tests {
         more.push(row((500, 0), (520, 60), 400, 400, 206));
         more.push(row((600, 0), (620, 2), 0, 0, 406));
         replays(&page(more, (1000, 10)), 10, 0, 0);
+    }
+
+    /// In shadow mode a total comes and goes without an insertion that the MTC sees.
+    #[test]
+    fn other_numbers_of_insertions_do_not_stand_beside_the_same_without_a_word() {
+        let shadow = |r: LedgerRow| LedgerRow { in_effect: 0, ..r };
+        let rows = vec![
+            row((100, 0), (100, 0), 0, 0, 0),
+            shadow(row((200, 100), (210, 110), 2, 2, 1)),
+            row((300, 200), (310, 210), 0, 0, 1),
+            row((400, 300), (410, 320), 4, 4, 3),
+        ];
+        let told = Told::of(&page(rows, (500, 400)), 50);
+        assert_eq!((told.insertions, told.shadow), (3, 1));
+        let says = "the same totals, by 4 insertions (1 of the 3 in shadow mode, which the MTC did not see)";
+        assert_eq!((told.compared(3), told.compared(4)), ("the same".to_owned(), says.to_owned()));
     }
 
     #[test]

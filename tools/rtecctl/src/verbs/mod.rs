@@ -49,6 +49,20 @@ pub(crate) fn output() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|file| can_be_written(&file).map(|()| file))
 }
 
+/// The same of a drawing, which is SVG whatever the file is called.
+pub(crate) fn drawing() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new()
+        .try_map(|file| is_drawing(&file).and_then(|()| can_be_written(&file)).map(|()| file))
+}
+
+fn is_drawing(file: &Path) -> Result<(), String> {
+    let Some(extension) = file.extension().map(|e| e.to_string_lossy().into_owned()) else { return Ok(()) };
+    if extension.eq_ignore_ascii_case("svg") {
+        return Ok(());
+    }
+    Err(format!("drawings are SVG, not {extension}: name it {}", file.with_extension("svg").display()))
+}
+
 fn can_be_written(file: &Path) -> Result<(), String> {
     let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match std::fs::metadata(file) {
@@ -66,7 +80,34 @@ fn can_be_written(file: &Path) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
-    use super::can_be_written;
+    use super::{can_be_written, is_drawing};
+
+    #[test]
+    fn a_drawing_is_not_written_under_the_name_of_another_kind() {
+        let said = |name: &str| is_drawing(std::path::Path::new(name));
+        for good in ["a.svg", "A.SVG", "plot", "/dev/stdout"] {
+            assert_eq!(said(good), Ok(()), "{good}");
+        }
+        assert_eq!(said("p/a.png").unwrap_err(), "drawings are SVG, not png: name it p/a.svg");
+        // Every --plot that writes a file.
+        let mut asked = 0;
+        let mut places = vec![(Vec::<String>::new(), crate::help::command())];
+        while let Some((path, command)) = places.pop() {
+            let is_file = |a: &clap::Arg| a.get_value_names().is_some_and(|names| names[0] == "FILE.svg");
+            if command.get_arguments().any(|a| a.get_long() == Some("plot") && is_file(a)) {
+                let words = path.iter().map(String::as_str).chain(["--plot", "a.png"]);
+                let error = crate::help::command().try_get_matches_from(["rtecctl"].into_iter().chain(words));
+                let said = error.unwrap_err().to_string();
+                assert!(said.contains("drawings are SVG, not png: name it a.svg"), "{path:?}: {said}");
+                asked += 1;
+            }
+            let below = command
+                .get_subcommands()
+                .map(|c| ([&path[..], &[c.get_name().to_owned()]].concat(), c.clone()));
+            places.extend(below);
+        }
+        assert!(asked >= 5, "{asked}");
+    }
 
     #[test]
     fn a_file_that_cannot_be_written_is_refused_first() {

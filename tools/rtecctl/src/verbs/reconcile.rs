@@ -74,12 +74,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         .into());
     }
     let machine = Machine::read(&args.model)?;
+    spares_inputs(args)?;
     let mut runs = args.train.clone();
     if let Some(live) = &args.live {
         record(live, &args.recorder, true)?;
         runs.push(live.clone());
     }
     let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
+    spares_inputs(args)?;
     let values: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
     if args.stage == Stage::Find {
         super::suspicions::warn(&train);
@@ -114,6 +116,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         files.push(("report.html", html(&answer, machine.name())));
     }
     tell(args, &document, &summary(&answer), &files)
+}
+
+/// That nothing which was read is written over: asked before the work, which may take minutes.
+fn spares_inputs(args: &Args) -> Result<(), InputError> {
+    let Some(dir) = &args.out else { return Ok(()) };
+    let written = [
+        ("verdict.json", Stage::Find),
+        ("model.toml", Stage::Add),
+        (LAWS_FILE, Stage::Add),
+        ("report.html", Stage::Show),
+    ];
+    let mut names = written.iter().filter(|(_, from)| args.stage >= *from);
+    names.try_for_each(|(name, _)| rtec_files::write::is_no_input(&dir.join(name)))
 }
 
 /// Writes the verdict and further files where a directory is given, and prints what was asked for.

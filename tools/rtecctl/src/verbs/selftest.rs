@@ -55,7 +55,7 @@ struct LatencyArgs {
     /// Print one JSON document
     #[arg(long)]
     json: bool,
-    /// Write the histogram, as cyclictest's --histfile does, to F
+    /// Write the histogram, as cyclictest's --histfile does, to F and not to standard output
     #[arg(long, value_name = "F", value_parser = crate::verbs::output())]
     histfile: Option<PathBuf>,
 }
@@ -180,7 +180,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         println!("{}", serde_json::to_string(&document)?);
     } else {
-        print!("{}", text(&measured, &options, &rates, &reasons));
+        // As cyclictest: what goes into a file is not on the terminal, too.
+        print!("{}", text(&measured, &options, &rates, &reasons, args.histfile.is_none()));
     }
     if reasons.is_empty() { Ok(()) } else { Err(Outcome::No(reasons.join("; ")).into()) }
 }
@@ -233,7 +234,13 @@ fn threads(measured: &Measured) -> [&Latency; 3] {
     [&measured.wakeup, &measured.quiet.poll_gap, &measured.quiet.edge_to_done]
 }
 
-fn text(measured: &Measured, options: &SelftestOptions, rates: &[AxisRate], reasons: &[String]) -> String {
+fn text(
+    measured: &Measured,
+    options: &SelftestOptions,
+    rates: &[AxisRate],
+    reasons: &[String],
+    with_histogram: bool,
+) -> String {
     let mut out = String::new();
     let mut line = |text: std::fmt::Arguments| {
         let _ = writeln!(out, "{text}"); // a String takes everything
@@ -256,7 +263,9 @@ fn text(measured: &Measured, options: &SelftestOptions, rates: &[AxisRate], reas
             ns.max() / 1000,
         ));
     }
-    line(format_args!("{}", histogram(measured).trim_end()));
+    if with_histogram {
+        line(format_args!("{}", histogram(measured).trim_end()));
+    }
     line(format_args!("{}", table(measured).trim_end()));
     line(format_args!(
         "# Edge to done contains {} ns that the MTC is given: {} after the edge, as much between the inversions.",

@@ -3,7 +3,9 @@
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
 use crate::terminal::{self, Tone, toned};
+use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow};
+use rtec_correct::explain::Explained;
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
 use std::time::Duration;
@@ -31,7 +33,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let Response::Status(status) = args.daemon.ask(&ClientRequest::Status {})? else { return Ok(()) };
     if !args.daemon.json {
-        print!("{}", table(&status, Screen::here()));
+        let way =
+            args.daemon.view().map_or_else(|_| Vec::new(), |mut client| on_their_way(&mut client, &status));
+        print!("{}", table(&status, &way, Screen::here()));
     }
     if status.mode == "fault" {
         return Err(Outcome::Fault("a fault is latched".to_owned()).into());
@@ -51,7 +55,8 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
             let text = if daemon.json {
                 serde_json::to_string(&status)? + "\n"
             } else {
-                format!("{clear}{}", table(&status, Screen::here()))
+                let way = on_their_way(&mut client, &status);
+                format!("{clear}{}", table(&status, &way, Screen::here()))
             };
             let written = write!(out, "{text}").and_then(|()| out.flush());
             match written {
@@ -61,6 +66,27 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
         }
         std::thread::sleep(every);
     }
+}
+
+/// An axis whose correction ramps, and how far it has still to go, µm.
+type OnItsWay = (String, f64);
+
+/// The corrections that ramp to another place, as `explain` knows them; none where nobody answers.
+fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<OnItsWay> {
+    if status.mode != "run" {
+        return Vec::new();
+    }
+    match client.ask(&ClientRequest::Explain { axis: None }) {
+        Ok(Response::Explained { axes }) => still_to_go(&axes),
+        _ => Vec::new(),
+    }
+}
+
+fn still_to_go(axes: &[Explained]) -> Vec<OnItsWay> {
+    let of = |a: &Explained| a.parts.iter().find(|p| p.name == "on its way").map_or(0.0, |p| -p.um);
+    let ramps = axes.iter().filter(|a| a.holds.is_none()).map(|a| (a.axis.clone(), of(a)));
+    // Less is not shown.
+    ramps.filter(|(_, um)| um.abs() >= 0.05).collect()
 }
 
 fn yes(is: bool) -> &'static str {
@@ -96,8 +122,8 @@ impl Screen {
     }
 }
 
-fn table(s: &DaemonStatus, screen: Screen) -> String {
-    screen.fit(head(s, screen)) + &axes(s, screen) + &screen.fit(below(s, screen))
+fn table(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
+    screen.fit(head(s, screen)) + &axes(s, screen) + &screen.fit(below(s, way, screen))
 }
 
 /// The machine as a whole.
@@ -120,7 +146,7 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
 }
 
 /// What stands below the axes.
-fn below(s: &DaemonStatus, screen: Screen) -> String {
+fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
     let mut text = String::new();
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
     let thread = match (s.rt.cpu, s.rt.priority) {
@@ -170,7 +196,7 @@ fn below(s: &DaemonStatus, screen: Screen) -> String {
             writeln!(text, "{} {why}", tone(if some { "in part only:" } else { "not correcting:" }, tone_of));
     }
     if some || s.mode == "run" && s.why_not.is_empty() {
-        let _ = writeln!(text, "{}", correcting(s));
+        let _ = writeln!(text, "{}", correcting(s, way));
     }
     let still: Vec<String> = (s.axes.iter().filter(|a| a.in_effect != 0))
         .map(|a| format!("{} {:+}", a.name, a.in_effect))
@@ -228,7 +254,9 @@ fn axes(s: &DaemonStatus, screen: Screen) -> String {
 }
 
 /// What is corrected, where nothing stands in the way.
-fn correcting(s: &DaemonStatus) -> String {
+fn correcting(s: &DaemonStatus, way: &[OnItsWay]) -> String {
+    let way: Vec<String> = way.iter().map(|(axis, um)| format!("{axis} {um:+.1} µm")).collect();
+    let way = (!way.is_empty()).then(|| format!("ramping, still to go: {}", way.join(", ")));
     let asked: Vec<String> = (s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0))
         .map(|a| {
             let gate = a.gate.replace('_', " ");
@@ -246,13 +274,14 @@ fn correcting(s: &DaemonStatus) -> String {
         })
         .collect();
     if !asked.is_empty() {
-        return format!("correcting: {} counts", asked.join(", "));
+        let way = way.map_or_else(String::new, |way| format!("; {way}"));
+        return format!("correcting: {} counts{way}", asked.join(", "));
     }
     if s.model.is_none() && s.table.is_none() {
         return "correcting nothing: no model, no part table, no total of the operator: `rtecctl model load`"
             .to_owned();
     }
-    "correcting: nothing to take out now".to_owned()
+    format!("correcting: {}", way.unwrap_or_else(|| "nothing to take out now".to_owned()))
 }
 
 fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
@@ -293,6 +322,7 @@ fn times(d: &Distribution) -> String {
 mod tests {
     use super::*;
     use rtec_control::protocol::{AxisReport, PROTOCOL, Reading, Rt, RunningModel};
+    use rtec_correct::explain::Contribution;
     use rtec_rt::event::Fault;
     use std::collections::BTreeMap;
 
@@ -388,7 +418,7 @@ mod tests {
 
     #[test]
     fn a_machine_that_corrects_says_what_with_its_model_and_sensors() {
-        crate::golden("status_corrects.txt", &table(&corrects(), PLAIN));
+        crate::golden("status_corrects.txt", &table(&corrects(), &[], PLAIN));
     }
 
     #[test]
@@ -406,7 +436,7 @@ mod tests {
             "when mended: `rtecctl clear`".into(),
             "axis z: thermal corrections hold: sensor T18: silent; its last good value is 42 s old".into(),
         ];
-        crate::golden("status_fault.txt", &table(&status, PLAIN));
+        crate::golden("status_fault.txt", &table(&status, &[], PLAIN));
     }
 
     /// Colours say nothing that the words do not, and nothing is wider than 80 columns.
@@ -417,13 +447,13 @@ mod tests {
         status.axes[1].faults = vec![Fault::PollGap];
         status.why_not = vec!["when mended: `rtecctl clear`".into()];
         status.record_trouble = Some("/var/log/rtec/audit.log: No space left on device".into());
-        let coloured = table(&status, Screen { colour: true, width: Some(80) });
+        let coloured = table(&status, &[], Screen { colour: true, width: Some(80) });
         crate::golden("status_terminal.txt", &coloured.replace('\x1b', "␛"));
         let mut bare = coloured;
         for code in ["32", "33", "1;31", "0"] {
             bare = bare.replace(&format!("\x1b[{code}m"), "");
         }
-        assert_eq!(bare, table(&status, Screen { colour: false, width: Some(80) }));
+        assert_eq!(bare, table(&status, &[], Screen { colour: false, width: Some(80) }));
         assert!(bare.lines().all(|row| row.chars().count() <= 80), "{bare}");
     }
 
@@ -431,16 +461,42 @@ mod tests {
     fn a_machine_that_nobody_asks_anything_of_says_so() {
         let mut status = corrects();
         status.axes.iter_mut().for_each(|a| (a.requested, a.in_effect) = (0, 0));
-        assert_eq!(correcting(&status), "correcting: nothing to take out now");
+        assert_eq!(correcting(&status, &[]), "correcting: nothing to take out now");
+        let part = |name: &str, um| Contribution {
+            name: name.to_owned(),
+            um,
+            sensors: Vec::new(),
+            outside_k: None,
+            weight: None,
+        };
+        // The model asks for 12.4 µm, of which nothing is done yet: so much is still to go.
+        let explained = |axis: &str, parts, holds| Explained {
+            axis: axis.to_owned(),
+            requested: 0,
+            total_um: 0.0,
+            parts,
+            holds,
+        };
+        let parts = vec![part("scale.x", 12.4), part("on its way", -12.4)];
+        let axes = [
+            explained("x", parts.clone(), None),
+            explained("y", vec![part("on its way", 0.01)], None),
+            explained("z", parts, Some("a sensor is silent".to_owned())),
+        ];
+        let way = still_to_go(&axes);
+        assert_eq!(correcting(&status, &way), "correcting: ramping, still to go: x +12.4 µm");
+        status.axes[0].requested = 2;
+        assert!(correcting(&status, &way).ends_with(" counts; ramping, still to go: x +12.4 µm"));
+        status.axes[0].requested = 0;
         status.model = None;
-        assert!(correcting(&status).contains("`rtecctl model load`"));
+        assert!(correcting(&status, &[]).contains("`rtecctl model load`"));
     }
 
     #[test]
     fn everything_that_is_known_and_what_the_part_table_does() {
         let mut status: DaemonStatus =
             serde_json::from_str(include_str!("../../tests/golden/status.json")).unwrap();
-        let mut text = table(&status, PLAIN);
+        let mut text = table(&status, &[], PLAIN);
         let now = status.table_now.take().unwrap();
         let mut also = |now: Option<TableNow>| {
             text.push_str("---\n");
@@ -452,6 +508,6 @@ mod tests {
         also(None);
         crate::golden("status.txt", &text);
         status.table = None;
-        assert!(!table(&status, PLAIN).contains("part table"));
+        assert!(!table(&status, &[], PLAIN).contains("part table"));
     }
 }

@@ -131,3 +131,29 @@ fn recorder_options_without_a_live_run_are_refused() {
         assert!(!folder.path().join("found").exists());
     }
 }
+
+/// Not after minutes of work, and not after a run that was recorded for it.
+#[test]
+fn a_result_in_the_place_of_the_model_is_refused_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    offset(folder.path());
+    std::fs::create_dir(folder.path().join("found")).unwrap();
+    std::fs::rename(folder.path().join("machine.toml"), folder.path().join("found/model.toml")).unwrap();
+    let reconcile = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .args(["reconcile", "--model", "found/model.toml", "--out", "found"])
+            .args(arguments)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    // The record is not there: whoever came as far as to read it would say so.
+    for arguments in [["none.run.toml"].as_slice(), &["--live", "new.run.toml", "--duration", "1"]] {
+        let (code, said) = reconcile(arguments);
+        assert_eq!(code, Some(2), "{said}");
+        assert!(said.contains("found/model.toml: found a file that this command reads"), "{said}");
+    }
+    // What this stage does not write is not in its way.
+    assert_eq!(reconcile(&["run.run.toml", "--stage", "find"]), (Some(0), String::new()));
+}

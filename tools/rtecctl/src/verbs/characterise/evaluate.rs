@@ -26,7 +26,7 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=4))]
     norm: u8,
     /// Draw the evaluation into this SVG file, further plots into FILE.2.svg, FILE.3.svg …
-    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::output())]
+    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::drawing())]
     plot: Option<PathBuf>,
     /// Write a report with tables and plots as one page, ready to print
     #[arg(long, value_name = "FILE.html", value_parser = crate::verbs::output())]

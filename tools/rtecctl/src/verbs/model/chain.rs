@@ -26,7 +26,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "chain.toml", value_parser = crate::verbs::output())]
     out: PathBuf,
     /// Draw what is left into this SVG file, one per record and response
-    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::output())]
+    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::drawing())]
     plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]

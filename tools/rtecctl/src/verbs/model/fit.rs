@@ -39,7 +39,7 @@ pub(crate) struct Common {
     base: Option<PathBuf>,
     /// Draw correlation and range of every sensor into this SVG file, as the patent's figure 17; with --effects what is
     /// left, one file per record and response
-    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::output())]
+    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::drawing())]
     plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]

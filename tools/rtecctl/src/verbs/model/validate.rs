@@ -24,7 +24,7 @@ pub(crate) struct ValidateArgs {
     #[arg(long = "record", value_name = "NAME.run.toml", required = true)]
     records: Vec<PathBuf>,
     /// Draw measured, predicted and the 95 % interval over time, one file per record and response
-    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::output())]
+    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::drawing())]
     plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
@@ -47,7 +47,7 @@ pub(crate) struct RehearseArgs {
     #[arg(long, value_name = "rtec.toml")]
     config: Option<PathBuf>,
     /// Draw both corrections, one file per axis
-    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::output())]
+    #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::drawing())]
     plot: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
