@@ -17,6 +17,8 @@ const BEYOND_CHANCE: f64 = 60.0;
 const FEW_ROUNDS: usize = 12;
 /// More waves of one law on an axis are no name.
 const NAMED_WAVES: usize = 2;
+/// More bumps of one law around a circle are none: they stand for a curve.
+const NAMED_BUMPS: usize = 5;
 /// Most rivals that are listed for one effect.
 const MOST_RIVALS: usize = 12;
 
@@ -145,7 +147,7 @@ impl TriedList {
 }
 
 /// A set without the waves of an axis on which one law has more of them than have a name, and a shape for each such axis:
-/// what repeats there is no wave.
+/// what repeats there is no wave. The same of bumps around a circle.
 fn without_crowds(search: &Search<'_, '_>, set: Set) -> (Set, Vec<Shape>) {
     let axis = |m: &Member| match &m.cause {
         Cause::Effect { effect, .. } if effect.description().searched.wave.is_some() => {
@@ -166,6 +168,21 @@ fn without_crowds(search: &Search<'_, '_>, set: Set) -> (Set, Vec<Shape>) {
                 against: vec![format!("position.{on}")],
                 manner: "repeats over the position, no few waves".into(),
             });
+        }
+    }
+    let bump = |m: &Member| match &m.cause {
+        Cause::Effect { effect, .. } if effect.description().needs == [Need::Angle] => {
+            effect.acts_on(&search.stack.records[0]).first().map(|(on, _)| (m.hypothesis, on.to_string()))
+        }
+        _ => None,
+    };
+    for of in set.members.iter().filter_map(bump).collect::<Vec<_>>() {
+        if set.members.iter().filter(|m| bump(m).as_ref() == Some(&of)).count() > NAMED_BUMPS {
+            while let Some(i) = set.members.iter().position(|m| bump(m).as_ref() == Some(&of)) {
+                set = search.without(&set, i);
+            }
+            let manner = "runs over the angle, no few bumps".into();
+            shapes.push(Shape { response: of.1, against: vec!["angle".into()], manner });
         }
     }
     (set, shapes)

@@ -224,6 +224,25 @@ fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
     assert!(unknown.iter().filter(|u| **u).count() >= 8, "{unknown:?}");
 }
 
+/// A wave over the angle that grows faster all the way around is a row of bumps to the eye, and in no dictionary; three bumps are bumps.
+#[test]
+fn a_row_of_bumps_is_no_name() {
+    let of = |error: &dyn Fn(f64) -> f64| {
+        let mut normal = noise(41);
+        let angle: Vec<f64> = (0..240).map(|i| TAU * f64::from(i) / 240.0).collect();
+        let e = angle.iter().map(|w| error(*w) + 0.2 * normal()).collect();
+        answer(record(Kind::Probing, vec![("w", "angle", angle), ("e", "error.r", e)]))
+    };
+    let r = of(&|w| 4.0 * (2.0 * w + 1.3 * w * w).sin());
+    assert_eq!(r.verdict, Verdict::UnknownEffect, "{:?}", names(&r));
+    assert!(names(&r).iter().filter(|n| *n == "form_bump").count() <= 5, "{:?}", names(&r));
+    let bump = |w: f64, at: f64| {
+        if (w - at).abs() < 0.3 { 6.0 * (1.0 + ((w - at) * TAU / 0.6).cos()) / 2.0 } else { 0.0 }
+    };
+    let r = of(&|w| bump(w, 1.0) + bump(w, 2.6) + bump(w, 4.4));
+    assert_eq!(names(&r), ["form_bump"; 3], "{:?}", r.verdict);
+}
+
 /// Far from zero a short period and its phase lean on each other: no angle is more open than half a turn to either side.
 #[test]
 fn a_phase_is_open_by_half_a_turn_at_most() {
