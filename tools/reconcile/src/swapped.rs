@@ -189,12 +189,12 @@ const LIKELIER: f64 = 3.0;
 /// An exchange of errors has nothing else to be held beside: it is believed where it explains so much more, nats.
 const FAR_LIKELIER: f64 = 15.0;
 
-/// Errors along two axes in each other's place, in one record or in all of them, that explain what nothing explains as they stand.
-/// `evidence`: what an analysis of other records comes to.
+/// Errors along two axes in each other's place, in one record or in all of them, that explain all of what nothing explains as they
+/// stand. `looked_at`: what an analysis of other records comes to.
 pub(crate) fn errors_instead(
     records: &[Record],
     answer: &Answer,
-    evidence: impl Fn(&[Record]) -> Option<f64>,
+    looked_at: impl Fn(&[Record]) -> Option<Answer>,
 ) -> Vec<Suspicion> {
     if answer.unexplained.is_empty() {
         return Vec::new();
@@ -217,8 +217,11 @@ pub(crate) fn errors_instead(
             _ => r.clone(),
         };
         let others: Vec<Record> = records.iter().enumerate().map(other).collect();
-        let Some(found) = evidence(&others) else { continue };
-        if found > best.as_ref().map_or(answer.evidence + FAR_LIKELIER, |b| b.0) {
+        // A shape that has no name has none in the other error either.
+        let Some(Answer { evidence, .. }) = looked_at(&others).filter(|a| a.unexplained.is_empty()) else {
+            continue;
+        };
+        if evidence > best.as_ref().map_or(answer.evidence + FAR_LIKELIER, |b| b.0) {
             let said = group.iter().filter_map(|k| {
                 let [a, b] = pairs[*k].as_ref()?;
                 let text = format!(
@@ -227,7 +230,7 @@ pub(crate) fn errors_instead(
                 );
                 Some(Suspicion::new(&records[*k], &a.name, What::Swapped, &[], text))
             });
-            best = Some((found, said.collect()));
+            best = Some((evidence, said.collect()));
         }
     }
     best.map_or_else(Vec::new, |b| b.1)

@@ -439,10 +439,11 @@ impl Analysed {
             }
             first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
         }
-        let evidence = |records: &[Record]| analyse(records, machine, level, false).map(|a| a.evidence);
+        let looked_at = |records: &[Record]| analyse(records, machine, level, false);
+        let evidence = |records: &[Record]| looked_at(records).map(|a| a.evidence);
         let mut swapped = swapped::instead(&first.used, machine, &first.answer, evidence);
         if swapped.is_empty() {
-            swapped = swapped::errors_instead(&first.used, &first.answer, evidence);
+            swapped = swapped::errors_instead(&first.used, &first.answer, looked_at);
         }
         if swapped.is_empty() {
             return first;

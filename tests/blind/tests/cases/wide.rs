@@ -348,3 +348,12 @@ fn cycles_are_logged_or_not() {
     }
     assert_eq!(hides.into_iter().collect::<Vec<_>>(), [Hides::One, Hides::Stranger]);
 }
+
+/// A bug once: what no law explains was taken for the errors of two axes exchanged, as chance explained it a little better so.
+#[test]
+fn a_shape_of_no_dictionary_is_no_exchange() {
+    for seed in [73_000_001, 73_000_039, 73_000_045] {
+        let o = rtec_blind::outcome::outcome(Class::Strangers, seed, Manner::Second, false).unwrap();
+        assert_eq!(o.suspicions, Vec::<String>::new(), "{seed}");
+    }
+}

@@ -186,8 +186,10 @@ fn values(x: &Refined) -> String {
     let each = law.parameters.iter().enumerate().filter(|(i, p)| !p.array && half[*i] > 0.0);
     let each: Vec<String> = each
         .map(|(i, p)| {
-            let (was, now) = (x.before.scalar(i), with_half(after.scalar(i), half[i]));
-            format!("{} {was} -> {now} {}", p.name, p.unit)
+            let name = if p.name == p.unit { String::new() } else { format!("{} ", p.name) };
+            let [was, now] = [x.before.scalar(i), after.scalar(i)].map(|v| with_half(v, half[i]));
+            let was = was.split(' ').next().unwrap_or_default();
+            format!("{name}{was} -> {now} {}", p.unit)
         })
         .collect();
     if each.is_empty() { String::new() } else { format!(": {}", each.join(", ")) }
