@@ -8,7 +8,7 @@ use rtec_measure::plausible::{self, Suspicion};
 use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Kind, Record, Role};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -77,6 +77,10 @@ pub struct NamedFit {
     pub records: Vec<Record>,
 }
 
+/// A spindle's housing takes half an hour and more to warm through: a shorter drift test shows the beginning of it, or has minutes
+/// for seconds.
+const SHORT_S: f64 = 1800.0;
+
 /// Chooses sensors and fits growth; `holdout` never influences it, only the last figures. What is to be said on the way
 /// goes to `say`. The model of doubted records is for looking at: [`Fit::is_to_be_written`] asks before it is kept.
 ///
@@ -100,6 +104,16 @@ pub fn fit(
         say(Said::Warning(format!(
             "{file}: no column of role time: lags and spans of time in it are numbers of rows"
         )));
+    }
+    for record in train.iter().filter(|r| r.kind == Kind::Drift && r.column(&Role::Time).is_some()) {
+        let span_s = record.time_s().last().zip(record.time_s().first()).map_or(0.0, |(b, a)| b - a);
+        if span_s < SHORT_S {
+            say(Said::Warning(format!(
+                "{}: the run lasts {:.1} min, in which hardly a machine warms: is its time in another unit than stated?",
+                record.path.display(),
+                span_s / 60.0
+            )));
+        }
     }
     let sensors = asked.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
     for d in closed(&sensors) {

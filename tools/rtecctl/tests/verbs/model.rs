@@ -332,6 +332,33 @@ fn a_run_s_own_zero_is_said_and_in_no_interval() {
     assert!(said.contains("the run's own zero"), "{said}");
 }
 
+/// Minutes that are called seconds: a drift test of seven minutes, from which a lag of twenty would be fitted as none.
+#[test]
+fn a_drift_test_of_few_minutes_is_not_fitted_in_silence() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    rtecctl(dir, "example lathe m");
+    let records = dir.join("m/records");
+    let text = std::fs::read_to_string(records.join("drift-dry.csv")).unwrap();
+    let fit = || {
+        let words = "model fit --record m/records/drift-dry.run.toml --sensors T8-T18 --out fitted.toml";
+        let out = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .current_dir(dir)
+            .args(words.split(' '))
+            .output()
+            .unwrap();
+        String::from_utf8(out.stderr).unwrap()
+    };
+    assert!(!fit().contains("another unit"), "{}", fit());
+    let minutes = |line: &str| match line.split_once(',') {
+        Some((t, rest)) => t.parse::<f64>().map_or(line.to_owned(), |t| format!("{:.5},{rest}", t / 60.0)),
+        None => line.to_owned(),
+    };
+    let rows: Vec<String> = text.lines().map(minutes).collect();
+    std::fs::write(records.join("drift-dry.csv"), rows.join("\n") + "\n").unwrap();
+    assert!(fit().contains("is its time in another unit than stated?"), "{}", fit());
+}
+
 /// A record that a model is judged by is looked at as one that it is fitted to: a temperature in °F, the other sign, an axis that
 /// the model says nothing of.
 #[test]
