@@ -8,7 +8,7 @@ use crate::gram;
 use crate::problem::{Stack, rms};
 use crate::suspected::{ALIKE, about, centred, is_of_clock, is_sensor, simulated, whole};
 use crate::swapped::{exchanged, swapped_alike};
-use crate::undone::{exchanged_columns, is_as_told, slopes, times};
+use crate::undone::{exchanged_columns, is_as_told, is_of_round_mm, other_units, slopes, times};
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
@@ -24,9 +24,6 @@ const BETTER: f64 = 0.2;
 /// machine has lines steeper than this, µm/mm (the bound of a scale and of a squareness).
 const NO_PLAINER: f64 = 1.2;
 const STEEPEST: f64 = 1.0;
-/// Targets are chosen on multiples of this, and reached to within that, mm.
-const ROUND_MM: f64 = 5.0;
-const ROUND_OFF_MM: f64 = 0.05;
 /// A row is wild that is so many robust standard deviations off; more than this share of them are no wild rows.
 const WILD: f64 = 20.0;
 const MOST_WILD: f64 = 0.12;
@@ -274,22 +271,6 @@ fn in_units(record: &Record) -> Vec<(&Column, bool)> {
     let all = record.columns.iter().find(|c| position(&c.role));
     let each = record.columns.iter().filter(|c| !other_units(&c.role).is_empty());
     all.map(|c| (c, false)).into_iter().chain(each.map(|c| (c, true))).collect()
-}
-
-/// What a column may be in instead of its unit, and by how much that is more.
-pub(crate) fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
-    match role {
-        Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch")],
-        Role::SpindleSpeed => &[(60.0, "rev/s"), (1e3, "krpm")],
-        Role::Time => &[(60.0, "min"), (3600.0, "h"), (1e-3, "ms")],
-        _ => &[],
-    }
-}
-
-/// Targets people choose in mm: those of another unit are round in that one.
-pub(crate) fn is_of_round_mm(column: &Column) -> bool {
-    let off = |p: &f64| (p - ROUND_MM * (p / ROUND_MM).round()).abs() < ROUND_OFF_MM;
-    position(&column.role) && column.data.iter().all(off)
 }
 
 fn position(role: &Role) -> bool {

@@ -1,7 +1,6 @@
 //! Two columns in each other's place, beside the model: what it leaves of all responses of a record as it stands, and with the exchange
 //! undone. An exchange has no size that could be fitted, so it is believed before a scale or a squareness that the model lacks.
 
-use crate::doubt::{is_of_round_mm, other_units};
 use crate::gram::{self, Cholesky};
 use crate::problem::rms;
 use crate::suspected::{centred, simulated};
@@ -23,6 +22,10 @@ const SAID: f64 = 0.25;
 const AS_TOLD: std::ops::Range<f64> = 0.85..1.18;
 /// A value of the model of less than so many standard errors may be anything: refined by whatever factor, it was not known.
 const SAYS: f64 = 0.5;
+
+/// Targets are chosen on multiples of this, and reached to within that, mm.
+const ROUND_MM: f64 = 5.0;
+const ROUND_OFF_MM: f64 = 0.05;
 
 /// Two positions, or two errors, that agree with the model only in each other's place.
 pub(crate) fn exchanged_columns(record: &Record, machine: &Machine) -> Option<[String; 2]> {
@@ -94,6 +97,22 @@ pub(crate) fn by_a_unit(train: &[Record], refined: &[Refined]) -> Vec<Suspicion>
         out.extend(shown.map(|(t, c)| Suspicion::new(t, &c.name, What::Unit, &[], text(c))));
     }
     out
+}
+
+/// What a column may be in instead of its unit, and by how much that is more.
+pub(crate) fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
+    match role {
+        Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch")],
+        Role::SpindleSpeed => &[(60.0, "rev/s"), (1e3, "krpm")],
+        Role::Time => &[(60.0, "min"), (3600.0, "h"), (1e-3, "ms")],
+        _ => &[],
+    }
+}
+
+/// Targets people choose in mm: those of another unit are round in that one.
+pub(crate) fn is_of_round_mm(column: &Column) -> bool {
+    let off = |p: &f64| (p - ROUND_MM * (p / ROUND_MM).round()).abs() < ROUND_OFF_MM;
+    matches!(column.role, Role::Position(_)) && column.data.iter().all(off)
 }
 
 /// The record with the columns of two axes in each other's place, those that are asked for.
