@@ -82,24 +82,44 @@ impl Fitted {
     /// its knots: it has as many as the rows call for, and what it does beside them is in the others' values.
     fn widen(&mut self, stack: &Stack<'_>, answer: &Answer) {
         let mut whole = self.terms.clone();
-        let (mut widened, mut finer) = (false, Vec::new());
+        let (mut widened, mut finer, mut parts) = (false, Vec::new(), Vec::new());
         for (i, f) in answer.findings.iter().enumerate() {
             let at = self.file.len() + i;
-            if !f.held.is_empty() {
-                // Of the parts of a sum each may be nothing, or twice itself.
-                let share = if whole[at].ways.is_empty() { 1.0 } else { LEFT_OUT };
-                whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, share);
+            if !f.held.is_empty() && whole[at].ways.is_empty() {
+                parts.push(at);
+            } else if !f.held.is_empty() {
+                whole[at] = Term::with_left_out(stack, &whole[at].effect, &f.held, LEFT_OUT);
                 widened = true;
             } else if let Some(map) = Term::finer(stack, &whole[at].effect, LEFT_OUT) {
                 whole[at] = map;
                 finer.push(at);
             }
         }
-        if !widened && finer.is_empty() {
-            return;
+        let all = self.file.len()..self.file.len() + self.found;
+        if widened || !finer.is_empty() {
+            self.widen_to(stack, whole, answer.phi, all.filter(|at| !finer.contains(at)));
         }
-        fit::fit(stack, &mut whole, answer.phi, STEPS, None);
-        for at in (self.file.len()..self.file.len() + self.found).filter(|at| !finer.contains(at)) {
+        // Of the parts of a sum each may be nothing, or twice itself; the sum is what it is, and so is what stands beside it.
+        if !parts.is_empty() {
+            let mut open = self.terms.clone();
+            for at in &parts {
+                let held: Vec<usize> = (0..open[*at].effect.values().len()).collect();
+                open[*at] = Term::with_left_out(stack, &open[*at].effect, &held, 1.0);
+            }
+            self.widen_to(stack, open, answer.phi, parts.into_iter());
+        }
+    }
+
+    /// Intervals of these that hold what a fit with more freedom shows of them.
+    fn widen_to(
+        &mut self,
+        stack: &Stack<'_>,
+        mut whole: Vec<Term>,
+        phi: f64,
+        of: impl Iterator<Item = usize>,
+    ) {
+        fit::fit(stack, &mut whole, phi, STEPS, None);
+        for at in of {
             let (own, other) = (&mut self.terms[at], &whole[at]);
             let values = own.effect.values().iter().zip(other.effect.values()).zip(&other.half);
             for (half, ((a, b), h)) in own.half.iter_mut().zip(values) {
