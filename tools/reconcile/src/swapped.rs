@@ -8,7 +8,7 @@ use crate::undone::with_errors_exchanged;
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role};
 use std::collections::BTreeSet;
 
 /// What an exchange of two sensors would change is what is left, at one to one within this.
@@ -201,19 +201,16 @@ pub(crate) fn errors_instead(
     }
     let varies = |c: &&Column| matches!(c.role, Role::Error(_)) && centred(&c.data).iter().any(|x| *x != 0.0);
     let mut best: Option<(f64, Vec<Suspicion>)> = None;
-    let pair = |r: &'_ Record| -> Option<[Column; 2]> {
-        let [a, b]: [&Column; 2] = r.columns.iter().filter(varies).collect::<Vec<_>>().try_into().ok()?;
-        Some([a.clone(), b.clone()])
+    let pair = |r: &'_ Record| -> Option<[(Axis, String); 2]> {
+        let of = |c: &Column| Some((c.role.axis()?.clone(), c.name.clone()));
+        r.columns.iter().filter(varies).filter_map(of).collect::<Vec<_>>().try_into().ok()
     };
-    let pairs: Vec<Option<[Column; 2]>> = records.iter().map(pair).collect();
+    let pairs: Vec<Option<[(Axis, String); 2]>> = records.iter().map(pair).collect();
     let with: Vec<usize> = (0..records.len()).filter(|k| pairs[*k].is_some()).collect();
     let together = (with.len() > 1).then(|| with.clone());
     for group in with.iter().map(|k| vec![*k]).chain(together).take(LOOKED_INTO) {
         let other = |(k, r): (usize, &Record)| match &pairs[k] {
-            Some([a, b]) if group.contains(&k) => match (a.role.axis(), b.role.axis()) {
-                (Some(x), Some(y)) => with_errors_exchanged(r, [x, y]),
-                _ => r.clone(),
-            },
+            Some([(a, _), (b, _)]) if group.contains(&k) => with_errors_exchanged(r, [a, b]),
             _ => r.clone(),
         };
         let others: Vec<Record> = records.iter().enumerate().map(other).collect();
@@ -223,12 +220,11 @@ pub(crate) fn errors_instead(
         };
         if evidence > best.as_ref().map_or(answer.evidence + FAR_LIKELIER, |b| b.0) {
             let said = group.iter().filter_map(|k| {
-                let [a, b] = pairs[*k].as_ref()?;
+                let [(_, a), (_, b)] = pairs[*k].as_ref()?;
                 let text = format!(
-                    "the run is explained far better with {} and {} exchanged than with anything missing",
-                    a.name, b.name
+                    "the run is explained far better with {a} and {b} exchanged than with anything missing"
                 );
-                Some(Suspicion::new(&records[*k], &a.name, What::Swapped, &[], text))
+                Some(Suspicion::new(&records[*k], a, What::Swapped, &[], text))
             });
             best = Some((evidence, said.collect()));
         }
