@@ -234,7 +234,7 @@ impl Hypotheses {
             let rows = stack.rows(other);
             let along = stack
                 .column(Some(other), |r, row| r.data(&Role::Position(axis.clone())).map_or(0.0, |p| p[row]));
-            wave.also.push((rows.clone(), along[rows.clone()].to_vec(), share[rows].to_vec()));
+            wave.push(stack, rows.clone(), along[rows.clone()].to_vec(), share[rows].to_vec());
         }
         if let (Some(steps), Some(step)) = (facts.steps, resolution(&wave.places)) {
             // What is finer than the positions are read cannot be told from something coarser.

@@ -1,6 +1,7 @@
 //! A variable that a wave may run along: what the search of its period needs.
 
 use crate::cause::{Cause, Shape};
+use crate::extent::pitch;
 use crate::problem::Stack;
 use rtec_model::effect::Effect;
 use std::ops::Range;
@@ -19,6 +20,8 @@ pub(crate) struct Wave {
     pub(crate) share: Vec<f64>,
     /// Further rows that show it: a circle's radial error beside the axis's own; each with the variable and the share.
     pub(crate) also: Vec<(Range<usize>, Vec<f64>, Vec<f64>)>,
+    /// The segments of all rows that show it.
+    pub(crate) segments: Vec<Range<usize>>,
     /// The variable in rising order, each value once.
     pub(crate) places: Vec<f64>,
     /// Frequencies to search, in periods per unit of the variable.
@@ -46,6 +49,7 @@ impl Wave {
             hypothesis,
             effect: None,
             shape: None,
+            segments: within(&stack.ranges, &rows).to_vec(),
             rows,
             along,
             share: Vec::new(),
@@ -55,6 +59,12 @@ impl Wave {
             to,
             unit: 1.0,
         }
+    }
+
+    /// Further rows that show it, with the variable and the share of it there.
+    pub(crate) fn push(&mut self, stack: &Stack<'_>, rows: Range<usize>, along: Vec<f64>, share: Vec<f64>) {
+        self.segments.extend_from_slice(within(&stack.ranges, &rows));
+        self.also.push((rows, along, share));
     }
 
     /// A column of its rows, each value by its share.
@@ -76,8 +86,30 @@ impl Wave {
         ((self.to - self.from.max(0.5 / span)) * span).max(2.0)
     }
 
-    /// The variable's extent.
+    /// The variable's extent where it is longest.
     pub(crate) fn span(&self) -> f64 {
-        self.places.last().zip(self.places.first()).map_or(0.0, |(last, first)| last - first)
+        let of = |x: &[f64]| {
+            let (least, most) = x.iter().fold((f64::MAX, f64::MIN), |(l, m), x| (l.min(*x), m.max(*x)));
+            (most - least).max(0.0)
+        };
+        self.also.iter().map(|(_, along, _)| of(along)).fold(of(&self.along), f64::max)
     }
+
+    /// The pitch of the grid that all its places lie on; none where further rows show it between them.
+    pub(crate) fn pitch(&self, close: f64) -> Option<f64> {
+        if self.also.is_empty() { pitch(&self.places, close) } else { None }
+    }
+
+    /// Its own rows and the further ones, each with the variable and the share of it there.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = (&Range<usize>, &[f64], &[f64])> {
+        let further = self.also.iter().map(|(rows, along, share)| (rows, &along[..], &share[..]));
+        std::iter::once((&self.rows, &self.along[..], &self.share[..])).chain(further)
+    }
+}
+
+/// The segments of a response, which stand one after the other.
+fn within<'s>(segments: &'s [Range<usize>], rows: &Range<usize>) -> &'s [Range<usize>] {
+    let from = segments.partition_point(|s| s.end <= rows.start);
+    let to = segments.partition_point(|s| s.start < rows.end);
+    &segments[from..to]
 }

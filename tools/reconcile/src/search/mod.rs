@@ -84,8 +84,8 @@ pub(crate) struct Search<'p, 'r> {
     pub(crate) nu: f64,
     pub(crate) phis: Vec<f64>,
     transform: RefCell<Transform>,
-    /// Per wave: how its frequencies lie on the places.
-    places_seen: Vec<OnceCell<Vec<OnPlaces>>>,
+    /// Per wave, of its own rows and of the further ones: how its frequencies lie on the places.
+    places_seen: Vec<Vec<OnceCell<Vec<OnPlaces>>>>,
     /// Frequencies worth a look, per wave: the highest peaks met so far.
     peaks: RefCell<Vec<Vec<f64>>>,
     /// Per wave: its rows when its peaks were last looked for.
@@ -129,7 +129,7 @@ impl<'p, 'r> Search<'p, 'r> {
             nu: 0.0,
             phis,
             transform: RefCell::default(),
-            places_seen: waves.iter().map(|_| OnceCell::new()).collect(),
+            places_seen: waves.iter().map(|w| w.parts().map(|_| OnceCell::new()).collect()).collect(),
             peaks: RefCell::new(Vec::new()),
             looked_at: RefCell::new(Vec::new()),
             seen: RefCell::new(HashMap::new()),

@@ -2,12 +2,14 @@
 
 use super::Search;
 use super::offers::{Offer, Source};
-use super::periodogram::peaks;
+use super::periodogram::{OnPlaces, peaks};
 use super::sets::{Member, Set, sharpened};
 use crate::cause::{Cause, Shape};
 use crate::extent::{GRID_SHARE, aliases, likeliest, pitch};
 use crate::gram::{self, dot};
 use crate::waves::Wave;
+use std::cell::OnceCell;
+use std::ops::Range;
 
 /// Frequencies that are looked at twice, and closely; those beyond once.
 const MOST_FREQUENCIES: f64 = 262_144.0;
@@ -141,24 +143,23 @@ impl Search<'_, '_> {
             return;
         }
         let (residual, phi) = self.residual(set);
-        if self.as_before(at, &residual[wave.rows.clone()]) {
+        let rows: Vec<f64> =
+            wave.parts().flat_map(|(rows, ..)| residual[rows.clone()].iter().copied()).collect();
+        if self.as_before(at, &rows) {
             return;
         }
         let step = FREQUENCY_STEP / span;
         let wanted = ((wave.to - from) / step).ceil().max(2.0);
-        let x: Vec<f64> = wave.along.iter().map(|x| x - wave.places[0]).collect();
         let band = Band { from, step, count: wanted.min(MOST_FREQUENCIES) as usize };
         let list = &mut self.peaks.borrow_mut()[at];
         self.peaks_of_targets(set, wave, &residual, [from, step], list);
         for p in [0.0, phi] {
             if p == 0.0 || p.abs() >= VISIBLE_MEMORY {
                 let u = sharpened(&residual, p, &self.stack.ranges);
-                let mut u = u[wave.rows.clone()].to_vec();
-                wave.shared(&mut u);
-                self.near_peaks(at, &x, &u, &band, p, list);
+                self.near_peaks(at, &u, &band, p, list);
             }
         }
-        if wanted > MOST_FREQUENCIES && x.len() >= FAR_ROWS {
+        if wanted > MOST_FREQUENCIES && wave.along.len() >= FAR_ROWS {
             // Far up every wave is as good as random from row to row, so that one look with the noise's own
             // coefficient serves, on a coarser grid.
             let from = from + step * MOST_FREQUENCIES;
@@ -166,6 +167,7 @@ impl Search<'_, '_> {
             let count = ((wave.to - from) / step).ceil().max(2.0) as usize;
             let mut u = sharpened(&residual, phi, &self.stack.ranges)[wave.rows.clone()].to_vec();
             wave.shared(&mut u);
+            let x: Vec<f64> = wave.along.iter().map(|x| x - wave.places[0]).collect();
             let mut power: Vec<f64> = Vec::with_capacity(count);
             let mut transform = self.transform.borrow_mut();
             transform.sums(&x, &u, from, step, count, |z| power.push(f64::from(z.norm_sqr())));
@@ -187,23 +189,53 @@ impl Search<'_, '_> {
         same
     }
 
-    /// Peaks of a wave's periodogram at the lower frequencies, how waves lie on the places taken into account.
-    fn near_peaks(&self, at: usize, x: &[f64], u: &[f64], band: &Band, phi: f64, list: &mut Vec<f64>) {
+    /// Peaks of a wave's periodogram at the lower frequencies, how waves lie on the places taken into account: of its own rows,
+    /// and of all that show it.
+    fn near_peaks(&self, at: usize, u: &[f64], band: &Band, phi: f64, list: &mut Vec<f64>) {
+        let mut all = vec![0.0; band.count];
+        for (part, seen) in self.waves[at].parts().zip(&self.places_seen[at]) {
+            let mut power = self.power(part, seen, u, band, phi);
+            all.iter_mut().zip(&power).for_each(|(all, power)| *all += power);
+            if part.0 == &self.waves[at].rows {
+                peaks(&mut power, band.from, band.step, list);
+            }
+        }
+        if !self.waves[at].also.is_empty() {
+            peaks(&mut all, band.from, band.step, list);
+        }
+    }
+
+    /// What waves of each frequency explain of some rows, up to a factor.
+    fn power(
+        &self,
+        (rows, along, share): (&Range<usize>, &[f64], &[f64]),
+        seen: &OnceCell<Vec<OnPlaces>>,
+        u: &[f64],
+        band: &Band,
+        phi: f64,
+    ) -> Vec<f64> {
         let &Band { from, step, count } = band;
-        let mut transform = self.transform.borrow_mut();
-        let places = self.places_seen[at].get_or_init(|| transform.places(x, from, step, count));
+        let first = along.iter().copied().fold(f64::MAX, f64::min);
+        let x: Vec<f64> = along.iter().map(|x| x - first).collect();
+        let mut u = u[rows.clone()].to_vec();
+        u.iter_mut().zip(share).for_each(|(u, share)| *u *= share);
         let mean = u.iter().sum::<f64>() / u.len() as f64;
-        let u: Vec<f64> = u.iter().map(|u| u - mean).collect();
+        u.iter_mut().for_each(|u| *u -= mean);
+        let mut transform = self.transform.borrow_mut();
+        let places = seen.get_or_init(|| transform.places(&x, from, step, count));
         let mut power: Vec<f64> = Vec::with_capacity(count);
-        transform.sums(x, &u, from, step, count, |z| power.push(places[power.len()].power(z)));
-        if phi != 0.0 {
-            let gap = median_gap(x);
-            for (i, power) in power.iter_mut().enumerate() {
+        transform.sums(&x, &u, from, step, count, |z| power.push(places[power.len()].power(z)));
+        // Of a wave that is a share of itself there so many rows are seen.
+        let whole = if share.is_empty() { x.len() as f64 } else { dot(share, share) };
+        let gap = median_gap(&x);
+        for (i, power) in power.iter_mut().enumerate() {
+            *power /= whole;
+            if phi != 0.0 {
                 let (_, cos) = gram::wave((from + step * i as f64) * gap);
                 *power /= 1.0 + phi * phi - 2.0 * phi * cos;
             }
         }
-        peaks(&mut power, from, step, list);
+        power
     }
 
     /// The best period of a periodic hypothesis: each peak refined exactly that may come to more than `least`.
@@ -256,7 +288,7 @@ impl Search<'_, '_> {
         let mut tops: Vec<(f64, f64)> = Vec::new();
         let mut refined = |f0: &f64, tops: &mut Vec<(f64, f64)>| {
             let bound = best.max(set.score - HOPELESS).max(least);
-            let grid = wave.effect.as_ref().and_then(|_| pitch(&wave.places, GRID_SHARE / f0));
+            let grid = wave.effect.as_ref().and_then(|_| wave.pitch(GRID_SHARE / f0));
             let eval = |f: f64| {
                 // On a grid whose pitch is a whole number of periods a wave is a constant or a slow bow, and no wave.
                 if grid.is_some_and(|pitch| ((f * pitch).round() / pitch - f).abs() * span < SLOWEST_TURNS) {
@@ -379,7 +411,7 @@ impl Search<'_, '_> {
     /// say; the likeliest is given.
     fn likeliest_alias(&self, set: &Set, wave: &Wave, best: &mut Tone, independent: f64, usual_mm: &[f64]) {
         let span = wave.span();
-        let Some(pitch) = pitch(&wave.places, GRID_SHARE / best.f) else { return };
+        let Some(pitch) = wave.pitch(GRID_SHARE / best.f) else { return };
         let cost = self.wave_cost(wave);
         best.score += best.cost - cost;
         best.cost = cost;

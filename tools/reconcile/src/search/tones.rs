@@ -54,17 +54,10 @@ impl Solved {
     }
 }
 
-/// The segments of a response, which stand one after the other.
-fn within<'s>(segments: &'s [Range<usize>], rows: &Range<usize>) -> &'s [Range<usize>] {
-    let from = segments.partition_point(|s| s.end <= rows.start);
-    let to = segments.partition_point(|s| s.start < rows.end);
-    &segments[from..to]
-}
-
 impl Search<'_, '_> {
     /// Score of a set with a wave of one frequency beside it.
     pub(super) fn wave_score(&self, set: &Set, wave: &Wave, f: f64, cost: f64) -> f64 {
-        let ranges = within(&self.stack.ranges, &wave.rows);
+        let ranges = &wave.segments[..];
         let mut all = self.seen.borrow_mut();
         let first = || self.first_seen(wave, f, ranges);
         let Seen { columns, own, with, solved } =
@@ -116,5 +109,66 @@ impl Search<'_, '_> {
             self.room.set(left);
         }
         Seen { columns: kept.map(|_| c), own, with: Vec::new(), solved: Vec::new() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hypotheses::Hypotheses;
+    use crate::problem::Stack;
+    use crate::testing::{axis, column, noise, record};
+    use rtec_model::circle::Circle;
+    use rtec_model::effect::Dictionary;
+    use rtec_model::record::{Axis, Kind, Record, Role};
+    use std::path::Path;
+
+    /// A bug once: of a wave that a ballbar reads as well the axis's own rows alone were scored, so that periods were given that
+    /// look the same at targets 20 mm apart and explain nothing of the circle.
+    #[test]
+    fn a_wave_is_scored_at_all_rows_that_show_it() {
+        let wave = |p: f64| 5.0 * (std::f64::consts::TAU * p / 14.2 + 0.4).sin();
+        let dice = noise(3, 200);
+        let mut line = record(60, |_| 0.0);
+        for (i, p) in line.columns[1].data.iter_mut().enumerate() {
+            *p = 20.0 * (i % 15) as f64;
+        }
+        let p = line.columns[1].data.clone();
+        line.columns[2]
+            .data
+            .iter_mut()
+            .zip(p)
+            .enumerate()
+            .for_each(|(i, (e, p))| *e = wave(p) + 0.1 * dice[i]);
+        let of = |f: &dyn Fn(f64) -> f64| {
+            (0..140).map(|i| f(f64::from(i) * std::f64::consts::TAU / 139.0)).collect::<Vec<f64>>()
+        };
+        let errors = of(&|a| a.cos() * wave(150.0 * a.cos()));
+        let seen = errors.iter().zip(&dice[60..]).map(|(e, d)| e + 0.1 * d).collect();
+        let columns = vec![
+            column("t", Role::Time, of(&|a| a)),
+            column("a", Role::Angle, of(&|a| a)),
+            column("r", Role::Error(Axis::new("r").unwrap()), seen),
+        ];
+        let circle = Record::new(Path::new("circle.run.toml"), Kind::Ballbar, columns).unwrap();
+        let plane = [axis(), Axis::new("y").unwrap()];
+        let circle = circle.with_circle(Circle { plane, radius_mm: 150.0 }).unwrap();
+        let records = [line, circle];
+        let stack = Stack::new(&records);
+        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(1.0, Vec::new(), stack.missing(&[]));
+        let empty = search.empty();
+        let is_screw = |h: usize| all.list[h].name == "screw_periodic.x";
+        let offer = search.scan(&empty, true).into_iter().find(|o| is_screw(o.hypothesis)).unwrap();
+        let taken = search.take(&empty, &offer);
+        assert!(
+            (taken.score - offer.score).abs() < 1e-6 * offer.score.abs(),
+            "{} {}",
+            taken.score,
+            offer.score
+        );
+        let found = search.effects(&taken).pop().flatten().unwrap();
+        assert!((found.scalar(0) - 14.2).abs() < 0.01, "{:?}", found.values());
     }
 }
