@@ -28,6 +28,7 @@
 
 mod advice;
 mod analysis;
+mod anew;
 mod answer;
 mod cause;
 mod chance;

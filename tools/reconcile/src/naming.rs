@@ -1,12 +1,13 @@
 //! What the search found gets its names: whatever does not stand out from chance goes, what the data cannot tell from it
 //! is listed beside it, and what no name explains becomes a shape.
 
+use crate::anew::along_axes;
 use crate::answer::{Answer, Finding, ROUNDS, Rival, Tried};
 use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
 use crate::leftover::{beyond_bounds, knee_instead, slightest, unexplained};
 use crate::search::{Found, Member, Search, Set};
-use crate::simpler::{DECISIVE, merged, plainer, slimmed, waved, with_offset};
+use crate::simpler::{DECISIVE, merged, plainer, slimmed, with_offset};
 use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC};
 
 /// The same hypothesis with other values free is taken instead where it is so much better.
@@ -36,7 +37,7 @@ struct Conclusion<'f> {
 /// Names what a search found, beside the model as it is now.
 pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect], level: f64) -> Answer {
     let named = renamed(search, found.named.clone());
-    let named = waved(search, named);
+    let named = along_axes(search, named);
     let named = slimmed(search, named);
     let named = with_offset(search, &named);
     let named = plainer(search, found, named);

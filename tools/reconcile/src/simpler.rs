@@ -1,7 +1,6 @@
 //! The same told with less: sets in which fewer names say as much, and names that only together take the place of others.
 
 use crate::hypotheses::Atom;
-use crate::problem::leaves_a_line;
 use crate::search::{Found, Search, Set};
 
 /// Log odds below which the data do not decide between two explanations.
@@ -33,54 +32,6 @@ pub(crate) fn slimmed(search: &mut Search<'_, '_>, set: Set) -> Set {
             None => return best,
         }
     }
-}
-
-/// Maps of fewer values are no waves in disguise.
-const FEWEST_OF_A_WAVE: usize = 7;
-/// Knots of the plain map that a wave is looked for beside.
-const PLAIN: usize = 6;
-
-/// The set with a wave and a plainer map, or none, in place of a map of many knots, where that says as much with less: a map
-/// that follows every wave of a screw is taken first, as it explains most at once, and then leaves nothing to the wave.
-pub(crate) fn waved(search: &mut Search<'_, '_>, set: Set) -> Set {
-    let mut best = set;
-    let all = search.all;
-    let is_map =
-        |h: usize| all.list[h].effect.as_ref().is_some_and(|e| leaves_a_line(e) && e.axes().len() == 1);
-    let maps: Vec<usize> = best.members.iter().map(|m| m.hypothesis).filter(|h| is_map(*h)).collect();
-    for map in maps {
-        let Some(i) = best.members.iter().position(|m| m.hypothesis == map) else { continue };
-        if best.members[i].columns() < FEWEST_OF_A_WAVE {
-            continue;
-        }
-        let rest = search.without(&best, i);
-        let mut starts = vec![rest.clone()];
-        let plain = all.atoms.iter().filter(|a| a.hypothesis == map && a.columns.len() <= PLAIN);
-        let plain: Vec<Set> = plain.map(|a| search.take_atom(&rest, a)).collect();
-        starts.extend(plain.into_iter().max_by(|a, b| a.score.total_cmp(&b.score)));
-        for start in starts {
-            let mut waves = search.scan(&start, true);
-            let axis = all.list[map].effect.as_ref().and_then(|e| e.axes().first());
-            waves.retain(|o| {
-                let of = all.list[o.hypothesis].effect.as_ref();
-                of.is_some_and(|e| e.description().searched.wave.is_some() && e.axes().first() == axis)
-            });
-            let Some(wave) = waves.first() else { continue };
-            let mut next = search.take(&start, wave);
-            if start.members.len() > rest.members.len() {
-                let last = next.members.len() - 2;
-                next = search.without(&next, last);
-            }
-            if let Some(again) = search.offer_of(&next, map).filter(|o| o.score > next.score) {
-                next = search.take(&next, &again);
-            }
-            next = search.polish(next);
-            if next.score > best.score + DECISIVE {
-                best = next;
-            }
-        }
-    }
-    best
 }
 
 /// The set with each member at the best grid point of its hypothesis, the others in place: what was chosen beside a member

@@ -24,6 +24,7 @@ mod tones;
 
 pub(crate) use bank::Share;
 pub(crate) use beam::Found;
+pub(crate) use offers::Offer;
 pub(crate) use sets::{AtPhi, Member, Set};
 
 use crate::gram::{Products, Vector};

@@ -149,7 +149,7 @@ impl Search<'_, '_> {
 
     /// Whether an offer repeats what a set has: the same hypothesis, unless it may stand twice. Waves of one law may,
     /// each told from the others over what was travelled.
-    pub(super) fn repeats(&self, set: &Set, offer: &Offer) -> bool {
+    pub(crate) fn repeats(&self, set: &Set, offer: &Offer) -> bool {
         let may = |h: &Hypothesis| h.law().is_some_and(|l| l.searched.repeats);
         let alike = |m: &&Member| {
             let (a, b) = (&self.all.list[m.hypothesis], &self.all.list[offer.hypothesis]);

@@ -133,6 +133,22 @@ fn usual_mm(wave: &Wave) -> &'static [f64] {
 impl Search<'_, '_> {
     /// Frequencies at which the periodogram of what a set leaves is highest, added to the wave's list.
     pub(super) fn find_peaks(&self, set: &Set, at: usize) {
+        let (residual, phi) = self.residual(set);
+        let of = self.waves[at].parts().flat_map(|(rows, ..)| residual[rows.clone()].iter().copied());
+        if !self.as_before(at, of.collect()) {
+            self.peaks_of(set, at, (&residual, phi), &mut self.peaks.borrow_mut()[at]);
+        }
+    }
+
+    /// The same alone, whatever was met so far.
+    pub(super) fn fresh_peaks(&self, set: &Set, at: usize) -> Vec<f64> {
+        let (residual, phi) = self.residual(set);
+        let mut list = Vec::new();
+        self.peaks_of(set, at, (&residual, phi), &mut list);
+        list
+    }
+
+    fn peaks_of(&self, set: &Set, at: usize, (residual, phi): (&[f64], f64), list: &mut Vec<f64>) {
         let wave = &self.waves[at];
         let span = wave.span();
         if span <= 0.0 {
@@ -142,20 +158,13 @@ impl Search<'_, '_> {
         if wave.to <= from {
             return;
         }
-        let (residual, phi) = self.residual(set);
-        let rows: Vec<f64> =
-            wave.parts().flat_map(|(rows, ..)| residual[rows.clone()].iter().copied()).collect();
-        if self.as_before(at, &rows) {
-            return;
-        }
         let step = FREQUENCY_STEP / span;
         let wanted = ((wave.to - from) / step).ceil().max(2.0);
         let band = Band { from, step, count: wanted.min(MOST_FREQUENCIES) as usize };
-        let list = &mut self.peaks.borrow_mut()[at];
-        self.peaks_of_targets(set, wave, &residual, [from, step], list);
+        self.peaks_of_targets(set, wave, residual, [from, step], list);
         for p in [0.0, phi] {
             if p == 0.0 || p.abs() >= VISIBLE_MEMORY {
-                let u = sharpened(&residual, p, &self.stack.ranges);
+                let u = sharpened(residual, p, &self.stack.ranges);
                 self.near_peaks(at, &u, &band, p, list);
             }
         }
@@ -165,7 +174,7 @@ impl Search<'_, '_> {
             let from = from + step * MOST_FREQUENCIES;
             let step = FAST_STEP / span;
             let count = ((wave.to - from) / step).ceil().max(2.0) as usize;
-            let mut u = sharpened(&residual, phi, &self.stack.ranges)[wave.rows.clone()].to_vec();
+            let mut u = sharpened(residual, phi, &self.stack.ranges)[wave.rows.clone()].to_vec();
             wave.shared(&mut u);
             let x: Vec<f64> = wave.along.iter().map(|x| x - wave.places[0]).collect();
             let mut power: Vec<f64> = Vec::with_capacity(count);
@@ -176,15 +185,15 @@ impl Search<'_, '_> {
     }
 
     /// Whether a wave's rows are as they were when its peaks were last looked for: what joined the set acts elsewhere.
-    fn as_before(&self, at: usize, rows: &[f64]) -> bool {
+    fn as_before(&self, at: usize, rows: Vec<f64>) -> bool {
         let mut last = self.looked_at.borrow_mut();
         let same = last[at].as_ref().is_some_and(|before| {
             let squares = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>();
-            let off = squares(&mut before.iter().zip(rows).map(|(a, b)| a - b));
+            let off = squares(&mut before.iter().zip(&rows).map(|(a, b)| a - b));
             off < SAME * squares(&mut rows.iter().copied())
         });
         if !same {
-            last[at] = Some(rows.to_vec());
+            last[at] = Some(rows);
         }
         same
     }
@@ -220,7 +229,9 @@ impl Search<'_, '_> {
         let mut u = u[rows.clone()].to_vec();
         u.iter_mut().zip(share).for_each(|(u, share)| *u *= share);
         let mean = u.iter().sum::<f64>() / u.len() as f64;
-        u.iter_mut().for_each(|u| *u -= mean);
+        for u in &mut u {
+            *u -= mean;
+        }
         let mut transform = self.transform.borrow_mut();
         let places = seen.get_or_init(|| transform.places(&x, from, step, count));
         let mut power: Vec<f64> = Vec::with_capacity(count);
@@ -259,6 +270,13 @@ impl Search<'_, '_> {
         let cause = cause_of(wave, f)?;
         let (hypothesis, columns) = (wave.hypothesis, Source::Made(columns));
         Some(Offer { cause, hypothesis, cost, score, evidence: score, columns })
+    }
+
+    /// The best period of a hypothesis that is a wave, of all that show in what a set leaves.
+    pub(crate) fn wave_offer(&self, set: &Set, hypothesis: usize) -> Option<Offer> {
+        let at = self.waves.iter().position(|w| w.hypothesis == hypothesis)?;
+        let peaks = self.fresh_peaks(set, at);
+        self.wave(set, &self.waves[at], &peaks, f64::NEG_INFINITY)
     }
 
     /// What the search of a wave's period costs.

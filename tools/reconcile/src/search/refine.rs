@@ -89,7 +89,11 @@ impl Search<'_, '_> {
             };
             let refined = match self.waves.iter().enumerate().find(|(_, w)| w.hypothesis == member.hypothesis)
             {
-                Some((i, w)) => self.wave(&rest, w, &self.peaks.borrow()[i], set.score).unwrap_or(offer),
+                Some((i, w)) => {
+                    let mut peaks = self.peaks.borrow()[i].clone();
+                    peaks.extend(w.frequency(&member.cause));
+                    self.wave(&rest, w, &peaks, set.score).unwrap_or(offer)
+                }
                 None => self.refine(&rest, offer),
             };
             if refined.score > set.score + 1e-3 {
