@@ -219,7 +219,12 @@ wide! {
 /// `b - by·a` in place of b.
 pub(crate) fn minus(b: &mut [f64], by: f64, a: &[f64]) {
     // What acts on different responses has nothing in common.
-    if by != 0.0 {
+    if by == 0.0 {
+        return;
+    }
+    if a.len() < LANES {
+        b.iter_mut().zip(a).for_each(|(b, a)| *b -= by * a);
+    } else {
         long_minus(b, by, a);
     }
 }
@@ -571,8 +576,17 @@ impl Cholesky {
 
     /// The same where a column is dropped of which the ones before it leave less than this.
     pub(crate) fn dropping(a: &[f64], n: usize, least: f64) -> Self {
+        Self::growing(&Self::default(), 0, a, n, least)
+    }
+
+    /// The same of a matrix whose first `same` rows and columns are those of one whose factor is at hand: these are taken from
+    /// it, and are not looked at in `a`.
+    pub(crate) fn growing(from: &Self, same: usize, a: &[f64], n: usize, least: f64) -> Self {
         let mut l = vec![0.0; n * n];
-        for i in 0..n {
+        for i in 0..same {
+            l[i * n..=i * n + i].copy_from_slice(from.row(i));
+        }
+        for i in same..n {
             for j in 0..=i {
                 let s = a[i * n + j] - dot(&l[i * n..i * n + j], &l[j * n..j * n + j]);
                 if i == j {
@@ -587,7 +601,12 @@ impl Cholesky {
 
     /// L⁻¹b, in place.
     pub(crate) fn forward(&self, b: &mut [f64]) {
-        for i in 0..self.n {
+        self.forward_from(0, b);
+    }
+
+    /// The same where the first `same` values are L⁻¹b already.
+    pub(crate) fn forward_from(&self, same: usize, b: &mut [f64]) {
+        for i in same..self.n {
             let row = &self.l[i * self.n..];
             b[i] = (b[i] - dot(&row[..i], &b[..i])) / row[i];
         }
@@ -762,6 +781,18 @@ mod tests {
         let c = Cholesky::new(&a, 3);
         let mut b = [8.0, 8.0, 16.0];
         c.forward(&mut b);
+        // The same, grown out of the factor of the first row and column.
+        let grown = Cholesky::growing(
+            &Cholesky::new(&a[..1], 1),
+            1,
+            &[[f64::NAN; 3], [2.0, 3.0, 5.0], [6.0, 5.0, 11.0]].concat(),
+            3,
+            1e-9,
+        );
+        assert!((0..3).all(|i| grown.row(i) == c.row(i)));
+        let mut on = [b[0], 8.0, 16.0];
+        grown.forward_from(1, &mut on);
+        assert_eq!(on.map(f64::to_bits), b.map(f64::to_bits));
         let (mut m, mut once) = (a, [8.0, 8.0, 16.0]);
         reduce(&mut m, &mut once);
         assert_eq!(once.map(f64::to_bits), b.map(f64::to_bits));

@@ -96,6 +96,11 @@ pub(super) struct Left {
     own: Vec<f64>,
 }
 
+/// How many vectors two sets begin with alike.
+pub(super) fn same(a: &[usize], b: &[usize]) -> usize {
+    a.iter().zip(b).take_while(|(a, b)| a == b).count()
+}
+
 /// How many products among its columns an atom of several keeps.
 fn kept_of(atom: &Atom) -> usize {
     let k = atom.columns.len();

@@ -162,7 +162,7 @@ impl<'p, 'r> Search<'p, 'r> {
     /// A set as it is when noise may wander slowly too, or no longer may.
     pub(crate) fn wandering(&mut self, may: bool, set: Set) -> Set {
         self.phis = coefficients_of(if may { WANDERING } else { NOISE_GRID });
-        self.set(set.members)
+        self.set(set.members, None)
     }
 
     fn add(&mut self, column: Vec<f64>) -> usize {

@@ -106,11 +106,12 @@ impl Search<'_, '_> {
 
     /// The set with its last member moved to a place.
     pub(crate) fn in_place_of(&self, set: Set, place: usize) -> Set {
-        let mut members = set.members;
+        let mut set = set;
+        let mut members = std::mem::take(&mut set.members);
         if let Some(last) = members.pop() {
             members.insert(place, last);
         }
-        self.set(members)
+        self.set(members, Some(&set))
     }
 }
 

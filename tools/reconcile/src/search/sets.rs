@@ -1,9 +1,10 @@
 //! Sets of explanations, each fitted at every noise coefficient together with the model's own parameters, and what such a
 //! fit says.
 
+use super::bank::same;
 use super::{NOISE_GRID, NOISE_STEP, Search};
 use crate::cause::Cause;
-use crate::gram::{Cholesky, KNOWN, Products, dot};
+use crate::gram::{Cholesky, KNOWN, dot};
 use crate::hypotheses::Atom;
 use crate::problem::{Segment, rms};
 use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
@@ -77,36 +78,47 @@ impl Set {
 }
 
 impl Search<'_, '_> {
-    pub(super) fn fits(&self, ids: &[usize]) -> Vec<AtPhi> {
+    /// Fits at every noise coefficient. What they have in common with those of another set, which begins with some of the same
+    /// vectors, is taken from it.
+    fn fits(&self, ids: &[usize], like: Option<&Set>) -> Vec<AtPhi> {
+        let same = like.map_or(0, |set| same(&set.ids, ids));
+        let known =
+            |phi: f64| like?.fits.iter().find(|f| f.phi.to_bits() == phi.to_bits()).map(|f| (f, same));
+        self.phis.iter().map(|&phi| self.fit(ids, phi, known(phi))).collect()
+    }
+
+    /// One fit; `like`: one of which so many vectors are the same.
+    fn fit(&self, ids: &[usize], phi: f64, like: Option<(&AtPhi, usize)>) -> AtPhi {
         let b = ids.len();
-        let pairs: Vec<Vec<Products>> =
-            (0..b).map(|i| (0..=i).map(|j| self.pair(ids[i], ids[j])).collect()).collect();
-        self.phis
-            .iter()
-            .map(|&phi| {
-                let mut a = vec![0.0; b * b];
-                for (i, row) in pairs.iter().enumerate() {
-                    for (j, p) in row.iter().enumerate() {
-                        a[i * b + j] = p.at(phi);
-                    }
-                }
-                let mut g: Vec<f64> = ids.iter().map(|i| self.pair(*i, self.y).at(phi)).collect();
-                let mut rss = self.pair(self.y, self.y).at(phi);
-                for (i, k) in self.known.iter().enumerate() {
-                    // What the file says of a parameter counts as one more observation of it.
-                    let w = (self.noise / k.sd).powi(2);
-                    a[i * b + i] += w;
-                    g[i] += w * k.target;
-                    rss += w * k.target * k.target;
-                }
-                let factor = Cholesky::dropping(&a, b, KNOWN);
-                let mut z = g;
-                factor.forward(&mut z);
-                let rss = (rss - dot(&z, &z)).max(1e-9);
-                let memory = 0.5 * self.stack.ranges.len() as f64 * (1.0 - phi * phi).ln();
-                AtPhi { phi, factor, z, rss, memory }
-            })
-            .collect()
+        let same = like.map_or(0, |l| l.1);
+        let (mut a, mut g) = (vec![0.0; b * b], vec![0.0; b]);
+        for i in same..b {
+            for (a, j) in a[i * b..=i * b + i].iter_mut().zip(ids) {
+                *a = self.pair(ids[i], *j).at(phi);
+            }
+            g[i] = self.pair(ids[i], self.y).at(phi);
+        }
+        let mut rss = self.pair(self.y, self.y).at(phi);
+        for (i, k) in self.known.iter().enumerate() {
+            // What the file says of a parameter counts as one more observation of it.
+            let w = (self.noise / k.sd).powi(2);
+            if i >= same {
+                a[i * b + i] += w;
+                g[i] += w * k.target;
+            }
+            rss += w * k.target * k.target;
+        }
+        let (factor, mut z) = match like {
+            Some((fit, same)) => {
+                g[..same].copy_from_slice(&fit.z[..same]);
+                (Cholesky::growing(&fit.factor, same, &a, b, KNOWN), g)
+            }
+            None => (Cholesky::dropping(&a, b, KNOWN), g),
+        };
+        factor.forward_from(same, &mut z);
+        let rss = (rss - dot(&z, &z)).max(1e-9);
+        let memory = 0.5 * self.stack.ranges.len() as f64 * (1.0 - phi * phi).ln();
+        AtPhi { phi, factor, z, rss, memory }
     }
 
     pub(crate) fn loglik(&self, at: &AtPhi, gain: f64) -> f64 {
@@ -158,10 +170,11 @@ impl Search<'_, '_> {
         self.acts_on[hypothesis].iter().map(of).sum()
     }
 
-    pub(super) fn set(&self, members: Vec<Member>) -> Set {
+    /// A set of these members; `like`: another one of the same search, of which it may have the first members.
+    pub(super) fn set(&self, members: Vec<Member>, like: Option<&Set>) -> Set {
         let mut ids = self.slopes.clone();
         ids.extend(members.iter().flat_map(|m| m.vectors.iter().copied()));
-        let fits = self.fits(&ids);
+        let fits = self.fits(&ids, like);
         let values: Vec<f64> = fits.iter().map(|f| self.loglik(f, 0.0)).collect();
         let (loglik, _) = self.best_phi(&values, 0);
         let top = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
@@ -178,14 +191,14 @@ impl Search<'_, '_> {
     }
 
     pub(crate) fn empty(&self) -> Set {
-        self.set(Vec::new())
+        self.set(Vec::new(), None)
     }
 
     /// The set without one member.
     pub(crate) fn without(&self, set: &Set, member: usize) -> Set {
         let mut members = set.members.clone();
         members.remove(member);
-        self.set(members)
+        self.set(members, Some(set))
     }
 
     /// By how much a set is better than another. The sizes of several responses' noise were taken from what the search
@@ -308,7 +321,7 @@ impl Search<'_, '_> {
         let vectors = columns.into_iter().map(|c| self.register(c, height)).collect();
         let mut members = set.members.clone();
         members.push(Member { cause: cause.clone(), hypothesis, cost, vectors });
-        self.set(members)
+        self.set(members, Some(set))
     }
 
     /// The set with a constant taken for the reference temperature of the thermal law that it stands beside: the same

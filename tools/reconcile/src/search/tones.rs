@@ -1,6 +1,7 @@
 //! Waves of one frequency against sets: what was worked out for one set serves all that begin with the same vectors.
 
 use super::Search;
+use super::bank::same;
 use super::sets::{AtPhi, Set};
 use crate::gram::{self, Products, dot, dots, products};
 use crate::waves::Wave;
@@ -39,7 +40,7 @@ struct Solved {
 impl Solved {
     /// The same for another set: from where the vectors are others.
     fn go_to(&mut self, ids: &[usize], fit: &AtPhi, mut with: impl FnMut(usize) -> [Products; 2]) {
-        let same = self.ids.iter().zip(ids).take_while(|(a, b)| a == b).count();
+        let same = same(&self.ids, ids);
         self.sines.truncate(same);
         self.cosines.truncate(same);
         self.ids.clear();
@@ -62,9 +63,12 @@ impl Search<'_, '_> {
         let first = || self.first_seen(wave, f, ranges);
         let Seen { columns, own, with, solved } =
             all.entry((wave.hypothesis, f.to_bits())).or_insert_with(first);
-        let mut made = None;
+        let (mut made, mut last) = (None, 0);
         let mut with = |id: usize| -> [Products; 2] {
-            let at = with.partition_point(|(known, _)| *known < id);
+            // Vectors are asked for one after the other: most often it is the next.
+            let next = with.get(last + 1).is_some_and(|(known, _)| *known == id);
+            let at = if next { last + 1 } else { with.partition_point(|(known, _)| *known < id) };
+            last = at;
             if with.get(at).is_none_or(|(known, _)| *known != id) {
                 let c = match columns {
                     Some(kept) => &*kept,
