@@ -2,7 +2,7 @@
 
 use crate::gram;
 use rustfft::FftPlanner;
-use rustfft::num_complex::Complex32;
+use rustfft::num_complex::{Complex32, Complex64};
 use std::cell::RefCell;
 
 /// Values of a periodogram that are looked at together.
@@ -69,13 +69,43 @@ const MANY_ROWS: usize = 1000;
 pub(super) struct Transform {
     grid: Vec<Complex32>,
     scratch: Vec<Complex32>,
-    /// Where each row lies on the grid, and what share of it each of four neighbours has.
-    spread: Vec<(usize, [f64; 4])>,
+    spread: Vec<Spread>,
+}
+
+/// How a row lies on the grid.
+struct Spread {
+    /// The first of its four neighbours, and the share that each has.
+    first: usize,
+    weights: [f64; 4],
+    /// The row's wave at the middle of the part, and by how much it turns from part to part.
+    wave: Complex64,
+    turn: Complex64,
+}
+
+fn turned(turns: f64) -> Complex64 {
+    let (sin, cos) = gram::wave(turns);
+    Complex64::new(cos, sin)
+}
+
+/// Frequencies of which one wave is worked out, and the others from it.
+const TURNED: usize = 64;
+
+/// Divides a power at even frequencies by what noise of a memory of φ makes of it, rows so far apart.
+pub(super) fn whiten(power: &mut [f64], [from, step]: [f64; 2], phi: f64, gap: f64) {
+    let turns: [Complex64; TURNED] = std::array::from_fn(|k| turned(step * k as f64 * gap));
+    for (i, power) in power.chunks_mut(TURNED).enumerate() {
+        let first = turned((from + step * (i * TURNED) as f64) * gap);
+        for (power, turn) in power.iter_mut().zip(&turns) {
+            let cos = first.re * turn.re - first.im * turn.im;
+            *power /= 1.0 + phi * phi - 2.0 * phi * cos;
+        }
+    }
 }
 
 impl Transform {
     /// Σ uᵢ·exp(2πj·f·xᵢ) at `count` frequencies from `from`, to a few per cent: rows spread over a fine even grid by
-    /// cubic weights, fast Fourier transforms of parts of the band (Press and Rybicki, Astrophys. J. 338, 1989).
+    /// cubic weights, fast Fourier transforms of parts of the band (Press and Rybicki, Astrophys. J. 338, 1989). They are given
+    /// in order, some at a time.
     pub(super) fn sums(
         &mut self,
         x: &[f64],
@@ -83,13 +113,15 @@ impl Transform {
         from: f64,
         step: f64,
         count: usize,
-        mut each: impl FnMut(Complex32),
+        mut some: impl FnMut(&[Complex32]),
     ) {
         let part = PARTS[usize::from(x.len() >= MANY_ROWS)];
         let part = count.div_ceil(count.div_ceil(part).max(1));
         let size = room(part + part / 2);
         let Self { grid, scratch, spread } = self;
         spread.clear();
+        // Frequencies are counted from the middle of the part, so that the grid need only hold half of it.
+        let middle = from + step * (part / 2) as f64;
         spread.extend(x.iter().map(|x| {
             let place = x * step * size as f64;
             let base = place.floor();
@@ -101,28 +133,29 @@ impl Transform {
                 -(w + 1.0) * w * (w - 2.0) / 2.0,
                 (w + 1.0) * w * (w - 1.0) / 6.0,
             ];
-            ((base as i64 - 1).rem_euclid(size as i64) as usize, weights)
+            let first = (base as i64 - 1).rem_euclid(size as i64) as usize;
+            Spread { first, weights, wave: turned(middle * x), turn: turned(step * part as f64 * x) }
         }));
         let fft = PLANNER.with_borrow_mut(|planner| planner.plan_fft_inverse(size));
         scratch.resize(fft.get_inplace_scratch_len().max(scratch.len()), Complex32::new(0.0, 0.0));
         let mut done = 0;
         while done < count {
-            // Frequencies are counted from the middle of the part, so that the grid need only hold half of it.
-            let middle = from + step * (done + part / 2) as f64;
             grid.clear();
             grid.resize(size, Complex32::new(0.0, 0.0));
-            for ((x, u), (first, weights)) in x.iter().zip(u).zip(&*spread) {
-                let (sin, cos) = gram::wave(middle * x);
+            for (u, Spread { first, weights, wave, turn }) in u.iter().zip(&mut *spread) {
                 for (k, weight) in weights.iter().enumerate() {
-                    let at = if first + k < size { first + k } else { first + k - size };
-                    grid[at] += Complex32::new((cos * u * weight) as f32, (sin * u * weight) as f32);
+                    let at = if *first + k < size { *first + k } else { *first + k - size };
+                    grid[at] += Complex32::new((wave.re * u * weight) as f32, (wave.im * u * weight) as f32);
                 }
+                *wave *= *turn;
             }
             fft.process_with_scratch(grid, scratch);
             // The lower half of the part stands at the grid's end.
-            let all = grid[size - part / 2..].iter().chain(&grid[..part - part / 2]);
-            all.take(count - done).copied().for_each(&mut each);
-            done += part;
+            for values in [&grid[size - part / 2..], &grid[..part - part / 2]] {
+                let values = &values[..values.len().min(count - done)];
+                some(values);
+                done += values.len();
+            }
         }
     }
 
@@ -130,10 +163,10 @@ impl Transform {
     pub(super) fn places(&mut self, x: &[f64], from: f64, step: f64, count: usize) -> Vec<OnPlaces> {
         let share = vec![1.0 / x.len() as f64; x.len()];
         let (mut once, mut out) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        self.sums(x, &share, from, step, count, |once_at| once.push(once_at));
-        let mut once = once.into_iter();
+        self.sums(x, &share, from, step, count, |some| once.extend_from_slice(some));
         self.sums(x, &share, 2.0 * from, 2.0 * step, count, |twice| {
-            out.extend(once.next().map(|once| OnPlaces::new(once, twice)));
+            let once = &once[out.len()..];
+            out.extend(once.iter().zip(twice).map(|(once, twice)| OnPlaces::new(*once, *twice)));
         });
         out
     }
@@ -188,7 +221,7 @@ mod tests {
             let x: Vec<f64> = noise(6, rows).iter().map(|x| 30.0 * x).collect();
             let (from, step) = (0.7, 0.002);
             let mut sums = Vec::new();
-            Transform::default().sums(&x, &u, from, step, count, |z| sums.push(z));
+            Transform::default().sums(&x, &u, from, step, count, |some| sums.extend_from_slice(some));
             assert_eq!(sums.len(), count);
             let mut squares = 0.0;
             for (i, z) in sums.iter().enumerate().step_by(7) {
@@ -205,6 +238,18 @@ mod tests {
             }
             let rms = (squares / (count as f64 / 7.0)).sqrt();
             assert!(rms < 0.06, "{rows} rows, {count} frequencies: {rms}");
+        }
+    }
+
+    #[test]
+    fn power_is_divided_by_that_of_noise() {
+        let (from, step, phi, gap) = (0.3, 0.0007, 0.97, 1.7);
+        let mut power = vec![1.0; 1000];
+        whiten(&mut power, [from, step], phi, gap);
+        for (i, power) in power.into_iter().enumerate() {
+            let (_, cos) = gram::wave((from + step * i as f64) * gap);
+            let of_noise = 1.0 + phi * phi - 2.0 * phi * cos;
+            assert!((power * of_noise - 1.0).abs() < 1e-9, "{i}: {power}");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::Search;
 use super::offers::{Offer, Source};
-use super::periodogram::{OnPlaces, peaks};
+use super::periodogram::{OnPlaces, peaks, whiten};
 use super::sets::{Member, Set, sharpened};
 use crate::cause::{Cause, Shape};
 use crate::extent::{GRID_SHARE, aliases, likeliest, pitch};
@@ -179,7 +179,9 @@ impl Search<'_, '_> {
             let x: Vec<f64> = wave.along.iter().map(|x| x - wave.places[0]).collect();
             let mut power: Vec<f64> = Vec::with_capacity(count);
             let mut transform = self.transform.borrow_mut();
-            transform.sums(&x, &u, from, step, count, |z| power.push(f64::from(z.norm_sqr())));
+            transform.sums(&x, &u, from, step, count, |some| {
+                power.extend(some.iter().map(|z| f64::from(z.norm_sqr())));
+            });
             peaks(&mut power, from, step, list);
         }
     }
@@ -235,16 +237,17 @@ impl Search<'_, '_> {
         let mut transform = self.transform.borrow_mut();
         let places = seen.get_or_init(|| transform.places(&x, from, step, count));
         let mut power: Vec<f64> = Vec::with_capacity(count);
-        transform.sums(&x, &u, from, step, count, |z| power.push(places[power.len()].power(z)));
+        transform.sums(&x, &u, from, step, count, |some| {
+            let places = &places[power.len()..];
+            power.extend(places.iter().zip(some).map(|(place, z)| place.power(*z)));
+        });
         // Of a wave that is a share of itself there so many rows are seen.
         let whole = if share.is_empty() { x.len() as f64 } else { dot(share, share) };
-        let gap = median_gap(&x);
-        for (i, power) in power.iter_mut().enumerate() {
+        for power in &mut power {
             *power /= whole;
-            if phi != 0.0 {
-                let (_, cos) = gram::wave((from + step * i as f64) * gap);
-                *power /= 1.0 + phi * phi - 2.0 * phi * cos;
-            }
+        }
+        if phi != 0.0 {
+            whiten(&mut power, [from, step], phi, median_gap(&x));
         }
         power
     }

@@ -103,34 +103,48 @@ impl Search<'_, '_> {
         let y = targets.means(&residual[wave.rows.clone()]);
         let columns = set.ids.iter().map(|i| targets.means(&self.vectors[*i].data[wave.rows.clone()]));
         let beside = directions(columns);
-        for off in [&[][..], &beside[..]] {
+        let off = [&[][..], &beside[..]];
+        let left = off.map(|off| {
             let mut y = y.clone();
             project(&mut y, off);
-            let power = |i: usize| -> f64 {
-                let f = from + step * i as f64;
-                let wave = targets.place.iter().zip(&targets.root).map(|(x, r)| {
-                    let (sin, cos) = gram::wave(x * f);
-                    (sin * r, cos * r)
-                });
-                let (mut s, mut c): (Vec<f64>, Vec<f64>) = wave.unzip();
-                let whole = dot(&s, &s) + dot(&c, &c);
-                project(&mut s, off);
-                project(&mut c, off);
-                let (ss, sc, cc) = (dot(&s, &s), dot(&s, &c), dot(&c, &c));
-                let (ys, yc) = (dot(&y, &s), dot(&y, &c));
-                let both = ss * cc - sc * sc;
-                let most = ss.max(cc);
-                if both > NOTHING_NEW * most * whole {
-                    (cc * ys * ys + ss * yc * yc - 2.0 * sc * ys * yc) / both
-                } else if most > NOTHING_NEW * whole {
-                    (if ss > cc { ys } else { yc }).powi(2) / most
-                } else {
-                    0.0
-                }
-            };
-            let mut power: Vec<f64> = (0..count as usize).map(power).collect();
+            y
+        });
+        let mut powers = off.map(|_| Vec::with_capacity(count as usize));
+        let mut wave = [vec![0.0; y.len()], vec![0.0; y.len()]];
+        for i in 0..count as usize {
+            let f = from + step * i as f64;
+            let [sines, cosines] = &mut wave;
+            for ((x, r), (s, c)) in targets.place.iter().zip(&targets.root).zip(sines.iter_mut().zip(cosines))
+            {
+                let (sin, cos) = gram::wave(x * f);
+                (*s, *c) = (sin * r, cos * r);
+            }
+            // Nothing is taken off for the first, so that one wave serves both.
+            for ((off, y), power) in off.iter().zip(&left).zip(&mut powers) {
+                power.push(explained(&mut wave, off, y));
+            }
+        }
+        for mut power in powers {
             peaks(&mut power, from, step, list);
         }
+    }
+}
+
+/// What sine and cosine explain of a vector once directions are taken off them, that are off the vector too.
+fn explained([s, c]: &mut [Vec<f64>; 2], off: &[Vec<f64>], y: &[f64]) -> f64 {
+    let whole = dot(s, s) + dot(c, c);
+    project(s, off);
+    project(c, off);
+    let (ss, sc, cc) = (dot(s, s), dot(s, c), dot(c, c));
+    let (ys, yc) = (dot(y, s), dot(y, c));
+    let both = ss * cc - sc * sc;
+    let most = ss.max(cc);
+    if both > NOTHING_NEW * most * whole {
+        (cc * ys * ys + ss * yc * yc - 2.0 * sc * ys * yc) / both
+    } else if most > NOTHING_NEW * whole {
+        (if ss > cc { ys } else { yc }).powi(2) / most
+    } else {
+        0.0
     }
 }
 
