@@ -18,7 +18,7 @@ const GAP: usize = 32;
 /// responses than its own that is nothing: they are passed over.
 #[derive(Clone)]
 pub(crate) struct Share {
-    values: Rc<[f64]>,
+    values: Rc<Vec<f64>>,
     /// Columns outside these have nothing in common with it.
     runs: Rc<[Range<usize>]>,
 }
@@ -32,7 +32,7 @@ impl Share {
                 _ => runs.push(i..i + 1),
             }
         }
-        Self { values: values.into(), runs: runs.into() }
+        Self { values: Rc::new(values), runs: runs.into() }
     }
 
     /// Whether it has nothing in common with any of these columns.
@@ -57,20 +57,22 @@ impl Share {
     }
 }
 
-/// How an atom's columns lie in the bank.
+/// How the columns of an atom of several lie in the bank.
 pub(super) struct Lie {
     within: Range<usize>,
+    columns: Vec<usize>,
     /// One after the other.
     in_a_row: bool,
 }
 
 impl Lie {
-    pub(super) fn of(atom: &Atom) -> Self {
-        let columns = &atom.columns;
-        let from = columns.iter().copied().min().unwrap_or(0);
-        let within = from..columns.iter().copied().max().map_or(0, |last| last + 1);
+    /// None for an atom of one column. All that is gone through for every share stands close together this way.
+    pub(super) fn of(atom: &Atom) -> Option<Self> {
+        let columns = atom.columns.clone();
+        let from = columns.iter().copied().min()?;
+        let within = from..columns.iter().copied().max()? + 1;
         let in_a_row = columns.iter().copied().eq(within.clone());
-        Self { within, in_a_row }
+        (columns.len() > 1).then_some(Self { within, columns, in_a_row })
     }
 }
 
@@ -102,8 +104,8 @@ pub(super) fn same(a: &[usize], b: &[usize]) -> usize {
 }
 
 /// How many products among its columns an atom of several keeps.
-fn kept_of(atom: &Atom) -> usize {
-    let k = atom.columns.len();
+fn kept_of(columns: &[usize]) -> usize {
+    let k = columns.len();
     if k > 1 { k * (k + 1) / 2 } else { 0 }
 }
 
@@ -146,7 +148,7 @@ impl Search<'_, '_> {
         let mut from = 0;
         for (i, atom) in self.all.atoms.iter().enumerate() {
             let full = &self.all.own[i];
-            let at = from..from + kept_of(atom);
+            let at = from..from + kept_of(&atom.columns);
             from = at.end;
             if !wanted(i) {
                 continue;
@@ -169,29 +171,33 @@ impl Search<'_, '_> {
     }
 
     fn left_of_bank(&self, set: &Set, fit: &AtPhi) -> Rc<Left> {
+        let kept = self.left.borrow();
+        let at_phi = || kept.iter().filter(|l| l.phi.to_bits() == fit.phi.to_bits());
         // The set that it grew out of, or as much of it as was kept.
-        let begins = |l: &&Rc<Left>| l.phi.to_bits() == fit.phi.to_bits() && set.ids.starts_with(&l.ids);
-        let before = self.left.borrow().iter().filter(begins).max_by_key(|l| l.ids.len()).cloned();
+        let begins = |l: &&Rc<Left>| set.ids.starts_with(&l.ids);
+        let before = at_phi().filter(begins).max_by_key(|l| l.ids.len()).cloned();
+        // Shares of the first vectors are the same in any set that begins with them, whatever comes then.
+        let alike = at_phi().max_by_key(|l| same(&l.ids, &set.ids));
+        let shares = alike.map_or_else(Vec::new, |l| l.shares[..same(&l.ids, &set.ids)].to_vec());
+        drop(kept);
         if let Some(all) = before.as_ref().filter(|l| l.ids.len() == set.ids.len()) {
             return Rc::clone(all);
         }
         let [mut with_y, mut squares, mut own] = self.spare.borrow_mut().pop().unwrap_or_default();
-        let shares = if let Some(l) = before {
+        let known = before.as_ref().map_or(0, |l| l.ids.len());
+        if let Some(l) = before {
             with_y.extend_from_slice(&l.with_y);
             squares.extend_from_slice(&l.squares);
             own.extend_from_slice(&l.own);
-            l.shares.clone()
         } else {
             let bank = &self.all.bank;
             with_y.extend(self.against_bank(self.y).iter().map(|p| p.at(fit.phi)));
             squares.extend((0..bank.len()).map(|c| bank.square(c).at(fit.phi)));
             let several = self.all.own.iter().filter(|own| own.len() > 1);
             own.extend(several.flatten().map(|p| p.at(fit.phi)));
-            Vec::new()
-        };
+        }
+        let shares = self.shares(&set.ids, fit, &shares);
         let mut left = Left { ids: set.ids.clone(), phi: fit.phi, shares, with_y, squares, own };
-        let known = left.shares.len();
-        left.shares = self.shares(&set.ids, fit, &left.shares);
         for (z, share) in fit.z.iter().zip(&left.shares).skip(known) {
             share.take_off(*z, &mut left.with_y);
             share.take_squares_off(&mut left.squares);
@@ -222,16 +228,13 @@ impl Search<'_, '_> {
     /// Takes what one share explains of them off the products among each atom's columns.
     fn take_off(&self, share: &Share, own: &mut [f64]) {
         let mut rest = own;
-        for (atom, lie) in self.all.atoms.iter().zip(&self.lie) {
-            if atom.columns.len() < 2 {
-                continue;
-            }
-            let (mut own, behind) = rest.split_at_mut(kept_of(atom));
+        for Lie { within, columns, in_a_row } in &self.lie {
+            let (mut own, behind) = rest.split_at_mut(kept_of(columns));
             rest = behind;
-            if share.is_nothing(&lie.within) {
+            if share.is_nothing(within) {
                 continue;
             }
-            for (r, c) in atom.columns.iter().enumerate() {
+            for (r, c) in columns.iter().enumerate() {
                 let (row, below) = own.split_at_mut(r + 1);
                 own = below;
                 let by = share[*c];
@@ -239,10 +242,10 @@ impl Search<'_, '_> {
                 if by == 0.0 {
                     continue;
                 }
-                if lie.in_a_row {
-                    minus(row, by, &share.values[lie.within.start..=lie.within.start + r]);
+                if *in_a_row {
+                    minus(row, by, &share.values[within.start..=within.start + r]);
                 } else {
-                    row.iter_mut().zip(&atom.columns).for_each(|(o, d)| *o -= by * share[*d]);
+                    row.iter_mut().zip(columns).for_each(|(o, d)| *o -= by * share[*d]);
                 }
             }
         }
@@ -265,11 +268,11 @@ impl Search<'_, '_> {
         shares
     }
 
-    /// Forgets what was left by sets that none of these grew out of.
+    /// Forgets what was left by sets that have little in common with these.
     pub(super) fn forget_all_but(&self, sets: &[Set]) {
         let all = std::mem::take(&mut *self.left.borrow_mut());
         for left in all {
-            if sets.iter().any(|s| s.ids.starts_with(&left.ids)) {
+            if sets.iter().any(|s| 2 * same(&left.ids, &s.ids) >= s.ids.len()) {
                 self.left.borrow_mut().push(left);
             } else {
                 self.recycle(left);

@@ -101,7 +101,7 @@ pub(crate) struct Search<'p, 'r> {
     rows_of: Vec<usize>,
     /// Per hypothesis: the responses that it acts on, each with the share of its coefficients that counts there.
     acts_on: Vec<Vec<(usize, f64)>>,
-    /// How each atom's columns lie in the bank.
+    /// How the columns of each atom of several lie in the bank.
     lie: Vec<Lie>,
     /// What sets left of the bank's columns.
     left: RefCell<Vec<Rc<Left>>>,
@@ -138,7 +138,7 @@ impl<'p, 'r> Search<'p, 'r> {
             rankings: RefCell::default(),
             rows_of: (0..stack.responses.len()).map(|j| stack.rows(j).len()).collect(),
             acts_on: all.acts_on(stack, waves),
-            lie: all.atoms.iter().map(Lie::of).collect(),
+            lie: all.atoms.iter().filter_map(Lie::of).collect(),
             left: RefCell::default(),
             spare: RefCell::default(),
         }
