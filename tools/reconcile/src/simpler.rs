@@ -2,6 +2,7 @@
 
 use crate::hypotheses::Atom;
 use crate::search::{Found, Search, Set};
+use rtec_model::effect::Effect;
 
 /// Log odds below which the data do not decide between two explanations.
 pub(crate) const DECISIVE: f64 = 3.0;
@@ -57,16 +58,22 @@ pub(crate) fn with_offset(search: &mut Search<'_, '_>, set: &Set) -> Set {
         .collect();
     let thermal = |i: usize| search.all.list[set.members[i].hypothesis].sensor().is_some();
     let n = set.members.len();
-    let mut rests: Vec<Set> = (0..n).map(|i| search.without(set, i)).collect();
+    let mut rests: Vec<(Vec<usize>, Set)> = (0..n).map(|i| (vec![i], search.without(set, i))).collect();
     // Two sensors with a constant between them may be their difference.
     for i in (0..n).filter(|i| thermal(*i)) {
         for j in (i + 1..n).filter(|j| thermal(*j)) {
-            rests.push(search.without(&search.without(set, j), i));
+            rests.push((vec![i, j], search.without(&search.without(set, j), i)));
         }
     }
+    let all = search.all;
+    let axes = |h: usize| all.list[h].effect.as_ref().map_or(&[][..], Effect::axes);
+    // A constant of an axis on which nothing was taken out changes nothing there.
+    let beside = |out: &[usize], h: usize| {
+        out.iter().any(|i| axes(set.members[*i].hypothesis).iter().any(|a| axes(h).contains(a)))
+    };
     let mut best = set.clone();
-    for rest in rests {
-        for h in &offsets {
+    for (out, rest) in rests {
+        for h in offsets.iter().filter(|h| beside(&out, **h)) {
             if set.members.iter().any(|m| m.hypothesis == *h) {
                 continue;
             }
