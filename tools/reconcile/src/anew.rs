@@ -12,11 +12,13 @@ const MOST: usize = 4;
 
 /// An effect along the position of the one axis that it is of.
 fn is_along(effect: &Effect) -> bool {
-    effect.axes().len() == 1 && effect.description().needs == [Need::Position(0)]
+    let finer = effect.description().searched.wave.is_some() && !is_wave(effect);
+    effect.axes().len() == 1 && effect.description().needs == [Need::Position(0)] && !finer
 }
 
+/// A wave of millimetres: those of a scale's own period are finer than any map.
 fn is_wave(effect: &Effect) -> bool {
-    effect.description().searched.wave.is_some()
+    effect.description().searched.wave.is_some_and(|w| w.unit_mm >= 1.0)
 }
 
 /// The laws of one axis's position, by hypothesis.

@@ -14,6 +14,9 @@ use std::ops::Range;
 /// Frequencies that are looked at twice, and closely; those beyond once.
 const MOST_FREQUENCIES: f64 = 262_144.0;
 
+/// Of more frequencies the axis's own rows alone choose those that are tried: each of the finest waves lies on the places anew.
+const MOST_TOGETHER: usize = 32_768;
+
 /// Spacing of the frequencies, in periods over the span.
 const FREQUENCY_STEP: f64 = 0.3;
 
@@ -203,17 +206,21 @@ impl Search<'_, '_> {
     /// Peaks of a wave's periodogram at the lower frequencies, how waves lie on the places taken into account: of its own rows,
     /// and of all that show it.
     fn near_peaks(&self, at: usize, u: &[f64], band: &Band, phi: f64, list: &mut Vec<f64>) {
-        let mut all = vec![0.0; band.count];
-        for (part, seen) in self.waves[at].parts().zip(&self.places_seen[at]) {
-            let mut power = self.power(part, seen, u, band, phi);
-            all.iter_mut().zip(&power).for_each(|(all, power)| *all += power);
-            if part.0 == &self.waves[at].rows {
-                peaks(&mut power, band.from, band.step, list);
+        let mut parts = self.waves[at].parts().zip(&self.places_seen[at]);
+        let Some((own, seen)) = parts.next() else { return };
+        let mut power = self.power(own, seen, u, band, phi);
+        let further: Vec<Vec<f64>> = parts
+            .filter(|_| band.count <= MOST_TOGETHER)
+            .map(|(part, seen)| self.power(part, seen, u, band, phi))
+            .collect();
+        if !further.is_empty() {
+            let mut all = power.clone();
+            for more in &further {
+                all.iter_mut().zip(more).for_each(|(all, more)| *all += more);
             }
-        }
-        if !self.waves[at].also.is_empty() {
             peaks(&mut all, band.from, band.step, list);
         }
+        peaks(&mut power, band.from, band.step, list);
     }
 
     /// What waves of each frequency explain of some rows, up to a factor.
