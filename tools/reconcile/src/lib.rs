@@ -12,7 +12,7 @@
 //! | `search` | the set of explanations that the data pay for |
 //! | `analysis`, `tuning` | the search again and again, the model's own parameters and the noise's size mended in between |
 //! | `chance` | what the same search finds in noise |
-//! | `naming`, `simpler`, `leftover`, `steady` | which of it is named, what else it might be; fewer names; what they leave, and what no name is confirmed for; explanations by heat that predict |
+//! | `naming`, `simpler`, `anew`, `leftover`, `steady` | which of it is named, what else it might be; fewer names; an axis's own laws chosen together; what they leave, and what no name is confirmed for; explanations by heat that predict |
 //! | `fit`, `fitted` | all effects jointly, with an interval for each value; which of them keep their place |
 //! | `where_found` | where measured and simulated disagree |
 //! | `room` | the sensors that a fit of growth chooses on the same drift |

@@ -147,43 +147,49 @@ impl TriedList {
     }
 }
 
+/// What has no name in a crowd: of how many alike, what all of them are that go, and the shape that they stand for.
+struct Crowd {
+    most: usize,
+    of: String,
+    shape: Shape,
+}
+
+/// What a member is of, where many like it would be no name.
+fn crowd(search: &Search<'_, '_>, member: &Member) -> Option<Crowd> {
+    let Cause::Effect { effect, .. } = &member.cause else { return None };
+    let shape = |response: String, along: String, manner: &str| Shape {
+        response,
+        against: vec![along],
+        manner: manner.into(),
+    };
+    if effect.description().searched.wave.is_some() {
+        let on = effect.axes().first()?;
+        let manner = "repeats over the position, no few waves";
+        let shape = shape(format!("error.{on}"), format!("position.{on}"), manner);
+        return Some(Crowd { most: NAMED_WAVES, of: on.to_string(), shape });
+    }
+    if effect.description().needs == [Need::Angle] {
+        let acts_on = effect.acts_on(&search.stack.records[0]);
+        let response = acts_on.first()?.0.to_string();
+        let shape = shape(response.clone(), "angle".into(), "runs over the angle, no few bumps");
+        return Some(Crowd { most: NAMED_BUMPS, of: response, shape });
+    }
+    None
+}
+
 /// A set without the waves of an axis on which one law has more of them than have a name, and a shape for each such axis:
 /// what repeats there is no wave. The same of bumps around a circle.
 fn without_crowds(search: &Search<'_, '_>, set: Set) -> (Set, Vec<Shape>) {
-    let axis = |m: &Member| match &m.cause {
-        Cause::Effect { effect, .. } if effect.description().searched.wave.is_some() => {
-            effect.axes().first().cloned()
-        }
-        _ => None,
-    };
     let mut shapes = Vec::new();
     let mut set = set;
     for m in set.members.clone() {
-        let Some(on) = axis(&m) else { continue };
-        if set.members.iter().filter(|o| o.hypothesis == m.hypothesis).count() > NAMED_WAVES {
-            while let Some(i) = set.members.iter().position(|o| axis(o).as_ref() == Some(&on)) {
+        let Some(Crowd { most, of, shape }) = crowd(search, &m) else { continue };
+        if set.members.iter().filter(|o| o.hypothesis == m.hypothesis).count() > most {
+            let goes = |o: &Member| crowd(search, o).is_some_and(|c| c.of == of);
+            while let Some(i) = set.members.iter().position(goes) {
                 set = search.without(&set, i);
             }
-            shapes.push(Shape {
-                response: format!("error.{on}"),
-                against: vec![format!("position.{on}")],
-                manner: "repeats over the position, no few waves".into(),
-            });
-        }
-    }
-    let bump = |m: &Member| match &m.cause {
-        Cause::Effect { effect, .. } if effect.description().needs == [Need::Angle] => {
-            effect.acts_on(&search.stack.records[0]).first().map(|(on, _)| (m.hypothesis, on.to_string()))
-        }
-        _ => None,
-    };
-    for of in set.members.iter().filter_map(bump).collect::<Vec<_>>() {
-        if set.members.iter().filter(|m| bump(m).as_ref() == Some(&of)).count() > NAMED_BUMPS {
-            while let Some(i) = set.members.iter().position(|m| bump(m).as_ref() == Some(&of)) {
-                set = search.without(&set, i);
-            }
-            let manner = "runs over the angle, no few bumps".into();
-            shapes.push(Shape { response: of.1, against: vec!["angle".into()], manner });
+            shapes.push(shape);
         }
     }
     (set, shapes)

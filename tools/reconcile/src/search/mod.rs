@@ -7,7 +7,8 @@
 //! | `cross` | what further columns add to a set |
 //! | `bank` | the same for every grid point |
 //! | `offers` | which explanation could join a set |
-//! | `periods`, `periodogram`, `tones`, `targets` | the period of a wave; its tones worked out once; the same where targets are few |
+//! | `periods`, `tones` | the period of a wave; its tones worked out once |
+//! | `peaks`, `periodogram`, `targets` | which periods are tried: peaks of what a set leaves, over all rows and where targets are few |
 //! | `refine` | non-linear parameters between grid points |
 //! | `beam` | the order in which sets are tried |
 
@@ -15,6 +16,7 @@ mod bank;
 mod beam;
 mod cross;
 mod offers;
+mod peaks;
 mod periodogram;
 mod periods;
 mod refine;
