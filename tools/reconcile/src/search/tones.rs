@@ -121,11 +121,8 @@ mod tests {
     use super::*;
     use crate::hypotheses::Hypotheses;
     use crate::problem::Stack;
-    use crate::testing::{axis, column, noise, record};
-    use rtec_model::circle::Circle;
+    use crate::testing::{circle, noise, record};
     use rtec_model::effect::Dictionary;
-    use rtec_model::record::{Axis, Kind, Record, Role};
-    use std::path::Path;
 
     /// A bug once: of a wave that a ballbar reads as well the axis's own rows alone were scored, so that periods were given that
     /// look the same at targets 20 mm apart and explain nothing of the circle.
@@ -144,19 +141,10 @@ mod tests {
             .zip(p)
             .enumerate()
             .for_each(|(i, (e, p))| *e = wave(p) + 0.1 * dice[i]);
-        let of = |f: &dyn Fn(f64) -> f64| {
-            (0..140).map(|i| f(f64::from(i) * std::f64::consts::TAU / 139.0)).collect::<Vec<f64>>()
-        };
-        let errors = of(&|a| a.cos() * wave(150.0 * a.cos()));
-        let seen = errors.iter().zip(&dice[60..]).map(|(e, d)| e + 0.1 * d).collect();
-        let columns = vec![
-            column("t", Role::Time, of(&|a| a)),
-            column("a", Role::Angle, of(&|a| a)),
-            column("r", Role::Error(Axis::new("r").unwrap()), seen),
-        ];
-        let circle = Record::new(Path::new("circle.run.toml"), Kind::Ballbar, columns).unwrap();
-        let plane = [axis(), Axis::new("y").unwrap()];
-        let circle = circle.with_circle(Circle { plane, radius_mm: 150.0 }).unwrap();
+        let circle = circle(140, 150.0, |a| {
+            let row = (a / std::f64::consts::TAU * 139.0).round() as usize;
+            a.cos() * wave(150.0 * a.cos()) + 0.1 * dice[60 + row]
+        });
         let records = [line, circle];
         let stack = Stack::new(&records);
         let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
