@@ -20,7 +20,7 @@ pub(crate) struct Wave {
     pub(crate) share: Vec<f64>,
     /// Further rows that show it: a circle's radial error beside the axis's own; each with the variable and the share.
     pub(crate) also: Vec<(Range<usize>, Vec<f64>, Vec<f64>)>,
-    /// The segments of all rows that show it.
+    /// The segments from the first to the last of all rows that show it, whichever response's rows come first.
     pub(crate) segments: Vec<Range<usize>>,
     /// The variable in rising order, each value once.
     pub(crate) places: Vec<f64>,
@@ -63,8 +63,10 @@ impl Wave {
 
     /// Further rows that show it, with the variable and the share of it there.
     pub(crate) fn push(&mut self, stack: &Stack<'_>, rows: Range<usize>, along: Vec<f64>, share: Vec<f64>) {
-        self.segments.extend_from_slice(within(&stack.ranges, &rows));
         self.also.push((rows, along, share));
+        let first = self.parts().map(|(rows, ..)| rows.start).min().unwrap_or(0);
+        let end = self.parts().map(|(rows, ..)| rows.end).max().unwrap_or(first);
+        self.segments = within(&stack.ranges, &(first..end)).to_vec();
     }
 
     /// A column of its rows, each value by its share.
@@ -107,7 +109,7 @@ impl Wave {
     }
 }
 
-/// The segments of a response, which stand one after the other.
+/// The segments of some rows, which stand one after the other.
 fn within<'s>(segments: &'s [Range<usize>], rows: &Range<usize>) -> &'s [Range<usize>] {
     let from = segments.partition_point(|s| s.end <= rows.start);
     let to = segments.partition_point(|s| s.start < rows.end);

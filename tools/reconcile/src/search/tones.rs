@@ -121,11 +121,14 @@ mod tests {
     use super::*;
     use crate::hypotheses::Hypotheses;
     use crate::problem::Stack;
-    use crate::testing::{circle, noise, record};
+    use crate::testing::{circle, column, noise, record};
     use rtec_model::effect::Dictionary;
+    use rtec_model::record::{Axis, Kind, Record, Role};
+    use std::path::Path;
 
     /// A bug once: of a wave that a ballbar reads as well the axis's own rows alone were scored, so that periods were given that
-    /// look the same at targets 20 mm apart and explain nothing of the circle.
+    /// look the same at targets 20 mm apart and explain nothing of the circle. Another, where the circle's rows stand first: none
+    /// between the last of them and the first were.
     #[test]
     fn a_wave_is_scored_at_all_rows_that_show_it() {
         let wave = |p: f64| 5.0 * (std::f64::consts::TAU * p / 14.2 + 0.4).sin();
@@ -145,22 +148,30 @@ mod tests {
             let row = (a / std::f64::consts::TAU * 139.0).round() as usize;
             a.cos() * wave(150.0 * a.cos()) + 0.1 * dice[60 + row]
         });
-        let records = [line, circle];
-        let stack = Stack::new(&records);
-        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
-        let mut search = Search::new(&stack, &all, &waves);
-        search.begin(1.0, Vec::new(), stack.missing(&[]));
-        let empty = search.empty();
-        let is_screw = |h: usize| all.list[h].name == "screw_periodic.x";
-        let offer = search.scan(&empty, true).into_iter().find(|o| is_screw(o.hypothesis)).unwrap();
-        let taken = search.take(&empty, &offer);
-        assert!(
-            (taken.score - offer.score).abs() < 1e-6 * offer.score.abs(),
-            "{} {}",
-            taken.score,
-            offer.score
-        );
-        let found = search.effects(&taken).pop().flatten().unwrap();
-        assert!((found.scalar(0) - 14.2).abs() < 0.01, "{:?}", found.values());
+        // Another axis, whose rows stand between those of the two in some orders.
+        let of_y = |i: usize| dice[i] * 0.1;
+        let y = || Axis::new("y").unwrap();
+        let columns = vec![
+            column("t", Role::Time, (0..50).map(f64::from).collect()),
+            column("y", Role::Position(y()), (0..50).map(|i| 7.0 * f64::from(i)).collect()),
+            column("e", Role::Error(y()), (0..50).map(of_y).collect()),
+        ];
+        let sideways = Record::new(Path::new("y.run.toml"), Kind::Positioning, columns).unwrap();
+        for records in [[&line, &circle, &sideways], [&circle, &sideways, &line], [&circle, &line, &sideways]]
+        {
+            let records = records.map(Clone::clone);
+            let stack = Stack::new(&records);
+            let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+            let mut search = Search::new(&stack, &all, &waves);
+            search.begin(1.0, Vec::new(), stack.missing(&[]));
+            let empty = search.empty();
+            let is_screw = |h: usize| all.list[h].name == "screw_periodic.x";
+            let offer = search.scan(&empty, true).into_iter().find(|o| is_screw(o.hypothesis)).unwrap();
+            let taken = search.take(&empty, &offer);
+            let off = (taken.score - offer.score).abs();
+            assert!(off < 1e-6 * offer.score.abs(), "{} {}", taken.score, offer.score);
+            let found = search.effects(&taken).pop().flatten().unwrap();
+            assert!((found.scalar(0) - 14.2).abs() < 0.01, "{:?}", found.values());
+        }
     }
 }
