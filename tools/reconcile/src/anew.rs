@@ -1,9 +1,12 @@
-//! What an axis does along its own position, chosen anew: a scale, a map and waves stand for one another, and of a map and a scale
-//! that were taken for a wave no exchange of one member leads back.
+//! What an axis does over one position, chosen anew: a scale, a map and waves stand for one another, a straightness for a squareness
+//! and a constant, and of two that were taken for one, or one for two, no exchange of one member leads back.
 
+use crate::hypotheses::Hypothesis;
 use crate::problem::leaves_a_line;
 use crate::search::{Offer, Search, Set};
+use crate::simpler::DECISIVE;
 use rtec_model::effect::{Effect, Need};
+use rtec_model::record::Axis;
 
 /// Knots of the plain map that a wave is looked for beside.
 const PLAIN: usize = 6;
@@ -21,34 +24,42 @@ fn is_wave(effect: &Effect) -> bool {
     effect.description().searched.wave.is_some_and(|w| w.unit_mm >= 1.0)
 }
 
-/// The laws of one axis's position, by hypothesis.
+/// The laws that do something over one position, by hypothesis.
 struct Along {
     plain: Vec<usize>,
     waves: Vec<usize>,
 }
 
-/// The set with what each axis does along its position chosen anew, where that says more or the same with less.
+/// The set with what each axis does along its position, and each straightness, chosen anew, where that says more, or as much
+/// without a map.
 pub(crate) fn along_axes(search: &mut Search<'_, '_>, set: Set) -> Set {
     let all = search.all;
     let mut best = set;
-    let of = |h: usize| all.list[h].effect.as_ref().filter(|e| is_along(e));
-    let mut axes: Vec<_> = best
+    let of = |h: usize| all.list[h].effect.as_ref();
+    let mut axes: Vec<Vec<Axis>> = best
         .members
         .iter()
         .filter_map(|m| of(m.hypothesis))
-        .filter(|e| leaves_a_line(e) || is_wave(e))
-        .map(|e| e.axes()[0].clone())
+        .filter(|e| leaves_a_line(e) || (is_along(e) && is_wave(e)))
+        .map(|e| e.axes().to_vec())
         .collect();
     axes.sort();
     axes.dedup();
-    for axis in axes {
-        let own = (0..all.list.len()).filter(|h| of(*h).is_some_and(|e| e.axes()[0] == axis));
-        let (waves, plain) = own.partition(|h| of(*h).is_some_and(is_wave));
-        let along = Along { plain, waves };
+    for axes in axes {
+        let along = match &axes[..] {
+            [_] => Along::one_axis(&all.list, &axes),
+            _ => Along::across(&all.list, &axes),
+        };
         for start in along.starts(search, &best) {
             let next = along.filled(search, start);
             let next = search.polish(next);
-            if next.score > best.score {
+            let is_map = |h: usize| along.has(h) && of(h).is_some_and(leaves_a_line);
+            let maps = |s: &Set| s.members.iter().filter(|m| is_map(m.hypothesis)).count();
+            // A map that is straight costs one name where a constant and a slope cost two, which is no ground for it.
+            let names = next.members.len().saturating_sub(best.members.len()).min(1) as f64;
+            let spared = if maps(&next) < maps(&best) { DECISIVE + names * all.family_cost } else { 0.0 };
+            let least = best.score - spared;
+            if next.score > least {
                 best = next;
             }
         }
@@ -57,6 +68,30 @@ pub(crate) fn along_axes(search: &mut Search<'_, '_>, set: Set) -> Set {
 }
 
 impl Along {
+    /// Scale, map and waves of an axis, and what is constant on it.
+    fn one_axis(list: &[Hypothesis], axes: &[Axis]) -> Self {
+        let own = (0..list.len()).filter(|h| {
+            let effect = list[*h].effect.as_ref().filter(|e| e.axes() == axes);
+            effect.is_some_and(|e| is_along(e) || e.description().constant)
+        });
+        let (waves, plain) = own.partition(|h| list[*h].effect.as_ref().is_some_and(is_wave));
+        Self { plain, waves }
+    }
+
+    /// A straightness, what is in proportion to the same position, and what is constant on its axis.
+    fn across(list: &[Hypothesis], axes: &[Axis]) -> Self {
+        let plain = (0..list.len()).filter(|h| {
+            list[*h].effect.as_ref().is_some_and(|e| {
+                let over = |n: &Need| matches!(n, Need::Position(_));
+                let both = e.axes().len() == 2 && e.axes().iter().all(|a| axes.contains(a));
+                let other_map = leaves_a_line(e) && e.axes() != axes;
+                (both && e.description().needs.iter().all(over) && !other_map)
+                    || (e.description().constant && e.axes()[0] == axes[0])
+            })
+        });
+        Self { plain: plain.collect(), waves: Vec::new() }
+    }
+
     fn has(&self, hypothesis: usize) -> bool {
         self.plain.contains(&hypothesis) || self.waves.contains(&hypothesis)
     }
@@ -146,8 +181,10 @@ mod tests {
     use super::*;
     use crate::hypotheses::Hypotheses;
     use crate::problem::Stack;
-    use crate::testing::{noise, record};
+    use crate::testing::{circle, noise, record};
+    use crate::{Options, reconcile};
     use rtec_model::effect::Dictionary;
+    use rtec_model::machine::Machine;
 
     /// A screw of 47 mm and a scale: a map of many knots was taken for both, and no exchange of one member led back from it.
     #[test]
@@ -179,5 +216,40 @@ mod tests {
         assert_eq!(names(&next), ["scale.x", "screw_periodic.x"]);
         let again = along_axes(&mut search, next.clone());
         assert_eq!((names(&again), again.score), (names(&next), next.score));
+    }
+
+    /// Out of square by 25 µrad and a constant: a broken line of four knots that is straight was named, and its own rivals, the two,
+    /// were likelier.
+    #[test]
+    fn a_straightness_that_is_straight_gives_way_to_a_squareness() {
+        let dice = noise(10, 800);
+        let mut line = record(60, |i| 3.0 + 0.5 * dice[i as usize]);
+        line.columns[1].data.iter_mut().enumerate().for_each(|(i, p)| *p = 20.0 * (i % 15) as f64);
+        let circle = circle(700, 150.0, |a| {
+            let row = (a / std::f64::consts::TAU * 699.0).round() as usize;
+            a.cos() * (3.0 + 0.025 * 150.0 * a.sin()) + 0.5 * dice[60 + row]
+        });
+        let records = [line, circle];
+        let stack = Stack::new(&records);
+        let (all, waves) = Hypotheses::new(&stack, &Dictionary::default());
+        let mut search = Search::new(&stack, &all, &waves);
+        search.begin(0.5, Vec::new(), stack.missing(&[]));
+        let straightness = all.list.iter().position(|h| h.name == "straightness.x.y").unwrap();
+        let empty = search.empty();
+        let offer = search.offer_of(&empty, straightness).unwrap();
+        let set = search.take(&empty, &offer);
+        let next = along_axes(&mut search, set);
+        let mut names: Vec<&str> =
+            next.members.iter().map(|m| all.list[m.hypothesis].name.as_str()).collect();
+        names.sort_unstable();
+        assert!(
+            names.len() == 2 && names[0] == "offset.x" && names[1].starts_with("squareness."),
+            "{names:?}"
+        );
+        // Nor is it taken back as one explanation that does without the constant.
+        let whole = reconcile(&records, &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        let named: Vec<String> = whole.effects.iter().map(|(f, _)| f.effect.name()).collect();
+        assert!(named.len() == 2 && named.contains(&"offset.x".to_owned()), "{named:?}");
+        assert!(!named.iter().any(|n| n.starts_with("straightness")), "{named:?}");
     }
 }

@@ -1,6 +1,7 @@
 //! The same told with less: sets in which fewer names say as much, and names that only together take the place of others.
 
 use crate::hypotheses::Atom;
+use crate::problem::leaves_a_line;
 use crate::search::{Found, Search, Set};
 use rtec_model::effect::Effect;
 
@@ -95,7 +96,11 @@ pub(crate) fn plainer(search: &mut Search<'_, '_>, found: &Found, set: Set) -> S
     let constant = |h: usize| search.all.list[h].law().is_some_and(|l| l.constant);
     let Some(at) = set.members.iter().position(|m| constant(m.hypothesis)) else { return set };
     let least = set.score - DECISIVE;
-    let fewer = |s: &Set| s.score > least && s.members.len() < set.members.len();
+    // A map that is straight is no plainer than a constant and a slope.
+    let is_map = |h: usize| search.all.list[h].effect.as_ref().is_some_and(leaves_a_line);
+    let maps = |s: &Set| s.members.iter().filter(|m| is_map(m.hypothesis)).count();
+    let most = maps(&set);
+    let fewer = |s: &Set| s.score > least && s.members.len() < set.members.len() && maps(s) <= most;
     let own = set.members[at].hypothesis;
     let mut best: Option<Set> = None;
     let lacks = |s: &Set| s.members.iter().all(|m| m.hypothesis != own);
