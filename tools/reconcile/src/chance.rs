@@ -125,7 +125,7 @@ impl Search<'_, '_> {
             }
         }
         let waves = |any: bool| -> f64 {
-            let of = self.waves.iter().filter(|w| w.span() > 0.0 && (any || w.effect.is_some()));
+            let of = self.waves.iter().filter(|w| w.span > 0.0 && (any || w.effect.is_some()));
             of.map(|w| (w.independent().ln() - self.wave_cost(w) - self.dimension_cost(2)).exp())
                 .sum::<f64>()
                 .ln()

@@ -24,6 +24,8 @@ pub(crate) struct Wave {
     pub(crate) segments: Vec<Range<usize>>,
     /// The variable in rising order, each value once.
     pub(crate) places: Vec<f64>,
+    /// The variable's extent where it is longest.
+    pub(crate) span: f64,
     /// Frequencies to search, in periods per unit of the variable.
     pub(crate) from: f64,
     pub(crate) to: f64,
@@ -51,6 +53,7 @@ impl Wave {
             shape: None,
             segments: within(&stack.ranges, &rows).to_vec(),
             rows,
+            span: extent(&along),
             along,
             share: Vec::new(),
             also: Vec::new(),
@@ -63,6 +66,7 @@ impl Wave {
 
     /// Further rows that show it, with the variable and the share of it there.
     pub(crate) fn push(&mut self, stack: &Stack<'_>, rows: Range<usize>, along: Vec<f64>, share: Vec<f64>) {
+        self.span = self.span.max(extent(&along));
         self.also.push((rows, along, share));
         let first = self.parts().map(|(rows, ..)| rows.start).min().unwrap_or(0);
         let end = self.parts().map(|(rows, ..)| rows.end).max().unwrap_or(first);
@@ -84,17 +88,8 @@ impl Wave {
 
     /// How many frequencies the extent tells apart.
     pub(crate) fn independent(&self) -> f64 {
-        let span = self.span();
+        let span = self.span;
         ((self.to - self.from.max(0.5 / span)) * span).max(2.0)
-    }
-
-    /// The variable's extent where it is longest.
-    pub(crate) fn span(&self) -> f64 {
-        let of = |x: &[f64]| {
-            let (least, most) = x.iter().fold((f64::MAX, f64::MIN), |(l, m), x| (l.min(*x), m.max(*x)));
-            (most - least).max(0.0)
-        };
-        self.also.iter().map(|(_, along, _)| of(along)).fold(of(&self.along), f64::max)
     }
 
     /// The pitch of the grid that all its places lie on; none where further rows show it between them.
@@ -107,6 +102,11 @@ impl Wave {
         let further = self.also.iter().map(|(rows, along, share)| (rows, &along[..], &share[..]));
         std::iter::once((&self.rows, &self.along[..], &self.share[..])).chain(further)
     }
+}
+
+fn extent(x: &[f64]) -> f64 {
+    let (least, most) = x.iter().fold((f64::MAX, f64::MIN), |(l, m), x| (l.min(*x), m.max(*x)));
+    (most - least).max(0.0)
 }
 
 /// The segments of some rows, which stand one after the other.

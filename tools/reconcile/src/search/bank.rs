@@ -2,7 +2,7 @@
 //! begins with what that one left.
 
 use super::Search;
-use super::sets::{AtPhi, Set};
+use super::sets::{AtPhi, Set, same};
 use crate::gram::{self, Products, dot, minus};
 use crate::hypotheses::Atom;
 use std::ops::{Index, Range};
@@ -96,11 +96,6 @@ pub(super) struct Left {
     squares: Vec<f64>,
     /// Atom by atom of several columns: the products among them, packed by rows of the lower triangle, less the same.
     own: Vec<f64>,
-}
-
-/// How many vectors two sets begin with alike.
-pub(super) fn same(a: &[usize], b: &[usize]) -> usize {
-    a.iter().zip(b).take_while(|(a, b)| a == b).count()
 }
 
 /// How many products among its columns an atom of several keeps.

@@ -163,7 +163,7 @@ impl Search<'_, '_> {
         let Some(wave) = self.waves.iter().find(|w| w.hypothesis == offer.hypothesis) else { return false };
         let near = |m: &&Member| {
             let both = wave.frequency(&m.cause).zip(wave.frequency(&offer.cause));
-            both.is_some_and(|(a, b)| (a - b).abs() * wave.span() < RESOLVED)
+            both.is_some_and(|(a, b)| (a - b).abs() * wave.span < RESOLVED)
         };
         same.len() >= MOST_WAVES || same.iter().any(near)
     }

@@ -59,7 +59,7 @@ impl Search<'_, '_> {
 
     fn peaks_of(&self, set: &Set, at: usize, (residual, phi): (&[f64], f64), list: &mut Vec<f64>) {
         let wave = &self.waves[at];
-        let span = wave.span();
+        let span = wave.span;
         if span <= 0.0 {
             return;
         }

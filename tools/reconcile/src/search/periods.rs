@@ -102,7 +102,7 @@ fn usual_mm(wave: &Wave) -> &'static [f64] {
 impl Search<'_, '_> {
     /// The best period of a periodic hypothesis: each peak refined exactly that may come to more than `least`.
     pub(super) fn wave(&self, set: &Set, wave: &Wave, peaks: &[f64], least: f64) -> Option<Offer> {
-        let span = wave.span();
+        let span = wave.span;
         if span <= 0.0 {
             return None;
         }
@@ -150,7 +150,7 @@ impl Search<'_, '_> {
     /// Every peak refined, and what looks the same as it at nearly even places; the best first, with their scores.
     /// Those that cannot come to `least` are left as they are.
     fn tops(&self, set: &Set, wave: &Wave, peaks: &[f64], [cost, least]: [f64; 2]) -> Vec<(f64, f64)> {
-        let span = wave.span();
+        let span = wave.span;
         // What a wave that explains nothing scores.
         let nothing = set.loglik - self.price(set, wave.hypothesis, cost, 2);
         let mut best = f64::NEG_INFINITY;
@@ -259,14 +259,14 @@ impl Search<'_, '_> {
         let mut all: Vec<f64> =
             self.tops(rest, wave, &peaks, [cost, f64::NEG_INFINITY]).iter().map(|t| t.1).collect();
         if let Some(pitch) = pitch(&wave.places, GRID_SHARE / own) {
-            let range = [wave.from.max(0.5 / wave.span()), wave.to];
+            let range = [wave.from.max(0.5 / wave.span), wave.to];
             all.extend(aliases(own, pitch, range, LISTED, usual_mm(wave)));
         }
         all.sort_by(f64::total_cmp);
         let mut out: Vec<(f64, f64)> = Vec::new();
         let mut last = own;
         for f in all {
-            let apart = |g: f64| (f - g).abs() * wave.span() > RESOLVED;
+            let apart = |g: f64| (f - g).abs() * wave.span > RESOLVED;
             let margin = mine - score(f);
             if apart(own) && apart(last) && margin < NO_WORSE && self.bearable(rest, wave, f) {
                 out.push((1.0 / (f * wave.unit), margin.max(0.0)));
@@ -279,7 +279,7 @@ impl Search<'_, '_> {
     /// On a grid there are no more frequencies than places: fewer are paid for. Which of the aliases it is the data cannot
     /// say; the likeliest is given.
     fn likeliest_alias(&self, set: &Set, wave: &Wave, best: &mut Tone, independent: f64, usual_mm: &[f64]) {
-        let span = wave.span();
+        let span = wave.span;
         let Some(pitch) = wave.pitch(GRID_SHARE / best.f) else { return };
         let cost = self.wave_cost(wave);
         best.score += best.cost - cost;

@@ -1,7 +1,6 @@
 //! Sets of explanations, each fitted at every noise coefficient together with the model's own parameters, and what such a
 //! fit says.
 
-use super::bank::same;
 use super::{NOISE_GRID, NOISE_STEP, Search};
 use crate::cause::Cause;
 use crate::gram::{Cholesky, KNOWN, dot};
@@ -75,6 +74,11 @@ impl Set {
         fit.factor.backward(&mut beta);
         beta
     }
+}
+
+/// How many vectors two sets begin with alike.
+pub(super) fn same(a: &[usize], b: &[usize]) -> usize {
+    a.iter().zip(b).take_while(|(a, b)| a == b).count()
 }
 
 impl Search<'_, '_> {

@@ -182,7 +182,7 @@ mod tests {
         let (residual, _) = search.residual(&empty);
         let screw = waves.iter().find(|w| w.effect.as_ref().is_some_and(|e| e.name() == "screw_periodic.x"));
         let (screw, mut list) = (screw.unwrap(), Vec::new());
-        let step = 0.3 / screw.span();
+        let step = 0.3 / screw.span;
         search.peaks_of_targets(&empty, screw, &residual, [screw.from, step], &mut list);
         let near = |f: &f64| (f - 1.0 / 25.3).abs() < step;
         assert!(list.iter().any(near) && list.len() <= 6, "{list:?}");

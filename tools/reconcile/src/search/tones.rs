@@ -1,8 +1,7 @@
 //! Waves of one frequency against sets: what was worked out for one set serves all that begin with the same vectors.
 
 use super::Search;
-use super::bank::same;
-use super::sets::{AtPhi, Set};
+use super::sets::{AtPhi, Set, same};
 use crate::gram::{self, Products, dot, dots, products};
 use crate::waves::Wave;
 use std::ops::Range;
