@@ -30,6 +30,9 @@ const BENT: f64 = 4.0;
 /// A square stands in the model beyond this: three standard errors.
 const CERTAIN: f64 = 9.0;
 
+/// Beside others a term may move the response so many times as far as it moves in all.
+const CANCELLED: f64 = 2.0;
+
 impl Judged {
     /// Root of the mean over the folds.
     pub(super) fn rms(&self) -> f64 {
@@ -367,9 +370,24 @@ impl Problem {
         correlation(&of(&u), &of(&self.y))
     }
 
+    /// How far the values of these folds lie apart.
+    fn swing(&self, values: &[f64], folds: &[usize]) -> f64 {
+        let seen = || self.stretches(folds).flat_map(|s| &values[s]).copied();
+        seen().fold(f64::NEG_INFINITY, f64::max) - seen().fold(f64::INFINITY, f64::min)
+    }
+
     /// Differences to the environment keep the sign of their own correlation: the sign is known, and a fit that
-    /// turns it round lives on collinearity, as one with gains beyond reason does.
+    /// turns it round lives on collinearity, as one with gains beyond reason does, and one whose terms move the response far
+    /// more than it moves and cancel each other: elsewhere they do not cancel.
     pub(super) fn physical(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
+        let most_um = CANCELLED * self.swing(&self.y, folds);
+        let cancels = |(t, c): (&Term, &f64)| {
+            matches!(t, Term::Thermal { square: false, .. })
+                && c.abs() * self.swing(&self.column(*t), folds) > most_um
+        };
+        if terms.len() > 1 && terms.iter().zip(&coefficients[1..]).any(cancels) {
+            return false;
+        }
         terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
             Term::Thermal { square: true, .. } => c.abs() <= self.plausible[1],
             Term::Thermal { minus, .. } => {

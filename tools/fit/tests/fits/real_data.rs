@@ -173,3 +173,17 @@ fn real_spindle_is_predicted_into_unseen_later_time() {
     assert!(r.rms_um.holdout[0] < 0.5 * of("linear T0-T15") && r.rms_um.holdout[0] < 0.2 * of("mean"));
     assert!(r.interval95.coverage_holdout[0] >= 0.9, "{:?}", r.interval95);
 }
+
+/// Wherever the rows are cut, what the earlier ones say of the later ones is far better than their mean: no two large terms that
+/// cancelled each other so far.
+#[test]
+fn real_spindle_is_predicted_from_wherever_it_is_cut() {
+    let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
+    for cut in [700, 1000, 1170, 1500] {
+        let (early, late) = (spindle(&text, 0..cut), spindle(&text, cut..2341));
+        let (_, reports) = thermal::fit(&[&early], &[&late], &Options::default()).unwrap();
+        let (own, mean) = (reports[0].rms_um.holdout[0], reports[0].baselines["mean"].holdout[0]);
+        println!("{cut} rows learned: {own:.2} µm, the mean {mean:.2}");
+        assert!(own < 0.5 * mean, "{cut} rows learned: {own:.2} µm, the mean {mean:.2}");
+    }
+}
