@@ -20,7 +20,34 @@ impl Extent for Stack<'_> {
     fn places_mm(&self, axis: &Axis) -> Vec<f64> {
         distinct(self, &Role::Position(axis.clone())).unwrap_or_default()
     }
+
+    fn stretches_mm(&self, axis: &Axis) -> Vec<[f64; 2]> {
+        let role = Role::Position(axis.clone());
+        let span = |p: &[f64]| {
+            let of = |f: fn(f64, f64) -> f64| p.iter().copied().reduce(f);
+            Some([of(f64::min)?, of(f64::max)?])
+        };
+        let mut all: Vec<[f64; 2]> =
+            self.records.iter().filter_map(|r| span(r.data(&role)?)).filter(|[lo, hi]| lo < hi).collect();
+        let whole = span(&all.concat()).unwrap_or_default();
+        let near = ALIKE * (whole[1] - whole[0]);
+        let alike = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).abs() <= near && (a[1] - b[1]).abs() <= near;
+        all.sort_by(|a, b| (b[1] - b[0]).total_cmp(&(a[1] - a[0])));
+        let mut out: Vec<[f64; 2]> = Vec::new();
+        for part in all {
+            if !alike(&part, &whole) && !out.iter().any(|o| alike(o, &part)) {
+                out.push(part);
+            }
+        }
+        out.truncate(MOST_STRETCHES);
+        out
+    }
 }
+
+/// Ends that are nearer than this share of all that was travelled are the same.
+const ALIKE: f64 = 0.05;
+/// So many parts of it are looked at.
+const MOST_STRETCHES: usize = 2;
 
 /// Time constants to try: from three rows to twice the longest record.
 pub(crate) fn taus(stack: &Stack<'_>) -> Vec<f64> {
@@ -133,7 +160,7 @@ pub(crate) fn likeliest(periods_mm: &[f64], usual_mm: &[f64]) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::record;
+    use crate::testing::{circle, record};
 
     #[test]
     fn positions_are_read_in_steps_of_a_scale() {
@@ -143,6 +170,23 @@ mod tests {
         }
         let roots: Vec<f64> = (0..50).map(|k| f64::from(k).sqrt()).collect();
         assert_eq!(resolution(&roots), None);
+    }
+
+    /// What a circle and an axis's own targets span is not the same; what all records span is no part.
+    #[test]
+    fn parts_of_what_was_travelled_are_told_apart() {
+        let x = crate::testing::axis();
+        let line = record(100, |i| i);
+        assert!(Stack::new(std::slice::from_ref(&line)).stretches_mm(&x).is_empty());
+        let near = |stretch: [f64; 2], lo: f64, hi: f64| {
+            (stretch[0] - lo).abs() < 2.0 && (stretch[1] - hi).abs() < 2.0
+        };
+        let within = [line.clone(), line.clone(), circle(100, 30.0, |a| a)];
+        let parts = Stack::new(&within).stretches_mm(&x);
+        assert!(parts.len() == 2 && near(parts[0], 0.0, 100.0) && near(parts[1], -30.0, 30.0), "{parts:?}");
+        let wide = [circle(100, 150.0, |a| a), line];
+        let parts = Stack::new(&wide).stretches_mm(&x);
+        assert!(parts.len() == 1 && near(parts[0], 0.0, 100.0), "{parts:?}");
     }
 
     #[test]

@@ -58,23 +58,38 @@ impl Law for BrokenLine {
         Err(ValueError::new("knots_mm", format!("{:?}", effect.get(KNOTS)), "knots that increase strictly"))
     }
 
-    /// From a few even knots to two dozen, and one at every place where there are not too many.
+    /// From a few even knots to two dozen, over all that was travelled and over each record's own part of it, and one at every
+    /// place where there are not too many.
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
-        let places = records.places_mm(&effect.axes()[self.along]);
-        let (Some(lo), Some(hi)) = (places.first(), places.last()) else { return Vec::new() };
-        let even = SIZES.into_iter().filter(|k| *k < places.len().min(records.rows() / 3));
-        let even = even.map(|k| (0..k).map(|i| lo + (hi - lo) * i as f64 / (k - 1) as f64).collect());
-        let mut all: Vec<Vec<f64>> = even.map(|knots| with_places(knots, &places)).collect();
-        all.dedup();
+        let axis = &effect.axes()[self.along];
+        let places = records.places_mm(axis);
+        let parts = records.stretches_mm(axis);
+        // Which part was meant is chosen, too.
+        let price = 1.0 + (1.0 + parts.len() as f64).ln();
+        let mut all = even(&SIZES, &places, records.rows());
         if PLACES.contains(&places.len()) && places.len() < records.rows() / 2 {
-            all.push(places);
+            all.push(places.clone());
+        }
+        for [from, to] in parts {
+            let own: Vec<f64> = places.iter().copied().filter(|p| (from..=to).contains(p)).collect();
+            all.extend(even(&FEW_SIZES, &own, records.rows()));
         }
         let level = |knots: Vec<f64>| {
             let values: Vec<f64> = knots.iter().copied().chain(knots.iter().map(|_| 0.0)).collect();
-            Some(Point { effect: effect.with_values(&values)?, price: 1.0 })
+            Some(Point { effect: effect.with_values(&values)?, price })
         };
         all.into_iter().filter_map(level).collect()
     }
+}
+
+/// Even knots from the first of some places to the last, of each of these numbers that the places can tell from one another.
+fn even(sizes: &[usize], places: &[f64], rows: usize) -> Vec<Vec<f64>> {
+    let (Some(lo), Some(hi)) = (places.first(), places.last()) else { return Vec::new() };
+    let sizes = sizes.iter().copied().filter(|k| *k < places.len().min(rows / 3));
+    let all = sizes.map(|k| (0..k).map(|i| lo + (hi - lo) * i as f64 / (k - 1) as f64).collect());
+    let mut all: Vec<Vec<f64>> = all.map(|knots| with_places(knots, places)).collect();
+    all.dedup();
+    all
 }
 
 /// The knots that some place is nearest to: where nothing was measured a height would be anything.
@@ -93,6 +108,8 @@ fn with_places(knots: Vec<f64>, places: &[f64]) -> Vec<f64> {
 
 /// Numbers of even knots that a search tries.
 const SIZES: [usize; 17] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24, 28, 34, 40, 48];
+/// The same over a part of what was travelled: there as many lie closer together.
+const FEW_SIZES: [usize; 11] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16];
 /// Numbers of places that may each have a knot.
 const PLACES: std::ops::RangeInclusive<usize> = 4..=48;
 
