@@ -198,6 +198,8 @@ fn tell(o: &Outcome) {
         [] => String::new(),
         said => format!("\n    suspected: {said:?}"),
     };
+    let beyond = o.impossible.iter().map(|what| format!("\n    that no machine has: {what}"));
+    let missed: Vec<String> = missed.into_iter().chain(beyond).collect();
     let taken = o.mistake.as_ref().map_or(suspected, |(kind, heard, twin)| {
         let (_, kind) = KINDS[*kind];
         format!("\n    {kind}: {heard:?} {:?}; its clean twin: {twin:?}", o.suspicions)
