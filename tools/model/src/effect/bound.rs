@@ -63,6 +63,11 @@ impl Bound<'_> {
         self.t[row]
     }
 
+    /// Where an axis of the effect's name stands, row by row, mm; none where that is not logged.
+    pub(super) fn p_mm(&self, axis: usize) -> Option<&[f64]> {
+        self.p[axis]
+    }
+
     /// What the effect reads at a row.
     #[must_use]
     pub fn input(&self, row: usize) -> Input {

@@ -1,6 +1,8 @@
 //! A smooth function of one position: linear between knots, constant beyond.
 
-use super::{Description, Effect, Extent, Input, Law, Out, Parameter, Point, Search, State, ValueError};
+use super::{
+    Bound, Description, Effect, Extent, Input, Law, Out, Parameter, Point, Search, State, ValueError,
+};
 
 /// A broken line over the position of one axis.
 #[derive(Debug)]
@@ -13,6 +15,17 @@ pub(super) struct BrokenLine {
 const KNOTS: usize = 0;
 const UM: usize = 1;
 
+/// The heights on either side of a place, each with its share there; beyond the end knots their own alone.
+fn shares(knots: &[f64], p_mm: f64) -> [(usize, f64); 2] {
+    let after = knots.partition_point(|k| *k <= p_mm);
+    if after == 0 || after == knots.len() {
+        let end = after.saturating_sub(1);
+        return [(end, 1.0), (end, 0.0)];
+    }
+    let w = (p_mm - knots[after - 1]) / (knots[after] - knots[after - 1]);
+    [(after - 1, 1.0 - w), (after, w)]
+}
+
 impl Law for BrokenLine {
     fn describe(&self) -> &Description {
         &self.description
@@ -20,17 +33,19 @@ impl Law for BrokenLine {
 
     fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
         out.fill(0.0);
-        let knots = effect.get(KNOTS);
-        let p = now.p_mm[self.along];
-        let after = knots.partition_point(|k| *k <= p);
-        if after == 0 {
-            out[0] = 1.0;
-        } else if after == knots.len() {
-            out[after - 1] = 1.0;
-        } else {
-            let w = (p - knots[after - 1]) / (knots[after] - knots[after - 1]);
-            out[after - 1] = 1.0 - w;
-            out[after] = w;
+        for (height, share) in shares(effect.get(KNOTS), now.p_mm[self.along]) {
+            out[height] += share;
+        }
+    }
+
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+        out.fill(0.0);
+        let (knots, rows) = (effect.get(KNOTS), bound.rows());
+        let p_mm = bound.p_mm(self.along);
+        for row in 0..rows {
+            for (height, share) in shares(knots, p_mm.map_or(0.0, |p| p[row])) {
+                out[height * rows + row] += share;
+            }
         }
     }
 

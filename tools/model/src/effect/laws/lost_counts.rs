@@ -1,7 +1,7 @@
 //! `lost_counts.A`: a step at one moment that stays.
 
 use crate::effect::{
-    Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
 };
 use std::sync::Arc;
 
@@ -42,6 +42,13 @@ impl Law for LostCounts {
 
     fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
         out[0] = f64::from(now.t_s >= effect.scalar(AT));
+    }
+
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+        let at_s = effect.scalar(AT);
+        for (row, out) in out.iter_mut().enumerate() {
+            *out = f64::from(bound.t_s(row) >= at_s);
+        }
     }
 
     fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {

@@ -1,7 +1,7 @@
 //! `thermal_expansion.A`: what a temperature difference does to a length.
 
 use crate::effect::{
-    ANOTHER_REFERENCE, Choice, Description, Effect, Heat, Input, Law, Need, Out, Parameter, Searched, State,
+    ANOTHER_REFERENCE, Bound, Choice, Description, Effect, Heat, Input, Law, Need, Out, Parameter, Searched, State,
 };
 use std::sync::Arc;
 
@@ -39,5 +39,12 @@ impl Law for ThermalExpansion {
 
     fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
         out[0] = effect.bounded(now.delta_k) * now.p_mm[0] / 1000.0;
+    }
+
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+        let Some(p_mm) = bound.p_mm(0) else { return out.fill(0.0) };
+        for ((row, out), p_mm) in out.iter_mut().enumerate().zip(p_mm) {
+            *out = effect.bounded(bound.delta_k(row)) * p_mm / 1000.0;
+        }
     }
 }

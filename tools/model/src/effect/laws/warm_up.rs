@@ -1,7 +1,7 @@
 //! `warm_up.A`: drift from the start with no logged cause.
 
 use crate::effect::{
-    Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
 };
 use std::sync::Arc;
 
@@ -35,13 +35,25 @@ pub(super) fn law() -> Arc<dyn Law> {
     }))
 }
 
+/// The drift of one micrometre in the end.
+fn drift(t_s: f64, tau_s: f64) -> f64 {
+    -(-t_s.max(0.0) / tau_s).exp_m1()
+}
+
 impl Law for WarmUp {
     fn describe(&self) -> &Description {
         &self.0
     }
 
     fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
-        out[0] = -(-now.t_s.max(0.0) / effect.scalar(TAU)).exp_m1();
+        out[0] = drift(now.t_s, effect.scalar(TAU));
+    }
+
+    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+        let tau_s = effect.scalar(TAU);
+        for (row, out) in out.iter_mut().enumerate() {
+            *out = drift(bound.t_s(row), tau_s);
+        }
     }
 
     fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
