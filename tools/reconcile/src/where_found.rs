@@ -206,7 +206,7 @@ fn place(
     let explained =
         |sums: [f64; STRETCHES]| -> f64 { sums.iter().zip(&bins).map(|(s, b)| s * s / b.len() as f64).sum() };
     let running = running(residual);
-    let own = explained(sums_by(&runs(&bin, bin.len()), &running, |_| 0));
+    let own = explained(sums_by(&runs(&bin, bin.len()), &running, &[0]));
     // As long as the residual remembers, blocks stay together.
     let n = residual.len();
     let squares = dot(residual, residual);
@@ -221,6 +221,7 @@ fn place(
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let (mut tried, mut larger) = (0, 0);
     let mut order: Vec<usize> = (0..n.div_ceil(length)).collect();
+    let mut begin = Vec::with_capacity(order.len());
     let runs = runs(&bin, length);
     let enough = ENOUGH.min((known / LEAST_P) as usize);
     while tried < PERMUTATIONS && larger < enough {
@@ -229,8 +230,9 @@ fn place(
         }
         // Blocks begin anywhere, so that no row keeps its neighbours' bin.
         let shift = below(&mut rng, n);
-        let begin = |block: usize| (order[block] * length + shift) % n;
-        let chance = explained(sums_by(&runs, &running, begin));
+        begin.clear();
+        begin.extend(order.iter().map(|block| (block * length + shift) % n));
+        let chance = explained(sums_by(&runs, &running, &begin));
         larger += usize::from(chance >= own);
         tried += 1;
     }
@@ -242,27 +244,25 @@ fn place(
     Some(Place { response, against, statistic, p_value, q_value: 1.0, profile })
 }
 
-/// Neighbouring rows of one stretch.
+/// Neighbouring rows of one stretch: from and to which row of their block.
 struct Run {
-    bin: u8,
-    block: usize,
-    /// From and to which row of its block.
-    from: usize,
-    to: usize,
+    block: u32,
+    from: u32,
+    to: u32,
 }
 
-/// The runs of rows of one stretch, block by block of so many rows: mostly long, as most channels change slowly.
-fn runs(bin: &[u8], length: usize) -> Vec<Run> {
-    let of = |(block, bins): (usize, &[u8])| {
-        let mut at = 0;
-        let mut next = move |same: &[u8]| {
-            let from = at;
-            at += same.len();
-            Run { bin: same[0], block, from, to: at }
-        };
-        bins.chunk_by(|a, b| a == b).map(&mut next).collect::<Vec<_>>()
-    };
-    bin.chunks(length).enumerate().flat_map(of).collect()
+/// Per stretch its runs of rows, block by block of so many rows: mostly long, as most channels change slowly.
+fn runs(bin: &[u8], length: usize) -> [Vec<Run>; STRETCHES] {
+    let mut out = std::array::from_fn(|_| Vec::new());
+    for (block, bins) in bin.chunks(length).enumerate() {
+        let mut from = 0;
+        for same in bins.chunk_by(|a, b| a == b) {
+            let to = from + same.len() as u32;
+            out[usize::from(same[0])].push(Run { block: block as u32, from, to });
+            from = to;
+        }
+    }
+    out
 }
 
 /// Sums of a residual up to each row, twice round.
@@ -275,18 +275,14 @@ fn running(residual: &[f64]) -> Vec<f64> {
     std::iter::once(0.0).chain(twice).collect()
 }
 
-/// Sums of a residual by stretch, from its running sums. `begin`: from which row on a block has its values of the residual,
+/// Sums of a residual by stretch, from its running sums. `begin`: from which row on each block has its values of the residual,
 /// which begins anew at its end.
-fn sums_by(runs: &[Run], running: &[f64], begin: impl Fn(usize) -> usize) -> [f64; STRETCHES] {
-    let mut sums = [0.0; STRETCHES];
-    let (mut block, mut from) = (usize::MAX, 0);
-    for run in runs {
-        if run.block != block {
-            (block, from) = (run.block, begin(run.block));
-        }
-        sums[usize::from(run.bin) % STRETCHES] += running[from + run.to] - running[from + run.from];
-    }
-    sums
+fn sums_by(runs: &[Vec<Run>; STRETCHES], running: &[f64], begin: &[usize]) -> [f64; STRETCHES] {
+    let of = |Run { block, from, to }: &Run| {
+        let running = &running[begin[*block as usize]..];
+        running[*to as usize] - running[*from as usize]
+    };
+    std::array::from_fn(|stretch| runs[stretch].iter().map(of).sum())
 }
 
 /// Takes a channel's means out of a residual: at each of its places where there are many rows of each, over its stretches
@@ -399,7 +395,8 @@ mod tests {
         let residual = noise(9, 103);
         let bin: Vec<u8> = (0..103).map(|i| (i * i / 7 % 8) as u8).collect();
         let begin = |block: usize| (block * 37 + 90) % 103;
-        let sums = sums_by(&runs(&bin, 10), &running(&residual), begin);
+        let begins: Vec<usize> = (0..11).map(begin).collect();
+        let sums = sums_by(&runs(&bin, 10), &running(&residual), &begins);
         for (b, sum) in sums.iter().enumerate() {
             let rows = (0..103).filter(|i| usize::from(bin[*i]) == b);
             let want: f64 = rows.map(|i| residual[(begin(i / 10) + i % 10) % 103]).sum();
