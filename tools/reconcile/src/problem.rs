@@ -174,7 +174,12 @@ impl<'r> Stack<'r> {
         let of_own = |s: &&Segment| Some(&self.responses[s.response]) == own.as_ref();
         let any_own = self.segments.iter().any(|s| of_own(&s));
         // An axis that a record does not log stands still in it: that row is no part of a line.
-        let place = self.column(None, |r, row| r.data(&role).map_or(f64::NAN, |p| p[row]));
+        let mut place = vec![f64::NAN; self.n];
+        for s in &self.segments {
+            if let Some(data) = self.record(s).data(&role) {
+                place[s.rows.clone()].copy_from_slice(data);
+            }
+        }
         let rows: Vec<usize> = self
             .segments
             .iter()
@@ -183,10 +188,15 @@ impl<'r> Stack<'r> {
             .filter(|row| !place[*row].is_nan())
             .collect();
         // Heights at a row add up to one, in a radial error to the axis's share.
-        let share: Vec<f64> = rows.iter().map(|row| raw.iter().map(|c| c[*row]).sum()).collect();
+        let mut share = vec![0.0; rows.len()];
+        for column in raw {
+            share.iter_mut().zip(&rows).for_each(|(share, row)| *share += column[*row]);
+        }
         let weight = |of: &dyn Fn(f64) -> f64| -> Vec<f64> {
+            // A row has a part in two heights at most.
             let at = |c: &Vec<f64>| {
-                let each = rows.iter().zip(&share).filter(|(_, s)| s.abs() > LEAST_SHARE);
+                let each =
+                    rows.iter().zip(&share).filter(|(row, s)| c[**row] != 0.0 && s.abs() > LEAST_SHARE);
                 each.map(|(row, s)| c[*row] / s * of(place[*row])).sum()
             };
             raw.iter().map(at).collect()
@@ -221,7 +231,7 @@ impl<'r> Stack<'r> {
         k: usize,
         fill: impl Fn(&rtec_model::effect::Bound<'_>, usize, &mut [f64]),
     ) -> Vec<Vec<f64>> {
-        let mut out = vec![vec![0.0; self.n]; k];
+        let mut out: Vec<Vec<f64>> = (0..k).map(|_| vec![0.0; self.n]).collect();
         let mut buffer = Vec::new();
         for s in &self.segments {
             let record = self.record(s);
