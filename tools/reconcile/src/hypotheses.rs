@@ -217,8 +217,10 @@ impl Hypotheses {
             return;
         }
         let hypothesis = self.hypothesis(effect);
+        let mut level = None;
         for Point { effect, price } in effect.grid(stack) {
-            self.point(stack, hypothesis, &effect, cost + effect.description().searched.price + price);
+            let cost = cost + effect.description().searched.price + price;
+            self.point(stack, hypothesis, &effect, cost, &mut level);
         }
     }
 
@@ -261,11 +263,18 @@ impl Hypotheses {
         Some(Wave { effect: Some(effect.clone()), unit: facts.unit_mm, ..wave })
     }
 
-    /// A grid point: one atom for each choice of free coefficients.
-    fn point(&mut self, stack: &Stack<'_>, hypothesis: usize, effect: &Effect, cost: f64) {
+    /// A grid point: one atom for each choice of free coefficients. `level`: the column of a free reference temperature, the same at
+    /// every grid point.
+    fn point(
+        &mut self,
+        stack: &Stack<'_>,
+        hypothesis: usize,
+        effect: &Effect,
+        cost: f64,
+        level: &mut Option<usize>,
+    ) {
         let columns: Vec<usize> = stack.basis(effect).into_iter().map(|c| self.push(stack, c)).collect();
         let pair = effect.delta.as_ref().is_some_and(Difference::is_pair);
-        let mut level = None;
         for choice in &effect.description().searched.choices {
             if choice.reference && pair {
                 continue;
