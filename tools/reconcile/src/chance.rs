@@ -163,7 +163,7 @@ impl Rounds {
     fn new(search: &Search<'_, '_>, draws: &[Vector]) -> Self {
         let empty = search.empty();
         let ranges = &search.stack.ranges;
-        let with_bank = search.all.bank.products(&draws.iter().collect::<Vec<_>>());
+        let with_bank = search.all.bank.products_with_noise(draws);
         let with_known = |d: &Vector| -> Vec<Products> {
             empty.ids.iter().map(|i| d.products(&search.vectors[*i].data, ranges)).collect()
         };

@@ -283,8 +283,11 @@ pub(crate) fn wave(turns: f64) -> (f64, f64) {
 
 /// Up to so many vectors a matrix product spends its time on putting the columns in order.
 const FEW: usize = 3;
-/// Columns that are multiplied at once: they and a few vectors stay near the core.
+/// Columns, and rows of them, that are multiplied at once: they and as many rows of a few vectors stay near the core.
 const PANEL: usize = 96;
+const ROWS: usize = 256;
+/// As many columns in single precision.
+const PANEL_OF_SINGLES: usize = 256;
 
 /// Candidate columns, one after the other. Each is kept only over the segments in which it is not zero all along, and to
 /// seven digits: what is kept is the candidate, and all arithmetic with it is done in full.
@@ -450,16 +453,52 @@ impl Bank {
 
     /// Products of every column with every vector: `out[v][column]`.
     pub(crate) fn products(&self, vectors: &[&Vector]) -> Vec<Vec<Products>> {
-        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
         if vectors.len() > FEW {
-            self.by_panels(vectors, &mut out);
-            return out;
+            return self.products_with_many(vectors);
         }
+        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
         // Every column is read once.
         for column in 0..self.len() {
             vectors.iter().zip(&mut out).for_each(|(v, out)| out.push(self.product(column, v)));
         }
         out
+    }
+
+    fn products_with_many(&self, vectors: &[&Vector]) -> Vec<Vec<Products>> {
+        let right: Vec<f64> =
+            vectors.iter().flat_map(|v| [&v.data[..], &v.neighbours]).flatten().copied().collect();
+        let all = self.all_rows();
+        let mut panel = Vec::new();
+        self.by_panels(vectors, PANEL, |stored, rows, sums| {
+            let n = rows.len();
+            for from in (0..n).step_by(ROWS) {
+                let some = ROWS.min(n - from);
+                panel.resize(stored.len() / n * some, 0.0);
+                for (column, wide) in stored.chunks_exact(n).zip(panel.chunks_exact_mut(some)) {
+                    widen(&column[from..from + some], wide);
+                }
+                multiply((&panel, some), (&right[rows.start + from..], all), some, sums);
+            }
+        })
+    }
+
+    /// Products of every column with vectors of noise, in single precision but for the sum over all rows: what is rounded off
+    /// is no more than a millionth of what chance alone makes of them.
+    pub(crate) fn products_with_noise(&self, vectors: &[Vector]) -> Vec<Vec<Products>> {
+        let both = vectors.iter().flat_map(|v| [&v.data[..], &v.neighbours]);
+        let right: Vec<f32> = both.flatten().map(|x| *x as f32).collect();
+        let all = self.all_rows();
+        let mut some_rows = Vec::new();
+        self.by_panels(&vectors.iter().collect::<Vec<_>>(), PANEL_OF_SINGLES, |stored, rows, sums| {
+            let n = rows.len();
+            for from in (0..n).step_by(ROWS) {
+                let some = ROWS.min(n - from);
+                some_rows.clear();
+                some_rows.resize(sums.len(), 0.0);
+                multiply((&stored[from..], n), (&right[rows.start + from..], all), some, &mut some_rows);
+                sums.iter_mut().zip(&some_rows).for_each(|(sum, some)| *sum += f64::from(*some));
+            }
+        })
     }
 
     /// Product of one column with a vector.
@@ -474,45 +513,45 @@ impl Bank {
         Products { plain, lagged, ends: ends_of(v, column, &self.segments[place.covers.clone()]) }
     }
 
-    /// Products of the columns, as many at once as lie alike, with all vectors.
-    fn by_panels(&self, vectors: &[&Vector], out: &mut [Vec<Products>]) {
-        let (mut panel, mut right, mut sums) = (Vec::new(), Vec::new(), Vec::new());
+    /// Products of the columns, of so many at once as lie alike, with all vectors. `multiply` adds up those of some columns as they
+    /// are stored, over these rows, with each vector and with its neighbours.
+    fn by_panels(
+        &self,
+        vectors: &[&Vector],
+        most: usize,
+        mut multiply: impl FnMut(&[f32], &Range<usize>, &mut [f64]),
+    ) -> Vec<Vec<Products>> {
+        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
+        let mut sums = Vec::new();
         let mut from = 0;
-        let mut last = 0..0;
         while let Some(Place { at, covers }) = self.places.get(from) {
-            let beside = self.places[from..].iter().take(PANEL).take_while(|p| p.covers == *covers);
+            let beside = self.places[from..].iter().take(most).take_while(|p| p.covers == *covers);
             let alike = beside.count();
             let rows = self.rows(covers);
             from += alike;
             if vectors.iter().all(|v| v.is_zero(&rows)) {
-                for out in &mut *out {
+                for out in &mut out {
                     out.resize(from, Products::default());
                 }
                 continue;
             }
             // Columns stand in the order in which they came.
             let stored = &self.data[*at..at + alike * rows.len()];
-            panel.resize(stored.len(), 0.0);
-            widen(stored, &mut panel);
-            if last != rows {
-                right.clear();
-                for v in vectors {
-                    right.extend_from_slice(&v.data[rows.clone()]);
-                    right.extend_from_slice(&v.neighbours[rows.clone()]);
-                }
-            }
-            multiply(&right, &panel, rows.len(), &mut sums);
+            sums.clear();
+            sums.resize(2 * vectors.len() * alike, 0.0);
+            multiply(stored, &rows, &mut sums);
             let segments = &self.segments[covers.clone()];
-            for (k, (v, out)) in vectors.iter().zip(&mut *out).enumerate() {
-                let columns = stored.chunks_exact(rows.len()).enumerate();
-                out.extend(columns.map(|(i, column)| Products {
-                    plain: sums[2 * k * alike + i],
-                    lagged: sums[(2 * k + 1) * alike + i],
+            for ((v, out), sums) in vectors.iter().zip(&mut out).zip(sums.chunks_exact(2 * alike)) {
+                let (plain, lagged) = sums.split_at(alike);
+                let columns = stored.chunks_exact(rows.len()).zip(plain.iter().zip(lagged));
+                out.extend(columns.map(|(column, (plain, lagged))| Products {
+                    plain: *plain,
+                    lagged: *lagged,
                     ends: ends_of(v, column, segments),
                 }));
             }
-            last = rows;
         }
+        out
     }
 }
 
@@ -529,10 +568,10 @@ fn products_of_all(columns: &[f64], rows: usize, segments: &[Range<usize>]) -> V
     for (x, out) in columns.chunks_exact(rows).zip(neighbours.chunks_exact_mut(rows)) {
         beside(x, segments, out);
     }
-    let (mut plain, mut lagged) = (Vec::new(), Vec::new());
-    multiply(columns, columns, rows, &mut plain);
-    multiply(columns, &neighbours, rows, &mut lagged);
     let k = columns.len() / rows;
+    let (mut plain, mut lagged) = (vec![0.0; k * k], vec![0.0; k * k]);
+    multiply((columns, rows), (columns, rows), rows, &mut plain);
+    multiply((&neighbours, rows), (columns, rows), rows, &mut lagged);
     let column = |i: usize| &columns[i * rows..(i + 1) * rows];
     let pairs = (0..k).flat_map(|i| (0..=i).map(move |j| (i, j)));
     let product = |(i, j)| Products {
@@ -543,15 +582,51 @@ fn products_of_all(columns: &[f64], rows: usize, segments: &[Range<usize>]) -> V
     pairs.map(product).collect()
 }
 
-/// Products of every row of `left` with every row of `right`, all of `n` values, row by row of `left`.
-fn multiply(left: &[f64], right: &[f64], n: usize, out: &mut Vec<f64>) {
-    let (rows, columns) = (left.len() / n, right.len() / n);
-    out.resize(rows * columns, 0.0);
-    let (n, across) = (n as isize, columns as isize);
-    let (a, b, c) = (left.as_ptr(), right.as_ptr(), out.as_mut_ptr());
-    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, `out` their product, all with these strides.
+/// What matrices are made of.
+trait Number: Copy {
+    const ONE: Self;
+    const GEMM: Gemm<Self>;
+}
+
+/// `C = αAB + βC`: rows of A, columns of A, columns of B, then α, A, B, β, C, each matrix with its strides.
+type Gemm<T> = unsafe fn(
+    usize,
+    usize,
+    usize,
+    T,
+    *const T,
+    isize,
+    isize,
+    *const T,
+    isize,
+    isize,
+    T,
+    *mut T,
+    isize,
+    isize,
+);
+
+impl Number for f64 {
+    const ONE: Self = 1.0;
+    const GEMM: Gemm<Self> = matrixmultiply::dgemm;
+}
+
+impl Number for f32 {
+    const ONE: Self = 1.0;
+    const GEMM: Gemm<Self> = matrixmultiply::sgemm;
+}
+
+/// Adds to `out` the products of every row of `left` with every row of `right`, all of `n` values, row by row of `right`. With the
+/// rows of either: how far apart they begin.
+fn multiply<T: Number>(left: (&[T], usize), right: (&[T], usize), n: usize, out: &mut [T]) {
+    let rows = |(values, apart): (&[T], usize)| (values.len() + apart).saturating_sub(n) / apart;
+    let (rows, columns) = (rows(left), rows(right));
+    assert_eq!(out.len(), rows * columns, "one place for each product");
+    let [from_left, from_right, across] = [left.1, right.1, rows].map(|apart| apart as isize);
+    let (a, b, c) = (left.0.as_ptr(), right.0.as_ptr(), out.as_mut_ptr());
+    // SAFETY: `left` holds `rows` and `right` `columns` rows of n values, so far apart, and `out` their products.
     unsafe {
-        matrixmultiply::dgemm(rows, n as usize, columns, 1.0, a, n, 1, b, 1, n, 0.0, c, across, 1);
+        T::GEMM(rows, n, columns, T::ONE, a, from_left, 1, b, 1, from_right, T::ONE, c, 1, across);
     }
 }
 
