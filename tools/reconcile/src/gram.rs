@@ -56,6 +56,19 @@ impl Vector {
         self.covers.end <= rows.start || rows.end <= self.covers.start
     }
 
+    /// With two columns in one run through the memory.
+    pub(crate) fn products_with(&self, two: [&[f64]; 2], segments: &[Range<usize>]) -> [Products; 2] {
+        let Some(rows) = rows_of(segments).filter(|rows| !self.is_zero(rows)) else {
+            return [Products::default(); 2];
+        };
+        let [first, second] = two.map(|column| &column[rows.clone()]);
+        let sums = dots_of_two(&self.data[rows.clone()], &self.neighbours[rows.clone()], first, second);
+        [0, 1].map(|k| {
+            let [plain, lagged] = sums[k];
+            Products { plain, lagged, ends: ends(&self.data, two[k], segments) }
+        })
+    }
+
     pub(crate) fn products(&self, other: &[f64], segments: &[Range<usize>]) -> Products {
         let Some(rows) = rows_of(segments).filter(|rows| !self.is_zero(rows)) else {
             return Products::default();
@@ -171,6 +184,29 @@ wide! {
 }
 
 wide! {
+    /// `[[a·c, b·c], [a·d, b·d]]` in one run through the memory, each to the last digit as [`dots`] has it.
+    fn dots_of_two(a: &[f64], b: &[f64], c: &[f64], d: &[f64]) -> [[f64; 2]; 2] {
+        let mut lanes = [[[0.0; LANES]; 2]; 2];
+        let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+        let ((c, c_rest), (d, d_rest)) = (c.as_chunks::<LANES>(), d.as_chunks::<LANES>());
+        for ((x, y), (z, w)) in a.iter().zip(b).zip(c.iter().zip(d)) {
+            for k in 0..LANES {
+                lanes[0][0][k] += x[k] * z[k];
+                lanes[0][1][k] += y[k] * z[k];
+                lanes[1][0][k] += x[k] * w[k];
+                lanes[1][1][k] += y[k] * w[k];
+            }
+        }
+        let tail = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let [[ac, bc], [ad, bd]] = lanes.map(|two| two.map(fold));
+        [
+            [ac + tail(a_rest, c_rest), bc + tail(b_rest, c_rest)],
+            [ad + tail(a_rest, d_rest), bd + tail(b_rest, d_rest)],
+        ]
+    }
+}
+
+wide! {
     /// The same with c in single precision; all arithmetic is done in full.
     fn dots_with(a: &[f64], b: &[f64], c: &[f32]) -> [f64; 2] {
         let (mut first, mut second) = ([0.0; LANES], [0.0; LANES]);
@@ -250,8 +286,18 @@ fn fold(lanes: [f64; LANES]) -> f64 {
     lanes[0]
 }
 
+wide! {
+    /// [`wave`] of so many turns per unit at some places.
+    pub(crate) fn waves(turns: f64, places: &[f64], sines: &mut [f64], cosines: &mut [f64]) -> () {
+        for ((place, sine), cosine) in places.iter().zip(sines).zip(cosines) {
+            (*sine, *cosine) = wave(turns * place);
+        }
+    }
+}
+
 /// Sine and cosine of so many turns, to the last digit or two, the same on every machine and quick over many values:
 /// polynomials over an eighth of a turn either way.
+#[inline]
 pub(crate) fn wave(turns: f64) -> (f64, f64) {
     // Adding this puts the nearest whole number into the last bits.
     const ROUND: f64 = 1.5 * (1u64 << 52) as f64;

@@ -319,10 +319,7 @@ impl Search<'_, '_> {
     pub(super) fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
         let mut out = vec![vec![0.0; self.stack.n]; 2];
         if let [sines, cosines] = &mut out[..] {
-            let both = sines[wave.rows.clone()].iter_mut().zip(&mut cosines[wave.rows.clone()]);
-            for (x, (a, b)) in wave.along.iter().zip(both) {
-                (*a, *b) = gram::wave(x * f);
-            }
+            gram::waves(f, &wave.along, &mut sines[wave.rows.clone()], &mut cosines[wave.rows.clone()]);
             wave.shared(&mut sines[wave.rows.clone()]);
             wave.shared(&mut cosines[wave.rows.clone()]);
             for (rows, along, share) in &wave.also {

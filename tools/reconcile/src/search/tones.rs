@@ -73,8 +73,7 @@ impl Search<'_, '_> {
                     Some(kept) => &*kept,
                     None => made.get_or_insert_with(|| self.wave_columns(wave, f)),
                 };
-                let v = &self.vectors[id];
-                with.insert(at, (id, [v.products(&c[0], ranges), v.products(&c[1], ranges)]));
+                with.insert(at, (id, self.vectors[id].products_with([&c[0], &c[1]], ranges)));
             }
             with[at].1
         };
