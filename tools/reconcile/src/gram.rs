@@ -78,13 +78,18 @@ impl Vector {
     }
 }
 
-/// The sum of each row's neighbours inside its segment, added to `out`.
+/// The sum of each row's neighbours inside its segment.
 fn beside(column: &[f64], segments: &[Range<usize>], out: &mut [f64]) {
     for s in segments {
         let (x, out) = (&column[s.clone()], &mut out[s.clone()]);
-        for i in 1..x.len() {
-            out[i] += x[i - 1];
-            out[i - 1] += x[i];
+        if let [_, second, ..] = x {
+            let last = x.len() - 1;
+            (out[0], out[last]) = (*second, x[last - 1]);
+            for ((out, before), after) in out[1..last].iter_mut().zip(x).zip(&x[2..]) {
+                *out = before + after;
+            }
+        } else {
+            out.fill(0.0);
         }
     }
 }
@@ -266,6 +271,15 @@ pub(crate) fn minus(b: &mut [f64], by: f64, a: &[f64]) {
 }
 
 wide! {
+    /// Where in a turn so many turns are: the same digits as a remainder, in a fraction of its time.
+    pub(crate) fn in_a_turn(turns: &mut [f64]) -> () {
+        for x in turns {
+            *x -= x.floor();
+        }
+    }
+}
+
+wide! {
     /// Single into double precision.
     fn widen(from: &[f32], to: &mut [f64]) -> () {
         for (o, x) in to.iter_mut().zip(from) {
@@ -407,7 +421,8 @@ impl Bank {
         let column = &column[self.rows(&place.covers)];
         let rms = (dot(column, column) / self.all_rows().max(1) as f64).sqrt();
         let scale = if rms > 0.0 { rms } else { 1.0 };
-        self.data.extend(column.iter().map(|x| (x / scale) as f32));
+        let by = 1.0 / scale;
+        self.data.extend(column.iter().map(|x| (x * by) as f32));
         self.places.push(place);
         self.scale.push(scale);
         let at = self.scale.len() - 1;

@@ -1,5 +1,6 @@
 //! Saw teeth and square steps: shapes of no name whose turns and phase are refined.
 
+use crate::gram::in_a_turn;
 use crate::problem::Stack;
 
 /// Saw teeth or square steps that repeat over the time of all records.
@@ -20,18 +21,13 @@ impl Teeth {
         let span = (hi - lo).max(1e-300);
         let mut out = vec![0.0; stack.n];
         for s in stack.segments.iter().filter(|s| s.response == self.response) {
-            let time = stack.record(s).time_s();
-            for (x, t) in out[s.rows.clone()].iter_mut().zip(time) {
-                let turns = self.turns * (t - lo) / span + self.phase;
-                // The same digits as a remainder, in a fraction of its time.
-                let place = turns - turns.floor();
-                *x = if self.saw {
-                    place - 0.5
-                } else if place < 0.5 {
-                    0.5
-                } else {
-                    -0.5
-                };
+            let (time, out) = (stack.record(s).time_s(), &mut out[s.rows.clone()]);
+            for (x, t) in out.iter_mut().zip(time) {
+                *x = self.turns * (t - lo) / span + self.phase;
+            }
+            in_a_turn(out);
+            for x in out {
+                *x = if self.saw { *x - 0.5 } else { f64::from(u8::from(*x < 0.5)) - 0.5 };
             }
         }
         out
