@@ -18,7 +18,7 @@ fn cpu_s() -> anyhow::Result<f64> {
 }
 
 /// Asked of 5000 rows and 25 channels, s.
-const ASKED_S: f64 = 1.0;
+const ASKED_S: f64 = 0.5;
 
 /// A day of an axis: up and down the travel, eight temperatures that wander, twelve logged channels; what is missing
 /// is a lagging growth and a reversal error.
