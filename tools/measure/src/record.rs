@@ -866,6 +866,23 @@ mod tests {
         }
     }
 
+    /// A circle in x and y, said to be in x and z: the places of z would be taken from the angle. An axis that nobody logs is no mistake.
+    #[test]
+    fn a_plane_of_an_axis_that_nobody_logged_is_found() {
+        let logged = "a = { role = \"angle\", unit = \"rad\" }\nx = { role = \"position.x\", unit = \"mm\" }\n\
+                      y = { role = \"position.y\", unit = \"mm\" }\n";
+        let sidecar = BALLBAR.replace("a = { role = \"angle\", unit = \"rad\" }\n", logged);
+        let rows = "a,x,y,e\n0,150,0,1\n1.5707963,0,150,2\n3.1415926,-150,0,1\n";
+        assert!(read(&sidecar, rows).is_ok());
+        let e = read(&sidecar.replace("\"y\"]", "\"z\"]"), rows).unwrap_err();
+        assert_eq!((e.line, e.column), (4, 9), "{e}");
+        assert!(e.found.contains("no position of z, while y moves") && e.expected.contains("logs"), "{e}");
+        // The height of the plane, and an axis of it that is known by the angle alone.
+        let height = rows.replace(",150,2", ",0,2");
+        assert!(read(&sidecar.replace("\"y\"]", "\"z\"]"), &height).is_ok());
+        assert!(read(&BALLBAR.replace("\"y\"]", "\"z\"]"), "a,e\n0,1\n0.1,2\n").is_ok());
+    }
+
     #[test]
     fn tilts_are_in_urad_or_arcsec() {
         let sidecar = |unit: &str| {

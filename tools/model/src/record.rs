@@ -40,6 +40,9 @@ pub struct Record {
     circle: Option<(Circle, Derived)>,
 }
 
+/// An axis drives a circle where its positions run over more than this share of the radius.
+const MOVES: f64 = 0.1;
+
 impl Record {
     /// A record made in memory (by the simulator or the recorder).
     ///
@@ -158,10 +161,34 @@ impl Record {
         let Some(angle) = self.data(&Role::Angle) else {
             return Err(("no angle".into(), "a column of role angle"));
         };
+        self.logs_plane(&circle)?;
         let time_s = self.data(&Role::Time);
         let derived = circle.derive(angle, time_s, &self.columns);
         self.circle = Some((circle, derived));
         Ok(self)
+    }
+
+    /// Where the axes that drive the circle are logged, they are those of its plane: of an axis of the plane that nobody logged the places
+    /// follow from the angle, but not while another one moves in its stead.
+    fn logs_plane(&self, circle: &Circle) -> Result<(), (String, &'static str)> {
+        let logged: Vec<&Axis> = self.axes(Role::Position).collect();
+        let Some(missing) = circle.plane.iter().find(|a| !logged.contains(a)) else { return Ok(()) };
+        let moves = |a: &Axis| {
+            let p = self.data(&Role::Position(a.clone())).unwrap_or_default();
+            let (lo, hi) = p.iter().fold((f64::MAX, f64::MIN), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
+            hi - lo > MOVES * circle.radius_mm
+        };
+        let instead: Vec<&str> =
+            logged.iter().filter(|a| !circle.plane.contains(a) && moves(a)).map(|a| a.as_str()).collect();
+        if instead.is_empty() {
+            return Ok(());
+        }
+        let [a, b] = &circle.plane;
+        let found = format!(
+            "plane = [\"{a}\", \"{b}\"], and no position of {missing}, while {} moves",
+            instead.join(" and ")
+        );
+        Err((found, "the two axes that drive the circle, those whose positions the record logs"))
     }
 
     /// The share of an axis' error in the radial one at every row (cos θ or sin θ); `None` for an axis that is not in the

@@ -25,6 +25,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         direction(record, axis, p, out);
         speed(record, axis, p, out);
     }
+    in_another_column(record, &axes, out);
     for e in record.responses().filter(|e| matches!(e.role, Role::Error(_)) && !taken.contains(&e.name)) {
         error_unit(record, e, out);
     }
@@ -175,19 +176,31 @@ fn beside_sides(v: &[f64], way: &[f64]) -> Vec<f64> {
     v.iter().zip(way).map(|(v, w)| v - means[usize::from(*w > 0.0)]).collect()
 }
 
-/// So many rows show whether a column repeats: every period of theirs is looked at, rows times rows.
+/// Of more rows than these so many, drawn from all of them, are held beside those a period before: every period is looked at, and
+/// rows times rows are too many.
 const ROWS_THAT_REPEAT: usize = 20_000;
+const ROWS_DRAWN: usize = 4096;
 /// Share of the rows of a column that repeats which may differ from those a period before.
 const MAY_DIFFER: f64 = 0.03;
 
 /// Whether a column repeats itself exactly after some rows, with at least five places in it.
 fn repeats(v: &[f64]) -> bool {
-    let v = &v[..v.len().min(ROWS_THAT_REPEAT)];
     let n = v.len();
     let near = 5e-4 * range(v);
     let differs = |period: usize| {
-        let most = (MAY_DIFFER * (n - period) as f64) as usize;
-        v[period..].iter().zip(v).filter(|(a, b)| (*a - *b).abs() > near).nth(most).is_some()
+        let rows = n - period;
+        let other = |row: usize| (v[row + period] - v[row]).abs() > near;
+        if n <= ROWS_THAT_REPEAT {
+            let most = (MAY_DIFFER * rows as f64) as usize;
+            return (0..rows).filter(|row| other(*row)).nth(most).is_some();
+        }
+        // One row of each stretch, at a place in it that a fixed sequence draws: rows an equal number apart may all be one place.
+        let drawn = (0..ROWS_DRAWN).map(|k| {
+            let dice = (k as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 33;
+            let (from, to) = (k * rows / ROWS_DRAWN, (k + 1) * rows / ROWS_DRAWN);
+            from + dice as usize % (to - from).max(1)
+        });
+        drawn.filter(|row| other(*row)).nth((MAY_DIFFER * ROWS_DRAWN as f64) as usize).is_some()
     };
     let round = (8..=n / 2).any(|period| !differs(period));
     // Places, not levels: the values are far apart beside what they repeat to.
@@ -265,6 +278,29 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
         format!("moves over {size:.3} mm only, which looks like metres")
     };
     out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
+}
+
+/// A direction or a speed is logged of an axis that stands still, and goes as the only other one moves.
+fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
+    let place = |a: &Axis| record.column(&Role::Position(a.clone()));
+    let moving: Vec<&Axis> = axes.iter().filter(|a| place(a).is_some_and(|p| range(&p.data) > 0.0)).collect();
+    let way = |a: &Axis| {
+        record.data(&Role::Direction(a.clone())).or_else(|| record.data(&Role::Velocity(a.clone())))
+    };
+    let [only] = moving[..] else { return };
+    let Some(p) = place(only).filter(|_| record.kind == Kind::Positioning && way(only).is_none()) else {
+        return;
+    };
+    let still = record.axes(Role::Direction).chain(record.axes(Role::Velocity)).find(|a| *a != only);
+    let Some((axis, way)) = still.and_then(|a| Some((a, way(a)?))) else { return };
+    let (agree, asked) = agreement(&p.data, way);
+    let both_ways = way.iter().any(|w| *w > 0.0) && way.iter().any(|w| *w < 0.0);
+    if both_ways && asked >= 10 && agree >= 0.95 {
+        let text = format!(
+            "moves as {axis} is said to, which stands still: the positions of {axis}, in the column of {only}?"
+        );
+        out.push(Suspicion::new(record, &p.name, What::Swapped, &[], text));
+    }
 }
 
 /// A direction of approach beside the movement.
@@ -413,17 +449,20 @@ mod tests {
     #[test]
     fn what_repeats_is_told_of_any_number_of_rows() {
         let mut dice = 1_u64;
-        let mut noise: Vec<f64> = (0..1_000_000)
-            .map(|_| {
-                dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-                (dice >> 40) as f64
-            })
-            .collect();
+        let mut draw = || {
+            dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (dice >> 40) as f64
+        };
+        let mut noise: Vec<f64> = (0..1_000_000).map(|_| draw()).collect();
         assert!(!repeats(&noise));
         for i in 37..noise.len() {
             noise[i] = noise[i - 37];
         }
         assert!(repeats(&noise) && repeats(&noise[..400]));
+        // What repeats at first only does not.
+        let mut first_only = noise.clone();
+        first_only[30_000..].iter_mut().for_each(|v| *v = draw());
+        assert!(!repeats(&first_only));
         // A row in 150 is another: near enough; one in twenty is not.
         let spoilt = |every: usize| -> Vec<f64> {
             let of = |(i, v): (usize, &f64)| if i % every == 0 { -v - 1e8 } else { *v };

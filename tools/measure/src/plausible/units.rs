@@ -31,7 +31,7 @@ const SHORTEST_BAR_MM: f64 = 20.0;
 
 /// A bar's length in inches: far too short, and round in millimetres once it is converted.
 fn bar(record: &Record, out: &mut Vec<Suspicion>) {
-    let Some(circle) = record.circle() else { return };
+    let Some(circle) = record.circle() else { return small_circle(record, out) };
     let mm = circle.radius_mm * MM_PER_INCH;
     if circle.radius_mm < SHORTEST_BAR_MM && (mm / 10.0 - (mm / 10.0).round()).abs() < 0.01 {
         let name = record.column(&Role::Angle).map_or("", |c| c.name.as_str());
@@ -42,6 +42,32 @@ fn bar(record: &Record, out: &mut Vec<Suspicion>) {
         out.push(Suspicion::new(record, name, What::Unit, &[], text));
     }
 }
+
+/// A circle that no bar is named of, in inches: smaller than any but a grid plate's, of no round radius, and of whole centimetres once
+/// it is converted.
+fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
+    let moving: Vec<&Column> = record
+        .columns
+        .iter()
+        .filter(|c| matches!(c.role, Role::Position(_)) && range(&c.data) > 0.0)
+        .collect();
+    let [a, b] = moving[..] else { return };
+    let round = Round::through(&a.data, &b.data).filter(|r| record.kind == Kind::Ballbar && r.is_met());
+    let Some(Round { radius, .. }) = round.filter(|r| r.radius < SHORTEST_BAR_MM) else { return };
+    let whole = |mm: f64, of: f64| (mm / of - (mm / of).round()).abs() * of < OFF_RADIUS * mm;
+    let inches = radius * MM_PER_INCH;
+    if whole(inches, 10.0) && !whole(radius, 0.5) {
+        let text = format!(
+            "runs on a circle of {radius:.4} mm radius, smaller than any bar's and of {inches:.0} mm if it were inches"
+        );
+        for c in [a, b] {
+            out.push(Suspicion::new(record, &c.name, What::Unit, &[], text.clone()));
+        }
+    }
+}
+
+/// What an axis is off its place changes a circle's radius by no more than this share.
+const OFF_RADIUS: f64 = 5e-4;
 
 /// Targets in inches: whole millimetres once they are converted, or an error that runs along them steeper than any scale's.
 fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {

@@ -871,6 +871,58 @@ fn unusable_rows_and_sensors_are_left_out() {
     assert_eq!(unusable(&suspicions(&[clean])), rtec_measure::plausible::Unusable::default());
 }
 
+/// A circle about its centre that no bar is named of: in inches, as a grid plate's of ten millimetres, and as a bar's.
+#[test]
+fn a_circle_in_inches_without_a_bar_is_said() {
+    let circle = |radius: f64| {
+        let of = |f: fn(f64) -> f64| (0..360).map(|i| radius * f(f64::from(i) * TAU / 360.0)).collect();
+        let mut d = Dice::new(5);
+        let e = (0..360).map(|_| 2.0 * d.normal()).collect();
+        let columns = vec![
+            column("x", "position.x", of(f64::cos)),
+            column("y", "position.y", of(f64::sin)),
+            column("e", "error.x", e),
+        ];
+        suspicions(&[record("circle", Kind::Ballbar, columns)])
+    };
+    for mm in [10.0, 12.5, 25.4, 100.0, 150.0] {
+        assert_eq!(circle(mm), [], "{mm}");
+    }
+    for mm in [100.0, 150.0, 300.0] {
+        let said = circle(mm / 25.4);
+        let unit = |s: &Suspicion| s.what == What::Unit && s.text.contains("inches");
+        assert!(said.len() == 2 && said.iter().all(unit), "{mm}: {said:?}");
+    }
+}
+
+/// The directions are those of x, and y moves as they say; with its own directions it is a straightness.
+#[test]
+fn positions_in_another_axis_s_column_are_said() {
+    let of = |way: &str, still: bool| {
+        let mut d = Dice::new(6);
+        let at = |i: i32| 30.0 * f64::from(10 - (i % 20 - 10).abs());
+        let mut columns = vec![
+            column("y", "position.y", (0..100).map(at).collect()),
+            column(
+                "way",
+                way,
+                (0..100).map(|i| if (1..=10).contains(&(i % 20)) { 1.0 } else { -1.0 }).collect(),
+            ),
+            column("e", "error.x", (0..100).map(|_| 2.0 * d.normal()).collect()),
+        ];
+        if still {
+            columns.push(column("x", "position.x", vec![0.0; 100]));
+        }
+        suspicions(&[record("line", Kind::Positioning, columns)])
+    };
+    for still in [false, true] {
+        let said: Vec<(What, String)> =
+            of("direction.x", still).into_iter().map(|s| (s.what, s.column)).collect();
+        assert_eq!(said, [(What::Swapped, "y".to_owned())]);
+        assert_eq!(of("direction.y", still), []);
+    }
+}
+
 /// A ballbar's positions in inches beside a radius in millimetres; in millimetres nothing is said.
 #[test]
 fn inches_on_a_circle_are_said() {
