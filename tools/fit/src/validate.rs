@@ -2,6 +2,7 @@
 
 use crate::thermal::prediction_chart;
 use rtec_files::{InputError, Said};
+use rtec_measure::derive;
 use rtec_measure::plausible;
 use rtec_measure::plot::Chart;
 use rtec_model::date;
@@ -36,7 +37,12 @@ pub fn validate(
     let doubts = plausible::said(records, say);
     for record in records {
         let path = record.path.display();
-        let prediction = machine.predict(record)?;
+        let derived = derive::for_model(machine, record);
+        let with_motion = derived.as_ref().map_or(record, |(with_motion, _)| with_motion);
+        let prediction = machine.predict(with_motion)?;
+        for note in derived.iter().flat_map(|(_, notes)| notes) {
+            say(Said::Note(format!("{path}: {note}")));
+        }
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
             let widths = machine.half_widths_um(record, &column.role);
             charts.push(prediction_chart(record, column, predicted, widths.as_deref()));

@@ -1,6 +1,6 @@
 //! What a machine model says about a record, said with what was taken for granted.
 
-use crate::record;
+use crate::{derive, record};
 use rtec_files::{InputError, Said};
 use rtec_model::machine::{Asked, HalfWidths, Machine, Reach, Running};
 use rtec_model::record::{Record, Role};
@@ -18,7 +18,11 @@ pub fn predict(
     record: &Record,
     say: &mut dyn FnMut(Said),
 ) -> Result<Vec<(String, Vec<f64>)>, InputError> {
-    let prediction = machine.predict(record)?;
+    let derived = derive::for_model(machine, record);
+    let prediction = machine.predict(derived.as_ref().map_or(record, |(with_motion, _)| with_motion))?;
+    for note in derived.iter().flat_map(|(_, notes)| notes) {
+        say(Said::Note(format!("{}: {note}", record.path.display())));
+    }
     warn(&record.path, &prediction.taken_as_zero, &machine.out_of_range(record), say);
     Ok(prediction.columns)
 }
@@ -33,7 +37,8 @@ fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say:
     }
 }
 
-/// As [`csv`] of the record on file at `path`, to `out`; row by row, in the memory of a few thousand, but for a circle's. With an
+/// As [`csv`] of the record on file at `path`, to `out`; row by row, in the memory of a few thousand, but for a circle's
+/// and one whose motion is derived. With an
 /// interval the file is read twice: whether a fit speaks for it depends on where all its rows are.
 ///
 /// # Errors
@@ -48,6 +53,12 @@ pub fn write(
     let Some(mut pieces) = record::Pieces::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     };
+    // Motion follows from all positions: what is not by itself row by row is read as a whole.
+    let first = pieces.next_record(PIECE_ROWS)?;
+    if first.is_some_and(|first| derive::reads_more_motion(machine, &first)) {
+        return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
+    }
+    pieces.rewind()?;
     let (mut running, mut asked) = (Running::of(machine), Asked::of(machine));
     let mut looked_over = None;
     if interval {
@@ -168,6 +179,39 @@ pub fn csv(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// An acceleration that nobody logged is that of the positions, as a reconciliation has it: whole, and as it is written.
+    #[test]
+    fn motion_that_nobody_logged_is_that_of_the_positions() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(
+            at("m.toml"),
+            "name = \"m\"\n[[effect]]\nname = \"acceleration_error.x\"\num_per_m_s2 = 10.0\n",
+        )
+        .unwrap();
+        let sidecar = "file = \"r.csv\"\nkind = \"dynamics\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\n\
+                       x = { role = \"position.x\", unit = \"mm\" }\ne = { role = \"error.x\", unit = \"um\" }\n";
+        std::fs::write(at("r.run.toml"), sidecar).unwrap();
+        let mut rows = "t,x,e\n".to_owned();
+        let phase = |i: usize| i as f64 * 0.002 * 4.0;
+        for i in 0..2000 {
+            let _ = writeln!(rows, "{:.3},{:.6},0", i as f64 * 0.002, 50.0 * phase(i).sin());
+        }
+        std::fs::write(at("r.csv"), rows).unwrap();
+        let machine = Machine::read(&at("m.toml")).unwrap();
+        let record = record::read(&at("r.run.toml")).unwrap();
+        let mut said = Vec::new();
+        let predicted = predict(&machine, &record, &mut |s| said.push(s.to_string())).unwrap().remove(0).1;
+        // 10 µm at one m/s²: 0.8 m/s² at the ends of the stroke.
+        let off = |(i, p): (usize, &f64)| (p + 10.0 * 0.8 * phase(i).sin()).abs();
+        let worst = predicted.iter().enumerate().skip(100).take(1800).map(off).fold(0.0, f64::max);
+        assert!(worst < 0.1, "{worst}");
+        assert!(said.iter().any(|s| s.contains("acceleration.x derived from position")), "{said:?}");
+        let mut written = Vec::new();
+        write(&machine, &at("r.run.toml"), false, &mut written, &mut |_| {}).unwrap();
+        assert!(String::from_utf8(written).unwrap() == csv(&machine, &record, false, &mut |_| {}).unwrap());
+    }
 
     /// What is written row by row is what the whole record's prediction is, word for word, and so are the warnings; the model
     /// remembers, the record has rows of every kind, and no time.

@@ -188,7 +188,11 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     let mut predictions = Vec::new();
     if let Some(path) = &args.record {
         let record = rtec_measure::record::read(path)?;
-        let (pa, pb) = (a.predict(&record)?, b.predict(&record)?);
+        let of = |m: &Machine| {
+            let derived = rtec_measure::derive::for_model(m, &record);
+            m.predict(derived.as_ref().map_or(&record, |(with_motion, _)| with_motion))
+        };
+        let (pa, pb) = (of(&a)?, of(&b)?);
         for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {
             let rms =
                 |v: &mut dyn Iterator<Item = f64>| (v.map(|d| d * d).sum::<f64>() / x.len() as f64).sqrt();
