@@ -83,6 +83,7 @@ fn gap(g: &Gap) -> Value {
     json!({
         "train": pair(g.train),
         "holdout": g.holdout.map(pair),
+        "holdout_without_suspected": g.without_strangers.map(pair),
         "cross_validation": g.blocked.map(pair),
         "floor": g.floor,
         "unit": g.unit,
@@ -107,6 +108,7 @@ impl Reconciliation {
             "gap": if let [one] = &gaps[..] { one.clone() } else { json!(gaps) },
             "suspicions": self.suspicions,
             "left_out": self.left_out,
+            "nothing_said_of": self.unsaid.iter().map(|u| &u.record).collect::<Vec<_>>(),
             "derived": self.derived,
             "advice": self.advice,
             "tried": self.ranking.iter().map(|t| json!({

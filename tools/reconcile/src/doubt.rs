@@ -6,9 +6,10 @@ use crate::answer::Answer;
 use crate::gap::{self, Gap, Trace};
 use crate::gram;
 use crate::problem::{Stack, rms};
-use crate::suspected::{ALIKE, about, centred, is_of_clock, is_sensor, simulated, whole};
-use crate::swapped::{exchanged, swapped_alike};
+use crate::suspected::{ALIKE, about, centred, is_of_clock, is_one_of_several, is_sensor, simulated, whole};
+use crate::swapped::{exchanged, swapped_alike, with_exchanged};
 use crate::undone::{exchanged_columns, is_as_told, is_of_round_mm, other_units, slopes, times};
+use crate::weighed::{Mistake, weighed};
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
@@ -46,7 +47,13 @@ pub(crate) struct Doubts {
 }
 
 /// Looks at all records beside each other and beside the model. What a hold-out shows changes nothing of the training.
-pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
+/// `looked_at`: what an analysis of records comes to.
+pub(crate) fn doubts(
+    train: &[Record],
+    holdout: &[Record],
+    machine: &Machine,
+    looked_at: &dyn Fn(&[Record]) -> Option<Answer>,
+) -> Doubts {
     let all: Vec<&Record> = train.iter().chain(holdout).collect();
     let twice = plausible::repeated(&all);
     let again = |(first, k): &(usize, usize)| Suspicion::again(all[*first], all[*k]);
@@ -62,7 +69,8 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
         // Without what is off by itself: an open input's code is no sign of anything else.
         let left = records.iter().filter_map(|r| without(r, said, machine).map(|(r, _)| r));
         let left: Vec<Record> = left.collect();
-        let found: Vec<Suspicion> = left.iter().filter_map(|r| beside_the_model(r, machine)).collect();
+        let mistakes = left.iter().map(|r| beside_the_model(r, machine)).collect();
+        let found = weighed(&left, mistakes, machine, looked_at);
         said.extend(swapped_alike(&left, &found, machine));
         said.extend(found);
     };
@@ -87,6 +95,22 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     Doubts { said, train: left, rows, left_out, holdout, of_holdout }
 }
 
+/// A record that was left out whole.
+#[derive(Debug, Clone)]
+pub struct Unsaid {
+    /// Its sidecar as it was named.
+    pub record: String,
+    /// What it is suspected of.
+    pub why: String,
+}
+
+impl std::fmt::Display for Unsaid {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { record, why } = self;
+        if why.is_empty() { f.write_str(record) } else { write!(f, "{record} ({why})") }
+    }
+}
+
 impl Doubts {
     /// The hold-outs without what is doubted, for a model: what it does not read may be off. And what was left out.
     pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
@@ -108,6 +132,24 @@ impl Doubts {
             }
         }
         self.train.len() < before
+    }
+
+    /// Of the given records those that nothing is learned from, nor judged by, and why.
+    pub(crate) fn unsaid(&self, train: &[Record], holdout: &[Record], model: &Machine) -> Vec<Unsaid> {
+        let held = self.holdouts(model).0;
+        let of = |all: &[Record], left: &[Record]| -> Vec<Unsaid> {
+            let gone = all.iter().filter(|r| left.iter().all(|l| l.path != r.path));
+            // What is given twice is said once.
+            let own = |r: &&Record| self.said.iter().filter(|s| about(s, r)).collect::<Vec<&Suspicion>>();
+            let again = |r: &&Record| own(r).iter().any(|s| s.what == What::Doubled && whole(s, r));
+            let unsaid = |r: &Record| {
+                let mut why: Vec<&str> = own(&r).iter().map(|s| s.what.name()).collect();
+                why.dedup();
+                Unsaid { record: r.path.display().to_string(), why: why.join(", ") }
+            };
+            gone.filter(|r| !again(r)).map(unsaid).collect()
+        };
+        [of(train, &self.train), of(holdout, &held)].concat()
     }
 
     /// More that is doubted of whole records of the training.
@@ -186,6 +228,14 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Re
     }
     let mut left = if keep.len() < record.rows() { record.select(&keep) } else { record.clone() };
     left.columns.retain(|c| !sensors.contains(&c.name.as_str()) || !is_sensor(record, &c.name));
+    let still = |s: &&Suspicion| s.what == What::Stuck && s.rows.is_empty() && about(s, record);
+    for gauge in said.iter().filter(still).map(|s| &s.column) {
+        if is_one_of_several(&left, gauge) {
+            left.columns.retain(|c| c.name != *gauge);
+        } else if left.responses().any(|c| c.name == *gauge) {
+            return None;
+        }
+    }
     Some((left, keep))
 }
 
@@ -195,71 +245,92 @@ pub(crate) fn reads_clock(effect: &Effect) -> bool {
     law.lag.is_some() || law.heat == Heat::FromStart
 }
 
-/// A mistake that the record and the model show together.
-fn beside_the_model(record: &Record, machine: &Machine) -> Option<Suspicion> {
+/// The mistakes that the record and the model show together, likeliest first: each leaves far less than the record as it stands.
+fn beside_the_model(record: &Record, machine: &Machine) -> Vec<Mistake> {
     if record.rows() < FEWEST || machine.effects().next().is_none() {
-        return None;
+        return Vec::new();
     }
-    let of_one = record.responses().find_map(|c| {
-        let (y, s) = (centred(&c.data), simulated(record, &c.role, machine));
-        let share = |by: f64, s: &[f64]| {
-            let left: Vec<f64> = y.iter().zip(s).map(|(y, s)| by * y - s).collect();
-            1.0 - (rms(&left) / (by * rms(&y)).abs().max(1e-300)).powi(2)
-        };
-        let now = share(1.0, &s);
-        let told = |what: What, column: &str, text: String| Suspicion::new(record, column, what, &[], text);
-        let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
-        let beside = |what: fn(&Role) -> bool| (beside_lines(record, &missing, what) / rms(&y).max(1e-300)).powi(2);
-        for (by, what, text) in [
-            (-1.0, What::Sign, "it agrees with the model only with the other sign: nominal minus measured?"),
-            (1e3, What::Unit, "it agrees with the model only 1000 times as large: given in mm, called µm?"),
-            (1e-3, What::Unit, "it agrees with the model only 1000 times smaller: given in nm?"),
-        ] {
-            // A model turned into its opposite by what is missing is so by an effect of the other sign, and that leaves less.
-            let opposite = by < 0.0
-                && share(by, &s) > OPPOSITE
-                && now < -1.0
-                && 1.0 - share(by, &s) < NO_PLAINER * beside(moves);
-            if opposite || share(by, &s) > ALIKE && now < UNLIKE {
-                return Some(told(what, &c.name, text.to_owned()));
-            }
-        }
-        // Where the model agrees already nothing else is looked for.
-        let left = 1.0 - now;
-        let better = |other: &Record| {
-            let left_then = 1.0 - share(1.0, &simulated(other, &c.role, machine));
-            left_then < BETTER * left && left_then < 1.0 - ALIKE
-        };
-        let direction = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
-        if better(&times(record, &direction, -1.0)) {
-            let text = "the run agrees with the model only with the directions exchanged";
-            let first = record.columns.iter().find(|c| direction(c));
-            return Some(told(What::Direction, first.map_or("", |c| c.name.as_str()), text.to_owned()));
-        }
-        let line = beside(position);
-        for (column, alone) in in_units(record) {
-            let which = |c: &Column| if alone { c.name == column.name } else { position(&c.role) };
-            for (by, unit) in other_units(&column.role) {
-                let other = times(record, &which, *by);
-                if !better(&other) {
-                    continue;
-                }
-                let then = simulated(&other, &c.role, machine);
-                // A scale that is farther off than the model says is the plainer answer, but for one by just that much.
-                let no_plainer = position(&column.role) && line > NO_PLAINER * (1.0 - share(1.0, &then));
-                if no_plainer || !is_of_round_mm(column) && is_as_told(&y, &s, &then) {
-                    let (name, called) = (&column.name, &column.unit);
-                    let text = format!(
-                        "the run agrees with the model only with {name} {by} times this: given in {unit}, called {called}?"
-                    );
-                    return Some(told(What::Unit, name, text));
-                }
-            }
-        }
-        exchanged(record, c, machine).map(|pair| swapped(record, &pair))
-    });
-    of_one.or_else(|| exchanged_columns(record, machine).map(|pair| swapped(record, &pair)))
+    let mut found: Vec<Mistake> = record.responses().flat_map(|c| of_response(record, c, machine)).collect();
+    let columns = exchanged_columns(record, machine);
+    found.extend(columns.map(|(pair, undone)| Mistake::new(swapped(record, &pair), undone)));
+    found
 }
+
+/// Those that one response shows.
+fn of_response(record: &Record, c: &Column, machine: &Machine) -> Vec<Mistake> {
+    let (y, s) = (centred(&c.data), simulated(record, &c.role, machine));
+    let share = |by: f64, s: &[f64]| {
+        let left: Vec<f64> = y.iter().zip(s).map(|(y, s)| by * y - s).collect();
+        1.0 - (rms(&left) / (by * rms(&y)).abs().max(1e-300)).powi(2)
+    };
+    let now = share(1.0, &s);
+    let told = |what: What, column: &str, text: String| Suspicion::new(record, column, what, &[], text);
+    let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
+    let beside =
+        |what: fn(&Role) -> bool| (beside_lines(record, &missing, what) / rms(&y).max(1e-300)).powi(2);
+    let mut found = Vec::new();
+    for (by, what, text) in RESPONSES {
+        // A model turned into its opposite by what is missing is so by an effect of the other sign, and that leaves less.
+        let opposite = by < 0.0
+            && share(by, &s) > OPPOSITE
+            && now < -1.0
+            && 1.0 - share(by, &s) < NO_PLAINER * beside(moves);
+        if opposite || share(by, &s) > ALIKE && now < UNLIKE {
+            let undone = times(record, &|o: &Column| o.name == c.name, by);
+            let said = told(what, &c.name, format!("it agrees with the model only {text}"));
+            found.push(Mistake { said, undone, larger: by.abs() });
+        }
+    }
+    // Where the model agrees already nothing else is looked for.
+    let left = 1.0 - now;
+    let better = |other: &Record| {
+        let left_then = 1.0 - share(1.0, &simulated(other, &c.role, machine));
+        left_then < BETTER * left && left_then < 1.0 - ALIKE
+    };
+    let direction = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
+    let turned = times(record, &direction, -1.0);
+    if better(&turned) {
+        let text = "the run agrees with the model only with the directions exchanged";
+        let first = record.columns.iter().find(|c| direction(c));
+        let said = told(What::Direction, first.map_or("", |c| c.name.as_str()), text.to_owned());
+        found.push(Mistake::new(said, turned));
+    }
+    let line = beside(position);
+    for (column, alone) in in_units(record) {
+        let which = |c: &Column| if alone { c.name == column.name } else { position(&c.role) };
+        for (by, unit) in other_units(&column.role) {
+            let other = times(record, &which, *by);
+            if !better(&other) {
+                continue;
+            }
+            let then = simulated(&other, &c.role, machine);
+            // A scale that is farther off than the model says is the plainer answer, but for one by just that much.
+            let no_plainer = position(&column.role) && line > NO_PLAINER * (1.0 - share(1.0, &then));
+            if no_plainer || !is_of_round_mm(column) && is_as_told(&y, &s, &then) {
+                let (name, called) = (&column.name, &column.unit);
+                let text = format!(
+                    "the run agrees with the model only with {name} {by} times this: given in {unit}, called {called}?"
+                );
+                found.push(Mistake::new(told(What::Unit, name, text), other));
+            }
+        }
+    }
+    let sensors = exchanged(record, c, machine);
+    found.extend(sensors.map(|pair| {
+        let undone = with_exchanged(record, &pair[0], &pair[1]);
+        Mistake::new(swapped(record, &pair), undone)
+    }));
+    found
+}
+
+/// What a response may be given as, how many times larger it is then, and how that is said.
+const RESPONSES: [(f64, What, &str); 5] = [
+    (-1.0, What::Sign, "with the other sign: nominal minus measured?"),
+    (1e3, What::Unit, "1000 times as large: given in mm, called µm?"),
+    (25.4, What::Unit, "25.4 times as large: given in thousandths of an inch, called µm?"),
+    (25.4e3, What::Unit, "25400 times as large: given in inches, called µm?"),
+    (1e-3, What::Unit, "1000 times smaller: given in nm?"),
+];
 
 fn swapped(record: &Record, [a, b]: &[String; 2]) -> Suspicion {
     let text = format!("the run agrees with the model only with {a} and {b} exchanged");

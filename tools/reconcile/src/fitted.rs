@@ -1,7 +1,7 @@
 //! All effects after the last fit: which of them keep their place, what moved beyond chance, the curve that stands for what has
 //! no name.
 
-use crate::answer::Answer;
+use crate::answer::{Answer, Finding};
 use crate::cause::Shape;
 use crate::fit::{self, Term, Way};
 use crate::problem::{Stack, known, rms};
@@ -51,8 +51,17 @@ impl Fitted {
             let without = Self::once(stack, machine, answer);
             let [with, left] = [&fitted, &without].map(|f| rms(&fit::residual(stack, &f.terms)).max(1e-12));
             let needed = stack.n as f64 * (left / with).ln() >= NEEDED;
-            if needed && doubt == Doubt::OfEach {
+            if needed && doubt == Doubt::OfEach && has_other_periods(&finding) {
+                // Which period it has is open, and its size with it: so it is said.
                 answer.findings.insert(place, finding);
+                continue;
+            }
+            if needed
+                && doubt == Doubt::OfEach
+                && let Some(fewer) =
+                    Self::with_fewer_values(stack, machine, answer, (place, finding.clone()), with)
+            {
+                fitted = fewer;
                 continue;
             }
             if needed {
@@ -63,6 +72,39 @@ impl Fitted {
         }
         fitted.sizeless = sizeless;
         fitted
+    }
+
+    /// The fit in which one of a finding's sizes stands for all of them, that which explains most, and is told from zero; none where
+    /// that explains less than `with`, what all of them leave.
+    fn with_fewer_values(
+        stack: &Stack<'_>,
+        machine: &Machine,
+        answer: &mut Answer,
+        (place, finding): (usize, Finding),
+        with: f64,
+    ) -> Option<Self> {
+        let law = finding.effect.description();
+        let linear = |i: &usize| law.parameters[*i].search == Search::Linear && !law.parameters[*i].array;
+        let sizes: Vec<usize> = (0..law.parameters.len()).filter(linear).collect();
+        let mut best: Option<(f64, Finding, Self)> = None;
+        for alone in sizes.iter().filter(|_| sizes.len() > 1) {
+            let others: Vec<usize> = sizes.iter().copied().filter(|i| i != alone).collect();
+            let none: Vec<(usize, f64)> = others.iter().map(|i| (*i, 0.0)).collect();
+            let Some(effect) = finding.effect.with(&none) else { continue };
+            let one = Finding { effect, held: others, ..finding.clone() };
+            answer.findings.insert(place, one.clone());
+            let fewer = Self::once(stack, machine, answer);
+            answer.findings.remove(place);
+            let left = rms(&fit::residual(stack, &fewer.terms)).max(1e-12);
+            let less = stack.n as f64 * (left / with).ln();
+            let told = self::doubt(&fewer.found()[place]).is_none();
+            if told && less < NEEDED && best.as_ref().is_none_or(|b| less < b.0) {
+                best = Some((less, one, fewer));
+            }
+        }
+        let (_, one, fewer) = best?;
+        answer.findings.insert(place, one);
+        Some(fewer)
     }
 
     fn once(stack: &Stack<'_>, machine: &Machine, answer: &Answer) -> Self {
@@ -242,6 +284,11 @@ fn reach(off: f64, half: f64) -> f64 {
 
 /// What 95 % are above, as a share of the half width that holds 95 %.
 const ONE_SIDED: f64 = 0.84;
+
+/// Whether it is a wave that looks the same at other periods.
+fn has_other_periods(finding: &Finding) -> bool {
+    finding.rivals.iter().any(|r| r.differs.is_some())
+}
 
 /// Why an effect may be nothing.
 #[derive(Clone, Copy, PartialEq, Eq)]

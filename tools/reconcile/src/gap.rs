@@ -23,6 +23,9 @@ pub struct Gap {
     pub train: [f64; 2],
     /// The same on the hold-outs.
     pub holdout: Option<[f64; 2]>,
+    /// The same on those hold-outs alone that do not look like another machine's, where some do and some do not. [`Gap::holdout`] is of
+    /// all: it may as well be the model that is wrong.
+    pub without_strangers: Option<[f64; 2]>,
     /// The same by blocked cross-validation, where anything was fitted.
     pub blocked: Option<[f64; 2]>,
     /// Repeatability of the data.
@@ -130,7 +133,15 @@ pub(crate) fn gaps(
         let floor = repeatability(stack, train, answer, unit).unwrap_or(noise).min(noise);
         let blocked = blocked.as_ref().map(|all| [train_gap[0], rms(&in_own_unit(stack, all, unit))]);
         let holdout = pooled(traces, unit, true);
-        Gap { unit: unit.to_owned(), train: train_gap, holdout, blocked, floor, doubted: false }
+        Gap {
+            unit: unit.to_owned(),
+            train: train_gap,
+            holdout,
+            without_strangers: None,
+            blocked,
+            floor,
+            doubted: false,
+        }
     };
     units.into_iter().map(of).collect()
 }
@@ -154,10 +165,10 @@ pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [Trace]) -> Vec<&'t [Tr
     held.iter().map(own).collect()
 }
 
-/// The gaps with these hold-outs' traces in place of those they have.
-pub(crate) fn on_holdouts(gap: &mut [Gap], traces: &[Trace]) {
+/// What the gaps are on these hold-outs' traces alone.
+pub(crate) fn without_strangers(gap: &mut [Gap], traces: &[Trace]) {
     for g in gap {
-        g.holdout = pooled(traces, &g.unit, true);
+        g.without_strangers = pooled(traces, &g.unit, true);
     }
 }
 
@@ -242,6 +253,7 @@ mod tests {
             unit: "um".into(),
             train,
             holdout,
+            without_strangers: None,
             blocked,
             floor,
             doubted: false,

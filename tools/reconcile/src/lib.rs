@@ -6,7 +6,8 @@
 //! | module | what |
 //! |---|---|
 //! | `workflow` | the whole of it: analysis, last fit, what is written into the model |
-//! | `doubt`, `swapped`, `suspected` | people's mistakes: said, and left out; two sensors exchanged; what a suspicion is about |
+//! | `doubt`, `weighed`, `undone`, `swapped`, `suspected` | people's mistakes: said, and left out; weighed against what may be missing; columns or sensors exchanged; what a suspicion is about |
+//! | `drawn` | of very many rows those that are looked at |
 //! | `problem`, `gram` | runs and model as one least-squares problem; products of columns under correlated noise |
 //! | `cause`, `hypotheses`, `shapes`, `teeth`, `waves`, `extent` | what may be missing: effects over their grids, shapes of no name |
 //! | `search` | the set of explanations that the data pay for |
@@ -34,6 +35,7 @@ mod cause;
 mod chance;
 mod document;
 mod doubt;
+mod drawn;
 mod extent;
 mod fit;
 mod fitted;
@@ -60,12 +62,14 @@ mod undone;
 mod unexplained;
 mod verdict;
 mod waves;
+mod weighed;
 mod where_found;
 mod workflow;
 
 pub use answer::{Answer, Finding, Rival, Tried};
 pub use cause::Shape;
 pub use chance::SEED;
+pub use doubt::Unsaid;
 pub use gap::{Gap, Trace};
 pub use report::{html, pictures};
 pub use unexplained::LAWS_FILE;

@@ -35,7 +35,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
             Verdict::UnknownEffect => "#a33",
         },
         r.verdict.name().replace('_', " "),
-        escape(&headline(r)),
+        escape(&[Some(headline(r)), r.unsaid()].into_iter().flatten().collect::<Vec<_>>().join("; ")),
     );
     gap(&mut h, r);
     effects(&mut h, r);

@@ -18,6 +18,16 @@ pub(crate) fn is_sensor(record: &Record, name: &str) -> bool {
     record.columns.iter().any(sensor)
 }
 
+/// Whether what is left of the record without a column that stands still tells nothing: it is no sensor, nor one error of several.
+fn is_dead(record: &Record, name: &str) -> bool {
+    !is_sensor(record, name) && !is_one_of_several(record, name)
+}
+
+/// Whether the column is a response, and others are there.
+pub(crate) fn is_one_of_several(record: &Record, name: &str) -> bool {
+    record.responses().any(|c| c.name == name) && record.responses().any(|c| c.name != name)
+}
+
 /// Whether it doubts what a second of the record is.
 pub(crate) fn is_of_clock(s: &Suspicion, record: &Record) -> bool {
     let time = |c: &Column| c.name == s.column && c.role == Role::Time;
@@ -31,6 +41,8 @@ pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
         What::Unit if is_of_clock(s, record) => false,
         What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
         What::Swapped => true,
+        // A gauge that was never read has no error to explain.
+        What::Stuck => s.rows.is_empty() && is_dead(record, &s.column),
         What::Doubled => s.column.is_empty() && s.rows.is_empty(),
         What::Range => !is_sensor(record, &s.column) && s.rows.is_empty(),
         _ => false,

@@ -69,7 +69,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// A record with two of its sensors in each other's place.
-fn with_exchanged(record: &Record, a: &str, b: &str) -> Record {
+pub(crate) fn with_exchanged(record: &Record, a: &str, b: &str) -> Record {
     let mut other = record.clone();
     for column in other.columns.iter_mut().filter(|c| c.role == Role::Temperature) {
         let from = match column.name.as_str() {

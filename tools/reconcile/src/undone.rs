@@ -8,7 +8,7 @@ use crate::verdict::Refined;
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_model::effect::Need;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// With the exchange undone the model leaves less than this share of the squares that it leaves of the record as it stands, and of
 /// those of the responses themselves.
@@ -28,7 +28,8 @@ const ROUND_MM: f64 = 5.0;
 const ROUND_OFF_MM: f64 = 0.05;
 
 /// Two positions, or two errors, that agree with the model only in each other's place.
-pub(crate) fn exchanged_columns(record: &Record, machine: &Machine) -> Option<[String; 2]> {
+/// Which, and the record with them back in their places.
+pub(crate) fn exchanged_columns(record: &Record, machine: &Machine) -> Option<([String; 2], Record)> {
     let all: Vec<&Column> = record.columns.iter().filter(|c| c.role.axis().is_some()).collect();
     let of = |what: fn(&Role) -> bool| -> Vec<&Column> {
         all.iter().filter(|c| what(&c.role) && rms(&centred(&c.data)) > 0.0).copied().collect()
@@ -36,7 +37,7 @@ pub(crate) fn exchanged_columns(record: &Record, machine: &Machine) -> Option<[S
     let errors = of(|r| matches!(r, Role::Error(_)));
     let positions = of(|r| matches!(r, Role::Position(_)));
     let (now, own) = squares(record, machine);
-    let mut best: Option<(f64, [String; 2])> = None;
+    let mut best: Option<(f64, [String; 2], Record)> = None;
     for columns in [&errors, &positions] {
         for (i, a) in columns.iter().enumerate() {
             for b in &columns[i + 1..] {
@@ -47,18 +48,57 @@ pub(crate) fn exchanged_columns(record: &Record, machine: &Machine) -> Option<[S
                 let mut others = vec![with_exchanged(record, [x, y], &alone)];
                 // A speed that follows from the positions is exchanged with them.
                 others.extend((!is_error).then(|| with_exchanged(record, [x, y], &motion)));
-                let then = others.iter().map(|r| squares(r, machine).0).fold(f64::INFINITY, f64::min);
-                if then < BETTER * now.min(own) && best.as_ref().is_none_or(|b| then < b.0) {
-                    best = Some((then, [a.name.clone(), b.name.clone()]));
+                for other in others {
+                    let then = squares(&other, machine).0;
+                    if then < BETTER * now.min(own) && best.as_ref().is_none_or(|b| then < b.0) {
+                        best = Some((then, [a.name.clone(), b.name.clone()], other));
+                    }
                 }
             }
         }
     }
-    let (then, pair) = best?;
+    for (column, axis, other) in in_other_columns(record) {
+        let then = squares(&other, machine).0;
+        if then < BETTER * now.min(own) && best.as_ref().is_none_or(|b| then < b.0) {
+            best = Some((then, [column, format!("the position of {axis}")], other));
+        }
+    }
+    let (then, pair, undone) = best?;
     let plain = beside_free_lines(record, machine);
     let rows = (record.rows() * record.responses().count()) as f64;
     let nats = 0.5 * rows * (plain / then.max(f64::MIN_POSITIVE)).ln();
-    (plain > NO_PLAINER * then && nats > NO_CHANCE).then_some(pair)
+    (plain > NO_PLAINER * then && nats > NO_CHANCE).then_some((pair, undone))
+}
+
+/// The positions of a positioning run that may stand in another axis's column: the axis whose error was read stands still, and another
+/// one moves. The column, whose it may be, and the record with it in its place.
+fn in_other_columns(record: &Record) -> Vec<(String, Axis, Record)> {
+    let moves = |axis: &Axis| {
+        record.data(&Role::Position(axis.clone())).is_some_and(|p| rms(&centred(p)) > ROUND_OFF_MM)
+    };
+    let mut out = Vec::new();
+    for axis in record.axes(Role::Error).filter(|a| record.kind == Kind::Positioning && !moves(a)) {
+        for other in record.axes(Role::Position).filter(|o| moves(o)) {
+            let Some(column) = record.column(&Role::Position(other.clone())) else { continue };
+            let mut undone = record.clone();
+            for c in &mut undone.columns {
+                let to = |a: &Axis| match a {
+                    a if a == axis => other.clone(),
+                    a if a == other => axis.clone(),
+                    a => a.clone(),
+                };
+                c.role = match &c.role {
+                    Role::Position(a) => Role::Position(to(a)),
+                    Role::Direction(a) => Role::Direction(to(a)),
+                    Role::Velocity(a) => Role::Velocity(to(a)),
+                    Role::Acceleration(a) => Role::Acceleration(to(a)),
+                    role => role.clone(),
+                };
+            }
+            out.push((column.name.clone(), axis.clone(), undone));
+        }
+    }
+    out
 }
 
 /// The record with its errors along two axes in each other's place.
@@ -189,6 +229,7 @@ pub(crate) fn times(record: &Record, which: &dyn Fn(&Column) -> bool, by: f64) -
     if record.columns.iter().any(|c| c.role == Role::Time && which(c)) {
         // The rows' times are the column's, and no circle is looked at here.
         other = Record::new(&record.path, record.kind, other.columns).unwrap_or_else(|_| record.clone());
+        (other.zero, other.count_um) = (record.zero.clone(), record.count_um);
     }
     other
 }

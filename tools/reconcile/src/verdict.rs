@@ -1,11 +1,12 @@
 //! The answer as a whole.
 
-use crate::answer::{Finding, Tried};
+use crate::answer::{Finding, Rival, Tried};
 use crate::cause::Shape;
+use crate::doubt::Unsaid;
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
 use rtec_measure::plausible::Suspicion;
-use rtec_model::effect::Effect;
+use rtec_model::effect::{Effect, Search};
 use rtec_model::machine::Machine;
 use serde::Serialize;
 use std::fmt;
@@ -34,7 +35,7 @@ impl Verdict {
             Self::NothingMissing
         } else if added
             .iter()
-            .any(|(f, _)| !is_companion(f, added) && f.rivals.iter().any(|r| r.name != f.effect.name()))
+            .any(|(f, half)| !is_companion(f, added) && f.rivals.iter().any(|r| is_another(r, f, half)))
         {
             Self::NotSeparable
         } else {
@@ -58,6 +59,18 @@ impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
+}
+
+/// At odds of one to less than so much neither of two is the likelier, nats.
+const EVEN: f64 = 0.7;
+
+/// Whether a rival is another explanation: another name, or another value where neither is likelier, or the size hangs on which of
+/// them it is. Another sensor of the same name is none.
+fn is_another(rival: &Rival, finding: &Finding, half: &[f64]) -> bool {
+    let effect = &finding.effect;
+    let size = effect.description().place(Search::Amplitude).filter(|_| effect.width() == 1);
+    let open = |i: usize| half.get(i).is_some_and(|half| *half > effect.scalar(i).abs());
+    rival.name != effect.name() || rival.differs.is_some() && (rival.margin < EVEN || size.is_some_and(open))
 }
 
 /// Whether a finding is the constant of another, a law's own zero: what else it may be does not matter. Lost counts are whole,
@@ -92,6 +105,8 @@ pub struct Reconciliation {
     pub suspicions: Vec<Suspicion>,
     /// What was left out, a line each: records, rows, sensors.
     pub left_out: Vec<String>,
+    /// Records that were left out whole: the verdict says nothing of them.
+    pub unsaid: Vec<Unsaid>,
     /// Velocities and accelerations that were derived from positions, a line each.
     pub derived: Vec<String>,
     /// What was added, strongest first, with half widths of the intervals.
@@ -118,6 +133,15 @@ pub struct Reconciliation {
     pub phi: f64,
     /// Every so many rows were analysed: 1 for all.
     pub every: usize,
+}
+
+impl Reconciliation {
+    /// What the verdict does not speak of, for its headline; nothing where it speaks of all that was given.
+    #[must_use]
+    pub fn unsaid(&self) -> Option<String> {
+        let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();
+        (!records.is_empty()).then(|| format!("nothing is said of {}: left out", records.join(", ")))
+    }
 }
 
 #[cfg(test)]

@@ -5,7 +5,8 @@ use crate::advice::advice;
 use crate::analysis::{analyse, nothing_learned};
 use crate::answer::{Answer, Finding, Rival};
 use crate::cause::Shape;
-use crate::doubt::{self, Doubts, doubts};
+use crate::doubt::{self, Doubts, Unsaid, doubts};
+use crate::drawn::{MOST_ROWS, at_least_every, bounded};
 use crate::fit::Term;
 use crate::fitted::Fitted;
 use crate::gap::{self, Gap, Trace, gaps, traces};
@@ -36,9 +37,6 @@ const FEWEST_TO_LEARN: usize = 8;
 const FEW: usize = 30;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
-/// More rows are not looked at: an effect's value is then known to a hundredth of the noise, and what a search takes grows with rows times
-/// candidates, to minutes and a gigabyte.
-const MOST_ROWS: usize = 20_000;
 
 /// The first stage alone: where measured and simulated disagree.
 ///
@@ -113,7 +111,12 @@ fn looked_at(
     options: &Options,
     also: Vec<Suspicion>,
 ) -> Reconciliation {
-    let mut doubts = doubts(train, holdout, machine);
+    let looked_at = |records: &[Record]| {
+        let quiet: Vec<Record> = records.iter().map(quiet::temperatures).collect();
+        analyse(&quiet, machine, options.level, false)
+    };
+    let given = (train, holdout);
+    let mut doubts = doubts(train, holdout, machine, &looked_at);
     doubts.also(also);
     let analysed = Analysed::without_doubts(train, &mut doubts, machine, options.level);
     let rows: usize = doubts.train.iter().map(Record::rows).sum();
@@ -154,21 +157,9 @@ fn looked_at(
     }
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
     let strangers = doubt::other_machines(better.comparable(&answer, &held), &traces_of[first_held..], &gap);
+    let unsaid = doubts.unsaid(given.0, given.1, &better.model);
     let mut left_out = [doubts.left_out, held_out].concat();
-    if strangers.len() < held.len() {
-        // The figures are those of the others.
-        let of = gap::by_record(&held, &traces_of[first_held..]);
-        let strange = |k: &usize| strangers.iter().any(|(s, _)| s == k);
-        let good: Vec<Trace> = (0..of.len()).filter(|k| !strange(k)).flat_map(|k| of[k].to_vec()).collect();
-        gap::on_holdouts(&mut gap, &good);
-        let line =
-            |(k, s): &(usize, Suspicion)| format!("{}: no figures ({})", held[*k].path.display(), s.what);
-        left_out.extend(strangers.iter().map(line));
-    } else if !strangers.is_empty() {
-        for g in &mut gap {
-            g.doubted = true;
-        }
-    }
+    let beside = said_beside(&strangers, &held, &traces_of[first_held..], &mut gap);
     if at_least_every(&train) > 1 {
         left_out.push(format!(
             "of {rows} rows one of every {every}, drawn: {MOST_ROWS} at most are looked at; what shows in few rows (a wild value, a \
@@ -188,16 +179,20 @@ fn looked_at(
     accept(&mut answer, &effects);
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let mut advice = work.advice(verdict, &effects, &answer.unexplained);
-    if let Some(why) = why {
-        let alone = advice.is_empty() || why_nothing.is_some();
-        advice = if alone { why } else { format!("{why}; {advice}") };
+    if why_nothing.is_some() {
+        advice.clear();
     }
+    // Where every record is doubted that is why nothing is said.
+    let mend = if rows == 0 { Vec::new() } else { to_mend(&unsaid) };
+    let parts = mend.into_iter().chain(why).chain(beside).chain(Some(advice).filter(|a| !a.is_empty()));
+    let advice = parts.collect::<Vec<_>>().join("; ");
     Reconciliation {
         verdict,
         places: where_found::places(&stack, &answer.file),
         advice,
         suspicions: said,
         left_out,
+        unsaid,
         derived: Vec::new(),
         effects,
         unexplained: answer.unexplained,
@@ -211,6 +206,42 @@ fn looked_at(
         phi: answer.phi,
         every,
     }
+}
+
+/// What to do with the records that nothing is said of.
+fn to_mend(unsaid: &[Unsaid]) -> Vec<String> {
+    let line = |u: &Unsaid| {
+        format!("{u}: nothing is said of it: mend what the suspicion says, then reconcile again")
+    };
+    unsaid.iter().map(line).collect()
+}
+
+/// The gap without the hold-outs that may be another machine's, beside what it is with them, and what to say of it: it may as well be
+/// the model that is wrong, and no gap is narrower for a record that is not looked at. `traces` are those of the hold-outs.
+fn said_beside(
+    strangers: &[(usize, Suspicion)],
+    held: &[Record],
+    traces: &[Trace],
+    gap: &mut [Gap],
+) -> Option<String> {
+    if strangers.is_empty() {
+        return None;
+    }
+    if strangers.len() == held.len() {
+        for g in gap {
+            g.doubted = true;
+        }
+        return None;
+    }
+    let of = gap::by_record(held, traces);
+    let strange = |k: &usize| strangers.iter().any(|(s, _)| s == k);
+    let good: Vec<Trace> = (0..of.len()).filter(|k| !strange(k)).flat_map(|k| of[k].to_vec()).collect();
+    gap::without_strangers(gap, &good);
+    let names: Vec<String> = strangers.iter().map(|(k, _)| held[*k].path.display().to_string()).collect();
+    Some(format!(
+        "{}: of another machine, or the model is wrong there: the gap is given with and without",
+        names.join(", ")
+    ))
 }
 
 /// What a better model is made with.
@@ -508,32 +539,6 @@ fn thinned<'r>(train: &'r [Record], machine: &Machine, level: f64) -> (Answer, C
     }
 }
 
-/// So many rows as are looked at.
-fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
-    match at_least_every(train) {
-        1 => Cow::Borrowed(train),
-        every => train.iter().map(|r| r.select(&drawn(r.rows(), every))).collect(),
-    }
-}
-
-/// One row of how many is looked at before anything is known of them: the least power of two that leaves [`MOST_ROWS`] at most.
-fn at_least_every(records: &[Record]) -> usize {
-    let rows: usize = records.iter().map(Record::rows).sum();
-    rows.div_ceil(MOST_ROWS).next_power_of_two()
-}
-
-/// One row of each stretch of so many, at a place in it that a fixed sequence draws: rows an equal number apart may all be of one
-/// target, or of one way.
-fn drawn(rows: usize, every: usize) -> Vec<usize> {
-    (0..rows)
-        .step_by(every)
-        .map(|from| {
-            let dice = (from as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-            from + (dice >> 33) as usize % every.min(rows - from)
-        })
-        .collect()
-}
-
 /// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
 /// not at 20 °C.
 fn warm_plate(findings: &mut [Finding], train: &[Record], dictionary: &Dictionary) {
@@ -718,24 +723,6 @@ mod tests {
         assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && half[0] < 1.0);
         assert!(r.every >= 4 && r.left_out.iter().any(|l| l.contains("one of every")), "{:?}", r.left_out);
         assert_eq!(r.traces[0].time_s.len(), rows);
-    }
-
-    /// Whatever the length: one of each stretch, in order; not always the same place of it.
-    #[test]
-    fn rows_are_drawn_one_of_each_stretch() {
-        for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {
-            let of = drawn(rows, every);
-            assert_eq!(of.len(), rows.div_ceil(every));
-            assert!(
-                of.iter().enumerate().all(|(n, row)| row / every == n && *row < rows),
-                "{rows} by {every}"
-            );
-        }
-        let places = drawn(80_000, 8).into_iter().fold([0; 8], |mut of, row| {
-            of[row % 8] += 1;
-            of
-        });
-        assert!(places.iter().all(|n| (1000..1500).contains(n)), "{places:?}");
     }
 
     /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.

@@ -85,9 +85,10 @@ fn the_holdout_of_another_machine_is_the_one_that_is_named() {
     let r = answer(&[train], &[good, strange]);
     let said: Vec<&str> = r.suspicions.iter().map(|s| s.record.as_str()).collect();
     assert_eq!(said, ["strange.run.toml"], "{:?}", r.suspicions);
-    // The figures are the other one's.
-    assert!(r.gap[0].closed().is_some_and(|c| c > 0.9), "{:?}", r.gap);
-    assert!(r.left_out.iter().any(|l| l.contains("strange")), "{:?}", r.left_out);
+    // Without it the gap is closed, and that is said beside what it is with it.
+    let [before, after] = r.gap[0].without_strangers.unwrap();
+    assert!(after < 0.15 * before && r.gap[0].holdout.unwrap()[1] > 10.0, "{:?}", r.gap);
+    assert!(r.advice.contains("strange"), "{}", r.advice);
 }
 
 #[test]

@@ -5,4 +5,5 @@ mod doubted;
 mod names;
 mod noise;
 mod one_room;
+mod weighed;
 mod zeros;

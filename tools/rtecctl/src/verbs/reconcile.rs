@@ -198,7 +198,8 @@ fn values(x: &Refined) -> String {
 fn summary(r: &Reconciliation) -> String {
     use std::fmt::Write as _;
     let mut s = found(&r.places);
-    let _ = writeln!(s, "Verdict: {}", r.verdict);
+    let unsaid = r.unsaid().map_or_else(String::new, |unsaid| format!("; {unsaid}"));
+    let _ = writeln!(s, "Verdict: {}{unsaid}", r.verdict);
     for (f, half) in &r.effects {
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
         let _ = writeln!(s, "  {}{sensor}, p {}", f.effect.name(), chance(f.p_value));
@@ -230,6 +231,10 @@ fn summary(r: &Reconciliation) -> String {
         let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} %", 100.0 * c));
         let _ =
             writeln!(s, "Gap: {before:.4} -> {after:.4} {}, floor {:.4}, closed {closed}", g.unit, g.floor);
+        if let Some([before, after]) = g.without_strangers {
+            let _ =
+                writeln!(s, "  {before:.4} -> {after:.4} {} without what may be another machine's", g.unit);
+        }
     }
     for line in &r.left_out {
         let _ = writeln!(s, "Left out: {line}");

@@ -1,0 +1,213 @@
+//! Mistakes weighed against what the model may lack, and what is said where a record was left out. The runs are made here, by formulas of
+//! their own.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_measure::plausible::What;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+use test_needs::dice::Dice;
+
+fn parsed(name: &str, kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
+    let of = |(n, r, v)| Column::new(n, Role::parse(r).unwrap(), v);
+    let columns = columns.into_iter().map(of).collect();
+    Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
+}
+
+fn answer(model: &str, train: &[Record], held: &[Record]) -> Reconciliation {
+    let model = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
+    reconcile(train, held, &model, &Options::default()).unwrap()
+}
+
+fn kinds(r: &Reconciliation) -> Vec<(What, &str)> {
+    r.suspicions.iter().map(|s| (s.what, s.column.as_str())).collect()
+}
+
+fn names(r: &Reconciliation) -> Vec<String> {
+    r.effects.iter().map(|(f, _)| f.effect.name()).collect()
+}
+
+/// The errors of both axes at a place, by its acceleration in mm/s² too.
+type Law = dyn Fn([f64; 2], [f64; 2]) -> [f64; 2];
+
+/// Half arcs to and fro about a centre, at 25 mm/s; angles from and to.
+fn arc(seed: u64, radius: f64, centre: [f64; 2], (from, to): (f64, f64), law: &Law) -> Record {
+    let mut d = Dice::new(seed);
+    let mut rows: Vec<Vec<f64>> = vec![Vec::new(); 5];
+    let (n, rate) = (240, 25.0 / radius);
+    for i in 0..2 * n {
+        let share = f64::from(i % n) / f64::from(n - 1);
+        let along = if i < n { share } else { 1.0 - share };
+        let a = from + (to - from) * along;
+        let away = [radius * a.cos(), radius * a.sin()];
+        let p = [centre[0] + away[0], centre[1] + away[1]];
+        let e = law(p, away.map(|v| -rate * rate * v));
+        let t = (to - from) / rate * share + if i < n { 0.0 } else { (to - from) / rate + 3.0 };
+        let row = [t, p[0], p[1], e[0] + 0.3 * d.normal(), e[1] + 0.3 * d.normal()];
+        rows.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+    }
+    let roles = ["time", "position.x", "position.z", "error.x", "error.z"];
+    let named = ["t", "px", "pz", "ex", "ez"].into_iter().zip(roles).zip(rows);
+    parsed("circle", Kind::Ballbar, named.map(|((n, r), v)| (n, r, v)).collect())
+}
+
+/// On a quarter of a circle an axis' acceleration nearly takes back what a known rotation does; and, along a vertical line, what a tilt
+/// does at that place is as large as the scale that is missing. Neither is a column in another unit, or in another place.
+#[test]
+fn what_only_looks_like_a_mistake_is_none() {
+    let model =
+        "[[effect]]\nname = \"scale.x\"\nppm = -13.0\n[[effect]]\nname = \"rotation.x.z\"\nurad = -11.5\n";
+    for seed in 1..=3 {
+        let law = |p: [f64; 2], a: [f64; 2]| [-0.0136 * p[0] + 0.0116 * p[1] + 4.224 * a[0], -0.0116 * p[0]];
+        let run = arc(seed, 150.0, [-4.0, 175.0], (0.0, PI / 2.0), &law);
+        let r = answer(model, &[run], &[]);
+        assert_eq!(kinds(&r), [], "{}", r.to_json());
+        assert!(r.verdict != Verdict::NothingMissing, "{}", r.to_json());
+    }
+    let model = "[[effect]]\nname = \"rotation.x.z\"\nurad = 24.0\n";
+    let law = |p: [f64; 2]| [-0.0248 * p[1] + 131e-6 * p[0] * p[1], 0.0248 * p[0] - 0.0266 * p[1]];
+    for seed in 1..=3 {
+        let circle = arc(seed, 50.0, [0.0, 0.0], (0.0, 1.1 * TAU), &move |p, _| law(p));
+        let r = answer(model, &[circle, line(seed, "z", 300.0, &law)], &[]);
+        assert_eq!(kinds(&r), [], "{}", r.to_json());
+        assert!(names(&r).contains(&"scale.z".to_owned()), "{}", r.to_json());
+    }
+}
+
+/// Twice up and down one axis, the other at one place; errors of both.
+fn line(seed: u64, axis: &str, at: f64, law: &dyn Fn([f64; 2]) -> [f64; 2]) -> Record {
+    let mut d = Dice::new(seed + 50);
+    let along: Vec<f64> = (0..84).map(|i: i32| 20.3 * f64::from(20 - (i % 42 - 20).abs().min(20))).collect();
+    let places: Vec<[f64; 2]> = along.iter().map(|p| if axis == "x" { [*p, at] } else { [at, *p] }).collect();
+    let mut of = |k: usize| places.iter().map(|p| law(*p)[k] + 0.3 * d.normal()).collect();
+    let (ex, ez) = (of(0), of(1));
+    let [px, pz] = [0, 1].map(|k| places.iter().map(|p| p[k]).collect());
+    let columns = vec![
+        ("px", "position.x", px),
+        ("pz", "position.z", pz),
+        ("ex", "error.x", ex),
+        ("ez", "error.z", ez),
+    ];
+    parsed("line", Kind::Positioning, columns)
+}
+
+/// Strokes of 400 mm, two to and two fro: a scale and a reversal; the columns under these roles.
+fn strokes(name: &str, seed: u64, roles: [&str; 3], per_um: f64) -> Record {
+    let mut d = Dice::new(seed);
+    let (mut p, mut way, mut e) = (Vec::new(), Vec::new(), Vec::new());
+    for i in 0..160_i32 {
+        let up = i % 40 < 20;
+        let at = 24.7 * f64::from(if up { i % 40 } else { 39 - i % 40 }) - 33.3;
+        p.push(at);
+        way.push(if up { 1.0 } else { -1.0 });
+        e.push((22.0 * at / 1000.0 + if up { 3.0 } else { -3.0 } + 0.2 * d.normal()) / per_um);
+    }
+    parsed(name, Kind::Positioning, vec![("p", roles[0], p), ("way", roles[1], way), ("e", roles[2], e)])
+}
+
+const STROKES: &str =
+    "[[effect]]\nname = \"scale.x\"\nppm = 23.0\n[[effect]]\nname = \"reversal.x\"\num = 5.8\n";
+const RIGHT: [&str; 3] = ["position.x", "direction.x", "error.x"];
+
+/// The positions of the axis whose error was read stand in another one's column: with its directions, or without.
+#[test]
+fn positions_in_another_axis_s_column_are_said() {
+    for roles in [["position.y", "direction.x", "error.x"], ["position.y", "direction.y", "error.x"]] {
+        let r = answer(STROKES, &[strokes("a", 1, roles, 1.0)], &[]);
+        assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Swapped, "p")], 0), "{}", r.to_json());
+    }
+    // Nor is a straightness one: the model has nothing like it.
+    let model = "[[effect]]\nname = \"scale.x\"\nppm = -40.0\n[[effect]]\nname = \"reversal.x\"\num = 9.0\n";
+    let r = answer(model, &[strokes("a", 1, ["position.y", "direction.y", "error.x"], 1.0)], &[]);
+    assert_eq!(kinds(&r), [], "{}", r.to_json());
+}
+
+/// A gauge that reads thousandths of an inch, or inches.
+#[test]
+fn errors_in_thousandths_of_an_inch_are_said() {
+    assert_eq!(kinds(&answer(STROKES, &[strokes("a", 1, RIGHT, 1.0)], &[])), []);
+    for (per_um, text) in [(25.4, "thousandths of an inch"), (25.4e3, "")] {
+        let r = answer(STROKES, &[strokes("a", 1, RIGHT, per_um)], &[]);
+        assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Unit, "e")], 0), "{}", r.to_json());
+        assert!(r.suspicions[0].text.contains(text), "{:?}", r.suspicions);
+    }
+}
+
+/// What was left out is said of no verdict: not in its headline, its advice or its document.
+#[test]
+fn nothing_is_said_of_a_record_that_was_left_out() {
+    let [good, mut bad] = [strokes("good", 1, RIGHT, 1.0), strokes("bad", 2, RIGHT, 1.0)];
+    let r = answer(STROKES, std::slice::from_ref(&good), &[]);
+    assert_eq!((r.verdict, r.unsaid()), (Verdict::NothingMissing, None), "{}", r.to_json());
+    bad.columns[2].data.iter_mut().for_each(|e| *e = -*e);
+    let r = answer(STROKES, &[good.clone(), bad.clone()], &[]);
+    assert_eq!(r.verdict, Verdict::NothingMissing, "{}", r.to_json());
+    let headline = r.unsaid().unwrap();
+    assert!(headline.contains("bad.run.toml (sign)") && !headline.contains("good"), "{headline}");
+    assert!(r.advice.starts_with("bad.run.toml (sign): nothing is said of it"), "{}", r.advice);
+    assert_eq!(r.to_json()["nothing_said_of"], serde_json::json!(["bad.run.toml"]));
+    // The same of a hold-out.
+    let r = answer(STROKES, &[good], &[bad]);
+    assert!(r.gap[0].holdout.is_none() && r.unsaid().is_some(), "{}", r.to_json());
+}
+
+/// What only one of two hold-outs shows may be another machine's, or the model may be wrong: the gap is said with and without.
+#[test]
+fn no_gap_is_narrower_for_a_hold_out_that_is_suspected() {
+    let [train, good, mut strange] =
+        ["train", "good", "strange"].map(|name| strokes(name, name.len() as u64, RIGHT, 1.0));
+    for (i, e) in strange.columns[2].data.iter_mut().enumerate() {
+        *e += 40.0 * (i as f64 / 9.0).sin();
+    }
+    let r = answer("effect = []\n", &[train], &[good, strange]);
+    assert_eq!(kinds(&r), [(What::OtherMachine, "")], "{:?}", r.suspicions);
+    let [with, without] = [r.gap[0].holdout.unwrap()[1], r.gap[0].without_strangers.unwrap()[1]];
+    assert!(with > 15.0 && without < 0.4, "{}", r.to_json());
+    assert!(r.gap[0].closed().is_none_or(|c| c < 0.2), "{}", r.to_json());
+    assert!(r.advice.contains("strange.run.toml: of another machine, or the model is wrong"), "{}", r.advice);
+}
+
+/// A gauge that was never read has no error to explain; what stands beside it has.
+#[test]
+fn a_gauge_that_stands_still_names_nothing() {
+    let mut run = strokes("a", 1, RIGHT, 1.0);
+    run.columns[2].data.fill(7.5);
+    let r = answer("effect = []\n", std::slice::from_ref(&run), &[]);
+    assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Stuck, "e")], 0), "{}", r.to_json());
+    assert_eq!(r.verdict, Verdict::UnknownEffect, "{}", r.to_json());
+    let other = strokes("b", 2, ["position.x", "direction.x", "error.z"], 1.0).columns.swap_remove(2);
+    run.columns.push(Column { name: "ez".into(), ..other });
+    let r = answer("effect = []\n", &[run], &[]);
+    assert_eq!(kinds(&r), [(What::Stuck, "e")], "{}", r.to_json());
+    assert!(!names(&r).is_empty() && names(&r).iter().all(|n| n.contains(".z")), "{}", r.to_json());
+}
+
+/// Targets on a grid show a wave at many periods alike, and none of them is the likelier.
+#[test]
+fn a_wave_on_a_grid_of_targets_is_not_separable() {
+    let mut d = Dice::new(4);
+    let p: Vec<f64> = (0..205).map(|i: i32| 7.3 * f64::from(20 - (i % 41 - 20).abs())).collect();
+    let e = p.iter().map(|p| 4.0 * (TAU * p / 17.1 + 0.4).sin() + 0.5 * d.normal()).collect();
+    let run = parsed("grid", Kind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)]);
+    let r = answer("effect = []\n", &[run], &[]);
+    assert_eq!(names(&r), ["screw_periodic.x"], "{}", r.to_json());
+    let near = r.effects[0].0.rivals.iter().any(|r| r.differs.is_some() && r.margin < 0.7);
+    assert_eq!(r.verdict == Verdict::NotSeparable, near, "{}", r.to_json());
+    assert!(near, "{}", r.to_json());
+}
+
+/// At two places to a period the size hangs on the phase, and the period on the grid: no size whose interval holds zero is a name's.
+#[test]
+fn a_wave_of_a_size_that_is_not_told_is_not_separable() {
+    for seed in 1..=4 {
+        let mut d = Dice::new(seed);
+        let p: Vec<f64> = (0..205).map(|i: i32| 10.0 * f64::from(20 - (i % 41 - 20).abs())).collect();
+        let e = p.iter().map(|p| 4.0 * (TAU * p / 20.0 + 0.3).cos() + 0.5 * d.normal()).collect();
+        let run = parsed("grid", Kind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)]);
+        let r = answer("effect = []\n", &[run], &[]);
+        assert_eq!(r.verdict, Verdict::NotSeparable, "{}", r.to_json());
+    }
+}
