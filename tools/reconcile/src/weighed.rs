@@ -10,9 +10,11 @@ use rtec_model::machine::Machine;
 use rtec_model::record::Record;
 use std::borrow::Cow;
 
-/// A mistake is the likelier where it explains the records better by so much, nats: people make one in a few dozen records, and about
-/// ten are looked for.
-const LIKELIER: f64 = 8.0;
+/// A mistake is the likelier where it explains the records better by so much, nats: people make one in a few dozen records, and what is
+/// missing has paid for its own choice.
+const LIKELIER: f64 = 4.0;
+/// What no effect of the dictionary explains is rarer than any mistake, each shape of it.
+const NO_NAME: f64 = 12.0;
 /// An effect of the model that has to be farther off than it was trusted to be is as unlikely as that, each.
 const OFF: f64 = 6.0;
 /// So many mistakes of a record are weighed.
@@ -44,7 +46,8 @@ pub(crate) fn weighed(
     let evidence = |records: &[Record]| {
         let answer = looked_at(records)?;
         let own = |f: &&Finding| machine.effects().any(|e| e.identity() == f.effect.identity());
-        Some(answer.evidence - OFF * answer.findings.iter().filter(own).count() as f64)
+        let off = answer.findings.iter().filter(own).count() as f64;
+        Some(answer.evidence - OFF * off - NO_NAME * answer.unexplained.len() as f64)
     };
     // What has no mistake of its own is what the others are held beside.
     let sound: Vec<&Record> =
