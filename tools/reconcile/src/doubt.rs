@@ -256,6 +256,30 @@ fn beside_the_model(record: &Record, machine: &Machine) -> Vec<Mistake> {
     found
 }
 
+/// So many rows that go on have to be there, and this share of them has to go the way that is logged.
+const ROWS_THAT_GO: usize = 10;
+const AS_TOLD: f64 = 0.9;
+
+/// Whether an axis went from row to row the way that its direction or velocity says: then a reversal that is opposite to the model's is
+/// the machine's.
+fn goes_as_told(record: &Record) -> bool {
+    let told = record.columns.iter().filter_map(|c| match &c.role {
+        Role::Direction(axis) | Role::Velocity(axis) => Some((axis, &c.data)),
+        _ => None,
+    });
+    told.filter_map(|(axis, way)| Some((record.data(&Role::Position(axis.clone()))?, way))).any(|(p, way)| {
+        let of = |f: fn(f64, f64) -> f64| p.iter().copied().reduce(f).unwrap_or_default();
+        let near = STILL * (of(f64::max) - of(f64::min));
+        let went = p.windows(2).zip(&way[1..]).filter(|(p, _)| (p[1] - p[0]).abs() > near);
+        let (all, alike) = went
+            .fold((0, 0), |(all, alike), (p, way)| (all + 1, alike + usize::from((p[1] - p[0]) * way > 0.0)));
+        all >= ROWS_THAT_GO && alike as f64 >= AS_TOLD * all as f64
+    })
+}
+
+/// By less than this share of its travel an axis went nowhere.
+const STILL: f64 = 1e-3;
+
 /// Those that one response shows.
 fn of_response(record: &Record, c: &Column, machine: &Machine) -> Vec<Mistake> {
     let (y, s) = (centred(&c.data), simulated(record, &c.role, machine));
@@ -289,7 +313,7 @@ fn of_response(record: &Record, c: &Column, machine: &Machine) -> Vec<Mistake> {
     };
     let direction = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
     let turned = times(record, &direction, -1.0);
-    if better(&turned) {
+    if better(&turned) && !goes_as_told(record) {
         let text = "the run agrees with the model only with the directions exchanged";
         let first = record.columns.iter().find(|c| direction(c));
         let said = told(What::Direction, first.map_or("", |c| c.name.as_str()), text.to_owned());

@@ -51,18 +51,17 @@ impl Fitted {
             let without = Self::once(stack, machine, answer);
             let [with, left] = [&fitted, &without].map(|f| rms(&fit::residual(stack, &f.terms)).max(1e-12));
             let needed = stack.n as f64 * (left / with).ln() >= NEEDED;
-            if needed && doubt == Doubt::OfEach && has_other_periods(&finding) {
-                // Which period it has is open, and its size with it: so it is said.
-                answer.findings.insert(place, finding);
-                continue;
-            }
-            if needed
-                && doubt == Doubt::OfEach
-                && let Some(fewer) =
-                    Self::with_fewer_values(stack, machine, answer, (place, finding.clone()), with)
-            {
-                fitted = fewer;
-                continue;
+            if needed && doubt == Doubt::OfEach {
+                let all = (place, finding.clone());
+                if let Some(fewer) = Self::with_fewer_values(stack, machine, answer, all, with) {
+                    fitted = fewer;
+                    continue;
+                }
+                if has_other_periods(&finding) {
+                    // Which period it has is open, and its size with it: so it is said.
+                    answer.findings.insert(place, finding);
+                    continue;
+                }
             }
             if needed {
                 let manner = format!("as {} of a size that is not told", finding.effect.name());
@@ -74,8 +73,9 @@ impl Fitted {
         fitted
     }
 
-    /// The fit in which one of a finding's sizes stands for all of them, that which explains most, and is told from zero; none where
-    /// that explains less than `with`, what all of them leave.
+    /// The fit in which fewer of a finding's values are free and its size is told from zero: one of several sizes stands for all of
+    /// them, that which explains most; a wave that is met at two or three places of its period alone has the phase of the smallest
+    /// size. None where that explains less than `with`, what all of them leave.
     fn with_fewer_values(
         stack: &Stack<'_>,
         machine: &Machine,
@@ -83,23 +83,19 @@ impl Fitted {
         (place, finding): (usize, Finding),
         with: f64,
     ) -> Option<Self> {
-        let law = finding.effect.description();
-        let linear = |i: &usize| law.parameters[*i].search == Search::Linear && !law.parameters[*i].array;
-        let sizes: Vec<usize> = (0..law.parameters.len()).filter(linear).collect();
         let mut best: Option<(f64, Finding, Self)> = None;
-        for alone in sizes.iter().filter(|_| sizes.len() > 1) {
-            let others: Vec<usize> = sizes.iter().copied().filter(|i| i != alone).collect();
-            let none: Vec<(usize, f64)> = others.iter().map(|i| (*i, 0.0)).collect();
-            let Some(effect) = finding.effect.with(&none) else { continue };
-            let one = Finding { effect, held: others, ..finding.clone() };
+        for one in fewer_values(&finding) {
             answer.findings.insert(place, one.clone());
             let fewer = Self::once(stack, machine, answer);
             answer.findings.remove(place);
             let left = rms(&fit::residual(stack, &fewer.terms)).max(1e-12);
             let less = stack.n as f64 * (left / with).ln();
-            let told = self::doubt(&fewer.found()[place]).is_none();
-            if told && less < NEEDED && best.as_ref().is_none_or(|b| less < b.0) {
-                best = Some((less, one, fewer));
+            let own = &fewer.found()[place];
+            let size = own.effect.description().place(Search::Amplitude).map(|i| own.effect.scalar(i).abs());
+            let worth = size.unwrap_or(less);
+            let told = self::doubt(own).is_none();
+            if told && less < NEEDED && best.as_ref().is_none_or(|b| worth < b.0) {
+                best = Some((worth, one, fewer));
             }
         }
         let (_, one, fewer) = best?;
@@ -284,6 +280,29 @@ fn reach(off: f64, half: f64) -> f64 {
 
 /// What 95 % are above, as a share of the half width that holds 95 %.
 const ONE_SIDED: f64 = 0.84;
+
+/// Phases that a wave is tried at, over half a turn: the other half has the size's other sign.
+const PHASES: usize = 16;
+
+/// A finding with fewer of its values free: each of its sizes alone, or a wave of one phase.
+fn fewer_values(finding: &Finding) -> Vec<Finding> {
+    let law = finding.effect.description();
+    let held = |set: &[(usize, f64)]| {
+        let effect = finding.effect.with(set)?;
+        Some(Finding { effect, held: set.iter().map(|(i, _)| *i).collect(), ..finding.clone() })
+    };
+    if let Some(phase) = law.place(Search::Phase) {
+        let turn = |k: usize| std::f64::consts::PI * (k as f64 / PHASES as f64 - 0.5);
+        return (0..PHASES).filter_map(|k| held(&[(phase, turn(k))])).collect();
+    }
+    let linear = |i: &usize| law.parameters[*i].search == Search::Linear && !law.parameters[*i].array;
+    let sizes: Vec<usize> = (0..law.parameters.len()).filter(linear).collect();
+    let alone = |i: &usize| {
+        let none: Vec<(usize, f64)> = sizes.iter().filter(|o| *o != i).map(|o| (*o, 0.0)).collect();
+        held(&none)
+    };
+    if sizes.len() > 1 { sizes.iter().filter_map(alone).collect() } else { Vec::new() }
+}
 
 /// Whether it is a wave that looks the same at other periods.
 fn has_other_periods(finding: &Finding) -> bool {

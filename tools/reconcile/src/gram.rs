@@ -696,6 +696,10 @@ fn multiply<T: Number>(left: (&[T], usize), right: (&[T], usize), n: usize, out:
 /// for what chance would find, as they are compared.
 pub(crate) const KNOWN: f64 = 1e-6;
 
+/// Where more is explained than there is: columns of which only all together make up one of them, so that none is nearly made up by the
+/// ones before it, and what rounding leaves of the last one is anything. Then so much of its own square is added to each column's.
+pub(crate) const RIDGE: f64 = 1e-8;
+
 /// A lower Cholesky factor of a symmetric matrix, row by row.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Cholesky {

@@ -2,7 +2,7 @@
 //! begins with what that one left.
 
 use super::Search;
-use super::sets::{AtPhi, Set, same};
+use super::sets::{AtPhi, ROUNDING, Set, same};
 use crate::gram::{self, Products, dot, minus};
 use crate::hypotheses::Atom;
 use std::ops::{Index, Range};
@@ -105,28 +105,38 @@ fn kept_of(columns: &[usize]) -> usize {
 }
 
 impl Left {
-    /// By how much an atom of several columns shrinks what the set leaves.
+    /// By how much an atom of several columns shrinks what the set leaves, which is `rss`.
     fn gain(
         &self,
         atom: &Atom,
         full: &[Products],
         own: Range<usize>,
-        m: &mut Vec<f64>,
-        g: &mut Vec<f64>,
+        rss: f64,
+        (m, g): (&mut Vec<f64>, &mut Vec<f64>),
     ) -> f64 {
         let k = atom.columns.len();
         m.resize(k * k, 0.0);
-        g.clear();
-        g.extend(atom.columns.iter().map(|c| self.with_y[*c]));
-        let mut packed = self.own[own].iter().zip(full);
-        for (r, row) in m.chunks_exact_mut(k.max(1)).enumerate() {
-            for ((c, m), (own, full)) in row[..=r].iter_mut().enumerate().zip(&mut packed) {
-                let known = c == r && *own < gram::KNOWN * full.at(self.phi);
-                *m = if known { f64::INFINITY } else { *own };
+        let mut gain = 0.0;
+        for ridge in [0.0, gram::RIDGE] {
+            g.clear();
+            g.extend(atom.columns.iter().map(|c| self.with_y[*c]));
+            let mut packed = self.own[own.clone()].iter().zip(full);
+            for (r, row) in m.chunks_exact_mut(k.max(1)).enumerate() {
+                for ((c, m), (own, full)) in row[..=r].iter_mut().enumerate().zip(&mut packed) {
+                    *m = match *own {
+                        own if c != r => own,
+                        own if own < gram::KNOWN * full.at(self.phi) => f64::INFINITY,
+                        own => own + ridge * full.at(self.phi),
+                    };
+                }
+            }
+            gram::reduce(m, g);
+            gain = dot(g, g);
+            if gain <= rss * (1.0 + ROUNDING) {
+                break;
             }
         }
-        gram::reduce(m, g);
-        dot(g, g)
+        gain
     }
 }
 
@@ -157,7 +167,7 @@ impl Search<'_, '_> {
                         // What the set explains already to 1 part in 10⁶ is no new explanation, and a column of zeros none.
                         if own > gram::KNOWN * full[0].at(fit.phi) { with * with / own } else { 0.0 }
                     }
-                    _ => left.gain(atom, full, at.clone(), &mut m, &mut g),
+                    _ => left.gain(atom, full, at.clone(), fit.rss, (&mut m, &mut g)),
                 };
                 self.loglik(fit, gain)
             });

@@ -1,6 +1,6 @@
 //! What further columns add to a set, from products alone: no fit is made anew.
 
-use super::sets::Set;
+use super::sets::{ROUNDING, Set};
 use super::{MOST_COEFFICIENTS, Search};
 use crate::gram::{self, Products, covered, dot, products};
 use std::ops::Range;
@@ -28,20 +28,31 @@ impl Search<'_, '_> {
             let at = &set.fits[f];
             a.iter_mut().zip(&cross.with_set).for_each(|(x, p)| *x = p.at(at.phi));
             (0..k).for_each(|c| at.factor.forward(&mut a[c * b..(c + 1) * b]));
-            for (c, g) in g.iter_mut().enumerate() {
-                *g = cross.with_y[c].at(at.phi) - dot(&a[c * b..(c + 1) * b], &at.z);
-            }
-            let mut p = 0;
-            for i in 0..k {
-                for j in 0..=i {
-                    let full = cross.own[p].at(at.phi);
-                    p += 1;
-                    let left = full - dot(&a[i * b..(i + 1) * b], &a[j * b..(j + 1) * b]);
-                    m[i * k + j] = if i == j && left < gram::KNOWN * full { f64::INFINITY } else { left };
+            let mut gain = 0.0;
+            for ridge in [0.0, gram::RIDGE] {
+                for (c, g) in g.iter_mut().enumerate() {
+                    *g = cross.with_y[c].at(at.phi) - dot(&a[c * b..(c + 1) * b], &at.z);
+                }
+                let mut p = 0;
+                for i in 0..k {
+                    for j in 0..=i {
+                        let full = cross.own[p].at(at.phi);
+                        p += 1;
+                        let left = full - dot(&a[i * b..(i + 1) * b], &a[j * b..(j + 1) * b]);
+                        m[i * k + j] = match left {
+                            left if i != j => left,
+                            left if left < gram::KNOWN * full => f64::INFINITY,
+                            left => left + ridge * full,
+                        };
+                    }
+                }
+                gram::reduce(&mut m, &mut g);
+                gain = dot(&g, &g);
+                if gain <= at.rss * (1.0 + ROUNDING) {
+                    break;
                 }
             }
-            gram::reduce(&mut m, &mut g);
-            self.loglik(at, dot(&g, &g))
+            self.loglik(at, gain)
         })
     }
 

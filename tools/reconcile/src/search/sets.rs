@@ -3,7 +3,7 @@
 
 use super::{NOISE_GRID, NOISE_STEP, Search};
 use crate::cause::Cause;
-use crate::gram::{Cholesky, KNOWN, dot};
+use crate::gram::{Cholesky, KNOWN, RIDGE, dot};
 use crate::hypotheses::Atom;
 use crate::problem::{Segment, rms};
 use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
@@ -16,6 +16,9 @@ const CLOSE: f64 = 0.8;
 /// so many nats. Of so many that are chosen for what they explain, a search finds as many more as it may take.
 const MOST_CROWDED: f64 = 0.4;
 const BEYOND_CROWDED: f64 = 1e4;
+
+/// So much less than nothing may be left of all there is.
+pub(super) const ROUNDING: f64 = 1e-9;
 
 /// A fit at one noise coefficient.
 #[derive(Debug, Clone)]
@@ -88,11 +91,15 @@ impl Search<'_, '_> {
         let same = like.map_or(0, |set| same(&set.ids, ids));
         let known =
             |phi: f64| like?.fits.iter().find(|f| f.phi.to_bits() == phi.to_bits()).map(|f| (f, same));
-        self.phis.iter().map(|&phi| self.fit(ids, phi, known(phi))).collect()
+        let of = |&phi: &f64| {
+            let (fit, sound) = self.fit(ids, phi, known(phi), 0.0);
+            if sound { fit } else { self.fit(ids, phi, None, RIDGE).0 }
+        };
+        self.phis.iter().map(of).collect()
     }
 
-    /// One fit; `like`: one of which so many vectors are the same.
-    fn fit(&self, ids: &[usize], phi: f64, like: Option<(&AtPhi, usize)>) -> AtPhi {
+    /// One fit, and whether it explains no more than there is; `like`: one of which so many vectors are the same.
+    fn fit(&self, ids: &[usize], phi: f64, like: Option<(&AtPhi, usize)>, ridge: f64) -> (AtPhi, bool) {
         let b = ids.len();
         let same = like.map_or(0, |l| l.1);
         let (mut a, mut g) = (vec![0.0; b * b], vec![0.0; b]);
@@ -100,6 +107,7 @@ impl Search<'_, '_> {
             for (a, j) in a[i * b..=i * b + i].iter_mut().zip(ids) {
                 *a = self.pair(ids[i], *j).at(phi);
             }
+            a[i * b + i] *= 1.0 + ridge;
             g[i] = self.pair(ids[i], self.y).at(phi);
         }
         let mut rss = self.pair(self.y, self.y).at(phi);
@@ -120,9 +128,9 @@ impl Search<'_, '_> {
             None => (Cholesky::dropping(&a, b, KNOWN), g),
         };
         factor.forward_from(same, &mut z);
-        let rss = (rss - dot(&z, &z)).max(1e-9);
+        let left = rss - dot(&z, &z);
         let memory = 0.5 * self.stack.ranges.len() as f64 * (1.0 - phi * phi).ln();
-        AtPhi { phi, factor, z, rss, memory }
+        (AtPhi { phi, factor, z, rss: left.max(1e-9), memory }, left > -ROUNDING * rss)
     }
 
     pub(crate) fn loglik(&self, at: &AtPhi, gain: f64) -> f64 {

@@ -130,3 +130,50 @@ fn nothing_is_missing_from_what_the_model_says() {
     let r = reconciled(circles(6, e), model);
     assert_eq!(r.verdict.name(), "nothing_missing", "{:?}", added(&r));
 }
+
+/// One circle both ways, its rows at the same round angles: of places that are met four times each a broken line with a knot at every
+/// place, a constant and a scale make up one another, and what rounding left of them was fitted: a floor of 700 µm, the scale of x
+/// at −7 ± 4 ppm.
+#[test]
+fn a_circle_at_round_angles_is_fitted() {
+    const ROWS: usize = 240;
+    let axis = |n: &str| Axis::new(n).unwrap();
+    let digits = |v: f64, n: i32| (v * 10f64.powi(n)).round() / 10f64.powi(n);
+    for seed in 0..4 {
+        let mut normal = noise(seed);
+        let mut columns: [Vec<f64>; 9] = Default::default();
+        for i in 0..2 * ROWS {
+            let way = if i < ROWS { 1.0 } else { -1.0 };
+            let a = way * TAU / ROWS as f64 * (i as f64 + 0.5);
+            let (x, y) = (100.0 * a.cos(), 100.0 * a.sin());
+            let (vx, vy) = (-0.2 * way * y, 0.2 * way * x);
+            let (px, py) = (250.0 + x, 200.0 + y);
+            let ex = -40e-3 * px + 3.0 * vx.signum() + 40e-3 * py + 0.3 * normal();
+            let ey = 45e-3 * py - 2.0 * vy.signum() + 0.3 * normal();
+            let row = [0.1309 * i as f64, px, py, vx, vy, -0.04 * x, -0.04 * y, ex, ey];
+            columns.iter_mut().zip(row).for_each(|(c, v)| c.push(digits(v, 4)));
+        }
+        let roles = [
+            Role::Time,
+            Role::Position(axis("x")),
+            Role::Position(axis("y")),
+            Role::Velocity(axis("x")),
+            Role::Velocity(axis("y")),
+            Role::Acceleration(axis("x")),
+            Role::Acceleration(axis("y")),
+            Role::Error(axis("x")),
+            Role::Error(axis("y")),
+        ];
+        let columns = roles.into_iter().zip(columns).enumerate();
+        let columns = columns.map(|(i, (role, data))| Column::new(&format!("c{i}"), role, data)).collect();
+        let record = Record::new(Path::new("c.run.toml"), Kind::Ballbar, columns).unwrap();
+        let model = "[[effect]]\nname = \"scale.x\"\nppm = 30.0\n[[effect]]\nname = \"scale.y\"\nppm = -20.0\n\
+                     [[effect]]\nname = \"reversal.x\"\num = 6.0\n[[effect]]\nname = \"reversal.y\"\num = -4.0\n\
+                     [[effect]]\nname = \"squareness.x.y\"\nurad = 40.0\n";
+        let r = reconciled(record, model);
+        let scale = |name: &str| r.model.effects().find(|e| e.name() == name).unwrap().values()[0];
+        let (x, y) = (scale("scale.x"), scale("scale.y"));
+        assert!((x + 40.0).abs() < 1.0 && (y - 45.0).abs() < 1.0, "{}: {x} {y}", r.verdict);
+        assert!(r.suspicions.is_empty() && r.gap.iter().all(|g| g.floor < 0.4), "{:?}", r.suspicions);
+    }
+}

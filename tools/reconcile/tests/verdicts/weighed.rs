@@ -211,3 +211,31 @@ fn a_wave_of_a_size_that_is_not_told_is_not_separable() {
         assert_eq!(r.verdict, Verdict::NotSeparable, "{}", r.to_json());
     }
 }
+
+/// A reversal as large as the model's, and opposite: the directions are those that the axis went, so that is the machine's. With the
+/// directions exchanged they are not.
+#[test]
+fn a_reversal_opposite_to_the_model_s_is_no_mistake_in_the_directions() {
+    let model = "[[effect]]\nname = \"reversal.x\"\num = 7.0\n[[effect]]\nname = \"scale.x\"\nppm = 20.0\n";
+    let run = |seed: u64, half_um: f64, logged: f64| {
+        let mut d = Dice::new(seed);
+        let mut rows: Vec<Vec<f64>> = vec![Vec::new(); 4];
+        for i in 0..192_u32 {
+            let (k, way) = (i % 16, if i / 16 % 2 == 0 { 1.0 } else { -1.0 });
+            let p = 20.0 * f64::from(if way > 0.0 { k } else { 15 - k });
+            let e = 0.02 * p + half_um * way + 0.3 * d.normal();
+            rows.iter_mut().zip([10.0 * f64::from(i), p, logged * way, e]).for_each(|(c, v)| c.push(v));
+        }
+        let named = ["t", "x", "dir", "e"].into_iter();
+        let named = named.zip(["time", "position.x", "direction.x", "error.x"]).zip(rows);
+        parsed("line", Kind::Positioning, named.map(|((n, r), v)| (n, r, v)).collect())
+    };
+    for seed in 1..=3 {
+        let r = answer(model, &[run(seed, -3.5, 1.0)], &[]);
+        assert_eq!(kinds(&r), [], "{}", r.to_json());
+        let reversal = r.model.effects().find(|e| e.name() == "reversal.x").unwrap();
+        assert!((reversal.values()[0] + 7.0).abs() < 0.3, "{}", r.to_json());
+        let exchanged = answer(model, &[run(seed, 3.5, -1.0)], &[]);
+        assert_eq!(kinds(&exchanged), [(What::Direction, "dir")], "{}", exchanged.to_json());
+    }
+}
