@@ -9,6 +9,7 @@ use crate::problem::{Stack, rms};
 use crate::suspected::{ALIKE, about, centred, is_of_clock, is_one_of_several, is_sensor, simulated, whole};
 use crate::swapped::{exchanged, swapped_alike, with_exchanged};
 use crate::undone::{exchanged_columns, is_as_told, is_of_round_mm, other_units, slopes, times};
+use crate::verdict::Unsaid;
 use crate::weighed::{Mistake, weighed};
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::effect::{Effect, Heat};
@@ -93,22 +94,6 @@ pub(crate) fn doubts(
         train.iter().filter_map(|r| without(r, &of_train, machine)).unzip();
     left_out.extend(lines(&train, &left, &of_train));
     Doubts { said, train: left, rows, left_out, holdout, of_holdout }
-}
-
-/// A record that was left out whole.
-#[derive(Debug, Clone)]
-pub struct Unsaid {
-    /// Its sidecar as it was named.
-    pub record: String,
-    /// What it is suspected of.
-    pub why: String,
-}
-
-impl std::fmt::Display for Unsaid {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { record, why } = self;
-        if why.is_empty() { f.write_str(record) } else { write!(f, "{record} ({why})") }
-    }
 }
 
 impl Doubts {
@@ -268,17 +253,10 @@ fn goes_as_told(record: &Record) -> bool {
         _ => None,
     });
     told.filter_map(|(axis, way)| Some((record.data(&Role::Position(axis.clone()))?, way))).any(|(p, way)| {
-        let of = |f: fn(f64, f64) -> f64| p.iter().copied().reduce(f).unwrap_or_default();
-        let near = STILL * (of(f64::max) - of(f64::min));
-        let went = p.windows(2).zip(&way[1..]).filter(|(p, _)| (p[1] - p[0]).abs() > near);
-        let (all, alike) = went
-            .fold((0, 0), |(all, alike), (p, way)| (all + 1, alike + usize::from((p[1] - p[0]) * way > 0.0)));
-        all >= ROWS_THAT_GO && alike as f64 >= AS_TOLD * all as f64
+        let (agree, asked) = plausible::agreement(p, way);
+        asked >= ROWS_THAT_GO && agree >= AS_TOLD
     })
 }
-
-/// By less than this share of its travel an axis went nowhere.
-const STILL: f64 = 1e-3;
 
 /// Those that one response shows.
 fn of_response(record: &Record, c: &Column, machine: &Machine) -> Vec<Mistake> {

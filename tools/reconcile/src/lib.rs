@@ -69,11 +69,10 @@ mod workflow;
 pub use answer::{Answer, Finding, Rival, Tried};
 pub use cause::Shape;
 pub use chance::SEED;
-pub use doubt::Unsaid;
 pub use gap::{Gap, Trace};
 pub use report::{html, pictures};
 pub use unexplained::LAWS_FILE;
-pub use verdict::{Reconciliation, Refined, Verdict};
+pub use verdict::{Reconciliation, Refined, Unsaid, Verdict};
 pub use where_found::Place;
 pub use workflow::{find, reconcile};
 

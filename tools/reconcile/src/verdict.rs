@@ -2,7 +2,6 @@
 
 use crate::answer::{Finding, Rival, Tried};
 use crate::cause::Shape;
-use crate::doubt::Unsaid;
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
 use rtec_measure::plausible::Suspicion;
@@ -133,6 +132,22 @@ pub struct Reconciliation {
     pub phi: f64,
     /// Every so many rows were analysed: 1 for all.
     pub every: usize,
+}
+
+/// A record that was left out whole.
+#[derive(Debug, Clone)]
+pub struct Unsaid {
+    /// Its sidecar as it was named.
+    pub record: String,
+    /// What it is suspected of.
+    pub why: String,
+}
+
+impl fmt::Display for Unsaid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { record, why } = self;
+        if why.is_empty() { f.write_str(record) } else { write!(f, "{record} ({why})") }
+    }
 }
 
 impl Reconciliation {

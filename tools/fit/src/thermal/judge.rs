@@ -380,21 +380,23 @@ impl Problem {
     /// turns it round lives on collinearity, as one with gains beyond reason does, and one whose terms move the response far
     /// more than it moves and cancel each other: elsewhere they do not cancel.
     pub(super) fn physical(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
-        let most_um = CANCELLED * self.swing(&self.y, folds);
-        let cancels = |(t, c): (&Term, &f64)| {
-            matches!(t, Term::Thermal { square: false, .. })
-                && c.abs() * self.swing(&self.column(*t), folds) > most_um
-        };
-        if terms.len() > 1 && terms.iter().zip(&coefficients[1..]).any(cancels) {
-            return false;
-        }
-        terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
+        let plausible = terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
             Term::Thermal { square: true, .. } => c.abs() <= self.plausible[1],
             Term::Thermal { minus, .. } => {
                 c.abs() <= self.plausible[0]
                     && (*minus != self.environment || self.gamma(*t, folds) * c >= 0.0)
             }
             _ => true,
+        });
+        plausible && (terms.len() < 2 || !self.cancel(terms, coefficients, folds))
+    }
+
+    /// Whether a term moves the response far more than it moves in all.
+    fn cancel(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
+        let most_um = CANCELLED * self.swing(&self.y, folds);
+        terms.iter().zip(&coefficients[1..]).any(|(t, c)| {
+            matches!(t, Term::Thermal { square: false, .. })
+                && c.abs() * self.swing(&self.column(*t), folds) > most_um
         })
     }
 

@@ -36,6 +36,7 @@ mod turned;
 mod units;
 
 pub use between::repeated;
+pub use motion::agreement;
 pub use pieces::Pieces;
 pub use step::steps_of;
 
