@@ -7,6 +7,7 @@
 //!
 //! so three [`Products`] per pair of columns serve every noise model, and a fit costs nothing that grows with the rows.
 
+use crate::threads::in_parts;
 use std::ops::Range;
 
 /// The three sums that give the whitened inner product of two columns at any φ.
@@ -354,7 +355,8 @@ const PANEL_OF_SINGLES: usize = 256;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Bank {
     segments: Vec<Range<usize>>,
-    data: Vec<f32>,
+    /// Their values, one column after the other; in several lists where several banks have become one.
+    data: Vec<Vec<f32>>,
     places: Vec<Place>,
     /// Products of each column with itself.
     squares: Vec<Products>,
@@ -365,6 +367,7 @@ pub(crate) struct Bank {
 /// Where a column is kept, and the segments that it covers.
 #[derive(Debug, Clone, PartialEq)]
 struct Place {
+    list: usize,
     at: usize,
     covers: Range<usize>,
 }
@@ -372,7 +375,7 @@ struct Place {
 impl Bank {
     /// A bank for columns over these segments, which stand one after the other.
     pub(crate) fn new(segments: &[Range<usize>]) -> Self {
-        Self { segments: segments.to_vec(), ..Self::default() }
+        Self { segments: segments.to_vec(), data: vec![Vec::new()], ..Self::default() }
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -388,6 +391,17 @@ impl Bank {
         self.segments[covers.start].start..self.segments[covers.end - 1].end
     }
 
+    /// How many values are kept.
+    fn kept(&self) -> usize {
+        self.data.iter().map(Vec::len).sum()
+    }
+
+    /// The stored column, over the rows that it covers.
+    fn stored(&self, column: usize) -> &[f32] {
+        let Place { list, at, covers } = &self.places[column];
+        &self.data[*list][*at..at + self.rows(covers).len()]
+    }
+
     /// The rows outside which a column is zero.
     pub(crate) fn covered(&self, column: usize) -> Range<usize> {
         self.rows(&self.places[column].covers)
@@ -401,7 +415,7 @@ impl Bank {
         let (inside, after) = rest.split_at_mut(rows.len());
         before.fill(0.0);
         after.fill(0.0);
-        widen(&self.data[place.at..place.at + inside.len()], inside);
+        widen(self.stored(column), inside);
     }
 
     /// The stored column over all rows.
@@ -417,12 +431,13 @@ impl Bank {
         // A column that is zero everywhere is kept in the first segment.
         let from = self.segments.iter().position(|s| !zero(s)).unwrap_or(0);
         let to = self.segments.iter().rposition(|s| !zero(s)).unwrap_or(0) + 1;
-        let place = Place { at: self.data.len(), covers: from..to };
+        let list = self.data.len() - 1;
+        let place = Place { list, at: self.data[list].len(), covers: from..to };
         let column = &column[self.rows(&place.covers)];
         let rms = (dot(column, column) / self.all_rows().max(1) as f64).sqrt();
         let scale = if rms > 0.0 { rms } else { 1.0 };
         let by = 1.0 / scale;
-        self.data.extend(column.iter().map(|x| (x * by) as f32));
+        self.data[list].extend(column.iter().map(|x| (x * by) as f32));
         self.places.push(place);
         self.scale.push(scale);
         let at = self.scale.len() - 1;
@@ -434,7 +449,7 @@ impl Bank {
     pub(crate) fn weigh(&mut self, by: &[f64]) {
         let n = self.all_rows().max(1) as f64;
         for at in 0..self.len() {
-            let Place { at: begin, covers } = self.places[at].clone();
+            let Place { list, at: begin, covers } = self.places[at].clone();
             let own = &by[covers.clone()];
             let alike = own.iter().all(|b| (b / own[0] - 1.0).abs() < f64::EPSILON);
             if alike {
@@ -450,7 +465,7 @@ impl Bank {
             }
             let rms = (dot(&column, &column) / n).sqrt();
             let scale = if rms > 0.0 { rms } else { 1.0 };
-            for (kept, x) in self.data[begin..].iter_mut().zip(&column) {
+            for (kept, x) in self.data[list][begin..].iter_mut().zip(&column) {
                 *kept = (x / scale) as f32;
             }
             self.scale[at] *= scale;
@@ -499,11 +514,11 @@ impl Bank {
         let both = a.covers.start.max(b.covers.start)..a.covers.end.min(b.covers.end);
         let mut out = Products::default();
         for s in self.segments.get(both).unwrap_or_default() {
-            let of = |place: &Place| {
-                let from = place.at + s.start - self.segments[place.covers.start].start;
-                &self.data[from..from + s.len()]
+            let of = |column: usize, place: &Place| {
+                let from = s.start - self.segments[place.covers.start].start;
+                &self.stored(column)[from..from + s.len()]
             };
-            let (x, v, last) = (of(a), of(b), s.len() - 1);
+            let (x, v, last) = (of(i, a), of(j, b), s.len() - 1);
             out.plain += dot_of_singles(x, v);
             let later = dot_of_singles(&x[1..], &v[..last]);
             out.lagged += later + if i == j { later } else { dot_of_singles(&x[..last], &v[1..]) };
@@ -517,21 +532,24 @@ impl Bank {
         if vectors.len() > FEW {
             return self.products_with_many(vectors);
         }
-        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
-        // Every column is read once.
-        for column in 0..self.len() {
-            vectors.iter().zip(&mut out).for_each(|(v, out)| out.push(self.product(column, v)));
-        }
-        out
+        let some = |columns: Range<usize>| {
+            let mut out = vec![Vec::with_capacity(columns.len()); vectors.len()];
+            // Every column is read once.
+            for column in columns {
+                vectors.iter().zip(&mut out).for_each(|(v, out)| out.push(self.product(column, v)));
+            }
+            out
+        };
+        one_after_the_other(in_parts(self.len(), self.kept() * vectors.len(), some))
     }
 
     fn products_with_many(&self, vectors: &[&Vector]) -> Vec<Vec<Products>> {
         let right: Vec<f64> =
             vectors.iter().flat_map(|v| [&v.data[..], &v.neighbours]).flatten().copied().collect();
         let all = self.all_rows();
-        let mut panel = Vec::new();
         self.by_panels(vectors, PANEL, |stored, rows, sums| {
             let n = rows.len();
+            let mut panel = Vec::new();
             for from in (0..n).step_by(ROWS) {
                 let some = ROWS.min(n - from);
                 panel.resize(stored.len() / n * some, 0.0);
@@ -549,9 +567,9 @@ impl Bank {
         let both = vectors.iter().flat_map(|v| [&v.data[..], &v.neighbours]);
         let right: Vec<f32> = both.flatten().map(|x| *x as f32).collect();
         let all = self.all_rows();
-        let mut some_rows = Vec::new();
         self.by_panels(&vectors.iter().collect::<Vec<_>>(), PANEL_OF_SINGLES, |stored, rows, sums| {
             let n = rows.len();
+            let mut some_rows = Vec::new();
             for from in (0..n).step_by(ROWS) {
                 let some = ROWS.min(n - from);
                 some_rows.clear();
@@ -569,7 +587,7 @@ impl Bank {
         if v.is_zero(&rows) {
             return Products::default();
         }
-        let column = &self.data[place.at..place.at + rows.len()];
+        let column = self.stored(column);
         let [plain, lagged] = dots_with(&v.data[rows.clone()], &v.neighbours[rows], column);
         Products { plain, lagged, ends: ends_of(v, column, &self.segments[place.covers.clone()]) }
     }
@@ -580,40 +598,77 @@ impl Bank {
         &self,
         vectors: &[&Vector],
         most: usize,
-        mut multiply: impl FnMut(&[f32], &Range<usize>, &mut [f64]),
+        multiply: impl Fn(&[f32], &Range<usize>, &mut [f64]) + Sync,
     ) -> Vec<Vec<Products>> {
-        let mut out = vec![Vec::with_capacity(self.len()); vectors.len()];
-        let mut sums = Vec::new();
+        let mut panels = Vec::new();
         let mut from = 0;
-        while let Some(Place { at, covers }) = self.places.get(from) {
-            let beside = self.places[from..].iter().take(most).take_while(|p| p.covers == *covers);
-            let alike = beside.count();
-            let rows = self.rows(covers);
-            from += alike;
-            if vectors.iter().all(|v| v.is_zero(&rows)) {
-                for out in &mut out {
-                    out.resize(from, Products::default());
-                }
-                continue;
-            }
-            // Columns stand in the order in which they came.
-            let stored = &self.data[*at..at + alike * rows.len()];
-            sums.clear();
-            sums.resize(2 * vectors.len() * alike, 0.0);
-            multiply(stored, &rows, &mut sums);
-            let segments = &self.segments[covers.clone()];
-            for ((v, out), sums) in vectors.iter().zip(&mut out).zip(sums.chunks_exact(2 * alike)) {
-                let (plain, lagged) = sums.split_at(alike);
-                let columns = stored.chunks_exact(rows.len()).zip(plain.iter().zip(lagged));
-                out.extend(columns.map(|(column, (plain, lagged))| Products {
-                    plain: *plain,
-                    lagged: *lagged,
-                    ends: ends_of(v, column, segments),
-                }));
-            }
+        while let Some(first) = self.places.get(from) {
+            let beside = self.places[from..]
+                .iter()
+                .take(most)
+                .take_while(|p| (p.list, &p.covers) == (first.list, &first.covers));
+            panels.push(from..from + beside.count());
+            from = panels[panels.len() - 1].end;
         }
-        out
+        let some = |some: Range<usize>| {
+            let mut out = vec![Vec::new(); vectors.len()];
+            for panel in &panels[some] {
+                self.by_panel(vectors, panel, &multiply, &mut out);
+            }
+            out
+        };
+        one_after_the_other(in_parts(panels.len(), self.kept() * vectors.len(), some))
     }
+
+    /// The same of columns that lie alike, added to what is known of each vector.
+    fn by_panel(
+        &self,
+        vectors: &[&Vector],
+        panel: &Range<usize>,
+        multiply: &impl Fn(&[f32], &Range<usize>, &mut [f64]),
+        out: &mut [Vec<Products>],
+    ) {
+        let Place { list, at, covers } = &self.places[panel.start];
+        let rows = self.rows(covers);
+        if vectors.iter().all(|v| v.is_zero(&rows)) {
+            for out in out {
+                out.resize(out.len() + panel.len(), Products::default());
+            }
+            return;
+        }
+        // Columns stand in the order in which they came.
+        let stored = &self.data[*list][*at..at + panel.len() * rows.len()];
+        let mut sums = vec![0.0; 2 * vectors.len() * panel.len()];
+        multiply(stored, &rows, &mut sums);
+        let segments = &self.segments[covers.clone()];
+        for ((v, out), sums) in vectors.iter().zip(out).zip(sums.chunks_exact(2 * panel.len())) {
+            let (plain, lagged) = sums.split_at(panel.len());
+            let columns = stored.chunks_exact(rows.len()).zip(plain.iter().zip(lagged));
+            out.extend(columns.map(|(column, (plain, lagged))| Products {
+                plain: *plain,
+                lagged: *lagged,
+                ends: ends_of(v, column, segments),
+            }));
+        }
+    }
+
+    /// Adds the columns of another bank over the same segments.
+    pub(crate) fn append(&mut self, other: Self) {
+        let lists = self.data.len();
+        self.data.extend(other.data);
+        self.places.extend(other.places.into_iter().map(|place| Place { list: lists + place.list, ..place }));
+        self.squares.extend(other.squares);
+        self.scale.extend(other.scale);
+    }
+}
+
+/// What was worked out for the first columns, then for those behind them: one list for each vector.
+fn one_after_the_other(parts: Vec<Vec<Vec<Products>>>) -> Vec<Vec<Products>> {
+    let add = |mut all: Vec<Vec<Products>>, more: Vec<Vec<Products>>| {
+        all.iter_mut().zip(more).for_each(|(all, more)| all.extend(more));
+        all
+    };
+    parts.into_iter().reduce(add).unwrap_or_default()
 }
 
 /// Products of a vector with a column at the first and the last rows of the column's segments.
@@ -891,6 +946,42 @@ mod tests {
             }
             assert!((products(&x, &v, &segments).at(phi) - slow).abs() < 1e-12);
         }
+    }
+
+    /// Columns enough for several threads, in one bank and in two that became one: the same digits as each by itself.
+    #[test]
+    fn products_are_the_same_however_many_work_on_them() {
+        let rows = 4000;
+        let segments = [0..1500, 1500..rows];
+        let column = |k: usize| crate::testing::noise(k as u64 + 1, rows);
+        let [mut one, mut two, mut further] = [0, 1, 2].map(|_| Bank::new(&segments));
+        for k in 0..600 {
+            let column = column(k);
+            one.push(&column);
+            if k < 250 {
+                two.push(&column)
+            } else {
+                further.push(&column)
+            };
+        }
+        two.append(further);
+        let vectors: Vec<Vector> = (700..705).map(|k| Vector::new(column(k), &segments)).collect();
+        let vectors: Vec<&Vector> = vectors.iter().collect();
+        assert!(crate::threads::worth(one.kept()), "as many values as are worth a second thread");
+        for few in [&vectors[..2], &vectors] {
+            let all = one.products(few);
+            assert_eq!(all, two.products(few));
+            assert_eq!(all.iter().map(Vec::len).collect::<Vec<_>>(), vec![600; few.len()]);
+            for (v, all) in few.iter().zip(&all) {
+                for (k, product) in all.iter().enumerate() {
+                    let slow = one.product(k, v);
+                    let off =
+                        [product.plain - slow.plain, product.lagged - slow.lagged, product.ends - slow.ends];
+                    assert!(off.iter().all(|o| o.abs() < 1e-9), "{k}: {product:?}, not {slow:?}");
+                }
+            }
+        }
+        assert!((0..600).all(|k| one.column(k) == two.column(k)));
     }
 
     #[test]

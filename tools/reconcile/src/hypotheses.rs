@@ -5,6 +5,7 @@ use crate::cause::Cause;
 use crate::extent::resolution;
 use crate::gram::{Bank, Products};
 use crate::problem::Stack;
+use crate::threads;
 use crate::waves::Wave;
 use rtec_model::effect::{self, Description, Dictionary, Difference, Effect, Point, Quantity};
 use rtec_model::record::Role;
@@ -92,15 +93,45 @@ impl Hypotheses {
         families.sort();
         families.dedup();
         all.family_cost = (families.len().max(1) as f64).ln();
-        for effect in &candidates {
-            // Without movement of what it reads an effect is a constant, or nothing.
-            let share = laws.iter().filter(|l| **l == effect.description().name).count() as f64;
-            let cost = all.family_cost + share.ln();
-            all.effect(stack, effect, cost, &mut waves);
+        let mut shapes =
+            Self { bank: Bank::new(&stack.ranges), family_cost: all.family_cost, ..Self::default() };
+        let mut waves_of_shapes: Vec<Wave> = Vec::new();
+        // Some hundreds of grid points, and as many shapes.
+        threads::both(
+            stack.n << 10,
+            || {
+                for effect in &candidates {
+                    // Without movement of what it reads an effect is a constant, or nothing.
+                    let share = laws.iter().filter(|l| **l == effect.description().name).count() as f64;
+                    let cost = all.family_cost + share.ln();
+                    all.effect(stack, effect, cost, &mut waves);
+                }
+                all.square(stack);
+            },
+            || {
+                shapes.shapes(stack, &mut waves_of_shapes);
+                shapes.square(stack);
+            },
+        );
+        for w in &mut waves_of_shapes {
+            w.hypothesis += all.list.len();
         }
-        all.shapes(stack, &mut waves);
-        all.square(stack);
+        waves.extend(waves_of_shapes);
+        all.append(shapes);
         (all, waves)
+    }
+
+    /// Adds what others explain.
+    fn append(&mut self, mut others: Self) {
+        for atom in &mut others.atoms {
+            atom.hypothesis += self.list.len();
+            atom.columns.iter_mut().for_each(|c| *c += self.bank.len());
+        }
+        self.list.extend(others.list);
+        self.atoms.extend(others.atoms);
+        self.bank.append(others.bank);
+        self.own.extend(others.own);
+        self.known.extend(others.known);
     }
 
     fn square(&mut self, stack: &Stack<'_>) {

@@ -57,6 +57,7 @@ mod swapped;
 mod teeth;
 #[cfg(test)]
 mod testing;
+mod threads;
 mod tuning;
 mod undone;
 mod unexplained;

@@ -5,11 +5,13 @@ use crate::SEED;
 use crate::chance::below;
 use crate::gram::dot;
 use crate::problem::{Segment, Stack, known};
+use crate::threads::in_parts;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::SeedableRng;
 use rtec_model::effect::Effect;
 use rtec_model::record::Role;
 use serde_json::{Value, json};
+use std::ops::Range;
 
 /// Structure of a response against one thing.
 #[derive(Debug, Clone)]
@@ -59,6 +61,9 @@ const PERMUTATIONS: usize = 999;
 /// So many of them as large as what was found are enough to know that it is nothing.
 const ENOUGH: usize = 20;
 
+/// Sorting a channel's rows and permuting them is as much work as so many products a row.
+const PERMUTED: usize = 30;
+
 /// A place this clear is taken out before weaker ones are looked at.
 const CLEAR: f64 = 0.01;
 
@@ -89,12 +94,14 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
         let sigma = stack.sigma[response];
         // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
         let role = stack.responses[response].to_string();
-        let of = |(against, x): (String, Vec<f64>)| {
-            let alone = place(&role, &against, &x, &residual, sigma, 1.0)?;
-            Some((x, alone))
+        let channels = channels(stack, &segments);
+        let some = |some: Range<usize>| -> Vec<Option<Place>> {
+            let of = |(against, x): &(String, Vec<f64>)| place(&role, against, x, &residual, sigma, 1.0);
+            channels[some].iter().map(of).collect()
         };
+        let found = in_parts(channels.len(), channels.len() * residual.len() * PERMUTED, some).concat();
         let mut alone: Vec<(Vec<f64>, Place)> =
-            channels(stack, &segments).into_iter().filter_map(of).collect();
+            channels.into_iter().zip(found).filter_map(|((_, x), place)| Some((x, place?))).collect();
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
         let mut left = vec![residual.clone()];
         for (x, mut found) in alone {
