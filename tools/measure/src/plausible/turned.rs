@@ -12,6 +12,9 @@ const RUN: usize = 5;
 /// The sign has turned where what is left of the error with the sign turned back is less than this share of what is left as it
 /// stands.
 const TURNED: f64 = 0.1;
+/// Nor has it where a step says nearly as much: what is left with the sign turned back is less than this share of what is left with the
+/// step taken off, both squared.
+const NO_STEP: f64 = 0.5;
 /// Two sensors that exchange their places from one row to the next are at least so far apart, K.
 const EXCHANGE_K: f64 = 1.5;
 /// So few rows are no part of a record in another unit; what is in it is smaller by about this.
@@ -290,7 +293,13 @@ fn in_time(record: &Record, c: &Column) -> Option<usize> {
     let as_it_is = left(n)?;
     let (turned, at) =
         candidates.into_iter().filter_map(|k| Some((left(k)?, k))).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (turned * turned < TURNED * as_it_is * as_it_is).then_some(at)
+    // A step from a value to its opposite, with what goes on behind it as before, is counts that were lost.
+    let step = median(c.data[at..at + 3].to_vec()) - median(c.data[at - 3..at].to_vec());
+    let stepped: Vec<f64> =
+        c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { v - step }).collect();
+    let stepped = told(record, &stepped, &names)?.left;
+    let squares = turned * turned;
+    (squares < TURNED * as_it_is * as_it_is && squares < NO_STEP * stepped * stepped).then_some(at)
 }
 
 /// A pause in which nothing went on: heat moves on over a pause, a clock that was put forward moves alone.

@@ -818,6 +818,11 @@ fn a_step_of_the_error_is_said() {
         };
         let stepped = patched(clean.clone(), "e", 0.45, 1.0, |v| v + 8.0 * rough);
         let row = (clean.rows() as f64 * 0.45) as usize + 1;
+        // From a value to its opposite: with the sign turned back the rows from there on go on from those before, but not as heat would
+        // have it.
+        let level = by_name(&mut clean.clone(), "e").data[row - 2];
+        let opposite = patched(clean.clone(), "e", 0.45, 1.0, |v| v - 2.0 * level);
+        assert_eq!(suspicions(&[opposite]), [], "{turn}");
         assert_eq!(steps_of(&[clean]), Vec::<String>::new());
         told += usize::from(steps_of(&[stepped]).iter().any(|s| s.contains(&format!("at row {row} "))));
     }
