@@ -3,6 +3,7 @@
 use crate::cause::Shape;
 use crate::chance::Chance;
 use crate::problem::rms;
+use crate::rounding::is_rounding;
 use crate::search::{Member, Search, Set};
 use rtec_model::effect::{Against, Difference, Effect, STANDARD_DEGC};
 use rtec_model::record::Record;
@@ -79,7 +80,8 @@ fn differences(record: &Record, delta: &Difference) -> Vec<f64> {
     }
 }
 
-/// The member that does least on the rows that it acts on, where that is too little for a name.
+/// The member that does least on the rows that it acts on, where that is too little for a name, or is what rounding makes of the
+/// others.
 pub(crate) fn slightest(search: &Search<'_, '_>, named: &Set) -> Option<usize> {
     let left = search.residual(named).0;
     let share = |i: usize| {
@@ -90,6 +92,10 @@ pub(crate) fn slightest(search: &Search<'_, '_>, named: &Set) -> Option<usize> {
         there(&does) / there(&left).max(1e-300)
     };
     let does: Vec<f64> = (0..named.members.len()).map(share).collect();
+    let saws = (0..named.members.len()).filter(|i| is_rounding(search, named, *i));
+    if let Some(saw) = saws.min_by(|a, b| does[*a].total_cmp(&does[*b])) {
+        return Some(saw);
+    }
     let least = (0..does.len()).min_by(|a, b| does[*a].total_cmp(&does[*b]))?;
     (does[least] < WORTH).then_some(least)
 }
@@ -124,7 +130,8 @@ pub(crate) fn unexplained(
     if chance.of_anything(gain) > level {
         return Vec::new();
     }
-    any.members.iter().filter_map(|m| m.cause.shape().cloned()).collect()
+    let told = (0..any.members.len()).filter(|i| !is_rounding(search, any, *i));
+    told.filter_map(|i| any.members[i].cause.shape().cloned()).collect()
 }
 
 /// Structure that only effects outside their laws' bounds explain: no machine has them, so that it has no name. `full`: the

@@ -48,6 +48,7 @@ mod problem;
 mod report;
 mod rhythm;
 mod room;
+mod rounding;
 mod search;
 mod shapes;
 mod simpler;
