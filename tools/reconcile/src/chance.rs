@@ -1,6 +1,8 @@
 //! What chance alone would find: the same search on noise made from the residual by moving its blocks about.
 
-use crate::gram::{Cholesky, KNOWN, Products, Vector, dot};
+use crate::cholesky::{Cholesky, KNOWN};
+use crate::gram::{Products, Vector};
+use crate::lanes::dot;
 use crate::search::{AtPhi, Search, Set, Share};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};

@@ -4,7 +4,7 @@
 
 use crate::answer::Answer;
 use crate::gap::{self, Gap, Trace};
-use crate::gram;
+use crate::lanes;
 use crate::problem::{Stack, rms};
 use crate::suspected::{ALIKE, about, centred, is_of_clock, is_one_of_several, is_sensor, simulated, whole};
 use crate::swapped::{exchanged, swapped_alike, with_exchanged};
@@ -365,7 +365,7 @@ fn beside_lines(record: &Record, missing: &[f64], what: fn(&Role) -> bool) -> f6
     }
     let mut left = missing.to_vec();
     for (line, slope) in lines.iter().zip(&slopes) {
-        gram::minus(&mut left, *slope, line);
+        lanes::minus(&mut left, *slope, line);
     }
     rms(&left)
 }

@@ -1,6 +1,8 @@
 //! The last fit: all effects jointly in their own parameters, non-linear ones too, with an interval for each value.
 
-use crate::gram::{Cholesky, Products, Vector, dot};
+use crate::cholesky::Cholesky;
+use crate::gram::{Products, Vector};
+use crate::lanes::dot;
 use crate::problem::{Stack, rms};
 use rtec_model::effect::{Effect, Search};
 

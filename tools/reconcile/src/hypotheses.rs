@@ -1,9 +1,10 @@
 //! What may be missing: every effect of the dictionary that these runs could show, over a grid of its non-linear
 //! parameters, and shapes of no name that stand for "something else".
 
+use crate::bank::Bank;
 use crate::cause::Cause;
 use crate::extent::resolution;
-use crate::gram::{Bank, Products};
+use crate::gram::Products;
 use crate::problem::Stack;
 use crate::threads;
 use crate::waves::Wave;

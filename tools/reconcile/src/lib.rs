@@ -8,12 +8,12 @@
 //! | `workflow` | the whole of it: analysis, last fit, what is written into the model |
 //! | `doubt`, `weighed`, `undone`, `swapped`, `suspected` | people's mistakes: said, and left out; weighed against what may be missing; columns or sensors exchanged; what a suspicion is about |
 //! | `drawn` | of very many rows those that are looked at |
-//! | `problem`, `gram` | runs and model as one least-squares problem; products of columns under correlated noise |
+//! | `problem`, `gram`, `bank`, `cholesky`, `lanes`, `threads` | runs and model as one least-squares problem; products of columns under correlated noise, of very many columns; factors of them; sums and waves over many numbers; as many threads as there are processors |
 //! | `cause`, `hypotheses`, `shapes`, `teeth`, `waves`, `extent` | what may be missing: effects over their grids, shapes of no name |
 //! | `search` | the set of explanations that the data pay for |
 //! | `analysis`, `tuning` | the search again and again, the model's own parameters and the noise's size mended in between |
 //! | `chance` | what the same search finds in noise |
-//! | `naming`, `simpler`, `anew`, `leftover`, `steady` | which of it is named, what else it might be; fewer names; an axis's own laws chosen together; what they leave, and what no name is confirmed for; explanations by heat that predict |
+//! | `naming`, `simpler`, `anew`, `leftover`, `rounding`, `steady` | which of it is named, what else it might be; fewer names; an axis's own laws chosen together; what they leave, and what no name is confirmed for; what rounding makes; explanations by heat that predict |
 //! | `fit`, `fitted` | all effects jointly, with an interval for each value; which of them keep their place |
 //! | `where_found` | where measured and simulated disagree |
 //! | `room` | the sensors that a fit of growth chooses on the same drift |
@@ -31,8 +31,10 @@ mod advice;
 mod analysis;
 mod anew;
 mod answer;
+mod bank;
 mod cause;
 mod chance;
+mod cholesky;
 mod document;
 mod doubt;
 mod drawn;
@@ -42,6 +44,7 @@ mod fitted;
 mod gap;
 mod gram;
 mod hypotheses;
+mod lanes;
 mod leftover;
 mod naming;
 mod problem;

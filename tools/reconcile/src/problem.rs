@@ -383,7 +383,7 @@ pub(crate) fn known(stack: &Stack<'_>, noise: f64, file: &[Effect], now: &[Effec
 }
 
 pub(crate) fn rms(v: &[f64]) -> f64 {
-    (crate::gram::dot(v, v) / v.len().max(1) as f64).sqrt()
+    (crate::lanes::dot(v, v) / v.len().max(1) as f64).sqrt()
 }
 
 #[cfg(test)]

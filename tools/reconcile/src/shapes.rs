@@ -2,8 +2,8 @@
 //! products that physics suggests.
 
 use crate::cause::{Cause, Shape};
-use crate::gram;
 use crate::hypotheses::{Atom, Hypotheses, Hypothesis};
+use crate::lanes;
 use crate::problem::Stack;
 use crate::teeth::Teeth;
 use crate::waves::Wave;
@@ -192,7 +192,7 @@ impl<'m, 's, 'r> Shapes<'m, 's, 'r> {
     fn wave_over(&self, x: &[f64], turns: f64) -> [Vec<f64>; 2] {
         let mut out = [vec![0.0; self.stack.n], vec![0.0; self.stack.n]];
         for r in &self.rows {
-            (out[0][*r], out[1][*r]) = gram::wave(turns * x[*r]);
+            (out[0][*r], out[1][*r]) = lanes::wave(turns * x[*r]);
         }
         out
     }
@@ -535,7 +535,7 @@ mod tests {
     fn shapes_run_along_what_all_records_have() {
         let records = [record(80, |i| i)];
         let stack = Stack::new(&records);
-        let mut all = Hypotheses { bank: crate::gram::Bank::new(&stack.ranges), ..Hypotheses::default() };
+        let mut all = Hypotheses { bank: crate::bank::Bank::new(&stack.ranges), ..Hypotheses::default() };
         let mut waves = Vec::new();
         all.shapes(&stack, &mut waves);
         assert!(all.list.iter().all(|h| !h.named()));

@@ -4,8 +4,9 @@
 //! proportion to how much warmer one place is than the machine's surroundings, later by a lag.
 
 use crate::cause::Cause;
-use crate::gram::{Cholesky, dot};
+use crate::cholesky::Cholesky;
 use crate::hypotheses::Atom;
+use crate::lanes::dot;
 use crate::problem::rms;
 use crate::search::{Search, Set};
 use rtec_model::effect::{Against, Difference, Effect, Heat};

@@ -1,6 +1,6 @@
 //! Saw teeth and square steps: shapes of no name whose turns and phase are refined.
 
-use crate::gram::in_a_turn;
+use crate::lanes::in_a_turn;
 use crate::problem::Stack;
 
 /// Saw teeth or square steps that repeat over the time of all records.

@@ -1,7 +1,8 @@
 //! Two columns in each other's place, beside the model: what it leaves of all responses of a record as it stands, and with the exchange
 //! undone. An exchange has no size that could be fitted, so it is believed before a scale or a squareness that the model lacks.
 
-use crate::gram::{self, Cholesky};
+use crate::cholesky::Cholesky;
+use crate::lanes;
 use crate::problem::rms;
 use crate::suspected::{centred, simulated};
 use crate::verdict::Refined;
@@ -180,7 +181,7 @@ fn squares(record: &Record, machine: &Machine) -> (f64, f64) {
     record.responses().fold((0.0, 0.0), |(left, all), c| {
         let (y, s) = (centred(&c.data), simulated(record, &c.role, machine));
         let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
-        (left + gram::dot(&missing, &missing), all + gram::dot(&y, &y))
+        (left + lanes::dot(&missing, &missing), all + lanes::dot(&y, &y))
     })
 }
 
@@ -200,9 +201,9 @@ fn beside_free_lines(record: &Record, machine: &Machine) -> f64 {
             .map(|(line, _)| line)
             .collect();
         for (line, slope) in free.iter().zip(slopes(&free, &missing)) {
-            gram::minus(&mut missing, slope, line);
+            lanes::minus(&mut missing, slope, line);
         }
-        gram::dot(&missing, &missing)
+        lanes::dot(&missing, &missing)
     };
     record.responses().map(left).sum()
 }
@@ -212,9 +213,9 @@ pub(crate) fn slopes(lines: &[&Vec<f64>], y: &[f64]) -> Vec<f64> {
     if lines.is_empty() {
         return Vec::new();
     }
-    let products: Vec<f64> = lines.iter().flat_map(|a| lines.iter().map(|b| gram::dot(a, b))).collect();
+    let products: Vec<f64> = lines.iter().flat_map(|a| lines.iter().map(|b| lanes::dot(a, b))).collect();
     let factor = Cholesky::new(&products, lines.len());
-    let mut slopes: Vec<f64> = lines.iter().map(|a| gram::dot(a, y)).collect();
+    let mut slopes: Vec<f64> = lines.iter().map(|a| lanes::dot(a, y)).collect();
     factor.forward(&mut slopes);
     factor.backward(&mut slopes);
     slopes
@@ -236,9 +237,9 @@ pub(crate) fn times(record: &Record, which: &dyn Fn(&Column) -> bool, by: f64) -
 
 /// Whether what the model says then is what was measured, to the size; and what it says as it stands is not its noise.
 pub(crate) fn is_as_told(y: &[f64], now: &[f64], then: &[f64]) -> bool {
-    let size = gram::dot(then, then);
+    let size = lanes::dot(then, then);
     let left: Vec<f64> = y.iter().zip(then).map(|(y, s)| y - s).collect();
     size > 0.0
-        && AS_TOLD.contains(&(gram::dot(then, y) / size))
+        && AS_TOLD.contains(&(lanes::dot(then, y) / size))
         && rms(now) * (y.len() as f64).sqrt() > SAYS * rms(&left)
 }

@@ -3,7 +3,7 @@
 
 use crate::SEED;
 use crate::chance::below;
-use crate::gram::dot;
+use crate::lanes::dot;
 use crate::problem::{Segment, Stack, known};
 use crate::threads::in_parts;
 use rand_xoshiro::Xoshiro256PlusPlus;

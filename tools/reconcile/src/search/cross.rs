@@ -2,7 +2,9 @@
 
 use super::sets::{ROUNDING, Set};
 use super::{MOST_COEFFICIENTS, Search};
-use crate::gram::{self, Products, covered, dot, products};
+use crate::cholesky;
+use crate::gram::{Products, covered, products};
+use crate::lanes::dot;
 use std::ops::Range;
 
 /// The columns of a hypothesis against a set: products with the set's vectors, with the response, among themselves.
@@ -29,7 +31,7 @@ impl Search<'_, '_> {
             a.iter_mut().zip(&cross.with_set).for_each(|(x, p)| *x = p.at(at.phi));
             (0..k).for_each(|c| at.factor.forward(&mut a[c * b..(c + 1) * b]));
             let mut gain = 0.0;
-            for ridge in [0.0, gram::RIDGE] {
+            for ridge in [0.0, cholesky::RIDGE] {
                 for (c, g) in g.iter_mut().enumerate() {
                     *g = cross.with_y[c].at(at.phi) - dot(&a[c * b..(c + 1) * b], &at.z);
                 }
@@ -41,12 +43,12 @@ impl Search<'_, '_> {
                         let left = full - dot(&a[i * b..(i + 1) * b], &a[j * b..(j + 1) * b]);
                         m[i * k + j] = match left {
                             left if i != j => left,
-                            left if left < gram::KNOWN * full => f64::INFINITY,
+                            left if left < cholesky::KNOWN * full => f64::INFINITY,
                             left => left + ridge * full,
                         };
                     }
                 }
-                gram::reduce(&mut m, &mut g);
+                cholesky::reduce(&mut m, &mut g);
                 gain = dot(&g, &g);
                 if gain <= at.rss * (1.0 + ROUNDING) {
                     break;

@@ -5,16 +5,16 @@
 //! |---|---|
 //! | `sets` | sets of explanations and their fits |
 //! | `cross` | what further columns add to a set |
-//! | `bank` | the same for every grid point |
+//! | `left` | the same for every grid point: what a set leaves of the bank |
 //! | `offers` | which explanation could join a set |
 //! | `periods`, `tones` | the period of a wave; its tones worked out once |
 //! | `peaks`, `periodogram`, `targets` | which periods are tried: peaks of what a set leaves, over all rows and where targets are few |
 //! | `refine` | non-linear parameters between grid points |
 //! | `beam` | the order in which sets are tried |
 
-mod bank;
 mod beam;
 mod cross;
+mod left;
 mod offers;
 mod peaks;
 mod periodogram;
@@ -24,8 +24,8 @@ mod sets;
 mod targets;
 mod tones;
 
-pub(crate) use bank::Share;
 pub(crate) use beam::Found;
+pub(crate) use left::Share;
 pub(crate) use offers::Offer;
 pub(crate) use sets::{AtPhi, Member, Set};
 
@@ -33,7 +33,7 @@ use crate::gram::{Products, Vector};
 use crate::hypotheses::{Hypotheses, reference_column};
 use crate::problem::{Known, Stack};
 use crate::waves::Wave;
-use bank::{Left, Lie};
+use left::{Left, Lie};
 use offers::Ranked;
 use periodogram::{OnPlaces, Transform};
 use rtec_model::effect::Effect;

@@ -4,7 +4,7 @@ use super::Search;
 use super::periodogram::{OnPlaces, peaks, whiten};
 use super::periods::FREQUENCY_STEP;
 use super::sets::{Set, sharpened};
-use crate::gram::dot;
+use crate::lanes::dot;
 use std::cell::OnceCell;
 use std::ops::Range;
 

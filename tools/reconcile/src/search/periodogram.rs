@@ -1,6 +1,6 @@
 //! Periodograms of rows at uneven places, over a million frequencies.
 
-use crate::gram;
+use crate::lanes;
 use rustfft::FftPlanner;
 use rustfft::num_complex::{Complex32, Complex64};
 use std::cell::RefCell;
@@ -83,7 +83,7 @@ struct Spread {
 }
 
 fn turned(turns: f64) -> Complex64 {
-    let (sin, cos) = gram::wave(turns);
+    let (sin, cos) = lanes::wave(turns);
     Complex64::new(cos, sin)
 }
 
@@ -228,7 +228,7 @@ mod tests {
                 let turns = from + step * i as f64;
                 let (mut re, mut im) = (0.0, 0.0);
                 for (x, u) in x.iter().zip(&u) {
-                    let (sin, cos) = gram::wave(turns * x);
+                    let (sin, cos) = lanes::wave(turns * x);
                     re += u * cos;
                     im += u * sin;
                 }
@@ -247,7 +247,7 @@ mod tests {
         let mut power = vec![1.0; 1000];
         whiten(&mut power, [from, step], phi, gap);
         for (i, power) in power.into_iter().enumerate() {
-            let (_, cos) = gram::wave((from + step * i as f64) * gap);
+            let (_, cos) = lanes::wave((from + step * i as f64) * gap);
             let of_noise = 1.0 + phi * phi - 2.0 * phi * cos;
             assert!((power * of_noise - 1.0).abs() < 1e-9, "{i}: {power}");
         }

@@ -4,8 +4,9 @@ use super::Search;
 use super::offers::{Offer, Source};
 use super::sets::{Member, Set};
 use crate::cause::{Cause, Shape};
+use crate::cholesky;
 use crate::extent::{GRID_SHARE, aliases, likeliest, pitch};
-use crate::gram::{self, dot};
+use crate::lanes::{self, dot};
 use crate::waves::Wave;
 
 /// Spacing of the frequencies, in periods over the span.
@@ -309,7 +310,7 @@ impl Search<'_, '_> {
         let (ss, cc) = (dot(s, s), dot(c, c));
         let mut squares = [ss, 0.0, dot(s, c), cc];
         let mut with = [dot(s, &left), dot(c, &left)];
-        gram::reduce(&mut squares, &mut with);
+        cholesky::reduce(&mut squares, &mut with);
         let explained: f64 = with.iter().filter(|w| w.is_finite()).map(|w| w * w).sum();
         // However sine and cosine lie on the places, no smaller amplitude explains so much.
         let largest = f64::midpoint(ss, cc) + f64::hypot((ss - cc) / 2.0, dot(s, c));
@@ -319,12 +320,12 @@ impl Search<'_, '_> {
     pub(super) fn wave_columns(&self, wave: &Wave, f: f64) -> Vec<Vec<f64>> {
         let mut out = vec![vec![0.0; self.stack.n]; 2];
         if let [sines, cosines] = &mut out[..] {
-            gram::waves(f, &wave.along, &mut sines[wave.rows.clone()], &mut cosines[wave.rows.clone()]);
+            lanes::waves(f, &wave.along, &mut sines[wave.rows.clone()], &mut cosines[wave.rows.clone()]);
             wave.shared(&mut sines[wave.rows.clone()]);
             wave.shared(&mut cosines[wave.rows.clone()]);
             for (rows, along, share) in &wave.also {
                 for ((row, x), share) in rows.clone().zip(along).zip(share) {
-                    let (sine, cosine) = gram::wave(x * f);
+                    let (sine, cosine) = lanes::wave(x * f);
                     (sines[row], cosines[row]) = (share * sine, share * cosine);
                 }
             }

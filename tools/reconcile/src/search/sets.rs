@@ -3,8 +3,9 @@
 
 use super::{NOISE_GRID, NOISE_STEP, Search};
 use crate::cause::Cause;
-use crate::gram::{Cholesky, KNOWN, RIDGE, dot};
+use crate::cholesky::{Cholesky, KNOWN, RIDGE};
 use crate::hypotheses::Atom;
+use crate::lanes::dot;
 use crate::problem::{Segment, rms};
 use rtec_model::effect::{ANOTHER_REFERENCE, Against, Effect};
 use std::ops::Range;

@@ -4,7 +4,7 @@
 use super::Search;
 use super::periodogram::peaks;
 use super::sets::Set;
-use crate::gram::{self, dot};
+use crate::lanes::{self, dot};
 use crate::waves::Wave;
 
 /// Over more targets the fast transform tells the waves apart.
@@ -116,7 +116,7 @@ impl Search<'_, '_> {
             let [sines, cosines] = &mut wave;
             for ((x, r), (s, c)) in targets.place.iter().zip(&targets.root).zip(sines.iter_mut().zip(cosines))
             {
-                let (sin, cos) = gram::wave(x * f);
+                let (sin, cos) = lanes::wave(x * f);
                 (*s, *c) = (sin * r, cos * r);
             }
             // Nothing is taken off for the first, so that one wave serves both.

@@ -2,7 +2,9 @@
 
 use super::Search;
 use super::sets::{AtPhi, Set, same};
-use crate::gram::{self, Products, dot, dots, products};
+use crate::cholesky;
+use crate::gram::{Products, products};
+use crate::lanes::{dot, dots};
 use crate::waves::Wave;
 use std::ops::Range;
 
@@ -90,14 +92,14 @@ impl Search<'_, '_> {
             let [sine, cosine] = with_y.map(|p| p.at(fit.phi));
             let mut g = [sine - dot(sines, &fit.z), cosine - dot(cosines, &fit.z)];
             let [ss, cs, cc] = own.map(|p| p.at(fit.phi));
-            let new = |full: f64, left: f64| if left < gram::KNOWN * full { f64::INFINITY } else { left };
+            let new = |full: f64, left: f64| if left < cholesky::KNOWN * full { f64::INFINITY } else { left };
             let mut m = [
                 new(ss, ss - dot(sines, sines)),
                 0.0,
                 cs - dot(cosines, sines),
                 new(cc, cc - dot(cosines, cosines)),
             ];
-            gram::reduce(&mut m, &mut g);
+            cholesky::reduce(&mut m, &mut g);
             self.loglik(fit, dot(&g, &g))
         });
         loglik - self.price(set, wave.hypothesis, cost, 2)

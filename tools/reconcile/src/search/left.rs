@@ -3,8 +3,10 @@
 
 use super::Search;
 use super::sets::{AtPhi, ROUNDING, Set, same};
-use crate::gram::{self, Products, dot, minus};
+use crate::cholesky;
+use crate::gram::Products;
 use crate::hypotheses::Atom;
+use crate::lanes::{dot, minus};
 use std::ops::{Index, Range};
 use std::rc::Rc;
 
@@ -117,7 +119,7 @@ impl Left {
         let k = atom.columns.len();
         m.resize(k * k, 0.0);
         let mut gain = 0.0;
-        for ridge in [0.0, gram::RIDGE] {
+        for ridge in [0.0, cholesky::RIDGE] {
             g.clear();
             g.extend(atom.columns.iter().map(|c| self.with_y[*c]));
             let mut packed = self.own[own.clone()].iter().zip(full);
@@ -125,12 +127,12 @@ impl Left {
                 for ((c, m), (own, full)) in row[..=r].iter_mut().enumerate().zip(&mut packed) {
                     *m = match *own {
                         own if c != r => own,
-                        own if own < gram::KNOWN * full.at(self.phi) => f64::INFINITY,
+                        own if own < cholesky::KNOWN * full.at(self.phi) => f64::INFINITY,
                         own => own + ridge * full.at(self.phi),
                     };
                 }
             }
-            gram::reduce(m, g);
+            cholesky::reduce(m, g);
             gain = dot(g, g);
             if gain <= rss * (1.0 + ROUNDING) {
                 break;
@@ -165,7 +167,7 @@ impl Search<'_, '_> {
                     [one] => {
                         let (with, own) = (left.with_y[one], left.squares[one]);
                         // What the set explains already to 1 part in 10⁶ is no new explanation, and a column of zeros none.
-                        if own > gram::KNOWN * full[0].at(fit.phi) { with * with / own } else { 0.0 }
+                        if own > cholesky::KNOWN * full[0].at(fit.phi) { with * with / own } else { 0.0 }
                     }
                     _ => left.gain(atom, full, at.clone(), fit.rss, (&mut m, &mut g)),
                 };
