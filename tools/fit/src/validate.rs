@@ -37,10 +37,8 @@ pub fn validate(
     let doubts = plausible::said(records, say);
     for record in records {
         let path = record.path.display();
-        let derived = derive::for_model(machine, record);
-        let with_motion = derived.as_ref().map_or(record, |(with_motion, _)| with_motion);
-        let prediction = machine.predict(with_motion)?;
-        for note in derived.iter().flat_map(|(_, notes)| notes) {
+        let (prediction, notes) = derive::predict(machine, record)?;
+        for note in notes {
             say(Said::Note(format!("{path}: {note}")));
         }
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {

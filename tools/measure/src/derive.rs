@@ -7,7 +7,8 @@
 //! distortion together are smallest.
 
 use nalgebra::{Matrix4, Vector4};
-use rtec_model::machine::Machine;
+use rtec_files::InputError;
+use rtec_model::machine::{Machine, Prediction};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::ops::Range;
 
@@ -88,25 +89,35 @@ pub fn derive(record: &mut Record) -> Vec<String> {
     notes
 }
 
-/// The record with the motion that a model reads and nobody logged, from the positions, as a reconciliation has it; and a note for each
-/// column. `None` where the model reads none of it, or the rows show none.
-#[must_use]
-pub fn for_model(machine: &Machine, record: &Record) -> Option<(Record, Vec<String>)> {
-    if !reads_more_motion(machine, record) {
-        return None;
+/// What a model says about a record, with the motion that it reads and nobody logged from the positions, as a reconciliation has it; and
+/// a note for each column of that.
+///
+/// # Errors
+/// An effect reads a sensor or channel that the record does not have.
+pub fn predict(machine: &Machine, record: &Record) -> Result<(Prediction, Vec<String>), InputError> {
+    let as_logged = machine.predict(record)?;
+    if !lacks_motion(&as_logged, record) {
+        return Ok((as_logged, Vec::new()));
     }
     let mut with_motion = record.clone();
     let notes = derive(&mut with_motion);
-    (with_motion.columns.len() > record.columns.len()).then_some((with_motion, notes))
+    if with_motion.columns.len() == record.columns.len() {
+        return Ok((as_logged, Vec::new()));
+    }
+    Ok((machine.predict(&with_motion)?, notes))
 }
 
 /// Whether a model reads motion that a record, or the first rows of one, does not log and shows.
 pub(crate) fn reads_more_motion(machine: &Machine, record: &Record) -> bool {
+    machine.predict(record).is_ok_and(|prediction| lacks_motion(&prediction, record))
+}
+
+/// Whether motion was taken as zero that the positions show.
+fn lacks_motion(prediction: &Prediction, record: &Record) -> bool {
     let motion =
         |role: &str| ["velocity.", "acceleration.", "direction."].iter().any(|m| role.starts_with(m));
-    let zero = machine.predict(record).map(|p| p.taken_as_zero).unwrap_or_default();
     let shown = record.data(&Role::Time).is_some_and(|t| runs(t, record.kind).is_ok());
-    shown && zero.iter().any(|(_, role)| motion(role))
+    shown && prediction.taken_as_zero.iter().any(|(_, role)| motion(role))
 }
 
 /// The stretches of rows without a gap in time; or why they are no motion.

@@ -18,9 +18,8 @@ pub fn predict(
     record: &Record,
     say: &mut dyn FnMut(Said),
 ) -> Result<Vec<(String, Vec<f64>)>, InputError> {
-    let derived = derive::for_model(machine, record);
-    let prediction = machine.predict(derived.as_ref().map_or(record, |(with_motion, _)| with_motion))?;
-    for note in derived.iter().flat_map(|(_, notes)| notes) {
+    let (prediction, notes) = derive::predict(machine, record)?;
+    for note in notes {
         say(Said::Note(format!("{}: {note}", record.path.display())));
     }
     warn(&record.path, &prediction.taken_as_zero, &machine.out_of_range(record), say);

@@ -188,10 +188,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     let mut predictions = Vec::new();
     if let Some(path) = &args.record {
         let record = rtec_measure::record::read(path)?;
-        let of = |m: &Machine| {
-            let derived = rtec_measure::derive::for_model(m, &record);
-            m.predict(derived.as_ref().map_or(&record, |(with_motion, _)| with_motion))
-        };
+        let of = |m: &Machine| rtec_measure::derive::predict(m, &record).map(|(prediction, _)| prediction);
         let (pa, pb) = (of(&a)?, of(&b)?);
         for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {
             let rms =
