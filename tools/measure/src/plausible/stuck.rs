@@ -3,6 +3,7 @@
 use super::stats::{quantum, range, steps};
 use super::told::{Told, told};
 use super::{Suspicion, What};
+use rtec_model::effect::sign;
 use rtec_model::record::{Column, Record, Role};
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -12,6 +13,12 @@ const SHORTEST: usize = 12;
 const ENOUGH: usize = 30;
 /// What the others say moves on by more than so many times what they are wrong by beside the run.
 const NEAR: f64 = 5.0;
+/// What sensors and loggers read in.
+const RESOLUTIONS_K: [f64; 13] =
+    [1.0, 0.5, 0.25, 0.2, 0.125, 0.1, 0.0625, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
+/// Rows over which a sensor moved one way before it stood still, by no less than so many steps of its resolution a row.
+const COURSE: usize = 8;
+const FAST: f64 = 3.0;
 /// Chance that a good sensor stands still so long.
 const CHANCE: f64 = 1e-4;
 
@@ -85,10 +92,31 @@ fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usiz
         .map(|(_, r)| r)
         .filter(|r| r.temperature(&c.name).is_some_and(|t| range(t) > 0.0))
         .collect();
-    let found = by_noise(record, c, (start, end), &elsewhere)
+    let found = in_full_course(record, c, start)
+        || by_noise(record, c, (start, end), &elsewhere)
         || by_the_others(record, c, (start, end), &elsewhere)
         || (end - start == n && elsewhere.is_empty() && among_lively_ones(record, c));
     found.then_some((start, end))
+}
+
+/// The largest of [`RESOLUTIONS_K`] that all readings are multiples of: those of a sensor that moves one way lie farther apart.
+fn resolution(v: &[f64]) -> f64 {
+    let whole = |step: f64| v.iter().all(|x| (x / step - (x / step).round()).abs() < 1e-4);
+    RESOLUTIONS_K.into_iter().find(|step| whole(*step)).unwrap_or(0.0)
+}
+
+/// In the middle of warming or cooling, from one row to the next: a body's heat goes on flowing, and where its source ends it turns back.
+fn in_full_course(record: &Record, c: &Column, start: usize) -> bool {
+    let Some(first) = start.checked_sub(COURSE) else { return false };
+    let own = steps(&c.data[first..=start]);
+    let step = resolution(&c.data);
+    let time = steps(&record.time_s()[first..(start + COURSE).min(c.data.len())]);
+    let even = time.iter().all(|dt| *dt < 3.0 * time[0] && *dt > 0.3 * time[0]);
+    let way = sign(own[0]);
+    let mean = own.iter().sum::<f64>() * way / own.len() as f64;
+    // What comes to rest does so by ever smaller steps.
+    let half: f64 = own[own.len() / 2..].iter().sum::<f64>() * way / (own.len() - own.len() / 2) as f64;
+    even && own.iter().all(|s| s * way >= 0.9 * step) && mean > FAST * step && half > 0.7 * mean
 }
 
 /// By its own noise: at other times it changes from row to row so much that this run is no chance.
@@ -222,6 +250,44 @@ mod tests {
         assert!((moves_on(even) - 1.9).abs() < 0.15);
         let late: Vec<f64> = (0..20).map(|i| if i < 16 { 20.0 } else { 23.0 }).collect();
         assert!(moves_on(late) < 1e-9);
+    }
+
+    /// A sensor without noise that freezes while it warms, from a fifth of the run on, in which the others go where they never were
+    /// before. One that comes to rest, one that is heated in steps and one that turns back are alive.
+    #[test]
+    fn what_freezes_in_full_course_is_stuck() {
+        let rounded = |v: f64| (v * 100.0).round() / 100.0;
+        let body = |tau: f64, end: usize| {
+            move |i: usize| {
+                let warm = 8.0 * (1.0 - (-(i.min(end) as f64) / tau).exp());
+                rounded(20.0 + warm * (-(i.saturating_sub(end) as f64) / tau).exp())
+            }
+        };
+        let made = |near: &dyn Fn(usize) -> f64| {
+            let column = |name: &str, of: &dyn Fn(usize) -> f64| {
+                Column::new(name, Role::Temperature, (0..300).map(of).collect())
+            };
+            let e = Column::new(
+                "e",
+                Role::parse("error.x").unwrap(),
+                (0..300).map(|i| 0.01 * f64::from(i)).collect(),
+            );
+            let t = Column::new("t", Role::Time, (0..300).map(|i| 60.0 * f64::from(i)).collect());
+            let slow = body(200.0, 300);
+            let columns = vec![t, column("T1", near), column("T2", &slow), e];
+            Record::new(Path::new("run.run.toml"), Kind::Drift, columns).unwrap()
+        };
+        let said = |near: &dyn Fn(usize) -> f64| {
+            let mut out = Vec::new();
+            look(&[made(near)], &mut out);
+            out.into_iter().map(|s| (s.column.clone(), s.rows)).collect::<Vec<_>>()
+        };
+        let alive = body(90.0, 300);
+        assert_eq!(said(&|i| alive(i.min(60))), [("T1".to_owned(), "61-300".to_owned())]);
+        assert_eq!(said(&alive), []);
+        assert_eq!(said(&body(12.0, 300)), []);
+        assert_eq!(said(&body(60.0, 70)), []);
+        assert_eq!(said(&|i| 20.0 + 2.0 * (i / 40) as f64), []);
     }
 
     /// A law that was learned in another record, and is wrong beside the run in this one, does not say that the sensor is stuck.
