@@ -5,9 +5,10 @@ use crate::anew::along_axes;
 use crate::answer::{Answer, Finding, ROUNDS, Rival, Tried};
 use crate::cause::{Cause, Shape};
 use crate::chance::Chance;
+use crate::lanes::dot;
 use crate::leftover::{beyond_bounds, knee_instead, slightest, unexplained};
 use crate::search::{Found, Member, Search, Set};
-use crate::simpler::{DECISIVE, merged, plainer, slimmed, with_offset};
+use crate::simpler::{ALIKE, DECISIVE, merged, plainer, slimmed, with_offset};
 use rtec_model::effect::{self, Against, Difference, Effect, Need, STANDARD_DEGC};
 
 /// The same hypothesis with other values free is taken instead where it is so much better.
@@ -54,6 +55,7 @@ pub(crate) fn conclude(search: &mut Search<'_, '_>, found: &Found, now: &[Effect
     } else {
         named = search.with_references(named);
         named = level_instead(search, named, &chance, level);
+        named = constant_instead(search, named);
     }
     let mut beyond = Vec::new();
     if !search.physical(&named) {
@@ -491,6 +493,34 @@ fn level_instead(search: &mut Search<'_, '_>, named: Set, chance: &Chance, level
         let instead = search.take(&rest, &offer);
         let gain = search.gain(&instead, &named);
         if gain < DECISIVE || chance.of_name(gain, false) > level {
+            named = instead;
+        }
+    }
+    named
+}
+
+/// The set with an axis's zero in place of what comes to no more on these rows: a drift that has ended after two rows, counts that were
+/// lost before the third. The data do not decide between them, and the zero has no value that they do not tell.
+fn constant_instead(search: &mut Search<'_, '_>, named: Set) -> Set {
+    let all = search.all;
+    let mut named = named;
+    for i in (0..named.members.len()).rev() {
+        let Some(effect) = &all.list[named.members[i].hypothesis].effect else { continue };
+        let zero = |h: &usize| {
+            let of = all.list[*h].effect.as_ref().filter(|_| all.list[*h].is_offset());
+            of.is_some_and(|zero| zero.axes().first() == effect.axes().first())
+        };
+        let Some(zero) = (0..all.list.len()).find(zero) else { continue };
+        if named.members.iter().any(|m| m.hypothesis == zero) {
+            continue;
+        }
+        let rest = search.without(&named, i);
+        let Some(offer) = search.offer_of(&rest, zero).filter(|o| o.score > named.score - DECISIVE) else {
+            continue;
+        };
+        let instead = search.take(&rest, &offer);
+        let (does, level) = (search.does(&named, i), search.does(&instead, rest.members.len()));
+        if dot(&does, &level).powi(2) > ALIKE * dot(&does, &does) * dot(&level, &level) {
             named = instead;
         }
     }

@@ -10,7 +10,7 @@ pub(crate) const DECISIVE: f64 = 3.0;
 /// A member that is worth less than this, nats, may be there only for what another one's values miss.
 const WEAK: f64 = 30.0;
 /// One explanation does what two do together where it is so much of the same: square of the cosine between them.
-const ALIKE: f64 = 0.98;
+pub(crate) const ALIKE: f64 = 0.98;
 
 /// The set without members that are worth little beside the others, where those then find better values: two half truths may
 /// hold the place of a whole one.
