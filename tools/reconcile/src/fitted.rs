@@ -44,18 +44,33 @@ impl Fitted {
         take_in(answer);
         let mut fitted = Self::once(stack, machine, answer);
         let mut sizeless = Vec::new();
+        // Of those that are left the sizes may hang on what is gone: they are looked at again.
+        while let Some(fewer) = Self::without_doubtful(stack, machine, answer, &fitted, &mut sizeless) {
+            fitted = fewer;
+        }
+        fitted.sizeless = sizeless;
+        fitted
+    }
+
+    /// The fit without the last of the findings whose interval holds zero, or with fewer of its values; none where there is no such.
+    fn without_doubtful(
+        stack: &Stack<'_>,
+        machine: &Machine,
+        answer: &mut Answer,
+        fitted: &Self,
+        sizeless: &mut Vec<Shape>,
+    ) -> Option<Self> {
+        // One of two that stand for each other is certain once the other is gone.
         for place in (0..fitted.found).rev() {
-            // One of two that stand for each other is certain once the other is gone.
             let Some(doubt) = doubt(&fitted.found()[place]) else { continue };
             let finding = answer.findings.remove(place);
             let without = Self::once(stack, machine, answer);
-            let [with, left] = [&fitted, &without].map(|f| rms(&fit::residual(stack, &f.terms)).max(1e-12));
+            let [with, left] = [fitted, &without].map(|f| rms(&fit::residual(stack, &f.terms)).max(1e-12));
             let needed = stack.n as f64 * (left / with).ln() >= NEEDED;
             if needed && doubt == Doubt::OfEach {
                 let all = (place, finding.clone());
                 if let Some(fewer) = Self::with_fewer_values(stack, machine, answer, all, with) {
-                    fitted = fewer;
-                    continue;
+                    return Some(fewer);
                 }
                 if has_other_periods(&finding) {
                     // Which period it has is open, and its size with it: so it is said.
@@ -67,10 +82,9 @@ impl Fitted {
                 let manner = format!("as {} of a size that is not told", finding.effect.name());
                 sizeless.extend(Shape::like(stack, &finding.effect, manner));
             }
-            fitted = without;
+            return Some(without);
         }
-        fitted.sizeless = sizeless;
-        fitted
+        None
     }
 
     /// The fit in which fewer of a finding's values are free and its size is told from zero: one of several sizes stands for all of

@@ -53,6 +53,38 @@ fn what_is_of_no_size_is_not_named() {
     }
 }
 
+/// A bug once: a bump that one angle of forty shows, twice around. Beside a second one, which went as its size was not told, the first had
+/// one; by itself it had none any more, and was named with 0.5 ± 2.3 µm.
+#[test]
+fn what_is_of_no_size_without_another_is_not_named() {
+    let ways = "------++++++-+-++-+--++--+---+++-+---+-+--+-+++++----++++-+--+++-+++-+-++++-+---";
+    let e = [
+        2.978, 2.981, 2.714, 2.834, 2.781, 2.756, -2.909, -3.076, -2.955, -2.166, 7.874, -2.686, 2.873,
+        -2.808, 3.004, -3.032, -3.115, 2.897, -2.828, 3.030, 2.869, -2.973, -2.985, 2.863, 2.964, -3.150,
+        2.828, 2.516, 2.301, -3.314, -2.846, -2.607, 3.135, -2.716, 3.016, 2.827, 2.904, -2.868, 3.349,
+        -2.319, 3.249, 3.163, -2.729, 2.873, -3.192, -2.900, -3.022, -3.279, -3.033, 3.615, 13.558, 2.787,
+        2.970, -2.981, -2.844, -2.804, -2.923, 2.902, -2.892, 2.834, 2.924, -2.681, -2.505, -2.402, 3.117,
+        -2.746, -2.812, -2.815, 2.960, -2.462, 3.772, -2.371, -2.798, -2.978, -3.031, 2.870, -3.048, 2.924,
+        2.691, 2.398,
+    ];
+    let turns = |i: usize| (i % 40) as f64 / 40.0;
+    let columns = vec![
+        Column::new("theta", Role::Angle, (0..80).map(|i| turns(i) * std::f64::consts::TAU).collect()),
+        Column::new(
+            "d",
+            Role::Direction(Axis::new("x").unwrap()),
+            ways.chars().map(|c| if c == '+' { 1.0 } else { -1.0 }).collect(),
+        ),
+        Column::new("e", Role::Error(Axis::new("x").unwrap()), e.to_vec()),
+    ];
+    let record = Record::new(Path::new("p.run.toml"), Kind::Probing, columns).unwrap();
+    let text = "name = \"m\"\n[[effect]]\nname = \"reversal.x\"\num = -5.8105\n";
+    let machine = Machine::parse(Path::new("m.toml"), text).unwrap();
+    let r = reconcile(&[record], &[], &machine, &Options::default()).unwrap();
+    assert_eq!(sizeless(&r), [""; 0]);
+    assert_eq!(r.verdict, Verdict::UnknownEffect);
+}
+
 /// A bug once: at one speed and at rest 1.0 ± 155 µm/krpm, for a square that nothing speaks for.
 #[test]
 fn a_value_that_is_left_out_does_not_undo_the_others() {
