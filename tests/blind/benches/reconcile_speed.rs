@@ -95,8 +95,9 @@ fn main() -> anyhow::Result<()> {
     let channels = record.columns.len() - 1;
     let (answer, ours, our_cpu) =
         timed(|| reconcile(std::slice::from_ref(&record), &[], &machine, &Options::default()))?;
-    let names: Vec<String> = answer?.effects.iter().map(|(f, _)| f.effect.name()).collect();
-    println!("{rows} rows, {channels} channels: {names:?}");
+    let answer = answer?;
+    let names: Vec<String> = answer.effects.iter().map(|(f, _)| f.effect.name()).collect();
+    println!("{rows} rows, {channels} channels: {} {names:?}", answer.verdict);
     let (theirs, bic, bic_cpu) = timed(|| baseline::forward_bic(&[record], &machine))?;
     println!("forward selection by BIC: {theirs:?}");
     println!("              by the clock   of processors");

@@ -3,7 +3,7 @@
 use crate::cause::Shape;
 use crate::chance::Chance;
 use crate::problem::rms;
-use crate::rounding::is_rounding;
+use crate::rounding::saws;
 use crate::search::{Member, Search, Set};
 use rtec_model::effect::{Against, Difference, Effect, STANDARD_DEGC};
 use rtec_model::record::Record;
@@ -92,11 +92,11 @@ pub(crate) fn slightest(search: &Search<'_, '_>, named: &Set) -> Option<usize> {
         there(&does) / there(&left).max(1e-300)
     };
     let does: Vec<f64> = (0..named.members.len()).map(share).collect();
-    let saws = (0..named.members.len()).filter(|i| is_rounding(search, named, *i));
-    if let Some(saw) = saws.min_by(|a, b| does[*a].total_cmp(&does[*b])) {
+    let slighter = |a: &usize, b: &usize| does[*a].total_cmp(&does[*b]);
+    if let Some(saw) = saws(search, named).into_iter().min_by(slighter) {
         return Some(saw);
     }
-    let least = (0..does.len()).min_by(|a, b| does[*a].total_cmp(&does[*b]))?;
+    let least = (0..does.len()).min_by(slighter)?;
     (does[least] < WORTH).then_some(least)
 }
 
@@ -130,7 +130,8 @@ pub(crate) fn unexplained(
     if chance.of_anything(gain) > level {
         return Vec::new();
     }
-    let told = (0..any.members.len()).filter(|i| !is_rounding(search, any, *i));
+    let saws = saws(search, any);
+    let told = (0..any.members.len()).filter(|i| !saws.contains(i));
     told.filter_map(|i| any.members[i].cause.shape().cloned()).collect()
 }
 

@@ -2,10 +2,9 @@
 //! or a broken line of less than a step, and is neither.
 
 use crate::extent::resolution;
-use crate::problem::rms;
+use crate::problem::{Segment, rms};
 use crate::search::{Search, Set};
 use std::f64::consts::{PI, TAU};
-use std::ops::Range;
 
 /// Where what is left is a larger share of a step than this, its noise leaves nothing of the saw: rounding by itself leaves 0.29.
 const COARSE: f64 = 0.6;
@@ -14,46 +13,49 @@ const MADE: f64 = 0.4;
 /// Terms of the saw's series.
 const TERMS: i32 = 12;
 
-/// Rows that were read in coarse steps.
-struct Coarse {
-    rows: Range<usize>,
+/// A segment that was read in coarse steps.
+struct Coarse<'s> {
+    segment: &'s Segment,
     /// The step, µm (of a force N), and the standard deviation of the noise before it was rounded, in steps.
     step: f64,
     noise: f64,
 }
 
 /// The segments whose readings are coarse beside what a set leaves of them.
-fn coarse(search: &Search<'_, '_>, set: &Set) -> Vec<Coarse> {
+fn coarse<'s>(search: &'s Search<'_, '_>, set: &Set) -> Vec<Coarse<'s>> {
     let stack = search.stack;
     let left = search.residual(set).0;
-    let of = |s: &crate::problem::Segment| {
-        let step = resolution(&stack.measured[s.rows.clone()])?;
-        let share = rms(&left[s.rows.clone()]) * stack.sigma[s.response] / step;
+    let of = |segment: &'s Segment| {
+        let step = resolution(&stack.measured[segment.rows.clone()])?;
+        let share = rms(&left[segment.rows.clone()]) * stack.sigma[segment.response] / step;
         let noise = (share * share - 1.0 / 12.0).max(0.0).sqrt();
-        (share < COARSE).then_some(Coarse { rows: s.rows.clone(), step, noise })
+        (share < COARSE).then_some(Coarse { segment, step, noise })
     };
     stack.segments.iter().filter_map(of).collect()
 }
 
-/// Whether what a member of a set does is mostly what rounding makes of the others: the mean rounding error of what they predict, with
-/// their noise, by its Fourier series.
-pub(crate) fn is_rounding(search: &Search<'_, '_>, set: &Set, member: usize) -> bool {
+/// The members of a set of which what they do is mostly what rounding makes of the others: the mean rounding error of what these predict,
+/// with their noise, by its Fourier series.
+pub(crate) fn saws(search: &Search<'_, '_>, set: &Set) -> Vec<usize> {
     let coarse = coarse(search, set);
     if coarse.is_empty() {
-        return false;
+        return Vec::new();
     }
     let stack = search.stack;
-    let rest = search.residual(&search.without(set, member)).0;
-    let does = search.does(set, member);
-    let mut along = 0.0;
-    for Coarse { rows, step, noise } in coarse {
-        let sigma = stack.segments.iter().find(|s| s.rows == rows).map_or(1.0, |s| stack.sigma[s.response]);
-        for row in rows {
-            let steps = (stack.measured[row] - rest[row] * sigma) / step;
-            along += does[row] * saw(steps, noise) * step / sigma;
+    let is_saw = |member: &usize| {
+        let rest = search.residual(&search.without(set, *member)).0;
+        let does = search.does(set, *member);
+        let mut along = 0.0;
+        for Coarse { segment, step, noise } in &coarse {
+            let sigma = stack.sigma[segment.response];
+            for row in segment.rows.clone() {
+                let steps = (stack.measured[row] - rest[row] * sigma) / step;
+                along += does[row] * saw(steps, *noise) * step / sigma;
+            }
         }
-    }
-    along > MADE * does.iter().map(|d| d * d).sum::<f64>()
+        along > MADE * does.iter().map(|d| d * d).sum::<f64>()
+    };
+    (0..set.members.len()).filter(is_saw).collect()
 }
 
 /// By how much a value is rounded up or down in the mean, in steps: the value too, and its noise.
@@ -90,8 +92,8 @@ mod tests {
         }
     }
 
-    /// A scale and a reversal, read to 1 µm with a tenth of that as noise: of twelve runs all had a screw of 0.2 to 0.5 µm, a map or a cycle. A
-    /// wave of 1.5 µm is read as well, and is named.
+    /// A scale and a reversal, read to 1 µm with a tenth of that as noise: of twelve runs all had a screw of 0.2 to 0.5 µm, a map or a
+    /// cycle. A wave of 1.5 µm is read as well, and is named.
     #[test]
     fn a_saw_that_rounding_makes_is_no_wave() {
         let mut screws = 0;
