@@ -373,7 +373,7 @@ fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
     let mut card = GpioCard::open(&setup, Vec::new(), Monotonic)?;
     let axis = AxisConfig { max_accel_counts_s2: 100.0, ..AxisConfig::default() };
     let config =
-        MachineConfig { lines: MachineLines { probe: None, disable: None, hold: None }, may_arm: true };
+        MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
     engine.start_homed(&mut card, &mut |_| true)?;
     machine.move_axis(true);
@@ -865,7 +865,7 @@ fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
         ..AxisConfig::default()
     };
     let config =
-        MachineConfig { lines: MachineLines { probe: None, disable: None, hold: None }, may_arm: true };
+        MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
     let report = &mut |_| true;
     engine.start_homed(&mut card, report)?;

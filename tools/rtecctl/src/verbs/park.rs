@@ -27,13 +27,11 @@ const EVERY: Duration = Duration::from_millis(100);
 const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if args.to_zero {
-        to_zero(&mut args.daemon.connect()?, args.patience.into())?;
-    }
-    let done = if args.to_zero {
-        "parked: nothing is in effect"
-    } else {
-        "parked: corrections frozen where they are"
+    let unloaded = args.to_zero && to_zero(&mut args.daemon.connect()?, args.patience.into())?;
+    let done = match (args.to_zero, unloaded) {
+        (false, _) => "parked: corrections frozen where they are",
+        (true, false) => "parked: nothing is in effect",
+        (true, true) => "parked: nothing is in effect; the model is unloaded: `rtecctl model again` takes it up again",
     };
     args.daemon.order(&ClientRequest::Disable {}, done)
 }
@@ -51,9 +49,11 @@ fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
     }
 }
 
-fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
+/// Takes everything out; says whether a model was unloaded for it.
+fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
     let mut now = status(client)?;
-    if now.model.is_some() && now.mode == "run" {
+    let unloads = now.model.is_some() && now.mode == "run";
+    if unloads {
         ask(client, &ClientRequest::ModelUnload {})?;
         eprintln!("the machine model is unloaded");
     }
@@ -63,7 +63,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
     loop {
         // What is requested is put back too: enabled again, nothing moves.
         if now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
-            return Ok(());
+            return Ok(unloads);
         }
         if now.mode == "fault" {
             let text = "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";

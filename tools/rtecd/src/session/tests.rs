@@ -5,6 +5,7 @@ use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
 use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::journal::Before;
 use rtec_rt::link::{REQUESTS, link};
 use rtec_rt::thread::{ThreadOptions, spawn};
 
@@ -35,7 +36,7 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
 }
 
 fn session(engine: &Engine) -> Session {
-    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times: Before::NOTHING.times };
     let config = Config::embedded();
     let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
     Session::new(config, set_up, temperatures)
@@ -50,7 +51,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     config.control.state_file = Some(directory.path().join("state"));
     config.model.lead_ms = 20.0;
     let (engine, _card) = engine(&config);
-    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times: Before::NOTHING.times };
     let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
     let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
     let mut session = Session::new(config, set_up, played);
@@ -148,7 +149,7 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     };
     session.today = || 10;
     assert_eq!(ask(&mut session, &load(false), control, &mut log), done);
-    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None }, control, &mut log), done);
+    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log), done);
     assert_eq!(ask(&mut session, &enable, control, &mut log), done);
     session.today = || 11;
     session.tick(control, &mut log);
@@ -172,7 +173,7 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     running.stop();
 }
 
-/// A control side that falls silent: corrections freeze, the status says so; back again, they go on.
+/// A control side that falls silent: corrections are off, and the status says so; back again, they wait to be enabled.
 #[test]
 fn a_stale_control_side_freezes_corrections_and_is_named() {
     let config = Config::embedded();
@@ -183,7 +184,7 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     let control = &mut running.control;
     let mut log = Log::new();
     let done = Response::done();
-    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None }, control, &mut log), done);
+    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log), done);
     let enabled = ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control, &mut log);
     let Response::Done { jumps, warnings } = enabled else { panic!("{enabled:?}") };
     assert!(jumps.is_empty() && warnings[0].starts_with("no model is loaded"), "{warnings:?}");
@@ -197,6 +198,11 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
         control.beat();
         std::thread::sleep(Duration::from_millis(1));
     }
+    // What came back enables nothing.
+    let why = session.status(control).why_not;
+    assert_eq!(why, ["corrections are off since the control side was silent: `rtecctl enable`"]);
+    let enable = ClientRequest::Enable { accept_jump: false };
+    assert!(matches!(ask(&mut session, &enable, control, &mut log), Response::Done { .. }));
     assert!(session.status(control).why_not.is_empty());
     let (ended, mut control) = running.stop();
     assert!(ended.status.balanced());
