@@ -253,6 +253,7 @@ impl Wire {
 }
 
 /// One axis between two edges: its count, its inverters, and the insertion under way.
+#[allow(clippy::struct_excessive_bools)] // Each is known or not without any other.
 #[derive(Debug)]
 pub(crate) struct AxisEngine {
     config: AxisConfig,

@@ -424,6 +424,7 @@ pub struct AxisStatus {
 }
 
 /// The whole corrector at one moment.
+#[allow(clippy::struct_excessive_bools)] // Each is a lamp of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Status {
     /// When, on the card's clock, ns.

@@ -130,7 +130,7 @@ struct Judge {
     held: bool,
     latched: Vec<(Option<usize>, Fault)>,
     enabled: bool,
-    /// Looks since the process started, and since the MTC was switched off.
+    /// Times that this was looked at since the process started, and since the MTC was switched off.
     looks: u64,
     off_looks: u64,
     /// Masked glitches, and insertions begun, when it was last homed.
@@ -165,9 +165,10 @@ impl Judge {
                 self.wrong("an insertion began, and the control side is silent", m);
             }
         }
-        self.looks += 1;
-        self.keeps(engine, m);
         self.turns += 1;
+        if self.turns.is_multiple_of(8) {
+            self.keeps(engine, m);
+        }
         if self.turns.is_multiple_of(64) {
             self.check(engine, m);
         }
@@ -175,6 +176,7 @@ impl Judge {
 
     /// What no look and no restart may change by itself: feed hold, faults, corrections that are off, an MTC that is off.
     fn keeps(&mut self, engine: &Engine, m: &Machine) {
+        self.looks += 1;
         let status = engine.status();
         let held = status.held.is_some();
         if self.held && !held && !self.asked.hold_off {
@@ -441,7 +443,7 @@ impl Life {
             if let Some(turns) = self.world.turns.borrow_mut().take() {
                 turns.end(None);
             }
-            if died == Some(AtWrite::Before) && self.dice.one_in(2) {
+            if died == Some(AtWrite::Before) && !self.dice.one_in(4) {
                 tally.torn += 1;
                 self.tear();
             }
@@ -658,15 +660,14 @@ impl Life {
         tally: &mut Tally,
     ) {
         tally.requests += 1;
+        let lies = self.planted == Some(Planted::HomeForgets) && self.dice.one_in(2);
         {
             let mut judge = self.world.judge.borrow_mut();
             match request {
                 ClientRequest::Hold { on: false } => judge.asked.hold_off = true,
                 ClientRequest::Clear {} => judge.asked.clear = true,
                 ClientRequest::Enable { .. } => judge.asked.enable = true,
-                ClientRequest::Home { controller_homed: Some(true), .. } => {
-                    judge.asked.mtc_homed = self.planted != Some(Planted::HomeForgets);
-                }
+                ClientRequest::Home { controller_homed: Some(true), .. } => judge.asked.mtc_homed = !lies,
                 _ => {}
             }
         }
@@ -740,7 +741,7 @@ impl Life {
             _ => R::Correct { axis, total_counts, large: on },
         };
         // As the server does: each connection has its role.
-        let role = Caller::ALL[self.dice.within(0, 5).min(2) as usize];
+        let role = Caller::ALL[self.dice.within(0, 8).min(2) as usize];
         if request.needs() > role {
             tally.refused += 1;
             return;
@@ -750,6 +751,9 @@ impl Life {
         }
         if self.dice.one_in(12) {
             // The process is stopped with something to be done, and nobody beats.
+            let axis = ["x", "y"][self.dice.within(0, 1) as usize].to_owned();
+            let total_counts = self.dice.within(0, 120) as i64 - 60;
+            self.ask(session, &R::Correct { axis, total_counts, large: true }, control, log, tally);
             let (now_ns, ns) = (self.now_ns(), self.dice.within(1, 300) * 1_000_000);
             self.world.judge.borrow_mut().silent_ns = Some(now_ns);
             self.world.run(ns);
