@@ -585,6 +585,11 @@ impl Bench {
     }
 }
 
-fn shared_memory(file: &Path) -> Registers {
+/// The registers of a shared-memory card, from the machine's side.
+///
+/// # Panics
+/// When the file cannot be mapped.
+#[must_use]
+pub fn shared_memory(file: &Path) -> Registers {
     Registers::open(file, 8, "machine").unwrap_or_else(|e| panic!("{e}"))
 }
