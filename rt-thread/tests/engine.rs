@@ -344,6 +344,29 @@ fn homing_the_scale_alone_keeps_the_total() {
     assert_eq!(rig.refusals(), [Refusal::ControllerUnknown]);
 }
 
+/// An MTC that takes its zero where the reference mark and A and B are on: with both inverters on it finds it two counts away,
+/// with both off where the scale alone has it.
+#[test]
+fn a_mark_that_the_mtc_gates_is_found_two_counts_away_under_inverters() {
+    let found_at = |total_counts: i64| {
+        let mut rig = Rig::running(windowed());
+        rig.take(Request::Correct { axis: 0, total_counts, large: true });
+        rig.step(60);
+        assert_eq!(rig.status().axes[0].in_effect, total_counts);
+        let mark = 96..100_i64;
+        while rig.card.count < 120 {
+            rig.step(1);
+            let seen = rig.card.inputs & 3 ^ rig.card.outputs & 3;
+            if mark.contains(&rig.card.count) && seen == 3 {
+                return rig.card.count;
+            }
+        }
+        panic!("the mark was not found");
+    };
+    assert_eq!((found_at(0), found_at(4)), (98, 98), "both inverters off");
+    assert_eq!((found_at(2), found_at(6)), (96, 96), "both on");
+}
+
 /// Feed hold that is on when the engine starts stays on, whoever asked for it, until it is released.
 #[test]
 fn hold_is_taken_over_from_the_card() {

@@ -138,6 +138,13 @@ fn who_homes_what_and_when() {
     done(&bench, &["enable"]);
     bench.correct(4);
 
+    // An odd number of insertions leaves the inverters on; one less, and a gated reference mark is where it should be.
+    bench.correct(6);
+    assert!(bench.machine.inverted());
+    done(&bench, &["park", "--inverters-off"]);
+    assert_eq!((in_effect(&bench), bench.machine.inverted()), (4, false));
+    done(&bench, &["enable"]);
+
     // Parked to zero: the scale alone needs homing after a restart, and nothing has to be said of the controller.
     done(&bench, &["park", "--to-zero"]);
     assert_eq!(bench.machine.offset(), base);
