@@ -348,6 +348,19 @@ fn the_document_names_every_key() {
     assert!(sections.len() >= 8 && keys > 150, "{sections:?} {keys}");
 }
 
+/// The controller's own line, and what its fall does.
+#[test]
+fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
+    let wired = CONTRACT.replace("probe = 28", "probe = 28\nmtc_ready = 30");
+    let parse = |text: &str| Config::parse(Path::new("rtec.toml"), text);
+    let config = parse(&wired).unwrap();
+    assert_eq!((config.lines.mtc_ready, config.hold_without_mtc), (Some(30), false));
+    let hold = |text: &str| text.replace("name = \"lathe\"", "name = \"lathe\"\nmtc_off = \"hold\"");
+    assert!(parse(&hold(&wired)).unwrap().hold_without_mtc);
+    let text = parse(&hold(CONTRACT)).unwrap_err().to_string();
+    assert!(text.contains("rtec.toml:4:11: found mtc_off without mtc_ready, expected mtc_ready in [card]"), "{text}");
+}
+
 /// No number of a configuration leads to a panic: it is refused, or engine and control law run on it. Arithmetic that
 /// overflows panics in tests.
 #[test]
