@@ -168,7 +168,8 @@ impl Session {
             return None;
         }
         let none = "no model is loaded and no part table: only `rtecctl correct` moves an axis; `rtecctl model load FILE` loads one";
-        match &self.model_refused {
+        let unloaded = || self.directory().join(UNLOADED).exists().then(|| AGAIN.to_owned());
+        match self.model_refused.clone().or_else(unloaded) {
             Some(why) => Some(format!("no model is loaded: {why}")),
             None => self.corrector.table_shown().is_none().then(|| none.to_owned()),
         }
@@ -402,15 +403,11 @@ impl Session {
 
     pub(super) fn model_unload(&mut self, log: &mut Log) -> Response {
         // One that was refused at the start is given up, too.
-        let refused_one = self.model_refused.take().is_some_and(|why| why != AGAIN);
-        if !self.corrector.unload() && !refused_one {
+        if !self.corrector.unload() && self.model_refused.take().is_none() {
             let text = "no model is loaded: there is nothing to unload".to_owned();
             return Response::Refused { why: "no_model".to_owned(), text, jumps: Vec::new() };
         }
         let warnings = self.forget(log);
-        if self.directory().join(UNLOADED).exists() {
-            self.model_refused = Some(AGAIN.to_owned());
-        }
         log.record(Level::Notice, "model_unloaded", "machine model unloaded", &[]);
         Response::Done { jumps: Vec::new(), warnings }
     }
