@@ -290,17 +290,16 @@ impl Journal {
         // From here on a mistake unmaps it.
         let first_start = len == 0;
         let words = base.cast();
-        let mut journal =
-            Self {
-                words,
-                next: [1; ROWS],
-                last: [None; MAX_AXES],
-                last_machine: None,
-                timed: [Faults::NONE; ROWS],
-                timed_hold: false,
-                empty: first_start,
-                held,
-            };
+        let mut journal = Self {
+            words,
+            next: [1; ROWS],
+            last: [None; MAX_AXES],
+            last_machine: None,
+            timed: [Faults::NONE; ROWS],
+            timed_hold: false,
+            empty: first_start,
+            held,
+        };
         let older = !first_start && journal.is_ours(path, identity)?;
         let mut before = Before { first_start, older, ..Before::NOTHING };
         for (axis, found) in before.records.iter_mut().enumerate() {
@@ -641,8 +640,7 @@ mod tests {
     /// A fault and an inversion of the same look: killed before the write, the fault is there all the same.
     #[test]
     fn what_is_latched_does_not_hang_on_the_write_that_was_not_made() {
-        let latched =
-            StateRecord { faults: set(&[Fault::PollGap]), mtc_known: false, ..record(1, 3) };
+        let latched = StateRecord { faults: set(&[Fault::PollGap]), mtc_known: false, ..record(1, 3) };
         let found = [Some(latched), Some(record(0, 2))];
         let resumed = resume(found, 0).unwrap();
         assert_eq!((resumed.completed, resumed.faults, resumed.mtc_known), (2, latched.faults, false));

@@ -619,7 +619,11 @@ fn in_the_middle_of_an_insertion_nothing_is_homed_or_armed() {
         rig.look(rig.card.t_ns + 10);
     }
     assert!(!rig.engine.at_rest());
-    for request in [Request::Home { axis: 0, position_counts: 7, controller_homed: true }, Request::Enable, Request::Shadow] {
+    for request in [
+        Request::Home { axis: 0, position_counts: 7, controller_homed: true },
+        Request::Enable,
+        Request::Shadow,
+    ] {
         rig.take(request);
     }
     assert_eq!(rig.refusals(), [Refusal::Busy; 3]);

@@ -372,8 +372,7 @@ fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
     let machine = Machine::paced(GpioSim::open(directory, &[0, 1, 2, 3])?, Duration::from_millis(20));
     let mut card = GpioCard::open(&setup, Vec::new(), Monotonic)?;
     let axis = AxisConfig { max_accel_counts_s2: 100.0, ..AxisConfig::default() };
-    let config =
-        MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let config = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
     engine.start_homed(&mut card, &mut |_| true)?;
     machine.move_axis(true);
@@ -864,8 +863,7 @@ fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
         write_ns: STEP_NS,
         ..AxisConfig::default()
     };
-    let config =
-        MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let config = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
     let report = &mut |_| true;
     engine.start_homed(&mut card, report)?;

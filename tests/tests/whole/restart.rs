@@ -120,7 +120,10 @@ fn who_homes_what_and_when() {
     // Restart of the PC's daemon alone: what is in effect is known, and said.
     daemon.end("KILL");
     let daemon = bench.daemon();
-    assert_eq!((in_effect(&bench), &bench.x()["mtc_known"], &bench.x()["homed"]), (6, &true.into(), &false.into()));
+    assert_eq!(
+        (in_effect(&bench), &bench.x()["mtc_known"], &bench.x()["homed"]),
+        (6, &true.into(), &false.into())
+    );
     assert!(bench.user(&["status"]).1.contains("still in the controller's count: x +6 counts"));
     assert!(refused(&bench, &["home"]).contains("+6 counts"));
     bench.edges(3);
@@ -216,7 +219,8 @@ fn a_thread_that_stands_still_ends_the_process_and_holds_the_machine() {
 fn the_steps_of_an_upgrade() {
     let _alone = alone();
     let bench = Bench::with("[model]\nfile = 'machine.toml'\nramp_um_s = 200\n");
-    std::fs::write(bench.at("machine.toml"), "name = 'bench'\n[[effect]]\nname = 'offset.x'\num = 6.0\n").unwrap();
+    std::fs::write(bench.at("machine.toml"), "name = 'bench'\n[[effect]]\nname = 'offset.x'\num = 6.0\n")
+        .unwrap();
     let daemon = bench.daemon();
     bench.go();
     done(&bench, &["model", "load", "--yes"]);
@@ -245,7 +249,8 @@ fn the_steps_of_an_upgrade() {
 #[test]
 fn a_controller_that_restarts_has_to_be_homed() {
     let _alone = alone();
-    let config = CONFIG.replace("CARD", "card").replace("disable = 'in29'", "disable = 'in29'\nmtc_ready = 'in30'");
+    let config =
+        CONFIG.replace("CARD", "card").replace("disable = 'in29'", "disable = 'in29'\nmtc_ready = 'in30'");
     let config = config.replace("name = 'bench'", "name = 'bench'\nmtc_off = 'hold'");
     let ready = Arc::new(AtomicBool::new(true));
     let line = Arc::clone(&ready);
@@ -256,7 +261,10 @@ fn a_controller_that_restarts_has_to_be_homed() {
     ready.store(false, Ordering::Relaxed);
     until("it is seen", || daemon.status()["rt"]["mtc_ready"] == false);
     let status = daemon.status();
-    assert_eq!((&status["mode"], &status["homed"], &status["enabled"]), (&"hold".into(), &false.into(), &false.into()));
+    assert_eq!(
+        (&status["mode"], &status["homed"], &status["enabled"]),
+        (&"hold".into(), &false.into(), &false.into())
+    );
     assert!(held(&bench) && status["hold"]["by"] == "the controller", "{status}");
     assert!(refused(&bench, &["home", "--controller-homed"]).contains("the controller is off"));
     ready.store(true, Ordering::Relaxed);

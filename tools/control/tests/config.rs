@@ -358,7 +358,10 @@ fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
     let hold = |text: &str| text.replace("name = \"lathe\"", "name = \"lathe\"\nmtc_off = \"hold\"");
     assert!(parse(&hold(&wired)).unwrap().hold_without_mtc);
     let text = parse(&hold(CONTRACT)).unwrap_err().to_string();
-    assert!(text.contains("rtec.toml:4:11: found mtc_off without mtc_ready, expected mtc_ready in [card]"), "{text}");
+    assert!(
+        text.contains("rtec.toml:4:11: found mtc_off without mtc_ready, expected mtc_ready in [card]"),
+        "{text}"
+    );
 }
 
 /// No number of a configuration leads to a panic: it is refused, or engine and control law run on it. Arithmetic that
@@ -395,8 +398,26 @@ fn extreme_numbers_are_refused_or_run() {
         "sensor.max_rate_K_per_min",
     ];
     const VALUES: [&str; 20] = [
-        "0", "1", "-1", "2", "4", "20", "99", "0.001", "0.0001", "0.05", "1e-308", "1000", "1000000", "1000000000",
-        "1e9", "1e15", "1e308", "nan", "inf", "9223372036854775807",
+        "0",
+        "1",
+        "-1",
+        "2",
+        "4",
+        "20",
+        "99",
+        "0.001",
+        "0.0001",
+        "0.05",
+        "1e-308",
+        "1000",
+        "1000000",
+        "1000000000",
+        "1e9",
+        "1e15",
+        "1e308",
+        "nan",
+        "inf",
+        "9223372036854775807",
     ];
     let mut dice = test_needs::dice::Dice::new(38);
     let (mut ran, mut refused) = (0, 0);

@@ -368,7 +368,8 @@ fn a_lost_sensor_stands_then_holds_until_corrections_are_enabled() {
     assert_eq!(bench.run(60.0, 2, |_| Some((26.0, 20.0))), 0);
     assert_eq!(bench.z(), held);
     let why: Vec<String> = bench.corrector.holding().collect();
-    let back = "axis z: thermal corrections hold: sensor T1 is good again: `rtecctl enable` takes its correction up";
+    let back =
+        "axis z: thermal corrections hold: sensor T1 is good again: `rtecctl enable` takes its correction up";
     assert_eq!(why, [back]);
     bench.corrector.enabled();
     assert!(bench.run(60.0, 2, |_| Some((26.0, 20.0))) <= 2, "a ramp");

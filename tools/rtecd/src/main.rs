@@ -43,9 +43,9 @@ use nix::sys::signalfd::{SfdFlags, SignalFd};
 use rtec_control::card::{self, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
+use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_files::InputError;
-use rtec_control::protocol::explain_fault;
 use rtec_rt::event::Fault;
 use rtec_rt::journal::{JournalError, note_thread_lost};
 use rtec_rt::setup::{Report, System, Wanted};
@@ -64,7 +64,8 @@ const INSTALLED: &str = "/etc/rtec/rtec.toml";
 /// A card that is not there yet is tried again after this time.
 const CARD_AGAIN: Duration = Duration::from_millis(100);
 /// Why the process ends when its real-time thread is lost.
-const LOST: &str = "the real-time thread is lost: the machine is held, and the service is to be started again";
+const LOST: &str =
+    "the real-time thread is lost: the machine is held, and the service is to be started again";
 /// At its end the daemon waits so long for the disk that the record of commands is on.
 const LOG_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -365,7 +366,9 @@ fn work<C: Card + Send + 'static>(
         let noted = state_file.map_or(Ok(()), |file| note_thread_lost(&file));
         let text = match noted {
             Ok(()) => explain_fault(Fault::ThreadLost).to_owned(),
-            Err(error) => format!("{}; the state file could not be told: {error}", explain_fault(Fault::ThreadLost)),
+            Err(error) => {
+                format!("{}; the state file could not be told: {error}", explain_fault(Fault::ThreadLost))
+            }
         };
         audit.note("thread_lost", text, session.totals(&mut running.control));
         audit.end(LOG_PATIENCE);

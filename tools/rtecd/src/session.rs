@@ -163,8 +163,9 @@ impl Session {
         let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
         let places = std::iter::once(None).chain((0..axes).map(Some));
         let known = places.flat_map(|axis| Fault::ALL.map(|fault| (axis, fault)));
-        let latched_ns =
-            known.filter_map(|(axis, f)| Some(((axis, f as u8), set_up.times.latched_ns(axis, f)?))).collect();
+        let latched_ns = known
+            .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.times.latched_ns(axis, f)?)))
+            .collect();
         Self {
             latched_ns,
             held_ns: set_up.times.held_ns(),

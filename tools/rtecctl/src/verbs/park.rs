@@ -37,7 +37,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         args.daemon.order(&ClientRequest::Disable {}, "parked: all inverters off, corrections frozen")?;
         let on: Vec<String> = inverted(&status(&mut client)?).map(|a| a.name.clone()).collect();
         if !on.is_empty() {
-            let text = format!("axis {}: a model or part table has moved it on meanwhile; enable and park again", on.join(", "));
+            let text = format!(
+                "axis {}: a model or part table has moved it on meanwhile; enable and park again",
+                on.join(", ")
+            );
             return Err(Outcome::No(text).into());
         }
         return Ok(());
@@ -46,7 +49,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let done = match (args.to_zero, unloaded) {
         (false, _) => "parked: corrections frozen where they are",
         (true, false) => "parked: nothing is in effect",
-        (true, true) => "parked: nothing is in effect; the model is unloaded: `rtecctl model again` takes it up again",
+        (true, true) => {
+            "parked: nothing is in effect; the model is unloaded: `rtecctl model again` takes it up again"
+        }
     };
     args.daemon.order(&ClientRequest::Disable {}, done)
 }
@@ -105,8 +110,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
 /// Nothing can be taken out while nothing is inserted.
 fn corrects(now: &DaemonStatus) -> anyhow::Result<()> {
     if now.mode == "fault" {
-        let text =
-            "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";
+        let text = "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";
         return Err(Outcome::Fault(text.to_owned()).into());
     }
     if now.mode != "run" {
@@ -161,7 +165,11 @@ fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> 
 /// The operator's share of a total, counts.
 fn operator_counts(parts: &Explained) -> i64 {
     let operator_um = parts.parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
-    if parts.requested == 0 { 0 } else { (operator_um * parts.requested as f64 / parts.total_um).round() as i64 }
+    if parts.requested == 0 {
+        0
+    } else {
+        (operator_um * parts.requested as f64 / parts.total_um).round() as i64
+    }
 }
 
 /// The operator's next total towards zero that the belief window lets through. What a model has asked for runs out by

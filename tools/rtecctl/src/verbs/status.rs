@@ -341,6 +341,7 @@ mod tests {
             mtc_minus_scale: in_effect,
             inverted: in_effect % 4 != 0,
             homed: true,
+            mtc_known: true,
             gate: gate.into(),
             edge_rate_hz: 12_000.4,
             faults: Vec::new(),

@@ -519,7 +519,13 @@ impl Life {
         tally.finished_halves += u64::from(half);
         self.tell(&format!("started: {:?}", [0, 1].map(|n| engine.in_effect(n))));
         engine.set_may_arm(true);
-        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times: Before::NOTHING.times };
+        let set_up = SetUp {
+            real: false,
+            wanted: None,
+            missing: None,
+            timing: engine.timing(),
+            times: Before::NOTHING.times,
+        };
         let (mut control, rt) = link(engine.status());
         {
             let mut judge = self.world.judge.borrow_mut();

@@ -170,7 +170,8 @@ impl Session {
         let events = self.carry_out(request, control, log).map_err(|refusal| match refusal {
             // The total that was asked for is not the one that was refused.
             Response::Refused { why, text, jumps } if others_counts != 0 => {
-                let text = format!("{text} (asked {operator_counts:+}, model and part table {others_counts:+})");
+                let text =
+                    format!("{text} (asked {operator_counts:+}, model and part table {others_counts:+})");
                 Response::Refused { why, text, jumps }
             }
             other => other,

@@ -2,8 +2,8 @@
 
 use super::Session;
 use rtec_control::protocol::{
-    AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, HoldReport, LatchedFault, LogState,
-    Observed, PROTOCOL, Reading, Response, Rt, explain_fault, explain_refusal, word,
+    AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, HoldReport, LatchedFault,
+    LogState, Observed, PROTOCOL, Reading, Response, Rt, explain_fault, explain_refusal, word,
 };
 use rtec_rt::event::{HeldBy, Mode, OffBecause, Refusal, Status};
 use rtec_rt::histogram::Reader;

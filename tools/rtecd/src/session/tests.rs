@@ -36,7 +36,13 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
 }
 
 fn session(engine: &Engine) -> Session {
-    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times: Before::NOTHING.times };
+    let set_up = SetUp {
+        real: false,
+        wanted: None,
+        missing: None,
+        timing: engine.timing(),
+        times: Before::NOTHING.times,
+    };
     let config = Config::embedded();
     let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
     Session::new(config, set_up, temperatures)
@@ -51,7 +57,13 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     config.control.state_file = Some(directory.path().join("state"));
     config.model.lead_ms = 20.0;
     let (engine, _card) = engine(&config);
-    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times: Before::NOTHING.times };
+    let set_up = SetUp {
+        real: false,
+        wanted: None,
+        missing: None,
+        timing: engine.timing(),
+        times: Before::NOTHING.times,
+    };
     let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
     let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
     let mut session = Session::new(config, set_up, played);
@@ -149,7 +161,10 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     };
     session.today = || 10;
     assert_eq!(ask(&mut session, &load(false), control, &mut log), done);
-    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log), done);
+    assert_eq!(
+        ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log),
+        done
+    );
     assert_eq!(ask(&mut session, &enable, control, &mut log), done);
     session.today = || 11;
     session.tick(control, &mut log);
@@ -184,7 +199,10 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     let control = &mut running.control;
     let mut log = Log::new();
     let done = Response::done();
-    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log), done);
+    assert_eq!(
+        ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log),
+        done
+    );
     let enabled = ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control, &mut log);
     let Response::Done { jumps, warnings } = enabled else { panic!("{enabled:?}") };
     assert!(jumps.is_empty() && warnings[0].starts_with("no model is loaded"), "{warnings:?}");
@@ -310,7 +328,9 @@ impl Hand {
             held: status.held.is_some(),
             model: self.session.corrector.shown().is_some(),
             axes: each
-                .map(|(n, a)| (a.requested, a.in_effect, a.homed, a.mtc_known, a.faults.iter().count(), operator(n)))
+                .map(|(n, a)| {
+                    (a.requested, a.in_effect, a.homed, a.mtc_known, a.faults.iter().count(), operator(n))
+                })
                 .collect(),
         }
     }
@@ -358,15 +378,9 @@ fn every_verb_is_done_or_refused_in_every_mode() {
         ("hold, disabled", by(vec![R::Disable {}, hold(true)])),
         ("hold, shadow", by(vec![R::Shadow {}, hold(true)])),
         ("switch", Box::new(|hand| hand.input(SWITCH, true))),
-        (
-            "switch released",
-            Box::new(|hand| [true, false].into_iter().for_each(|on| hand.input(SWITCH, on))),
-        ),
+        ("switch released", Box::new(|hand| [true, false].into_iter().for_each(|on| hand.input(SWITCH, on)))),
         ("MTC off", Box::new(|hand| hand.input(READY, false))),
-        (
-            "MTC on again",
-            Box::new(|hand| [false, true].into_iter().for_each(|on| hand.input(READY, on))),
-        ),
+        ("MTC on again", Box::new(|hand| [false, true].into_iter().for_each(|on| hand.input(READY, on)))),
         (
             "fault",
             Box::new(move |hand| {
