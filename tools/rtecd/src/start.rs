@@ -85,7 +85,7 @@ fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
     let status = engine.status();
     match status.held {
         Some(HeldBy::FoundOn) => {
-            log.say(Level::Warning, "feed hold was found on; nobody knows who asked for it")
+            log.say(Level::Warning, "feed hold was found on; nobody knows who asked for it");
         }
         Some(HeldBy::Controller) => log.say(Level::Warning, "feed hold: the controller was off"),
         Some(HeldBy::User(uid)) => {

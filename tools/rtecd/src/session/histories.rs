@@ -281,6 +281,7 @@ impl Judge {
 }
 
 /// What people have asked for.
+#[allow(clippy::struct_excessive_bools)] // Each is asked for without any other.
 #[derive(Debug, Clone, Copy, Default)]
 struct Asked {
     hold_off: bool,

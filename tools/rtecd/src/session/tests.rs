@@ -358,6 +358,11 @@ impl Hand {
     }
 }
 
+/// Puts a machine into a mode.
+type Put = Box<dyn Fn(&mut Hand)>;
+/// What is so once a verb is done.
+type Is = fn(&State) -> bool;
+
 /// Every verb that changes a total or a mode, in every mode: it is done, and then it is so; or it is refused, and then nothing
 /// has changed.
 #[test]
@@ -366,7 +371,6 @@ fn every_verb_is_done_or_refused_in_every_mode() {
     let correct = |total_counts| R::Correct { axis: "x".to_owned(), total_counts, large: false };
     let home = |controller_homed| R::Home { axis: None, controller_homed };
     let (hold, probe, enable) = (|on| R::Hold { on }, |on| R::Probe { on }, R::Enable { accept_jump: false });
-    type Put = Box<dyn Fn(&mut Hand)>;
     let by = |requests: Vec<R>| -> Put { Box::new(move |hand| requests.iter().for_each(|r| hand.done(r))) };
     let modes: Vec<(&str, Put)> = vec![
         ("run", by(vec![])),
@@ -389,7 +393,6 @@ fn every_verb_is_done_or_refused_in_every_mode() {
             }),
         ),
     ];
-    type Is = fn(&State) -> bool;
     let verbs: Vec<(R, Is)> = vec![
         (correct(0), |s| s.axes[0].0 == 0 && s.axes[0].5 == 0.0),
         (correct(14), |s| s.axes[0].0 == 14),
