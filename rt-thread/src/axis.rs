@@ -253,6 +253,7 @@ impl Wire {
 }
 
 /// One axis between two edges: its count, its inverters, and the insertion under way.
+#[allow(clippy::struct_excessive_bools)] // Each is known or not without any other.
 #[derive(Debug)]
 pub(crate) struct AxisEngine {
     config: AxisConfig,
@@ -284,6 +285,8 @@ pub(crate) struct AxisEngine {
     not_believed: u8,
     homing: Option<i64>,
     homed: bool,
+    /// The MTC's count less the scale's is certain.
+    mtc_known: bool,
     faults: Faults,
     capture: Option<Capture>,
     /// Nothing to do before this, ns, unless a line changes.
@@ -372,6 +375,7 @@ impl AxisEngine {
             not_believed: 0,
             homing: None,
             homed: false,
+            mtc_known: !half,
             faults,
             capture: None,
             wake_ns: found.t_ns,
@@ -428,6 +432,15 @@ impl AxisEngine {
         self.homed
     }
 
+    pub(crate) const fn mtc_known(&self) -> bool {
+        self.mtc_known
+    }
+
+    /// The MTC was off, or nobody knows what it counts: it has to be homed, and this axis with it.
+    pub(crate) fn lose_controller(&mut self) {
+        (self.mtc_known, self.homed, self.homing) = (false, false, None);
+    }
+
     pub(crate) const fn faults(&self) -> Faults {
         self.faults
     }
@@ -468,7 +481,7 @@ impl AxisEngine {
     /// Latches a fault; `true` when it is new.
     pub(crate) fn latch(&mut self, fault: Fault) -> bool {
         if fault.loses_home() {
-            self.homed = false;
+            self.lose_controller();
         }
         self.faults.latch(fault)
     }
@@ -496,20 +509,24 @@ impl AxisEngine {
         }
     }
 
-    /// Zeroes the counters at the known place.
-    pub(crate) fn home(&mut self, position_counts: i64) {
+    /// Zeroes the scale's counter at the known place, and with it the total where the MTC has been homed there too.
+    /// Otherwise the MTC still counts what was inserted: the total goes on from there.
+    pub(crate) fn home(&mut self, position_counts: i64, controller_homed: bool) {
         self.scale = Decoder::new(self.scale.state());
         self.home_counts = position_counts;
-        self.wire.mtc_count = 0;
-        self.wire.completed = 0;
-        if let Some(real) = &mut self.real {
-            real.completed = 0;
+        if controller_homed {
+            self.wire.completed = 0;
+            if let Some(real) = &mut self.real {
+                real.completed = 0;
+            }
+            (self.mtc_known, self.touched) = (true, false);
         }
-        self.requested = 0;
+        self.wire.mtc_count = self.wire.completed;
+        self.requested = self.wire.completed;
+        self.not_believed = 0;
         self.homed = false;
         self.homing = Some(position_counts);
         self.capture = None;
-        self.touched = false;
     }
 
     /// Completes homing when the control side has read back the home position.
@@ -1062,6 +1079,7 @@ impl AxisEngine {
             in_effect: real.completed,
             inverted: real.inverters == 3,
             homed: self.homed,
+            mtc_known: self.mtc_known,
             gate,
             edge_rate_hz: if period_ns == 0 || at_rest { 0.0 } else { 1e9 / period_ns as f64 },
             faults: self.faults,
@@ -1108,7 +1126,7 @@ mod tests {
             let config = AxisConfig { detect_ns: 700, ..AxisConfig::default() };
             let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
             let mut axis = AxisEngine::new(config, found).unwrap();
-            axis.home(0);
+            axis.home(0, true);
             axis.confirm_home(0);
             let mut state = State::default();
             let mut edge = |t_ns: u64, since_ns: u64, careful: bool| {
@@ -1149,7 +1167,7 @@ mod tests {
             let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
             let mut axes = [(); 2].map(|()| AxisEngine::new(config, found).unwrap());
             for axis in &mut axes {
-                axis.home(0);
+                axis.home(0, true);
                 axis.confirm_home(0);
             }
             let (mut state, mut t_ns, mut calm) = (State::default(), 1, 0);

@@ -137,7 +137,7 @@ fn corrected(daemon: &Daemon, counts: i64) {
 }
 
 fn armed(daemon: &Daemon) {
-    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["home", "--controller-homed"]);
     daemon.expect(0, &["enable"]);
 }
 
@@ -238,7 +238,7 @@ fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<String>> {
     until("a standstill", || {
         corrector.status()["axes"][0]["edge_rate_hz"].as_f64().is_some_and(|r| r < 50.0)
     });
-    corrector.expect(0, &["home"]);
+    corrector.expect(0, &["home", "--controller-homed"]);
     until("homed", || corrector.status()["axes"][0]["homed"] == true);
     let (code, log) = corrector.end("TERM");
     ensure!(code == Some(0), "{code:?}: {log}");
@@ -372,8 +372,7 @@ fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
     let machine = Machine::paced(GpioSim::open(directory, &[0, 1, 2, 3])?, Duration::from_millis(20));
     let mut card = GpioCard::open(&setup, Vec::new(), Monotonic)?;
     let axis = AxisConfig { max_accel_counts_s2: 100.0, ..AxisConfig::default() };
-    let config =
-        MachineConfig { lines: MachineLines { probe: None, disable: None, hold: None }, may_arm: true };
+    let config = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
     engine.start_homed(&mut card, &mut |_| true)?;
     machine.move_axis(true);
@@ -497,7 +496,7 @@ fn real_time((chip, _): &(String, PathBuf)) -> anyhow::Result<Vec<String>> {
     for what in ["scheduler", "memory_lock", "CAP_SYS_NICE"] {
         ensure!(missing.contains(what), "{what} is not named: {missing}");
     }
-    corrector.expect(0, &["home"]);
+    corrector.expect(0, &["home", "--controller-homed"]);
     ensure!(corrector.expect(1, &["enable"]).contains("real-time set-up"), "{}", corrector.log());
     said.push("without privileges it runs, names what is missing, and refuses to be armed".to_owned());
     Ok(said)
@@ -864,8 +863,7 @@ fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
         write_ns: STEP_NS,
         ..AxisConfig::default()
     };
-    let config =
-        MachineConfig { lines: MachineLines { probe: None, disable: None, hold: None }, may_arm: true };
+    let config = MachineConfig { lines: MachineLines::default(), may_arm: true };
     let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
     let report = &mut |_| true;
     engine.start_homed(&mut card, report)?;

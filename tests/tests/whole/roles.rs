@@ -219,7 +219,7 @@ fn the_record_tells_who_did_what_and_shows_what_was_done_to_it() {
     until("the correction", || daemon.status()["axes"][0]["in_effect"] == 14);
     daemon.expect(1, &["correct", "y", "900"]);
     let file = directory.path().join("audit.log");
-    until("the record", || std::fs::read_to_string(&file).is_ok_and(|t| t.contains("asked +900")));
+    until("the record", || std::fs::read_to_string(&file).is_ok_and(|t| t.contains("total +900")));
     let text = daemon.expect(0, &["log", "--axis", "x"]);
     assert!(
         text.contains("correct") && text.contains("x requested +0 to +14") && !text.contains("900"),

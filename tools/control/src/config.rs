@@ -3,6 +3,7 @@
 //! | table | key | unit | default | meaning |
 //! |---|---|---|---|---|
 //! | `[machine]` | `name` | – | must be there | the machine, as `status` shows it |
+//! | | `mtc_off` | – | `freeze` | when `mtc_ready` falls: corrections `freeze`, or feed hold comes on too: `hold` |
 //! | `[card]` | `backend` | – | must be there | `mock`, `gpio`, `mapped`, `port` or `replay` |
 //! | | `file` | – | – | `mapped`: the file of registers |
 //! | | `uio`, `map` | – | –, 0 | `mapped`: a UIO device, as `/dev/uio0`, and which of its maps |
@@ -11,7 +12,7 @@
 //! | | `profile` | – | `shared-memory`, `parallel-port` | `mapped`, `port`: what the registers mean; `rtecctl card list` |
 //! | | `mode` | – | `edges` | `gpio`: sleep until an edge comes, or read `levels` as fast as it goes |
 //! | | `chip`, `bias`, `drive` | – | –, as it is, `push-pull` | `gpio`: of every line that does not say otherwise |
-//! | | `probe`, `disable`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
+//! | | `probe`, `disable`, `mtc_ready`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
 //! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
 //! | | `design` | – | `c` | insertion design (NISTIR 4832): `c`, `original`, `a` |
 //! | | `max_correction_counts`, `window_counts` | counts | must be there | largest total; largest believed change |
@@ -75,8 +76,10 @@ pub struct Config {
     pub machine: String,
     /// The card and what its backend needs (`[card]`).
     pub card: CardConfig,
-    /// The machine's own lines: probe, disable switch, hold.
+    /// The machine's own lines: probe, disable switch, MTC ready, hold.
     pub lines: MachineLines,
+    /// Feed hold comes on when the MTC is off.
+    pub hold_without_mtc: bool,
     /// The axes, in order.
     pub axes: Vec<ConfiguredAxis>,
     /// The real-time thread (`[rt]`).
@@ -396,6 +399,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let name = machine.string(source, "name", "the machine's name, in quotes");
     let name = machine.required(source, "name", "the machine's name, in quotes", name);
     let name = plain::name(source, "name", name, false);
+    let mtc_off = machine.choice(source, "mtc_off", 2, &[("freeze", false), ("hold", true)]);
     machine.finish(source);
 
     let mut rt_table = root.table(source, "rt", "[rt]");
@@ -419,6 +423,9 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     };
 
     let mut card = card::read(source, &mut root, here);
+    if let Some(at) = mtc_off.filter(|_| card.lines.mtc_ready.is_none()) {
+        source.finding(at.offset, "mtc_off without mtc_ready", "mtc_ready in [card]: the line that tells it");
+    }
     if card.is_real() && !rt.latency_measured {
         notes.push(
             "[rt] has no detect_ns and write_ns: corrections cannot be enabled on this card before \
@@ -466,6 +473,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         machine: name?.value.to_owned(),
         card: kind,
         lines: card.lines,
+        hold_without_mtc: mtc_off.is_some_and(|m| m.value),
         axes,
         rt,
         control,

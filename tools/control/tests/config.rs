@@ -1,8 +1,13 @@
 //! What a person sees who made a mistake in rtec.toml. `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
 use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace};
+use rtec_correct::Corrector;
+use rtec_driver::card::{Card, CardError, Sample};
 use rtec_driver::gpio::{Bias, Drive, LineId};
 use rtec_rt::axis::{Design, RestPolicy};
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::Request;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 #[test]
@@ -341,4 +346,168 @@ fn the_document_names_every_key() {
         }
     }
     assert!(sections.len() >= 8 && keys > 150, "{sections:?} {keys}");
+}
+
+/// The controller's own line, and what its fall does.
+#[test]
+fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
+    let wired = CONTRACT.replace("probe = 28", "probe = 28\nmtc_ready = 30");
+    let parse = |text: &str| Config::parse(Path::new("rtec.toml"), text);
+    let config = parse(&wired).unwrap();
+    assert_eq!((config.lines.mtc_ready, config.hold_without_mtc), (Some(30), false));
+    let hold = |text: &str| text.replace("name = \"lathe\"", "name = \"lathe\"\nmtc_off = \"hold\"");
+    assert!(parse(&hold(&wired)).unwrap().hold_without_mtc);
+    let text = parse(&hold(CONTRACT)).unwrap_err().to_string();
+    assert!(
+        text.contains("rtec.toml:4:11: found mtc_off without mtc_ready, expected mtc_ready in [card]"),
+        "{text}"
+    );
+}
+
+/// No number of a configuration leads to a panic: it is refused, or engine and control law run on it. Arithmetic that
+/// overflows panics in tests.
+#[test]
+fn extreme_numbers_are_refused_or_run() {
+    const KEYS: [&str; 27] = [
+        "axis.count_um",
+        "axis.travel_mm",
+        "axis.max_correction_counts",
+        "axis.window_counts",
+        "axis.min_separation_ns",
+        "axis.max_accel_mm_s2",
+        "axis.max_accel_counts_s2",
+        "axis.hysteresis_counts",
+        "axis.warn_counts",
+        "axis.error_counts",
+        "axis.max_rate_counts_s",
+        "axis.rest_quiet_ms",
+        "axis.reference_budget_counts",
+        "axis.home_mm",
+        "rt.cpu",
+        "rt.priority",
+        "rt.detect_ns",
+        "rt.write_ns",
+        "rt.guard_ns",
+        "control.stale_ms",
+        "model.period_ms",
+        "model.ramp_um_s",
+        "model.lead_ms",
+        "model.log_s",
+        "sensor.timeout_s",
+        "sensor.freeze_s",
+        "sensor.max_rate_K_per_min",
+    ];
+    const VALUES: [&str; 20] = [
+        "0",
+        "1",
+        "-1",
+        "2",
+        "4",
+        "20",
+        "99",
+        "0.001",
+        "0.0001",
+        "0.05",
+        "1e-308",
+        "1000",
+        "1000000",
+        "1000000000",
+        "1e9",
+        "1e15",
+        "1e308",
+        "nan",
+        "inf",
+        "9223372036854775807",
+    ];
+    let mut dice = test_needs::dice::Dice::new(38);
+    let (mut ran, mut refused) = (0, 0);
+    for n in 0..4000 {
+        let mut values = BTreeMap::from([
+            ("axis.count_um", "1"),
+            ("axis.travel_mm", "400"),
+            ("axis.max_correction_counts", "1000"),
+            ("axis.window_counts", "50"),
+            ("axis.min_separation_ns", "500"),
+            ("control.stale_ms", "500"),
+        ]);
+        // Each key with each value alone, then several at once.
+        let alone = n < KEYS.len() * VALUES.len();
+        if alone {
+            values.insert(KEYS[n / VALUES.len()], VALUES[n % VALUES.len()]);
+        } else {
+            for _ in 0..dice.within(2, 6) {
+                let (key, value) = (dice.within(0, 26), dice.within(0, 19));
+                values.insert(KEYS[key as usize], VALUES[value as usize]);
+            }
+        }
+        let of = |table: &str| -> String {
+            let own = values.iter().filter_map(|(key, value)| Some((key.strip_prefix(table)?, value)));
+            own.map(|(key, value)| format!("{} = {value}\n", key.trim_start_matches('.'))).collect()
+        };
+        let rest = if values.contains_key("axis.rest_quiet_ms") { "rest_policy = 'insert'\n" } else { "" };
+        let text = format!(
+            "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\n{rest}{}[rt]\n{}[control]\n{}[model]\n{}\
+             [[sensor]]\nname = 'T1'\nsource = 'line'\nfrom = '/dev/null'\n{}",
+            of("axis"),
+            of("rt"),
+            of("control"),
+            of("model"),
+            of("sensor")
+        );
+        match Config::parse(Path::new("rtec.toml"), &text) {
+            Ok(config) => {
+                ran += 1;
+                runs(&config);
+            }
+            Err(_) => refused += 1,
+        }
+    }
+    assert!(ran > 200 && refused > 1000, "{ran} ran, {refused} refused");
+}
+
+/// Engine and control law for some hundred edges there and back, with the largest totals.
+fn runs(config: &Config) {
+    let mut card = Strokes::default();
+    let machine = MachineConfig { lines: config.lines, may_arm: true };
+    let Ok(mut engine) = Engine::new(&mut card, &config.engine_axes(), machine, &[]) else { return };
+    engine.start_homed_at(&mut card, |n| config.axes[n].home_counts, &mut |_| true).unwrap();
+    let law = config.axes.iter().map(|a| a.law()).collect();
+    let mut corrector = Corrector::new(law, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
+    for n in 0..600_u32 {
+        if n % 100 == 0 {
+            let max = config.axes[0].engine.max_correction_counts;
+            for total_counts in [max, -max, 0] {
+                let request = Request::Correct { axis: 0, total_counts, large: true };
+                engine.take(request, &mut card, &mut |_| true).unwrap();
+            }
+        }
+        engine.poll(&mut card, u64::MAX, &mut |_| true).unwrap();
+        corrector.tick(f64::from(n) * 0.01, &engine.status(), &[]);
+    }
+}
+
+/// A card whose axis goes there and back, an edge a look, slower and slower.
+#[derive(Default)]
+struct Strokes {
+    t_ns: u64,
+    looks: u64,
+    outputs: u64,
+}
+
+impl Card for Strokes {
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        self.looks += 1;
+        self.t_ns += 1 << (self.looks % 34);
+        let place = if self.looks % 200 < 100 { self.looks } else { 400 - self.looks % 200 };
+        Ok(Sample::level(self.t_ns, [0, 1, 3, 2][place as usize % 4]))
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
 }

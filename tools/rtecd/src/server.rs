@@ -17,10 +17,12 @@ use crate::manager::Manager;
 use crate::session::{Answer, Beside, Session};
 use anyhow::Context;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::signal::Signal;
 use nix::sys::signalfd::SignalFd;
 use nix::unistd::Uid;
 use rtec_control::protocol::{Caller, ClientRequest, Clients, Response};
 use rtec_control::role::Role;
+use rtec_rt::event::Fault;
 use rtec_rt::link::ControlEnd;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -42,6 +44,8 @@ const ACCEPTS: usize = 16;
 const TURN: Duration = Duration::from_millis(8);
 /// An insertion that is under way is waited for so long.
 const BUSY: Duration = Duration::from_millis(500);
+/// Longer between two turns of this loop counts as this long.
+const ONE_GAP: Duration = Duration::from_millis(25);
 /// Until it is looked at again, ms.
 const BUSY_AGAIN: u8 = 2;
 
@@ -67,14 +71,27 @@ struct Desk<'a> {
     record: Option<String>,
 }
 
-/// Serves until a signal comes.
+/// Why nobody is served any more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Served {
+    /// A signal asked for the end.
+    Asked,
+    /// A hangup: nobody asked for the end of the service.
+    HungUp,
+    /// The real-time thread panicked.
+    Panicked,
+    /// The real-time thread does not look at the card any more, and does not end either.
+    StandsStill,
+}
+
+/// Serves until a signal comes, or the real-time thread is lost.
 pub(crate) fn serve(
     outside: Outside<'_>,
     session: &mut Session,
     control: &mut ControlEnd,
     log: &mut Log,
     audit: &mut Audit,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Served> {
     let Outside { doors, signals, manager } = outside;
     let mut clients: Vec<Client> = Vec::new();
     let every = session.beat_every();
@@ -84,8 +101,13 @@ pub(crate) fn serve(
     let waiting = BTreeMap::new();
     let mut desk = Desk { session, control, log, audit, waiting, own_uid, groups, record: None };
     let (mut end_reported, mut next_id, mut turn, mut backlog) = (false, 1, 0, false);
+    let mut watch = Watch::new(desk.session.stands_still_after(), Instant::now());
     loop {
         desk.beat(manager);
+        let (polls, ended) = (desk.control.status().polls, desk.control.ended());
+        if !ended && watch.stands_still(polls, Instant::now()) {
+            return Ok(Served::StandsStill);
+        }
         // What waits behind others, or behind its client's last request, has come already.
         let timeout = if backlog || clients.iter().any(Client::has_line) {
             PollTimeout::ZERO
@@ -101,7 +123,8 @@ pub(crate) fn serve(
             desk.log.say(Level::Notice, &text);
             let totals = desk.session.totals(desk.control);
             desk.audit.note("stop", text, totals);
-            return Ok(());
+            let hung_up = signal.ssi_signo == Signal::SIGHUP as u32;
+            return Ok(if hung_up { Served::HungUp } else { Served::Asked });
         }
         for (client, ready) in clients.iter_mut().zip(&ready[doors.all.len()..]) {
             if client.reads() && ready.intersects(PollFlags::POLLIN | PollFlags::POLLHUP) {
@@ -138,6 +161,34 @@ pub(crate) fn serve(
         }
         clients.iter_mut().for_each(Client::write);
         clients.retain(|c| !c.over());
+        if ended && desk.control.status().faults.has(Fault::ThreadLost) {
+            return Ok(Served::Panicked);
+        }
+    }
+}
+
+/// Sees whether the real-time thread looks at the card. Its own standstill, as when the process was stopped, does not count.
+struct Watch {
+    polls: u64,
+    looked: Instant,
+    still: Duration,
+    limit: Duration,
+}
+
+impl Watch {
+    fn new(limit: Duration, now: Instant) -> Self {
+        Self { polls: 0, looked: now, still: Duration::ZERO, limit }
+    }
+
+    /// `polls` looks at the card so far.
+    fn stands_still(&mut self, polls: u64, now: Instant) -> bool {
+        let gap = now.duration_since(std::mem::replace(&mut self.looked, now));
+        if std::mem::replace(&mut self.polls, polls) == polls {
+            self.still += gap.min(ONE_GAP);
+        } else {
+            self.still = Duration::ZERO;
+        }
+        self.still > self.limit
     }
 }
 
@@ -220,7 +271,7 @@ impl Desk<'_> {
         let recorded = request.needs() > Role::View;
         let before = if recorded { self.session.totals(self.control) } else { Totals::new() };
         let trusted = client.caller.uid == 0 || client.caller.uid == self.own_uid;
-        let beside = Beside { files, trusted };
+        let beside = Beside { files, trusted, user: (client.caller.uid, client.caller.user.clone()) };
         let latched = self.session.latched(&self.control.status());
         let response = match &request {
             ClientRequest::Whoami {} => {
@@ -433,4 +484,25 @@ fn seat(mut client: Client, clients: &mut Vec<Client>) {
         }
     }
     clients.push(client);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// It is found within 0.2 s; a process that was itself kept away, or a thread that is slow, is not.
+    #[test]
+    fn a_thread_that_stands_still_is_found_and_a_stopped_process_is_not() {
+        let begun = Instant::now();
+        let at = |ms: u64| begun + Duration::from_millis(ms);
+        let mut watch = Watch::new(crate::session::STANDS_STILL, begun);
+        assert!((1..50).all(|n| !watch.stands_still(n, at(n * 10))));
+        let found = (1..100).find(|n| watch.stands_still(49, at(490 + n * 10)));
+        assert!(found.is_some_and(|n| n * 10 <= 200), "{found:?}");
+        // Stopped for a minute, once: the thread may have been stopped too.
+        let mut watch = Watch::new(crate::session::STANDS_STILL, begun);
+        assert!(!watch.stands_still(7, at(10)));
+        assert!(!watch.stands_still(7, at(60_000)));
+        assert!(!watch.stands_still(8, at(60_010)));
+    }
 }

@@ -231,7 +231,12 @@ fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: u
 /// The lines that belong to no axis.
 fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
     let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
-    MachineLines { probe: wire("probe", false), disable: wire("disable", false), hold: wire("hold", true) }
+    MachineLines {
+        probe: wire("probe", false),
+        disable: wire("disable", false),
+        mtc_ready: wire("mtc_ready", false),
+        hold: wire("hold", true),
+    }
 }
 
 /// The bit of a GPIO line: the next that is free.

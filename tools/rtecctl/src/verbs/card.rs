@@ -284,9 +284,12 @@ fn wired(config: &Config) -> Vec<(String, u8, bool)> {
         add("invert_b", l.invert_b, true);
     }
     let l = config.lines;
-    for (key, bit, output) in
-        [("probe", l.probe, false), ("disable", l.disable, false), ("hold", l.hold, true)]
-    {
+    for (key, bit, output) in [
+        ("probe", l.probe, false),
+        ("disable", l.disable, false),
+        ("mtc_ready", l.mtc_ready, false),
+        ("hold", l.hold, true),
+    ] {
         lines.extend(bit.map(|bit| (key.to_owned(), bit, output)));
     }
     lines

@@ -136,8 +136,10 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
         "fault" => Tone::Wrong,
         _ => Tone::Doubtful,
     };
+    // Hold and probing hide whether corrections come back when they end.
+    let disabled = if matches!(s.mode.as_str(), "hold" | "probe") && !s.enabled { ", DISABLED" } else { "" };
     format!(
-        "machine \"{}\"   mode {}   homed {}   up {:.1} s   ledger {ledger}\n",
+        "machine \"{}\"   mode {}{disabled}   homed {}   up {:.1} s   ledger {ledger}\n",
         s.machine,
         tone(&s.mode.to_uppercase(), mode),
         yes(s.homed),
@@ -339,6 +341,7 @@ mod tests {
             mtc_minus_scale: in_effect,
             inverted: in_effect % 4 != 0,
             homed: true,
+            mtc_known: true,
             gate: gate.into(),
             edge_rate_hz: 12_000.4,
             faults: Vec::new(),
@@ -375,6 +378,9 @@ mod tests {
             machine: "lathe 7".into(),
             mode: "run".into(),
             homed: true,
+            enabled: true,
+            hold: None,
+            latched_faults: Vec::new(),
             uptime_s: 3725.04,
             balanced: true,
             faults: Vec::new(),
@@ -390,6 +396,7 @@ mod tests {
                 events_lost: 0,
                 control_stale: false,
                 disable_switch: false,
+                mtc_ready: true,
                 poll_gap_ns: times,
                 edge_to_done_ns: Distribution::default(),
             },
