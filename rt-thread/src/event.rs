@@ -86,6 +86,8 @@ pub enum Fault {
     BeyondLimits,
     /// The state file has lost what this axis had in effect.
     RecordLost,
+    /// One channel of the scale changes again and again, and the other does not take its turn: a broken wire.
+    ChannelDead,
 }
 
 impl From<TroubleKind> for Fault {
@@ -102,7 +104,7 @@ impl From<TroubleKind> for Fault {
 
 impl Fault {
     /// All of them, in the order of their bits.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
         Self::OrderUnknown,
@@ -120,6 +122,7 @@ impl Fault {
         Self::Interrupted,
         Self::BeyondLimits,
         Self::RecordLost,
+        Self::ChannelDead,
     ];
 
     /// After such a fault the axis's count is in doubt: only homing makes it good.
@@ -312,6 +315,8 @@ pub enum GateState {
     WaitingForEdge,
     /// The axis is too fast for an insertion.
     TooFast,
+    /// One channel has changed twice, the other not: the axis turned, trembles over one boundary, or has a broken wire.
+    OneChannel,
     /// The rate cap holds the next insertion back.
     RateCap,
     /// The axis is at rest, and its rest policy is to wait.
