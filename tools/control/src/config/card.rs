@@ -4,13 +4,13 @@ use super::{MappedPlace, PortPlace};
 use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
-use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
+use rtec_driver::gpio::{self, GpioError, GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::pci::{self, PciId};
 use rtec_driver::profile::{Place, Profile, Space, Width};
 use rtec_files::nearest;
 use rtec_files::toml::{At, Section, SourceFile};
 use rtec_rt::event::MAX_AXES;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
@@ -37,6 +37,10 @@ pub(super) struct Card {
 pub(super) struct Gpio {
     pub(super) setup: GpioSetup,
     pub(super) default: GpioLine,
+    /// Lines are looked for on this computer.
+    here: bool,
+    /// Chips that were looked for and not found: each is said once.
+    absent: BTreeSet<Option<String>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,6 +83,8 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
                 bias: None,
                 drive: None,
             },
+            here,
+            absent: BTreeSet::new(),
         },
         lines: MachineLines::standard(),
         taken: BTreeMap::new(),
@@ -141,6 +147,9 @@ fn read_registers(
         let parport = section.string(source, "parport", "a parallel port, as \"/dev/parport0\"");
         let io = section.integer(source, "io", 0..=0xffff);
         places += usize::from(parport.is_some()) + usize::from(io.is_some());
+        if let Some(at) = parport.filter(|_| here) {
+            is_there(source, at, &path(at));
+        }
         card.port = parport.map(|at| PortPlace::Parport(path(at)));
         card.port = card.port.take().or(io.map(|io| PortPlace::Io(io.value as u16)));
         if let (Some(at), Some(profile)) = (parport, &card.profile)
@@ -154,6 +163,9 @@ fn read_registers(
     } else {
         let file = section.string(source, "file", "the path of the file of registers");
         let uio = section.string(source, "uio", "a UIO device, as \"/dev/uio0\"");
+        if let Some(at) = file.filter(|_| here) {
+            is_there(source, at, &path(at));
+        }
         if let Some(at) = uio {
             is_uio(source, at, &path(at), here);
         }
@@ -248,6 +260,21 @@ fn wire_gpio(
         let expected = "a name, or a chip too: chip = \"gpiochip0\" in [card], or in the line's own table";
         source.finding(offset, format!("{key} = {} on no chip", line.line), expected);
         return None;
+    }
+    if gpio.here
+        && !gpio.absent.contains(&line.chip)
+        && let Err(error) = gpio::look(&line)
+    {
+        let expected = match &error {
+            GpioError::Chip { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
+                "a chip that may be opened: run this as root, or let the user in with the group of /dev/gpiochip*"
+            }
+            _ => "a chip and a line of this computer (`rtecctl card list`); for another computer: --elsewhere",
+        };
+        if matches!(error, GpioError::Chip { .. }) {
+            gpio.absent.insert(line.chip.clone());
+        }
+        source.finding(offset, format!("{key} of {owner}: {error}"), expected);
     }
     let setup = &mut gpio.setup;
     let known = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
@@ -357,6 +384,14 @@ pub(super) fn read_lines(
     };
     lines.finish(source);
     Some(AxisLines { a: a?, b: b?, invert_a: invert_a?, invert_b: invert_b?, read_back })
+}
+
+/// What `key = "path"` names on this computer can be looked at.
+fn is_there(source: &mut SourceFile<'_>, at: At<&str>, path: &Path) {
+    if let Err(error) = std::fs::metadata(path) {
+        let found = format!("\"{}\", which cannot be looked at: {error}", at.value);
+        source.finding(at.offset, found, "a file of this computer; for another computer: --elsewhere");
+    }
 }
 
 /// A UIO device is a character device below `/dev`.
