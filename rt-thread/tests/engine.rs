@@ -747,7 +747,10 @@ fn latches_a_channel_that_does_not_take_its_turn() {
                 // The first edge may still go on as before, and is the last that opens an insertion.
                 rig.alone(channel, 15, 250);
                 let (before, faults) = (rig.status().axes[0], rig.faults());
-                assert!(before.completed <= 2 && !faults.contains(&Fault::ChannelDead), "{before:?} {faults:?}");
+                assert!(
+                    before.completed <= 2 && !faults.contains(&Fault::ChannelDead),
+                    "{before:?} {faults:?}"
+                );
                 if before.completed == 0 {
                     assert_eq!((faults, before.gate), (vec![], GateState::OneChannel), "{channel} {counts}");
                 }

@@ -54,8 +54,8 @@ mod latency;
 pub mod plain;
 mod sensors;
 
-pub use latency::{Measured, floors_ns};
 pub use control::{ControlConfig, Door, LONGEST_SOCKET, SocketAt, default_directory, derived};
+pub use latency::{Measured, floors_ns};
 
 use card::Kind;
 use rtec_correct::sensors::SensorConfig;

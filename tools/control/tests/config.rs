@@ -360,7 +360,10 @@ fn names_what_this_computer_does_not_have() {
         max_accel_mm_s2 = 1000.0\nlines = { a = 0, b = 1, invert_a = 2, invert_b = 3 }\n[rt]\ncpu = 4000\ndetect_ns = 5000\n\
         write_ns = 1000\n[control]\ngroup = \"no-such-group\"\n";
     let mapped = CONTRACT.replace("group = \"rtec\"\n", "");
-    let parport = mapped.replace("backend = \"mapped\"\nfile = \"regs\"\nprobe = 28", "backend = \"port\"\nparport = \"none\"");
+    let parport = mapped.replace(
+        "backend = \"mapped\"\nfile = \"regs\"\nprobe = 28",
+        "backend = \"port\"\nparport = \"none\"",
+    );
     let lines = "lines = { a = 3, b = 4, invert_a = 0, invert_b = 1 }\n[rt]";
     let parport = parport.replace("write_ns = 300", "write_ns = 1000").replace("lines = { a = \"in4\", b = 5, invert_a = \"out2\", invert_b = \"out3\", read_back_a = 6, read_back_b = 7 }\n[rt]", lines);
     for (text, says) in [
@@ -398,7 +401,10 @@ fn rotary_and_coupled_axes_are_refused_by_name() {
             let found = Config::parse(Path::new("rtec.toml"), &text).unwrap_err();
             assert_eq!(found.0.len(), 1, "{found}");
             let said = found.to_string();
-            assert!(said.contains(&format!("axis x, which is {kind}")) && said.contains("not supported"), "{said}");
+            assert!(
+                said.contains(&format!("axis x, which is {kind}")) && said.contains("not supported"),
+                "{said}"
+            );
         }
     }
     let linear = CONTRACT.replace("[[axis]]\n", "[[axis]]\nkind = \"linear\"\n");
@@ -424,16 +430,30 @@ fn no_number_reaches_arithmetic_unbounded() {
         let numbers = all.char_indices().filter(|(n, _)| all[..*n].ends_with("= "));
         for (at, _) in numbers.filter(|(_, c)| c.is_ascii_digit()) {
             let end = at + all[at..].find(|c: char| !c.is_ascii_digit() && c != '.').unwrap();
-            for extreme in ["1e-308", "-1e-308", "1e308", "-1e308", "0", "-1", "inf", "-inf", "nan", "9223372036854775807"] {
+            for extreme in [
+                "1e-308",
+                "-1e-308",
+                "1e308",
+                "-1e308",
+                "0",
+                "-1",
+                "inf",
+                "-inf",
+                "nan",
+                "9223372036854775807",
+            ] {
                 let text = format!("{}{extreme}{}", &all[..at], &all[end..]);
                 tried += 1;
                 let Ok(config) = Config::parse(Path::new("rtec.toml"), &text) else { continue };
                 let axis = &config.axes[0];
                 let travel_counts = axis.travel_mm * 1000.0 / axis.simulated.count_um;
-                let numbers = [travel_counts, axis.engine.max_accel_counts_s2, axis.count_um, config.model.lead_ms];
+                let numbers =
+                    [travel_counts, axis.engine.max_accel_counts_s2, axis.count_um, config.model.lead_ms];
                 assert!(numbers.iter().all(|n| n.is_finite() && n.abs() < 1e16), "{text}");
                 assert!(axis.home_counts.abs() < 1 << 52 && axis.engine.gate().is_some(), "{text}");
-                assert!(axis.corrected_hz().unwrap().is_finite() && axis.followed_hz().is_none_or(f64::is_finite));
+                assert!(
+                    axis.corrected_hz().unwrap().is_finite() && axis.followed_hz().is_none_or(f64::is_finite)
+                );
             }
         }
     }

@@ -22,7 +22,7 @@ use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
 use crate::temperatures::Temperatures;
 use loads::Wish;
-use rtec_control::config::{Config, ConfiguredAxis};
+use rtec_control::config::{Config, ConfiguredAxis, Measured};
 use rtec_control::protocol::{ClientRequest, Happened, Numbered, Response, word};
 use rtec_correct::Corrector;
 use rtec_correct::sensors::{SensorConfig, Watch};
@@ -31,7 +31,7 @@ use rtec_model::record::Role;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{Event, EventKind, Mode, Refusal, Request, Status};
 use rtec_rt::link::ControlEnd;
-use rtec_rt::setup::{Report, Wanted};
+use rtec_rt::setup::{Report, System, Wanted};
 use std::collections::VecDeque;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -117,6 +117,8 @@ pub(crate) struct Session {
     looked: Instant,
     /// Who stands at the machine, where it is a simulated one.
     stand: Option<Stand>,
+    /// Why corrections may not be enabled on this card and computer, whatever else is right.
+    unfit: Vec<String>,
     /// The model's file is not what was taken last.
     model_refused: Option<String>,
     loader: Loader,
@@ -149,7 +151,11 @@ impl Session {
         let sensors = sensors.map(|(n, c)| (n, c.name.clone())).collect();
         let keeper = Keeper::new(config.control.spool.clone(), sensors);
         let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
+        let cpu = set_up.wanted.map_or(0, |w| w.cpu);
+        let here = || Measured::here(&config.card, cpu, &System::live());
+        let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
+            unfit,
             config,
             set_up,
             started: time.now(),

@@ -202,7 +202,11 @@ pub(super) fn read(
         travel_mm: travel_mm?.value,
         home_counts: (home_mm.map_or(0.0, |h| h.value) * 1000.0 / count_um).round() as i64,
         rapid_mm_min: rapid.map(|r| r.value),
-        counted: card.profile.iter().flat_map(|p| &p.counters).any(|c| c.lines == (engine.lines.a, engine.lines.b)),
+        counted: card
+            .profile
+            .iter()
+            .flat_map(|p| &p.counters)
+            .any(|c| c.lines == (engine.lines.a, engine.lines.b)),
         reference_budget_counts: budget.map(|b| b.value),
         engine,
         simulated: Simulated { count_um: simulated.count_um.unwrap_or(count_um), ..simulated.rest },
@@ -269,7 +273,9 @@ fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option
     }
     let expected = "a number from 0.0001 to 1000, or the same below zero where it counts backwards";
     found.count_um = table
-        .value(source, "count_um", expected, |v| v.as_number().filter(|um| (1e-4..=1000.0).contains(&um.abs())))
+        .value(source, "count_um", expected, |v| {
+            v.as_number().filter(|um| (1e-4..=1000.0).contains(&um.abs()))
+        })
         .map(|at| at.value);
     found.rest.compensates_ppm = table.signed(source, "compensates_ppm", 1e5).map_or(0.0, |p| p.value);
     let ignores = table.choice(source, "feedback", 2, &[("used", false), ("ignored", true)]);

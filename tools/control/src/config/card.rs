@@ -269,7 +269,9 @@ fn wire_gpio(
             GpioError::Chip { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
                 "a chip that may be opened: run this as root, or let the user in with the group of /dev/gpiochip*"
             }
-            _ => "a chip and a line of this computer (`rtecctl card list`); for another computer: --elsewhere",
+            _ => {
+                "a chip and a line of this computer (`rtecctl card list`); for another computer: --elsewhere"
+            }
         };
         if matches!(error, GpioError::Chip { .. }) {
             gpio.absent.insert(line.chip.clone());

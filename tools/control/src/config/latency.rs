@@ -1,6 +1,7 @@
 //! What `[rt]` says of this machine's latency: where it was measured, whether that can be, and what it leaves the axes.
 
 use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, plain};
+use crate::protocol::Rates;
 use rtec_files::toml::{At, Section, SourceFile};
 use rtec_model::date;
 use rtec_rt::setup::System;
@@ -185,6 +186,16 @@ impl ConfiguredAxis {
         self.engine.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
     }
 
+    /// How fast it is, and may be.
+    #[must_use]
+    pub fn rates(&self) -> Rates {
+        Rates {
+            rapid_mm_min: self.rapid_mm_min,
+            followed_mm_min: self.followed_hz().map(|hz| self.mm_min(hz)),
+            corrected_mm_min: self.corrected_hz().map(|hz| self.mm_min(hz)),
+        }
+    }
+
     /// The rapid is faster than the card can be looked at: in words, with the figures.
     #[must_use]
     pub fn outruns(&self) -> Option<String> {
@@ -243,7 +254,11 @@ pub(super) fn check_cpu(source: &mut SourceFile<'_>, cpu: Option<At<i64>>) {
     let online = rtec_rt::setup::cpu_list(&text);
     if !online.is_empty() && !online.contains(&(at.value as usize)) {
         let found = format!("cpu = {}, which this computer does not have", at.value);
-        source.finding(at.offset, found, format!("one of its CPUs, {}; for another computer: --elsewhere", text.trim()));
+        source.finding(
+            at.offset,
+            found,
+            format!("one of its CPUs, {}; for another computer: --elsewhere", text.trim()),
+        );
     }
 }
 
@@ -262,7 +277,8 @@ mod tests {
 
     fn here() -> Measured {
         let [card, kernel, cpu, date] =
-            ["mapped /dev/uio0 map 0, shared-memory test card", "6.12.9-rt", "EPYC, CPU 3", "2026-11-26"].map(str::to_owned);
+            ["mapped /dev/uio0 map 0, shared-memory test card", "6.12.9-rt", "EPYC, CPU 3", "2026-11-26"]
+                .map(str::to_owned);
         Measured { card, kernel, cpu, date }
     }
 
@@ -292,9 +308,14 @@ mod tests {
             (Measured { date: "2025-11-24".to_owned(), ..here() }, "more than a year ago"),
         ] {
             let unfit = unfit(SLOW, &measured);
-            assert!(unfit.len() == 1 && unfit[0].contains(says) && unfit[0].contains("selftest"), "{unfit:?}");
+            assert!(
+                unfit.len() == 1 && unfit[0].contains(says) && unfit[0].contains("selftest"),
+                "{unfit:?}"
+            );
         }
-        for (rt, says) in [("", "has no detect_ns"), ("detect_ns = 1000\nwrite_ns = 300\n", "does not say where")] {
+        for (rt, says) in
+            [("", "has no detect_ns"), ("detect_ns = 1000\nwrite_ns = 300\n", "does not say where")]
+        {
             let unfit = config(SLOW, rt).unfit(&here());
             assert!(unfit[0].contains(says), "{unfit:?}");
         }
@@ -306,7 +327,10 @@ mod tests {
         let figures = here();
         assert!(unfit("rapid_mm_min = 5999\n", &figures).is_empty());
         let outrun = unfit("rapid_mm_min = 30000\n", &figures);
-        assert!(outrun[0].contains("5000000 edges/s") && outrun[0].contains("up to 6000.0 mm/min"), "{outrun:?}");
+        assert!(
+            outrun[0].contains("5000000 edges/s") && outrun[0].contains("up to 6000.0 mm/min"),
+            "{outrun:?}"
+        );
         assert!(unfit("", &figures)[0].contains("rapid_mm_min is not set"));
     }
 
@@ -333,16 +357,24 @@ mod tests {
         ] {
             let text = TEXT
                 .replace("backend = 'mapped'\nuio = '/dev/uio0'", &format!("backend = '{backend}'\n{place}"))
-                .replace("RAPIDlines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }", lines);
+                .replace(
+                    "RAPIDlines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }",
+                    lines,
+                );
             let of = |detect_ns: u64, write_ns: u64| {
                 let rt = format!("detect_ns = {detect_ns}\nwrite_ns = {write_ns}\n");
                 Config::parse(Path::new("rtec.toml"), &text.replace("RT", &rt))
             };
             let (detect_ns, write_ns, _) = floors_ns(&of(100_000, 100_000).unwrap().card).unwrap();
             assert!(of(detect_ns, write_ns).is_ok(), "{place}");
-            for (detect, write, key) in [(detect_ns - 1, write_ns, "detect_ns"), (detect_ns, write_ns - 1, "write_ns")] {
+            for (detect, write, key) in
+                [(detect_ns - 1, write_ns, "detect_ns"), (detect_ns, write_ns - 1, "write_ns")]
+            {
                 let found = of(detect, write).unwrap_err().to_string();
-                assert!(found.contains(key) && found.contains("takes longer") | found.contains("take longer"), "{found}");
+                assert!(
+                    found.contains(key) && found.contains("takes longer") | found.contains("take longer"),
+                    "{found}"
+                );
             }
         }
         assert!(floors_ns(&CardConfig::Mock).is_none());

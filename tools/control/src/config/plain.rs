@@ -55,7 +55,11 @@ pub(super) fn name<'a>(
 }
 
 /// A text that is shown as it stands, in one line: without marks that a terminal obeys; else a finding.
-pub(super) fn line<'a>(source: &mut SourceFile<'_>, key: &str, at: Option<At<&'a str>>) -> Option<At<&'a str>> {
+pub(super) fn line<'a>(
+    source: &mut SourceFile<'_>,
+    key: &str,
+    at: Option<At<&'a str>>,
+) -> Option<At<&'a str>> {
     let at = at?;
     if at.value.len() <= LONGEST_LINE && !at.value.chars().any(|c| c.is_control() || is_hidden(c)) {
         return Some(at);

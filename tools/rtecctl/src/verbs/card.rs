@@ -3,7 +3,7 @@
 use crate::Outcome;
 use anyhow::Context;
 use clap::Subcommand;
-use rtec_control::card;
+use rtec_control::card::{self, Access, OnCard, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED, MappedPlace, PortPlace};
 use rtec_control::lock::{self, Held, LockError};
 use rtec_control::profile::{self, SHIPPED};
@@ -15,6 +15,7 @@ use rtec_driver::port::{Parport, Ports};
 use rtec_driver::profile::{Place, Profile, Register, Space};
 use rtec_driver::registers::Bus;
 use rtec_files::InputError;
+use rtec_rt::event::MAX_AXES;
 use serde_json::{Value, json};
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -74,7 +75,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             }
             let _alone = alone(&config)?;
             if !mtc_is_off {
-                confirm()?;
+                confirm("every output of this card is switched on and off again, one after the other")?;
             }
             drive_outputs(&config, *json)
         }
@@ -99,13 +100,25 @@ fn backend(profile: &Profile, name: &str) -> &'static str {
     if ports { "port" } else { "mapped" }
 }
 
+/// How many axes a profile's lines are enough for: without a line of the machine's own, and with read-back and feed hold.
+fn axes_that_fit(profile: &Profile) -> [usize; 2] {
+    let inputs = profile.lines.values().filter(|p| matches!(p, Place::Input(_))).count();
+    let outputs = profile.lines.len() - inputs;
+    let fit = |inputs: usize, outputs: usize| inputs.min(outputs).min(MAX_AXES);
+    [fit(inputs / 2, outputs / 2), fit(inputs / 4, outputs.saturating_sub(1) / 2)]
+}
+
 fn list(as_json: bool) -> anyhow::Result<()> {
     let mut profiles = Vec::new();
     for (name, _) in SHIPPED {
         // A name of the list itself.
         let Some(p) = profile::shipped(name) else { continue };
         let id = p.pci.map(|p| format!("{:04x}:{:04x}", p.id.0, p.id.1));
-        profiles.push(json!({"profile": name, "backend": backend(&p, name), "name": p.name, "pci": id}));
+        let [axes, wired_back] = axes_that_fit(&p);
+        profiles.push(json!({
+            "profile": name, "backend": backend(&p, name), "name": p.name, "pci": id, "axes": axes,
+            "axes_with_read_back": wired_back,
+        }));
     }
     let chips: Vec<_> = gpio::chips()
         .into_iter()
@@ -141,13 +154,17 @@ fn list(as_json: bool) -> anyhow::Result<()> {
         Value::Null => "–".to_owned(),
         other => other.to_string(),
     };
-    println!("profiles (rtecctl card show NAME):");
+    println!(
+        "profiles (rtecctl card show NAME); axes: that its lines are enough for, and with read-back and feed hold:"
+    );
     for p in &profiles {
         println!(
-            "  {:<15} {:<7} {:<10} {}",
+            "  {:<15} {:<7} {:<10} {} axes, {} wired back  {}",
             text(p, "profile"),
             text(p, "backend"),
             text(p, "pci"),
+            text(p, "axes"),
+            text(p, "axes_with_read_back"),
             text(p, "name")
         );
     }
@@ -301,7 +318,7 @@ fn no_lines(config: &Config) -> anyhow::Error {
     Outcome::Bad(text).into()
 }
 
-fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
+pub(crate) fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
     Outcome::Unreachable(error.to_string()).into()
 }
 
@@ -449,7 +466,7 @@ fn probe_gpio(config: &Config, setup: &GpioSetup) -> anyhow::Result<Reading> {
 }
 
 /// Keeps the daemon away from the card for as long as the value lives: it would correct against what is switched here.
-fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
+pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
     let stop =
         |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
     let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
@@ -463,10 +480,11 @@ fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
     Ok(held)
 }
 
-fn confirm() -> anyhow::Result<()> {
+/// Has a person say that the MTC is off. `what` is switched.
+pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     const PHRASE: &str = "the MTC is off";
     eprintln!(
-        "WARNING: every output of this card is switched on and off again, one after the other. An inverter that is switched\n\
+        "WARNING: {what}. An inverter that is switched\n\
          makes the MTC count, and its axis MOVES. Switch the MTC off first. Type: {PHRASE}"
     );
     std::io::stderr().flush()?;
@@ -478,29 +496,30 @@ fn confirm() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
-    match &config.card {
-        CardConfig::Mock | CardConfig::Replay { .. } => Err(no_lines(config)),
-        CardConfig::Gpio(setup) => {
-            // Levels are read as they are at the moment; edges would have to be waited for.
-            let setup = GpioSetup { events: false, ..setup.clone() };
-            drive(config, as_json, &mut card::gpio(&setup, Vec::new()).map_err(unreachable)?)
-        }
-        CardConfig::Mapped { place, profile } => {
-            let (file, map) = card::register_file(place, profile).map_err(unreachable)?;
-            drive(config, as_json, &mut card::mapped(&file, map, profile).map_err(unreachable)?)
-        }
-        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            drive(config, as_json, &mut card::parport(file, profile).map_err(unreachable)?)
-        }
-        CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            drive(config, as_json, &mut card::ports(*base, profile).map_err(unreachable)?)
-        }
-        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let base = card::io_bar(id, *bar, profile).map_err(unreachable)?;
-            drive(config, as_json, &mut card::ports(base, profile).map_err(unreachable)?)
-        }
+/// Switches every output of a card.
+struct Switching<'a> {
+    config: &'a Config,
+    as_json: bool,
+}
+
+impl OnCard for Switching<'_> {
+    type Output = anyhow::Result<()>;
+
+    fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
+        drive(self.config, self.as_json, &mut card)
     }
+}
+
+fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
+    let mut named = config.card.clone();
+    if let CardConfig::Gpio(setup) = &mut named {
+        // Levels are read as they are at the moment; edges would have to be waited for.
+        setup.events = false;
+    }
+    card::with(&named, Access::Drive, Switching { config, as_json }).map_err(|e| match e {
+        OpenError::NoLines(_) => no_lines(config),
+        other => unreachable(other),
+    })?
 }
 
 /// Time that gates, receivers and the card's input filter are given.

@@ -162,6 +162,9 @@ fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
         times(&s.rt.edge_to_done_ns),
         s.rt.events_lost
     );
+    for a in s.axes.iter().filter(|a| a.rates.rapid_mm_min.is_some()) {
+        let _ = writeln!(text, "  {}: {}", a.name, a.rates);
+    }
     for missing in &s.rt.missing {
         let _ = writeln!(text, "{} {missing}", tone("missing:", Tone::Doubtful));
     }
@@ -321,7 +324,7 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{AxisReport, PROTOCOL, Reading, Rt, RunningModel};
+    use rtec_control::protocol::{AxisReport, PROTOCOL, Rates, Reading, Rt, RunningModel};
     use rtec_correct::explain::Contribution;
     use rtec_rt::event::Fault;
     use std::collections::BTreeMap;
@@ -350,6 +353,11 @@ mod tests {
             late: 0,
             illegal: 0,
             beyond_limits: 0,
+            rates: Rates {
+                rapid_mm_min: Some(30_000.0),
+                followed_mm_min: Some(45_000.0),
+                corrected_mm_min: Some(24_000.0),
+            },
         }
     }
 

@@ -61,7 +61,7 @@ impl Session {
         let now = control.status();
         let alive = !control.ended();
         let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
-        let may_arm = !self.set_up.real || verified && self.config.rt.latency_measured;
+        let may_arm = !self.set_up.real || verified && self.unfit.is_empty();
         let missing = self.set_up.missing.iter().flat_map(Report::missing);
         let rt = Rt {
             alive,
@@ -100,6 +100,7 @@ impl Session {
             late: s.late,
             illegal: s.illegal,
             beyond_limits: s.beyond_limits,
+            rates: axis.rates(),
         });
         DaemonStatus {
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -149,9 +150,7 @@ impl Session {
         }
         if !may_arm {
             why.push(explain_refusal(Refusal::NotArmable).to_owned());
-            if !self.config.rt.latency_measured {
-                why.push("[rt] has no detect_ns and write_ns: run `rtecctl selftest latency`".to_owned());
-            }
+            why.extend(self.unfit.iter().cloned());
         }
         let away = self.away(now);
         if !away.is_empty() {
