@@ -154,12 +154,10 @@ fn list(as_json: bool) -> anyhow::Result<()> {
         Value::Null => "–".to_owned(),
         other => other.to_string(),
     };
-    println!(
-        "profiles (rtecctl card show NAME); axes: that its lines are enough for, and with read-back and feed hold:"
-    );
+    println!("profiles (rtecctl card show NAME):");
     for p in &profiles {
         println!(
-            "  {:<15} {:<7} {:<10} {} axes, {} wired back  {}",
+            "  {:<15} {:<7} {:<10} axes {} ({} with read-back)  {}",
             text(p, "profile"),
             text(p, "backend"),
             text(p, "pci"),
@@ -170,7 +168,9 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     }
     println!("in this machine:");
     for c in &chips {
-        println!("  gpio     {} \"{}\", {} lines", text(c, "chip"), text(c, "label"), text(c, "lines"));
+        let axes = c["lines"].as_u64().map_or(0, |lines| (lines / 4).min(MAX_AXES as u64));
+        let (chip, label, lines) = (text(c, "chip"), text(c, "label"), text(c, "lines"));
+        println!("  gpio     {chip} \"{label}\", {lines} lines, axes {axes}");
     }
     for c in &cards {
         println!("  pci      {} {}, profile {}", text(c, "address"), text(c, "pci"), text(c, "profile"));
