@@ -20,6 +20,7 @@ use crate::history::History;
 use crate::keeper::{Keeper, Kept};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
+use crate::on_disk::OnDisk;
 use crate::temperatures::Temperatures;
 use loads::Wish;
 use rtec_control::config::{Config, ConfiguredAxis, Measured};
@@ -119,6 +120,8 @@ pub(crate) struct Session {
     stand: Option<Stand>,
     /// Why corrections may not be enabled on this card and computer, whatever else is right.
     unfit: Vec<String>,
+    /// The files that were read, as they are now; none in a simulation.
+    on_disk: Option<OnDisk>,
     /// The model's file is not what was taken last.
     model_refused: Option<String>,
     loader: Loader,
@@ -139,8 +142,13 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    pub(crate) fn new(config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
-        Self::by(Rc::new(RealTime), config, set_up, temperatures)
+    pub(crate) fn new(
+        config: Config,
+        set_up: SetUp,
+        temperatures: Temperatures,
+        on_disk: Option<OnDisk>,
+    ) -> Self {
+        Self { on_disk, ..Self::by(Rc::new(RealTime), config, set_up, temperatures) }
     }
 
     fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
@@ -156,6 +164,7 @@ impl Session {
         let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
             unfit,
+            on_disk: None,
             config,
             set_up,
             started: time.now(),

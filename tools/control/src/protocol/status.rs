@@ -34,6 +34,9 @@ pub struct DaemonStatus {
     pub record_trouble: Option<String>,
     /// Why nothing is corrected now, and what to do about it; empty while correcting.
     pub why_not: Vec<String>,
+    /// Files that were edited since they were read: what runs is not what they say; each with what to do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub edited: Vec<String>,
     /// The real-time thread: set-up, losses and latencies.
     pub rt: Rt,
     /// The model that runs.
@@ -165,8 +168,11 @@ pub struct Rates {
 
 impl std::fmt::Display for Rates {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let figure =
-            |speed: Option<f64>, none: &str| speed.map_or(none.to_owned(), |v| format!("{v:.4} mm/min"));
+        // Axes of a test are slow.
+        let digits = |v: f64| if v < 10.0 { 4 } else { 0 };
+        let figure = |speed: Option<f64>, none: &str| {
+            speed.map_or(none.to_owned(), |v| format!("{v:.*} mm/min", digits(v)))
+        };
         if self.rapid_mm_min.is_some() {
             write!(f, "rapid {}, ", figure(self.rapid_mm_min, ""))?;
         }

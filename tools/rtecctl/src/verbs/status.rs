@@ -188,6 +188,9 @@ fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
             let _ = writeln!(text, "  {} {state}{fault}; {value}{age}", r.sensor);
         }
     }
+    for file in &s.edited {
+        let _ = writeln!(text, "{} {file}", tone("not what runs:", Tone::Doubtful));
+    }
     if let Some(why) = &s.record_trouble {
         let _ = writeln!(text, "{} {why}", tone("record of commands not written:", Tone::Wrong));
     }
@@ -380,6 +383,7 @@ mod tests {
             protocol: PROTOCOL,
             latched: BTreeMap::new(),
             record_trouble: None,
+            edited: Vec::new(),
             machine: "lathe 7".into(),
             mode: "run".into(),
             homed: true,
@@ -454,6 +458,8 @@ mod tests {
         status.mode = "fault".into();
         status.axes[1].faults = vec![Fault::PollGap];
         status.why_not = vec!["when mended: `rtecctl clear`".into()];
+        status.edited =
+            vec!["/etc/rtec/rtec.toml was edited since the start: `systemctl restart rtecd`".into()];
         status.record_trouble = Some("/var/log/rtec/audit.log: No space left on device".into());
         let coloured = table(&status, &[], Screen { colour: true, width: Some(80) });
         crate::golden("status_terminal.txt", &coloured.replace('\x1b', "␛"));

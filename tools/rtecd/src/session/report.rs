@@ -9,6 +9,7 @@ use rtec_rt::event::{Mode, Refusal, Status};
 use rtec_rt::histogram::Reader;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::Report;
+use std::path::PathBuf;
 
 impl Session {
     /// Everything at once, with the events after one that is known already.
@@ -115,6 +116,7 @@ impl Session {
             faults: now.faults.iter().collect(),
             why_not: self.why_not(&now, alive, may_arm),
             rt,
+            edited: self.edited(),
             model: self.corrector.shown(),
             table: self.corrector.table_shown(),
             table_now: self.corrector.table_now(&now),
@@ -126,6 +128,12 @@ impl Session {
                 .collect(),
             axes: axes.collect(),
         }
+    }
+
+    /// Files on the disk that are not what runs.
+    fn edited(&self) -> Vec<String> {
+        let model = self.corrector.shown().map(|m| (PathBuf::from(m.file), m.sha256));
+        self.on_disk.as_ref().map_or_else(Vec::new, |files| files.edited(model))
     }
 
     /// Why nothing is corrected now, each with its remedy.

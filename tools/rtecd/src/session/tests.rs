@@ -38,7 +38,7 @@ fn session(engine: &Engine) -> Session {
     let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
     let config = Config::embedded();
     let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-    Session::new(config, set_up, temperatures)
+    Session::by(Rc::new(RealTime), config, set_up, temperatures)
 }
 
 /// The recorded shift of `rtec-correct`'s tests through the daemon's own tick: the same totals, count for count.
@@ -53,7 +53,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
     let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
     let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
-    let mut session = Session::new(config, set_up, played);
+    let mut session = Session::by(Rc::new(RealTime), config, set_up, played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
     session.temperatures.look();
     let watches = session.temperatures.sensors().to_vec();
