@@ -1,5 +1,7 @@
 //! `rtecctl card`: which cards this program knows, which are here, and what their lines say.
 
+mod watch;
+
 use crate::Outcome;
 use anyhow::Context;
 use clap::Subcommand;
@@ -58,18 +60,47 @@ enum What {
         /// The MTC is off: do not ask
         #[arg(long, requires = "drive")]
         mtc_is_off: bool,
-        /// Print one JSON document
+        /// Show the inputs live: levels, edges, edges per second, and whether both edges of each line were seen
+        #[arg(long, conflicts_with = "drive")]
+        watch: bool,
+        /// With --watch: time between two pictures
+        #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
+        every: Duration,
+        /// With --watch: end after this time; without it: until Ctrl-C
+        #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = humantime::parse_duration)]
+        during: Option<Duration>,
+        /// Print one JSON document; with --watch at the end of --for
         #[arg(long)]
         json: bool,
     },
+}
+
+/// Time between two pictures.
+fn pause(text: &str) -> Result<Duration, String> {
+    let time = humantime::parse_duration(text).map_err(|e| format!("{e}; write 500ms or 2s"))?;
+    let range = Duration::from_millis(20)..=Duration::from_secs(3600);
+    if range.contains(&time) { Ok(time) } else { Err("from 20ms to 1h".into()) }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::List { json } => list(*json),
         What::Show { profile, toml, json } => show(profile, *toml, *json),
-        What::Probe { config, drive, mtc_is_off, json } => {
+        What::Probe { config, drive, mtc_is_off, watch: live, every, during, json } => {
             let config = load(config)?;
+            if *live {
+                if *json && during.is_none() {
+                    return Err(Outcome::Bad(
+                        "--watch --json needs --for TIME: the document comes at its end".into(),
+                    )
+                    .into());
+                }
+                // A counter is latched to be read, and its flags are cleared: the daemon would miss them.
+                let counts = matches!(&config.card, CardConfig::Mapped { profile, .. } | CardConfig::Port { profile, .. }
+                    if !profile.counters.is_empty());
+                let _alone = counts.then(|| alone(&config)).transpose()?;
+                return watch::watch(&config, watch::Options { every: *every, during: *during, json: *json });
+            }
             if !drive {
                 return probe(&config)?.print(*json);
             }
