@@ -421,13 +421,14 @@ fn no_number_reaches_arithmetic_unbounded() {
         rest_policy = 'insert'\nrest_quiet_ms = 5.0\nreference_budget_counts = 400\nhome_mm = 10.0\n\
         simulated = { count_um = 2.0, compensates_ppm = 5.0 }\n[rt]\ncpu = 0\npriority = 80\ndetect_ns = 1000\n\
         write_ns = 300\nguard_ns = 100\n[control]\nstale_ms = 500\n[model]\nperiod_ms = 10\nramp_um_s = 5.0\nlead_ms = 20.0\n\
-        log_s = 5.0\n[[sensor]]\nname = 'T1'\nsource = 'mqtt'\n";
+        log_s = 5.0\n[[sensor]]\nname = 'T1'\nsource = 'iio'\ndevice = 'd'\nchannel = 1\nperiod_s = 1.0\n\
+        range_degC = [ -20.0, 120.0]\nmax_rate_K_per_min = 10.0\ntimeout_s = 5.0\nstuck_s = 600.0\nfreeze_s = 60.0\n";
     let accel = ALL.replace("max_accel_mm_s2", "max_accel_counts_s2");
     let mut tried = 0;
     for all in [ALL, &accel] {
-        let all = all.split("[[sensor]]").next().unwrap();
         Config::parse(Path::new("rtec.toml"), all).unwrap();
-        let numbers = all.char_indices().filter(|(n, _)| all[..*n].ends_with("= "));
+        let begins = |before: &str| [" = ", ", "].iter().any(|b| before.ends_with(b));
+        let numbers = all.char_indices().filter(|(n, _)| begins(&all[..*n]));
         for (at, _) in numbers.filter(|(_, c)| c.is_ascii_digit()) {
             let end = at + all[at..].find(|c: char| !c.is_ascii_digit() && c != '.').unwrap();
             for extreme in [

@@ -128,6 +128,7 @@ struct Document<'a> {
     rates: BTreeMap<&'a str, Rates>,
     /// What belongs into `[rt]` of the configuration.
     rt: RtKeys<'a>,
+    backend: &'static str,
     /// What was measured with.
     card: &'a str,
     /// How: `simulated`, `reads` (outputs held), `reads_and_writes`.
@@ -240,6 +241,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 detect_ns: measured.detect_ns().0,
                 write_ns: measured.timed().then(|| measured.write_ns()),
                 measured: &provenance,
+            },
+            backend: match &target {
+                Target::Simulated(Backend::Mock) => "mock",
+                Target::Simulated(Backend::Mapped) => "mapped",
+                Target::Configured(config) => config.card.backend(),
             },
             card: &provenance.card,
             how: measured.how,

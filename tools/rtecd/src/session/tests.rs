@@ -207,3 +207,42 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     };
     assert_eq!(why, "ended");
 }
+
+/// A real card with figures of elsewhere, or with an axis that outruns it: nothing is armed, and the status says why.
+#[test]
+fn a_card_without_figures_of_its_own_is_not_armed() {
+    let text = "[machine]\nname = 'm'\n[card]\nbackend = 'mapped'\nuio = '/dev/uio0'\n[[axis]]\nname = 'x'\ncount_um = 0.1\n\
+        travel_mm = 400\nmax_correction_counts = 100\nwindow_counts = 50\nmin_separation_ns = 100\nmax_accel_mm_s2 = 100\n\
+        rapid_mm_min = 30000\nlines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }\n\
+        [rt]\ndetect_ns = 1000\nwrite_ns = 300\n";
+    let foreign = "measured = { card = 'another', kernel = '1.0', cpu = 'any', date = '2026-01-01' }\n";
+    let figures = Config::parse(Path::new("rtec.toml"), text).unwrap();
+    let here = format!("{}\n", Measured::here(&figures.card, 0, &System::live()));
+    for (measured, slower, says) in [
+        ("", false, &["does not say where", "5000000 edges/s"][..]),
+        (foreign, true, &["was measured with card \"another\""]),
+        (&here, false, &["5000000 edges/s"]),
+        (&here, true, &[]),
+    ] {
+        let text = format!("{text}{measured}").replace("30000", if slower { "3000" } else { "30000" });
+        let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
+        let (engine, _card) = engine(&config);
+        let set_up = SetUp { real: true, wanted: None, missing: None, timing: engine.timing() };
+        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
+        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
+        let (mut control, _rt) = link(engine.status());
+        let (refusal, status) =
+            (session.forbidden(&engine.status(), &[], true), session.status(&mut control));
+        assert_eq!(refusal.is_some(), !says.is_empty(), "{refusal:?}");
+        let why = format!("{refusal:?} {:?}", status.why_not);
+        for text in says {
+            assert_eq!(
+                why.replace('\\', "").matches(text).count(),
+                2,
+                "{text} at enable and in the status: {why}"
+            );
+        }
+        assert!(!status.rt.may_arm, "without a verified set-up nothing is armed");
+        assert_eq!(status.axes[0].rates.followed_mm_min.map(f64::round), Some(6000.0));
+    }
+}
