@@ -150,7 +150,6 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let installed = Path::new(INSTALLED);
     let file = args.config.as_deref().or(installed.exists().then_some(installed));
     let mut config = file.map_or_else(|| Ok(Config::embedded()), Config::load)?;
-    let on_disk = Some(OnDisk::watch(file));
     if let Some(socket) = &args.socket {
         config.control.socket.clone_from(socket);
     }
@@ -167,6 +166,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let signals =
         SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC).context("signalfd")?;
 
+    let on_disk = Some(OnDisk::watch(file));
     let doors = doors::listen(&config.control)?;
     let kept = manager.take_back("outputs-");
     for name in manager.left_over() {

@@ -12,7 +12,7 @@ use rtec_files::toml::{At, Section, SourceFile};
 use rtec_rt::event::MAX_AXES;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::FileTypeExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 impl Card {
     /// Something outside this process hangs on the lines.
@@ -147,9 +147,7 @@ fn read_registers(
         let parport = section.string(source, "parport", "a parallel port, as \"/dev/parport0\"");
         let io = section.integer(source, "io", 0..=0xffff);
         places += usize::from(parport.is_some()) + usize::from(io.is_some());
-        if let Some(at) = parport.filter(|_| here) {
-            is_there(source, at, &path(at));
-        }
+        is_there(source, parport.filter(|_| here), path);
         card.port = parport.map(|at| PortPlace::Parport(path(at)));
         card.port = card.port.take().or(io.map(|io| PortPlace::Io(io.value as u16)));
         if let (Some(at), Some(profile)) = (parport, &card.profile)
@@ -163,9 +161,7 @@ fn read_registers(
     } else {
         let file = section.string(source, "file", "the path of the file of registers");
         let uio = section.string(source, "uio", "a UIO device, as \"/dev/uio0\"");
-        if let Some(at) = file.filter(|_| here) {
-            is_there(source, at, &path(at));
-        }
+        is_there(source, file.filter(|_| here), path);
         if let Some(at) = uio {
             is_uio(source, at, &path(at), here);
         }
@@ -389,8 +385,10 @@ pub(super) fn read_lines(
 }
 
 /// What `key = "path"` names on this computer can be looked at.
-fn is_there(source: &mut SourceFile<'_>, at: At<&str>, path: &Path) {
-    if let Err(error) = std::fs::metadata(path) {
+fn is_there(source: &mut SourceFile<'_>, at: Option<At<&str>>, path: impl Fn(At<&str>) -> PathBuf) {
+    if let Some(at) = at
+        && let Err(error) = std::fs::metadata(path(at))
+    {
         let found = format!("\"{}\", which cannot be looked at: {error}", at.value);
         source.finding(at.offset, found, "a file of this computer; for another computer: --elsewhere");
     }
