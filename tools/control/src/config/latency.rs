@@ -66,7 +66,7 @@ impl Measured {
 /// As it stands in a configuration, below `[rt]`.
 impl fmt::Display for Measured {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let quoted = |text: &str| text.replace(['\\', '"'], "'");
+        let quoted = |text: &str| text.replace(['\\', '\u{22}'], "'");
         write!(
             f,
             "measured = {{ card = \"{}\", kernel = \"{}\", cpu = \"{}\", date = \"{}\" }}",
