@@ -200,17 +200,7 @@ fn read_registers(
             None => section.missing(source, "bar", "which base address register, 0 to 5"),
         }
     } else if places == 0 && card.profile.is_some() {
-        let (key, meaning) = if port {
-            (
-                "parport, io or pci",
-                "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"",
-            )
-        } else {
-            (
-                "file, uio or pci",
-                "where the registers are: a path, \"/dev/uio0\", or a card's \"vendor:device\"",
-            )
-        };
+        let (key, meaning) = places_of(port);
         section.missing(source, key, meaning);
     }
     if places > 1 {
@@ -221,6 +211,15 @@ fn read_registers(
     let no_pci = pci_at.is_none() && (places > 0 || place.is_none());
     if let Some(at) = bar.filter(|_| no_pci) {
         source.finding(at.offset, "bar without pci", "pci = \"vendor:device\" beside it");
+    }
+}
+
+/// The keys that say where the registers are, one of which must be there, and what they mean.
+const fn places_of(port: bool) -> (&'static str, &'static str) {
+    if port {
+        ("parport, io or pci", "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"")
+    } else {
+        ("file, uio or pci", "where the registers are: a path, \"/dev/uio0\", or a card's \"vendor:device\"")
     }
 }
 

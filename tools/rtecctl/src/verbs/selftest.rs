@@ -211,7 +211,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let axes = match &config {
         Some(config) => config.axes.clone(),
-        None => Config::embedded().axes.into_iter().take(1).map(default_axis).collect(),
+        None => Config::embedded().axes.iter().take(1).map(default_axis).collect(),
     };
     let floors = match &target {
         Target::Simulated(_) => None,
@@ -314,13 +314,13 @@ fn target(args: &LatencyArgs) -> anyhow::Result<Target> {
 }
 
 /// The axis of a test without a configuration: 1 µm a count, the replay's limits.
-fn default_axis(axis: ConfiguredAxis) -> ConfiguredAxis {
+fn default_axis(axis: &ConfiguredAxis) -> ConfiguredAxis {
     ConfiguredAxis {
         name: "default".to_owned(),
         count_um: 1.0,
         engine: AxisConfig::default(),
         rapid_mm_min: None,
-        ..axis
+        ..axis.clone()
     }
 }
 

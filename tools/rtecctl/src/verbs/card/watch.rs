@@ -303,7 +303,7 @@ mod tests {
         let config = config();
         let at = |n: u64| {
             let x = [0b00, 0b01, 0b11, 0b10][(n % 4) as usize];
-            let (y, w) = (n % 2 << 2, if n > 100 { 0b11 << 6 } else { 0 });
+            let (y, w) = ((n % 2) << 2, if n > 100 { 0b11 << 6 } else { 0 });
             let probe = if n > 50 { 1 << 28 } else { 0 };
             Sample::level(1_000_000 * (n + 1), x | y | w | probe)
         };
