@@ -312,6 +312,18 @@ pub(crate) struct AxisEngine {
     beyond_limits: u64,
     /// An inversion of ours has been made since homing.
     touched: bool,
+    /// Edges of one channel alone.
+    alone: Alone,
+}
+
+/// Edges of one channel, one after the other, while the other channel has not changed: the axis goes to and fro over one
+/// boundary between two counts, or the other channel is dead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Alone {
+    /// That boundary, counts.
+    boundary: i64,
+    /// Edges in a row at which the axis would have turned back sooner than it can.
+    impossible: u8,
 }
 
 /// An axis as it was found at the start.
@@ -327,6 +339,9 @@ pub(crate) struct Found {
 const REST: u64 = u64::MAX;
 /// No change of lines: after an edge without a direction none goes on as before.
 const NOWHERE: (u64, Signal) = (u64::MAX, Signal::A);
+/// After so many edges in a row at which the axis would have turned back sooner than it can, the other channel is dead.
+/// A burst of noise is shorter, and an axis moves on by 32 counts at most.
+const DEAD_AFTER: u8 = 16;
 /// A capture that finds no further edge is complete after this time: the axis has stopped.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
@@ -392,6 +407,7 @@ impl AxisEngine {
             late: 0,
             beyond_limits: 0,
             touched: half,
+            alone: Alone::default(),
         })
     }
 
@@ -712,13 +728,18 @@ impl AxisEngine {
             return;
         };
         let last_period_ns = self.period_ns;
-        if let Some((last_ns, _)) = self.enter_time(look, report)
+        let last = self.enter_time(look, report);
+        if let Some((last_ns, _)) = last
             && look.unseen & self.a_mask != 0
         {
             self.check_limits(step, look.edge_ns.1 - last_ns, last_period_ns, report);
         }
+        // A and B take turns while the axis goes on. [`AxisEngine::goes_on_calmly`] never gets here without that.
+        let turned = self.last_step != 0 && step != self.last_step;
         self.last_step = step;
-        // A and B take turns.
+        if turned {
+            self.check_turns(look, last.map(|(ns, _)| ns), report);
+        }
         self.onward = match before.signal_to(state) {
             Signal::A => (self.scale_mask ^ self.a_mask, Signal::B),
             Signal::B => (self.a_mask, Signal::A),
@@ -745,7 +766,13 @@ impl AxisEngine {
             Insertion::Idle | Insertion::Opened { .. } => {
                 self.insertion = Insertion::Idle;
                 if self.ready() && look.permit.insert {
-                    self.open(look.edge_ns);
+                    if turned {
+                        // It takes both channels to know that the axis moves.
+                        self.waits_for = GateState::OneChannel;
+                        self.waited_for_gate += 1;
+                    } else {
+                        self.open(look.edge_ns);
+                    }
                 }
             }
             Insertion::Half { edges, .. } => *edges += 1,
@@ -753,11 +780,28 @@ impl AxisEngine {
         }
     }
 
+    /// The channel that changed last has changed again, and has so turned the axis back. Only while A and B take turns
+    /// is it known to move: over one boundary it may go to and fro, but no sooner than its limits allow.
+    #[cold]
+    fn check_turns(&mut self, look: &Look, before_ns: Option<u64>, report: &mut impl FnMut(EventKind)) {
+        let boundary = self.last_boundary();
+        if self.alone.boundary != boundary {
+            self.alone = Alone { boundary, impossible: 0 };
+        }
+        // Unstamped, the edge before was at the earliest after the look before it.
+        let after_ns = before_ns.map_or(u64::MAX, |ns| look.edge_ns.1 - ns);
+        self.alone.impossible =
+            if after_ns < self.gate.turn_back_ns() { self.alone.impossible.saturating_add(1) } else { 0 };
+        if self.alone.impossible >= DEAD_AFTER {
+            self.fault(Fault::ChannelDead, report);
+        }
+    }
+
     /// A and B have both changed: the step is unknown.
     #[inline]
     fn edge_of_both(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         self.enter_time(look, report);
-        (self.last_step, self.onward) = (0, NOWHERE);
+        (self.last_step, self.onward, self.alone) = (0, NOWHERE, Alone::default());
         self.wire.mtc = state.inverted(self.wire.inverters);
         if let Insertion::Half { edges, .. } = &mut self.insertion {
             *edges += 1;

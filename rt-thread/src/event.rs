@@ -95,6 +95,8 @@ pub enum Fault {
     RecordLost,
     /// The real-time thread panicked or stood still: nobody looked at the lines from then on.
     ThreadLost,
+    /// One channel of the scale changes again and again, and the other does not take its turn: a broken wire.
+    ChannelDead,
 }
 
 impl From<TroubleKind> for Fault {
@@ -111,7 +113,7 @@ impl From<TroubleKind> for Fault {
 
 impl Fault {
     /// All of them, in the order of their bits.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
         Self::OrderUnknown,
@@ -130,6 +132,7 @@ impl Fault {
         Self::BeyondLimits,
         Self::RecordLost,
         Self::ThreadLost,
+        Self::ChannelDead,
     ];
 
     /// After such a fault the axis's count is in doubt: only homing makes it good.
@@ -370,6 +373,8 @@ pub enum GateState {
     WaitingForEdge,
     /// The axis is too fast for an insertion.
     TooFast,
+    /// One channel has changed twice, the other not: the axis turned, trembles over one boundary, or has a broken wire.
+    OneChannel,
     /// The rate cap holds the next insertion back.
     RateCap,
     /// The axis is at rest, and its rest policy is to wait.

@@ -877,3 +877,86 @@ fn a_switch_is_seen_though_the_probe_trips_with_it() {
         assert_eq!(rig.status().mode, Mode::Disabled, "{lines:#x}");
     }
 }
+
+impl Rig {
+    /// One channel (1 A, 2 B) changes so many times, every 25 µs or every so many looks of 100 ns.
+    fn alone(&mut self, channel: u64, edges: usize, looks: usize) {
+        for _ in 0..edges {
+            self.card.inputs ^= channel;
+            self.looks(looks);
+        }
+    }
+
+    /// Running, having moved by so many counts, on a card that keeps every edge or on one that looks.
+    fn moved(counts: i64, keeps_edges: bool) -> Self {
+        let mut rig = Self::running(AxisConfig::default());
+        if keeps_edges {
+            rig.card.says = Some(Sample { complete: 0b11, ..Sample::level(0, 0) });
+        }
+        rig.step(counts);
+        rig
+    }
+}
+
+#[test]
+fn latches_a_channel_that_does_not_take_its_turn() {
+    for channel in [1, 2] {
+        for counts in [4, 5, 6, 7, -4, -5, -6, -7] {
+            for keeps_edges in [false, true] {
+                let mut rig = Rig::moved(counts, keeps_edges);
+                rig.correct(40);
+                // The first edge may still go on as before, and is the last that opens an insertion.
+                rig.alone(channel, 15, 250);
+                let (before, faults) = (rig.status().axes[0], rig.faults());
+                assert!(
+                    before.completed <= 2 && !faults.contains(&Fault::ChannelDead),
+                    "{before:?} {faults:?}"
+                );
+                if before.completed == 0 {
+                    assert_eq!((faults, before.gate), (vec![], GateState::OneChannel), "{channel} {counts}");
+                }
+                rig.alone(channel, 2, 250);
+                assert!(rig.faults().contains(&Fault::ChannelDead), "{channel} {counts} {:?}", rig.faults());
+                rig.alone(channel, 283, 250);
+                let (after, status) = (rig.status().axes[0], rig.status());
+                assert_eq!((status.mode, after.homed), (Mode::Fault, false));
+                assert_eq!(after.completed, before.completed, "nothing is inserted beside a dead channel");
+                assert!(status.balanced());
+                assert_eq!(rig.card.outputs & HOLD, HOLD);
+            }
+        }
+    }
+}
+
+#[test]
+fn an_axis_that_trembles_over_one_boundary_waits() {
+    for keeps_edges in [false, true] {
+        let mut rig = Rig::moved(5, keeps_edges);
+        // It stands; one channel changes every 317 µs: no sooner than the axis can turn back.
+        rig.step(1);
+        let channel = if rig.card.count % 2 == 0 { 2 } else { 1 };
+        rig.alone(channel, 1, 3170);
+        rig.correct(40);
+        rig.alone(channel, 1001, 3170);
+        let axis = rig.status().axes[0];
+        assert_eq!((rig.faults(), axis.completed, axis.gate), (vec![], 0, GateState::OneChannel));
+        assert!(axis.waited_for_gate >= 1000);
+        // It goes on, and everything is inserted.
+        for _ in 0..60 {
+            rig.card.count += 1;
+            rig.card.inputs = [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
+            rig.looks(3170);
+        }
+        assert_eq!((rig.faults(), rig.status().axes[0].completed), (vec![], 40));
+    }
+}
+
+#[test]
+fn an_axis_that_goes_to_and_fro_over_two_boundaries_has_both_channels() {
+    let mut rig = Rig::moved(5, true);
+    for _ in 0..100 {
+        rig.step(2);
+        rig.step(-2);
+    }
+    assert_eq!(rig.faults(), []);
+}

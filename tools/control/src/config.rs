@@ -18,6 +18,7 @@
 //! | | `max_correction_counts`, `window_counts` | counts | must be there | largest total; largest believed change |
 //! | | `min_separation_ns` | ns | must be there | what the MTC's decoder needs between two edges |
 //! | | `max_accel_mm_s2` or `max_accel_counts_s2` | | 1e6 counts/s² (mock, replay) | acceleration limit of the axis |
+//! | | `rapid_mm_min` | mm/min | none (mock, replay) | how fast the axis moves at most: corrections are not enabled where the card cannot follow |
 //! | | `hysteresis_counts` | counts | 0.05 | the scale's, on reversal |
 //! | | `warn_counts`, `error_counts` | counts | none | a request of this size warns; faults and holds |
 //! | | `max_rate_counts_s` | counts/s | none | fastest change of the correction |
@@ -29,6 +30,7 @@
 //! | | `trace` | – | – | `replay`: the recorded trace |
 //! | `[rt]` | `cpu`, `priority` | – | isolated or last, 80 | of the real-time thread |
 //! | | `detect_ns`, `write_ns`, `guard_ns` | ns | 0 (mock, replay) | measured worst latencies and a reserve |
+//! | | `measured` | – | – | `{ card, kernel, cpu, date }`: where these figures were measured, as the self-test prints it |
 //! | `[control]` | `socket`, `group`, `mode` | – | see [`default_directory`], none, 0660 or 0600 | the socket by which everything may be asked for, and who may use it |
 //! | | `operate`, `view` | – | `control-operate.sock`, `control-view.sock` | `{ socket, group, mode }` of the roles that may less, see [`crate::role`] |
 //! | | `state_file` | – | beside the socket | what a restart takes over |
@@ -49,10 +51,12 @@ mod axis;
 mod card;
 mod control;
 mod here;
+mod latency;
 pub mod plain;
 mod sensors;
 
 pub use control::{ControlConfig, Door, LONGEST_SOCKET, SocketAt, default_directory, derived};
+pub use latency::{Measured, floors_ns};
 
 use card::Kind;
 use rtec_correct::sensors::SensorConfig;
@@ -195,6 +199,10 @@ pub struct ConfiguredAxis {
     pub travel_mm: f64,
     /// Position of the place where it is homed, counts.
     pub home_counts: i64,
+    /// How fast it moves at most, mm/min.
+    pub rapid_mm_min: Option<f64>,
+    /// The card counts its edges itself, however fast they come.
+    pub counted: bool,
     /// What the MTC tolerates between reference marks or encoders, counts.
     pub reference_budget_counts: Option<i64>,
     /// What the engine needs to know.
@@ -215,7 +223,7 @@ pub struct Simulated {
 }
 
 /// Settings of the real-time thread (`[rt]`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RtConfig {
     /// Its CPU; `None` leaves the choice to the machine.
     pub cpu: Option<usize>,
@@ -223,6 +231,8 @@ pub struct RtConfig {
     pub priority: u8,
     /// The machine's latency has been measured (`detect_ns` and `write_ns` stand in the file).
     pub latency_measured: bool,
+    /// Where and when it has been; none where the file does not say.
+    pub measured: Option<Measured>,
 }
 
 /// The machine model, live.
@@ -408,12 +418,17 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let detect_ns = rt_table.integer(source, "detect_ns", 0..=1_000_000_000);
     let write_ns = rt_table.integer(source, "write_ns", 0..=1_000_000_000);
     let guard_ns = rt_table.integer(source, "guard_ns", 0..=1_000_000_000);
+    let measured = latency::read_measured(source, &mut rt_table);
     rt_table.finish(source);
+    if here {
+        latency::check_cpu(source, cpu);
+    }
     let ns = |at: Option<At<i64>>| at.map_or(0, |at| at.value as u64);
     let rt = RtConfig {
         cpu: cpu.map(|c| c.value as usize),
         priority: priority.map_or(80, |p| p.value as u8),
         latency_measured: detect_ns.is_some() && write_ns.is_some(),
+        measured,
     };
     let latency = AxisConfig {
         detect_ns: ns(detect_ns),
@@ -469,6 +484,14 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         Kind::Port => CardConfig::Port { place: card.port?, profile: card.profile? },
         Kind::Replay => CardConfig::Replay { traces },
     };
+    latency::check_floors(source, &kind, detect_ns, write_ns);
+    if kind.is_real() {
+        for axis in &axes {
+            let unset = "rapid_mm_min is not set: corrections cannot be enabled before it says how fast the axis moves";
+            let unset = axis.rapid_mm_min.is_none().then(|| format!("axis {}: {unset}", axis.name));
+            notes.extend(unset.or_else(|| axis.outruns()));
+        }
+    }
     let mut config = Config {
         machine: name?.value.to_owned(),
         card: kind,

@@ -39,7 +39,7 @@ pub use rtec_correct::explain::{Change, Contribution, Explained, ModelPreview, R
 pub use rtec_correct::part_table::{PartTable, TableNow};
 use rtec_files::words::printable;
 use serde::{Deserialize, Serialize};
-pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rt};
+pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, Rt};
 pub use words::{explain_fault, explain_refusal, word};
 
 /// Version of this protocol. Fields and requests are added without a new one; it rises when something that stood is changed.

@@ -7,6 +7,7 @@
 //! | `history` | every change of the axes' ledgers, and how often each fault was latched |
 //! | `keeper` | finished records into the spool folder |
 //! | `start` | the engine as the last process left the machine |
+//! | `on_disk` | files that were edited since they were read |
 //! | `session` | requests of the protocol, carried out on the link |
 //! | `doors` | the listening sockets, one per role |
 //! | `client` | one connection |
@@ -27,6 +28,7 @@ mod keeper;
 mod loader;
 mod log;
 mod manager;
+mod on_disk;
 mod server;
 mod session;
 mod start;
@@ -40,6 +42,7 @@ use log::{Level, Log};
 use manager::Manager;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
+use on_disk::OnDisk;
 use rtec_control::card::{self, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
@@ -154,11 +157,8 @@ fn exit_code(error: &anyhow::Error) -> u8 {
 fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let mut manager = Manager::from_environment()?;
     let installed = Path::new(INSTALLED);
-    let mut config = match &args.config {
-        Some(file) => Config::load(file)?,
-        None if installed.exists() => Config::load(installed)?,
-        None => Config::embedded(),
-    };
+    let file = args.config.as_deref().or(installed.exists().then_some(installed));
+    let mut config = file.map_or_else(|| Ok(Config::embedded()), Config::load)?;
     if let Some(socket) = &args.socket {
         config.control.socket.clone_from(socket);
     }
@@ -175,6 +175,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let signals =
         SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC).context("signalfd")?;
 
+    let on_disk = Some(OnDisk::watch(file));
     let doors = doors::listen(&config.control)?;
     let kept = manager.take_back("outputs-");
     for name in manager.left_over() {
@@ -182,7 +183,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     }
     let patience =
         Patience { until: Instant::now() + Duration::from_secs(args.wait_for_card), signals: &signals };
-    let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager };
+    let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager, on_disk };
     match config.card.clone() {
         CardConfig::Mock if args.lathe.is_some() => {
             let file = args.lathe.as_deref().unwrap_or(Path::new(""));
@@ -292,6 +293,7 @@ struct Outside<'a> {
     doors: &'a Doors,
     signals: &'a SignalFd,
     manager: &'a mut Manager,
+    on_disk: Option<OnDisk>,
 }
 
 /// Runs the engine on `card` until a signal ends it.
@@ -299,7 +301,7 @@ fn work<C: Card + Send + 'static>(
     mut card: C,
     config: Config,
     kind: Kind,
-    outside: Outside<'_>,
+    mut outside: Outside<'_>,
     log: &mut Log,
 ) -> anyhow::Result<()> {
     let real = matches!(kind, Kind::Real);
@@ -341,7 +343,7 @@ fn work<C: Card + Send + 'static>(
     let state_file = config.card.is_real().then(|| config.control.state_path());
     let mut audit =
         Audit::start(&log_file, outside.doors.seers).context("starting the record of commands")?;
-    let mut session = Session::new(config, set_up, temperatures);
+    let mut session = Session::new(config, set_up, temperatures, outside.on_disk.take());
     session.take_up_model(log);
     if let Some(trouble) = session.spool_trouble() {
         log.say(Level::Warning, &trouble);

@@ -92,7 +92,7 @@ pub(crate) fn serve(
     log: &mut Log,
     audit: &mut Audit,
 ) -> anyhow::Result<Served> {
-    let Outside { doors, signals, manager } = outside;
+    let Outside { doors, signals, manager, .. } = outside;
     let mut clients: Vec<Client> = Vec::new();
     let every = session.beat_every();
     let timeout = PollTimeout::try_from(every).unwrap_or(PollTimeout::from(10_u8));

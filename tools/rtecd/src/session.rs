@@ -20,9 +20,10 @@ use crate::history::History;
 use crate::keeper::{Keeper, Kept};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
+use crate::on_disk::OnDisk;
 use crate::temperatures::Temperatures;
 use loads::Wish;
-use rtec_control::config::{Config, ConfiguredAxis};
+use rtec_control::config::{Config, ConfiguredAxis, Measured};
 use rtec_control::protocol::{ClientRequest, Happened, Numbered, Response, word};
 use rtec_correct::Corrector;
 use rtec_correct::sensors::{SensorConfig, Watch};
@@ -32,7 +33,7 @@ use rtec_rt::engine::Timing;
 use rtec_rt::event::{Event, EventKind, Fault, Mode, Refusal, Request, Status};
 use rtec_rt::journal::Times;
 use rtec_rt::link::ControlEnd;
-use rtec_rt::setup::{Report, Wanted};
+use rtec_rt::setup::{Report, System, Wanted};
 use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -124,6 +125,10 @@ pub(crate) struct Session {
     looked: Instant,
     /// Who stands at the machine, where it is a simulated one.
     stand: Option<Stand>,
+    /// Why corrections may not be enabled on this card and computer, whatever else is right.
+    unfit: Vec<String>,
+    /// The files that were read, as they are now; none in a simulation.
+    on_disk: Option<OnDisk>,
     /// The model's file is not what was taken last.
     model_refused: Option<String>,
     loader: Loader,
@@ -149,8 +154,13 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    pub(crate) fn new(config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
-        Self::by(Rc::new(RealTime), config, set_up, temperatures)
+    pub(crate) fn new(
+        config: Config,
+        set_up: SetUp,
+        temperatures: Temperatures,
+        on_disk: Option<OnDisk>,
+    ) -> Self {
+        Self { on_disk, ..Self::by(Rc::new(RealTime), config, set_up, temperatures) }
     }
 
     fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
@@ -166,10 +176,15 @@ impl Session {
         let latched_ns = known
             .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.times.latched_ns(axis, f)?)))
             .collect();
+        let cpu = set_up.wanted.map_or(0, |w| w.cpu);
+        let here = || Measured::here(&config.card, cpu, &System::live());
+        let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
             latched_ns,
             held_ns: set_up.times.held_ns(),
             holder: (u32::MAX, String::new()),
+            unfit,
+            on_disk: None,
             config,
             set_up,
             started: time.now(),

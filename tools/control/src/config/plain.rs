@@ -4,6 +4,8 @@ use rtec_files::toml::{At, Section, SourceFile};
 
 /// Longest name of a machine, an axis, a sensor, characters.
 const LONGEST_NAME: usize = 64;
+/// Longest line of text, bytes.
+const LONGEST_LINE: usize = 256;
 
 /// Marks that change how the text around them is shown, and are not seen themselves.
 #[must_use]
@@ -49,6 +51,21 @@ pub(super) fn name<'a>(
     let at = at?;
     let Some((found, expected)) = bad_name(key, at.value, one_word) else { return Some(at) };
     source.finding(at.offset, found, expected);
+    None
+}
+
+/// A text that is shown as it stands, in one line: without marks that a terminal obeys; else a finding.
+pub(super) fn line<'a>(
+    source: &mut SourceFile<'_>,
+    key: &str,
+    at: Option<At<&'a str>>,
+) -> Option<At<&'a str>> {
+    let at = at?;
+    if at.value.len() <= LONGEST_LINE && !at.value.chars().any(|c| c.is_control() || is_hidden(c)) {
+        return Some(at);
+    }
+    let shown: String = at.value.chars().take(24).flat_map(char::escape_debug).collect();
+    source.finding(at.offset, format!("{key} = \"{shown}…\""), "at most 256 characters that can be seen");
     None
 }
 

@@ -43,6 +43,9 @@ pub struct DaemonStatus {
     pub record_trouble: Option<String>,
     /// Why nothing is corrected now, and what to do about it; empty while correcting.
     pub why_not: Vec<String>,
+    /// Files that were edited since they were read: what runs is not what they say; each with what to do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub edited: Vec<String>,
     /// The real-time thread: set-up, losses and latencies.
     pub rt: Rt,
     /// The model that runs.
@@ -187,4 +190,36 @@ pub struct AxisReport {
     /// Edges that came sooner than the axis's limits allow, on a polled card.
     #[serde(default)]
     pub beyond_limits: u64,
+    /// How fast the axis may be.
+    #[serde(flatten)]
+    pub rates: Rates,
+}
+
+/// How fast an axis is, and may be, mm/min.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Rates {
+    /// Its rapid, as configured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rapid_mm_min: Option<f64>,
+    /// Up to here every count is seen; none where nothing limits it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub followed_mm_min: Option<f64>,
+    /// Up to here corrections are inserted; none where they never are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corrected_mm_min: Option<f64>,
+}
+
+impl std::fmt::Display for Rates {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // Axes of a test are slow.
+        let digits = |v: f64| if v < 10.0 { 4 } else { 0 };
+        let figure = |speed: Option<f64>, none: &str| {
+            speed.map_or(none.to_owned(), |v| format!("{v:.*} mm/min", digits(v)))
+        };
+        if self.rapid_mm_min.is_some() {
+            write!(f, "rapid {}, ", figure(self.rapid_mm_min, ""))?;
+        }
+        let followed = figure(self.followed_mm_min, "any speed");
+        write!(f, "followed up to {followed}, corrected up to {}", figure(self.corrected_mm_min, "no speed"))
+    }
 }

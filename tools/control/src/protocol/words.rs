@@ -88,6 +88,10 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
             "the real-time thread panicked or stood still, and nobody looked at the lines: see the log, restart the \
              daemon, clear, home again"
         }
+        Fault::ChannelDead => {
+            "A or B of the scale changes again and again while the other never does: a wire or the receiver of that \
+             channel is broken; `rtecctl card probe --watch` shows which; mend it, clear, home again"
+        }
         Fault::SequenceGap => {
             "the kernel merged two edges into one (its sequence numbers jump): the axis is too fast for these GPIO lines, \
              or their interrupt thread is kept waiting (`rtecctl platform`); clear, home again"

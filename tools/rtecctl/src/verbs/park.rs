@@ -185,6 +185,9 @@ fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
 fn why(axis: &AxisReport) -> String {
     let wait = match axis.gate.as_str() {
         "at_rest" => "it stands still and rest_policy is wait: jog it a little",
+        "one_channel" => {
+            "only one channel changes: move it by some counts; if the other never changes, its wire is broken"
+        }
         "too_fast" => "it is too fast for an insertion: slow down",
         "rate_cap" => "max_rate_counts_s holds it back",
         "waiting_for_edge" => "at its next edge",

@@ -164,6 +164,9 @@ fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
         times(&s.rt.edge_to_done_ns),
         s.rt.events_lost
     );
+    for a in s.axes.iter().filter(|a| a.rates.rapid_mm_min.is_some()) {
+        let _ = writeln!(text, "  {}: {}", a.name, a.rates);
+    }
     for missing in &s.rt.missing {
         let _ = writeln!(text, "{} {missing}", tone("missing:", Tone::Doubtful));
     }
@@ -186,6 +189,9 @@ fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
             let state = tone(&r.state, Tone::Doubtful);
             let _ = writeln!(text, "  {} {state}{fault}; {value}{age}", r.sensor);
         }
+    }
+    for file in &s.edited {
+        let _ = writeln!(text, "{} {file}", tone("not what runs:", Tone::Doubtful));
     }
     if let Some(why) = &s.record_trouble {
         let _ = writeln!(text, "{} {why}", tone("record of commands not written:", Tone::Wrong));
@@ -323,7 +329,7 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{AxisReport, PROTOCOL, Reading, Rt, RunningModel};
+    use rtec_control::protocol::{AxisReport, PROTOCOL, Rates, Reading, Rt, RunningModel};
     use rtec_correct::explain::Contribution;
     use rtec_rt::event::Fault;
     use std::collections::BTreeMap;
@@ -353,6 +359,11 @@ mod tests {
             late: 0,
             illegal: 0,
             beyond_limits: 0,
+            rates: Rates {
+                rapid_mm_min: Some(30_000.0),
+                followed_mm_min: Some(45_000.0),
+                corrected_mm_min: Some(24_000.0),
+            },
         }
     }
 
@@ -375,6 +386,7 @@ mod tests {
             protocol: PROTOCOL,
             latched: BTreeMap::new(),
             record_trouble: None,
+            edited: Vec::new(),
             machine: "lathe 7".into(),
             mode: "run".into(),
             homed: true,
@@ -453,6 +465,8 @@ mod tests {
         status.mode = "fault".into();
         status.axes[1].faults = vec![Fault::PollGap];
         status.why_not = vec!["when mended: `rtecctl clear`".into()];
+        status.edited =
+            vec!["/etc/rtec/rtec.toml was edited since the start: `systemctl restart rtecd`".into()];
         status.record_trouble = Some("/var/log/rtec/audit.log: No space left on device".into());
         let coloured = table(&status, &[], Screen { colour: true, width: Some(80) });
         crate::golden("status_terminal.txt", &coloured.replace('\x1b', "␛"));

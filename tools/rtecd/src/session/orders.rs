@@ -323,8 +323,9 @@ impl Session {
             Mode::Hold => return Some(refused(Refusal::Held)),
             Mode::Run | Mode::Shadow | Mode::Fault | Mode::Disabled => {}
         }
-        if self.set_up.real && !self.config.rt.latency_measured {
-            return Some(refused(Refusal::NotArmable));
+        if !self.unfit.is_empty() {
+            let (why, text) = (word(Refusal::NotArmable), self.unfit.join("; "));
+            return Some(Response::Refused { why, text, jumps: Vec::new() });
         }
         let ended = self.corrector.expired();
         if !ended.is_empty() {

@@ -9,6 +9,7 @@ use rtec_rt::event::{HeldBy, Mode, OffBecause, Refusal, Status};
 use rtec_rt::histogram::Reader;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::Report;
+use std::path::PathBuf;
 
 impl Session {
     /// Everything at once, with the events after one that is known already.
@@ -61,7 +62,7 @@ impl Session {
         let now = control.status();
         let alive = !control.ended();
         let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
-        let may_arm = !self.set_up.real || verified && self.config.rt.latency_measured;
+        let may_arm = !self.set_up.real || verified && self.unfit.is_empty();
         let missing = self.set_up.missing.iter().flat_map(Report::missing);
         let rt = Rt {
             alive,
@@ -102,6 +103,7 @@ impl Session {
             late: s.late,
             illegal: s.illegal,
             beyond_limits: s.beyond_limits,
+            rates: axis.rates(),
         });
         DaemonStatus {
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -119,6 +121,7 @@ impl Session {
             faults: now.faults.iter().collect(),
             why_not: self.why_not(&now, alive, may_arm),
             rt,
+            edited: self.edited(),
             model: self.corrector.shown(),
             table: self.corrector.table_shown(),
             table_now: self.corrector.table_now(&now),
@@ -163,6 +166,12 @@ impl Session {
         .collect()
     }
 
+    /// Files on the disk that are not what runs.
+    fn edited(&self) -> Vec<String> {
+        let model = self.corrector.shown().map(|m| (PathBuf::from(m.file), m.sha256));
+        self.on_disk.as_ref().map_or_else(Vec::new, |files| files.edited(model))
+    }
+
     /// Why nothing is corrected now, each with its remedy.
     fn why_not(&self, now: &Status, alive: bool, may_arm: bool) -> Vec<String> {
         let mut why = Vec::new();
@@ -185,9 +194,7 @@ impl Session {
         }
         if !may_arm {
             why.push(explain_refusal(Refusal::NotArmable).to_owned());
-            if !self.config.rt.latency_measured {
-                why.push("[rt] has no detect_ns and write_ns: run `rtecctl selftest latency`".to_owned());
-            }
+            why.extend(self.unfit.iter().cloned());
         }
         if !now.mtc_ready {
             why.push(explain_refusal(Refusal::ControllerNotReady).to_owned());

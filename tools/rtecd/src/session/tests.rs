@@ -45,7 +45,7 @@ fn session(engine: &Engine) -> Session {
     };
     let config = Config::embedded();
     let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-    Session::new(config, set_up, temperatures)
+    Session::by(Rc::new(RealTime), config, set_up, temperatures)
 }
 
 /// The recorded shift of `rtec-correct`'s tests through the daemon's own tick: the same totals, count for count.
@@ -66,7 +66,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     };
     let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
     let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
-    let mut session = Session::new(config, set_up, played);
+    let mut session = Session::by(Rc::new(RealTime), config, set_up, played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
     session.temperatures.look();
     let watches = session.temperatures.sensors().to_vec();
@@ -287,7 +287,7 @@ impl Hand {
         let times = Before::NOTHING.times;
         let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times };
         let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-        let session = Session::new(config, set_up, temperatures);
+        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
         let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
         let running = spawn(engine, card, options).unwrap();
         Self { session, running, inputs, log: Log::new(), _directory: directory }
@@ -432,4 +432,43 @@ fn every_verb_is_done_or_refused_in_every_mode() {
     }
     assert!(done > 80 && refused > 60, "{done} done, {refused} refused");
     hand.running.stop();
+}
+
+/// A real card with figures of elsewhere, or with an axis that outruns it: nothing is armed, and the status says why.
+#[test]
+fn a_card_without_figures_of_its_own_is_not_armed() {
+    let text = "[machine]\nname = 'm'\n[card]\nbackend = 'mapped'\nuio = '/dev/uio0'\n[[axis]]\nname = 'x'\ncount_um = 0.1\n\
+        travel_mm = 400\nmax_correction_counts = 100\nwindow_counts = 50\nmin_separation_ns = 100\nmax_accel_mm_s2 = 100\n\
+        rapid_mm_min = 30000\nlines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }\n\
+        [rt]\ndetect_ns = 1000\nwrite_ns = 300\n";
+    let foreign = "measured = { card = 'another', kernel = '1.0', cpu = 'any', date = '2026-01-01' }\n";
+    let figures = Config::parse(Path::new("rtec.toml"), text).unwrap();
+    let here = format!("{}\n", Measured::here(&figures.card, 0, &System::live()));
+    for (measured, slower, says) in [
+        ("", false, &["does not say where", "5000000 edges/s"][..]),
+        (foreign, true, &["was measured with card \"another\""]),
+        (&here, false, &["5000000 edges/s"]),
+        (&here, true, &[]),
+    ] {
+        let text = format!("{text}{measured}").replace("30000", if slower { "3000" } else { "30000" });
+        let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
+        let (engine, _card) = engine(&config);
+        let set_up = SetUp { real: true, wanted: None, missing: None, timing: engine.timing(), times: Before::NOTHING.times };
+        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
+        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
+        let (mut control, _rt) = link(engine.status());
+        let (refusal, status) =
+            (session.forbidden(&engine.status(), &[], true), session.status(&mut control));
+        assert_eq!(refusal.is_some(), !says.is_empty(), "{refusal:?}");
+        let why = format!("{refusal:?} {:?}", status.why_not);
+        for text in says {
+            assert_eq!(
+                why.replace('\\', "").matches(text).count(),
+                2,
+                "{text} at enable and in the status: {why}"
+            );
+        }
+        assert!(!status.rt.may_arm, "without a verified set-up nothing is armed");
+        assert_eq!(status.axes[0].rates.followed_mm_min.map(f64::round), Some(6000.0));
+    }
 }
