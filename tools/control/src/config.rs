@@ -48,7 +48,7 @@ mod axis;
 mod card;
 mod control;
 mod here;
-pub mod plain;
+mod plain;
 mod sensors;
 
 pub use control::{ControlConfig, Door, LONGEST_SOCKET, SocketAt, default_directory, derived};
