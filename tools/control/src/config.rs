@@ -33,6 +33,7 @@
 //! | | `state_file` | – | beside the socket | what a restart takes over |
 //! | | `log_file` | – | `/var/log/rtec/audit.log`, or beside the state file | the record of every command |
 //! | | `spool` | – | none | the folder that finished records are kept in, for `rtecctl ship` |
+//! | | `spool_mb` | MB | 1024 | what may wait in it at most |
 //! | | `stale_ms` | ms | 500 | silence of the control side after which no insertion begins |
 //! | `[model]` | `file` | – | none | the machine model that shall run, once `rtecctl model load` has taken it |
 //! | | `period_ms` | ms | 10 | how often it is evaluated, 10 to 20 |

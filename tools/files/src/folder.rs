@@ -63,14 +63,23 @@ impl Folder {
         Ok(Self { fd, path })
     }
 
+    /// A new folder in it.
+    ///
+    /// # Errors
+    /// Something has that name already (kind `AlreadyExists`), or it cannot be made.
+    pub fn new_folder(&self, name: &str) -> io::Result<Self> {
+        mkdirat(&self.fd, plain(name)?, Mode::from_bits_truncate(0o777))?;
+        self.folder(name)
+    }
+
     /// A folder in it, which is made where it is missing.
     ///
     /// # Errors
     /// As [`Folder::folder`], or it cannot be made.
     pub fn make_folder(&self, name: &str) -> io::Result<Self> {
-        match mkdirat(&self.fd, plain(name)?, Mode::from_bits_truncate(0o777)) {
-            Ok(()) | Err(Errno::EEXIST) => self.folder(name),
-            Err(error) => Err(error.into()),
+        match self.new_folder(name) {
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => self.folder(name),
+            made => made,
         }
     }
 

@@ -209,15 +209,18 @@ pub fn put(
         return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
     }
     let folder = Open::open(spool)?;
-    finish(&folder)?;
+    finish_begun(&folder)?;
     room.takes(&folder, csv.len() as u64 + LONGEST_SIDECAR)?;
     // Whoever may read the folder may read the records, whatever the process's mask says.
     let mode = folder.mode()?;
-    let staged = (1..).map(|n| format!("{PUTTING}{}-{n}", std::process::id()));
-    let mut staged = staged.skip_while(|name| folder.has(name).unwrap_or(false));
-    let staged = staged.next().unwrap_or_default();
-    let begun = folder.make_folder(&staged)?;
-    nix::sys::stat::fchmod(&begun, nix::sys::stat::Mode::from_bits_truncate(mode & 0o7777))?;
+    let mut numbers = 1..;
+    let (staged, begun) = loop {
+        let staged = format!("{PUTTING}{}-{}", std::process::id(), numbers.next().unwrap_or_default());
+        match folder.new_folder(&staged) {
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+            made => break (staged, made?),
+        }
+    };
     // Held while it lives: what nobody holds was left by one that was killed.
     let held = begun.lock();
     let done = place(&mut record, csv, &stem, (&folder, &begun), mode & 0o644 | 0o600, go_on);
@@ -266,9 +269,17 @@ fn place(
     Err(io::ErrorKind::AlreadyExists.into())
 }
 
+/// Finishes what was begun in a spool by programs that were killed.
+///
+/// # Errors
+/// What the file system reports.
+pub fn finish(spool: &Path) -> io::Result<()> {
+    finish_begun(&Open::open(spool)?)
+}
+
 /// Finishes what others began who were killed: a record of which both files were written is whole; what is less is taken away. A
 /// record that was sent is put aside.
-fn finish(folder: &Open) -> io::Result<()> {
+fn finish_begun(folder: &Open) -> io::Result<()> {
     for name in folder.names()? {
         if !name.starts_with(PUTTING) && !name.starts_with(SENDING) {
             continue;
@@ -318,7 +329,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     }
     let trouble = |path: &Path, error| ShipError::Spool { path: path.to_owned(), error };
     let folder = Open::open(spool).map_err(|e| trouble(spool, e))?;
-    finish(&folder).map_err(|e| trouble(spool, e))?;
+    finish_begun(&folder).map_err(|e| trouble(spool, e))?;
     let waiting = waiting(&folder).map_err(|e| trouble(spool, e))?;
     let mut round = Round::default();
     if !waiting.is_empty() {

@@ -17,7 +17,7 @@ mod tests;
 use crate::audit::Totals;
 use crate::cards::Stand;
 use crate::history::History;
-use crate::keeper::{Keeper, Kept};
+use crate::keeper::{Keeper, Kept, Spool};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
 use crate::temperatures::Temperatures;
@@ -147,7 +147,7 @@ impl Session {
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
         let sensors = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
         let sensors = sensors.map(|(n, c)| (n, c.name.clone())).collect();
-        let keeper = Keeper::new(config.control.spool.clone(), sensors);
+        let keeper = Keeper::new(Spool::of(&config.control), sensors);
         let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
         Self {
             config,

@@ -29,6 +29,8 @@ pub struct ControlConfig {
     pub log_file: Option<PathBuf>,
     /// The folder that finished records are kept in, for the shop; none without one.
     pub spool: Option<PathBuf>,
+    /// What may wait in it at most, MB.
+    pub spool_mb: u64,
     /// Silence of the control side after which no insertion begins, ms.
     pub stale_ms: u64,
 }
@@ -157,6 +159,7 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
     let state_file = table.string(source, "state_file", "the path of the state file");
     let log_file = table.string(source, "log_file", "the path of the record of every command");
     let spool = table.string(source, "spool", "the path of the folder for finished records");
+    let spool_mb = table.integer(source, "spool_mb", 1..=1_048_576);
     let stale_ms = table.integer(source, "stale_ms", 10..=60_000);
     let offset = table.offset;
     table.finish(source);
@@ -170,6 +173,7 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
         state_file: state_file.map(relative),
         log_file: log_file.map(relative),
         spool: spool.map(relative),
+        spool_mb: spool_mb.map_or(1024, |s| s.value as u64),
         stale_ms: stale_ms.map_or(500, |s| s.value as u64),
     };
     if let Some(at) = log_file.filter(|_| config.log_path() == config.state_path()) {
