@@ -105,7 +105,10 @@ impl Folder {
         let flags = OFlag::O_RDONLY | OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
         let file = File::from(openat(&self.fd, name, flags, Mode::empty()).map_err(|e| linked(&path, e))?);
         if !file.metadata()?.is_file() {
-            let text = format!("{}: found a folder, pipe, socket or device, expected a regular file", path.display());
+            let text = format!(
+                "{}: found a folder, pipe, socket or device, expected a regular file",
+                path.display()
+            );
             return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
         }
         Ok(file)
@@ -300,7 +303,10 @@ fn linked(path: &Path, error: Errno) -> io::Error {
     let is_link = || path.symlink_metadata().is_ok_and(|m| m.is_symlink());
     match error {
         Errno::ELOOP | Errno::ENOTDIR if is_link() => {
-            let text = format!("{}: found a link, expected a file or folder: no link is followed here", path.display());
+            let text = format!(
+                "{}: found a link, expected a file or folder: no link is followed here",
+                path.display()
+            );
             io::Error::new(io::ErrorKind::InvalidInput, text)
         }
         error => error.into(),

@@ -75,7 +75,10 @@ pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     let mut parts = Path::new(&sidecar.file).components();
     match (parts.next(), parts.next()) {
         (Some(std::path::Component::Normal(name)), None) if name == sidecar.file.as_str() => Ok(sidecar.file),
-        _ => Err(sidecar.file_error.clone().with(format!("`{}`", sidecar.file), "a CSV in the folder of its sidecar")),
+        _ => Err(sidecar
+            .file_error
+            .clone()
+            .with(format!("`{}`", sidecar.file), "a CSV in the folder of its sidecar")),
     }
 }
 

@@ -152,7 +152,8 @@ impl Room {
     fn takes(self, folder: &Open, bytes: u64) -> io::Result<()> {
         let full = |text: String| Err(io::Error::new(io::ErrorKind::StorageFull, text));
         let disk = nix::sys::statvfs::fstatvfs(folder)?;
-        let (free, all) = (disk.blocks_available() * disk.fragment_size(), disk.blocks() * disk.fragment_size());
+        let (free, all) =
+            (disk.blocks_available() * disk.fragment_size(), disk.blocks() * disk.fragment_size());
         if free.saturating_sub(bytes) < all / 100 * self.free_percent {
             return full(format!(
                 "No space left for records: {} of {} MB are free, and {} % are kept free",
@@ -343,7 +344,8 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     }
     for (n, name) in waiting.iter().enumerate() {
         let sidecar = spool.join(name);
-        let read = |name: &str, longest| folder.read(name, longest).map_err(|e| trouble(&spool.join(name), e));
+        let read =
+            |name: &str, longest| folder.read(name, longest).map_err(|e| trouble(&spool.join(name), e));
         // Another one who sends from this spool may have sent it.
         let words = match folder.read(name, LONGEST_SIDECAR) {
             Ok(Some(words)) => words,
@@ -367,7 +369,11 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
             Ok(None) if read(name, LONGEST_SIDECAR)?.is_none() => continue,
             Ok(None) => {
                 let found = format!("no file {csv} beside it");
-                round.kept.push(InputError::whole(&sidecar, found, "the CSV that it names, in the same folder"));
+                round.kept.push(InputError::whole(
+                    &sidecar,
+                    found,
+                    "the CSV that it names, in the same folder",
+                ));
                 continue;
             }
             Err(e) => {
@@ -632,7 +638,10 @@ mod tests {
         let second = add(&sidecar, spool.path()).unwrap();
         let value = |p: &Path| crate::record::read(p).unwrap().columns[0].data[0];
         assert_eq!((value(&first), value(&second)), (1.0, 2.0));
-        assert_eq!(waits(spool.path()), [second, first].map(|p| p.file_name().unwrap().to_str().unwrap().to_owned()));
+        assert_eq!(
+            waits(spool.path()),
+            [second, first].map(|p| p.file_name().unwrap().to_str().unwrap().to_owned())
+        );
     }
 
     fn read_back(folder: &Path, name: &str) -> Record {
@@ -683,8 +692,11 @@ mod tests {
         symlink(away.path().join("far.csv"), spool.path().join("far.csv")).unwrap();
         let words = std::fs::read_to_string(away.path().join("far.run.toml")).unwrap();
         std::fs::write(spool.path().join("b.run.toml"), &words).unwrap();
-        for (name, file) in [("c", away.path().join("far.csv").display().to_string()), ("d", "../far.csv".to_owned())] {
-            std::fs::write(spool.path().join(format!("{name}.run.toml")), words.replace("far.csv", &file)).unwrap();
+        for (name, file) in
+            [("c", away.path().join("far.csv").display().to_string()), ("d", "../far.csv".to_owned())]
+        {
+            std::fs::write(spool.path().join(format!("{name}.run.toml")), words.replace("far.csv", &file))
+                .unwrap();
         }
         let round = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap();
         assert_eq!((round.sent.len(), round.kept.len()), (0, 4), "{round:?}");
@@ -694,7 +706,8 @@ mod tests {
     #[test]
     fn whoever_is_killed_leaves_a_whole_record_or_none() {
         // Killed while putting: before the sidecar, after it, between the two names.
-        for (files, kept) in [(&["csv"][..], false), (&["csv", "a.run.toml"], true), (&["a.run.toml"], true)] {
+        for (files, kept) in [(&["csv"][..], false), (&["csv", "a.run.toml"], true), (&["a.run.toml"], true)]
+        {
             let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
             record(made.path(), "a", 7.0);
             let begun = spool.path().join(format!("{PUTTING}1-1"));

@@ -6,12 +6,12 @@
 //! lets nobody give way, or `tiny_http`, which reads bodies on the thread that accepts: one slow sender holds up all.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::os::fd::AsFd;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -153,7 +153,9 @@ impl Server {
                     continue;
                 }
             };
-            let Some(seat) = stream.end_both().ok().and_then(|hand| Seats::take(&seats, hand)) else { continue };
+            let Some(seat) = stream.end_both().ok().and_then(|hand| Seats::take(&seats, hand)) else {
+                continue;
+            };
             let handler = Arc::clone(handler);
             let started = std::thread::Builder::new().name("http".into()).spawn(move || {
                 // Whoever goes away early is his own affair.

@@ -22,7 +22,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 /// Files of a model are together no longer than this, bytes. What is read of a TOML takes some 150 times its bytes in memory.
-const LONGEST_MODEL: u64 = 512 << 10;
+const LONGEST_MODEL: u64 = 2 << 20;
 /// A part's errors, bytes.
 const LONGEST_ERRORS: u64 = 2 << 20;
 /// A record's CSV, bytes: a day of twenty columns, each second. Its columns take four times as much at most.
@@ -178,7 +178,8 @@ pub(crate) fn work(job: Job, given_up: &AtomicBool) -> Result<Loaded, InputError
         }
         Job::Table { table, source } => {
             let file = PathBuf::from(&table.errors);
-            let errors = FeatureErrors::parse(&file, &Reader::new(&source, LONGEST_ERRORS, &go_on).read(&file)?)?;
+            let errors =
+                FeatureErrors::parse(&file, &Reader::new(&source, LONGEST_ERRORS, &go_on).read(&file)?)?;
             if errors.len() > POINTS {
                 let found = format!("{} points", errors.len());
                 return Err(InputError::whole(&file, found, format!("at most {POINTS}")));
@@ -244,7 +245,11 @@ impl<'s> Reader<'s> {
         let (mut content, mut buffer) = (Vec::with_capacity(found.len() as usize), vec![0; 64 << 10]);
         loop {
             if !(self.go_on)() {
-                return Err(InputError::whole(path, "a file that takes too long to read", "a disk that answers"));
+                return Err(InputError::whole(
+                    path,
+                    "a file that takes too long to read",
+                    "a disk that answers",
+                ));
             }
             // From its beginning, wherever the caller has read to.
             let n = file.read_at(&mut buffer, content.len() as u64).map_err(unreadable)?;
@@ -324,7 +329,9 @@ mod tests {
         std::fs::remove_file(&file).unwrap();
         let files = BTreeMap::from([(file.clone(), OwnedFd::from(open))]);
         let job = Job::Table { table: table(&file), source: Source::Handed(files) };
-        assert!(matches!(work(job, &AtomicBool::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2));
+        assert!(
+            matches!(work(job, &AtomicBool::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2)
+        );
         let job =
             Job::Table { table: table(Path::new("/etc/passwd")), source: Source::Handed(BTreeMap::new()) };
         let Err(error) = work(job, &AtomicBool::default()) else { panic!("read") };
@@ -336,7 +343,9 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);
         let spool = Spool { folder: directory.path().to_owned(), room: rtec_measure::spool::Room::ANY };
-        for (sidecar, csv, bound) in [(LONGEST_SIDECAR + 1, 1, LONGEST_SIDECAR), (1, LONGEST_CSV + 1, LONGEST_CSV)] {
+        for (sidecar, csv, bound) in
+            [(LONGEST_SIDECAR + 1, 1, LONGEST_SIDECAR), (1, LONGEST_CSV + 1, LONGEST_CSV)]
+        {
             for (name, bytes) in [("a.run.toml", sidecar), ("a.csv", csv)] {
                 let file = File::create(at(name)).unwrap();
                 std::io::Write::write_all(&mut &file, b"#").unwrap();
@@ -365,7 +374,8 @@ mod tests {
         assert!(loader.done().is_some_and(|(_, given_up)| given_up));
         assert!(loader.busy().is_none());
         // Told to end it ends, with nothing read.
-        let Err(error) = work(Job::Table { table: table(&file), source: Source::Named }, &AtomicBool::new(true))
+        let Err(error) =
+            work(Job::Table { table: table(&file), source: Source::Named }, &AtomicBool::new(true))
         else {
             panic!("read")
         };

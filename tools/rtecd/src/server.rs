@@ -284,6 +284,19 @@ impl Desk<'_> {
             self.log.event(Level::Warning, "record", &text);
         }
         self.record = state.in_words();
+        if self.audit.has_moved() {
+            let text = format!(
+                "a file of the record of commands {} was removed or renamed by others: another one was begun; `rtecctl log \
+                 --verify` shows what is missing",
+                state.file
+            );
+            self.log.event(Level::Warning, "record", &text);
+        }
+        if self.session.anchors_record()
+            && let Some(text) = self.audit.anchor()
+        {
+            self.log.record(Level::Notice, "record_anchor", &text, &[]);
+        }
     }
 
     /// Answers those whose files have been read.

@@ -247,6 +247,11 @@ impl Session {
         self.tell(Happened { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
     }
 
+    /// The end of the record of commands is to be said in the system's journal.
+    pub(crate) fn anchors_record(&self) -> bool {
+        self.config.control.log_anchor
+    }
+
     /// What is to be mended before a record can be kept.
     pub(crate) fn spool_trouble(&self) -> Option<String> {
         self.keeper.trouble()

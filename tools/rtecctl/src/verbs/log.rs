@@ -3,7 +3,7 @@
 use crate::Outcome;
 use crate::daemon::Daemon;
 use crate::terminal;
-use rtec_control::audit::{self, Entry, Line};
+use rtec_control::audit::{self, Anchor, Entry, Line};
 use rtec_files::InputError;
 use rtec_files::words::is_hidden;
 use serde_json::{Value, json};
@@ -29,6 +29,10 @@ pub(crate) struct Args {
     /// that could not be recorded are counted
     #[arg(long, conflicts_with_all = ["since", "axis", "follow"])]
     verify: bool,
+    /// With --verify: that the record ends as the system's journal says ([control] `log_anchor`); FILE is what `journalctl
+    /// RTEC_EVENT=record_anchor` prints, `-` standard input
+    #[arg(long, value_name = "FILE", requires = "verify")]
+    anchors: Option<PathBuf>,
     /// Go on with new lines as they come, until interrupted or nobody reads them; with --json one document a line
     #[arg(long)]
     follow: bool,
@@ -44,7 +48,8 @@ const EVERY: Duration = Duration::from_millis(250);
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let file = args.file.clone().map_or_else(|| args.daemon.log_path(), Ok)?;
     if args.verify {
-        return verify(&file, args.daemon.json);
+        let anchors = args.anchors.as_deref().map(anchors).transpose()?.unwrap_or_default();
+        return verify(&file, &anchors, args.daemon.json);
     }
     let since_s = args.since.as_deref().map(since).transpose()?;
     let wanted = |entry: &Entry| {
@@ -54,7 +59,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(axis) = &args.axis {
         known(&file, axis)?;
     }
-    let (mut all, mut last_n, mut last_t) = (Vec::new(), 0, None);
+    // Of the record, and of the refusals beside it.
+    let (mut all, mut last_n, mut last_t) = (Vec::new(), [0; 2], None);
     let (mut shown, mut broken) = (0_u64, 0_u64);
     let mut show = |line: Line, all: Option<&mut Vec<Value>>| match line.entry {
         Ok(entry) => {
@@ -76,7 +82,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let document = args.daemon.json && !args.follow;
     audit::read(&file, &mut |line| {
         if let Ok(entry) = &line.entry {
-            last_n = entry.n;
+            last_n[usize::from(line.refused)] = entry.n;
             last_t = Some(entry.t.clone());
         }
         show(line, document.then_some(&mut all));
@@ -91,8 +97,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             // A moment ago the files may have changed their names.
             let _ = audit::read(&file, &mut |line| {
                 let n = line.entry.as_ref().map_or(0, |e| e.n);
-                if n > last_n {
-                    last_n = n;
+                let last_n = &mut last_n[usize::from(line.refused)];
+                if n > *last_n {
+                    *last_n = n;
                     show(line, None);
                 }
             });
@@ -135,8 +142,23 @@ fn nothing(since_s: Option<f64>, axis: Option<&str>, last_t: Option<&str>) -> St
     format!("no line{axis}{since}; the record's last is of {last}: `rtecctl log` shows all")
 }
 
-fn verify(file: &Path, as_json: bool) -> anyhow::Result<()> {
-    let found = audit::verify(file).map_err(|e| unreadable(file, &e))?;
+/// What the journal says of the record.
+fn anchors(file: &Path) -> anyhow::Result<Vec<Anchor>> {
+    let text = if file == Path::new("-") {
+        io::read_to_string(io::stdin()).map_err(|e| InputError::whole(file, e.to_string(), "text"))?
+    } else {
+        rtec_files::text::read(file)?
+    };
+    let found = Anchor::all(&text);
+    if found.is_empty() {
+        let expected = "lines of rtecd, as `journalctl RTEC_EVENT=record_anchor` prints them ([control] log_anchor = true)";
+        return Err(InputError::whole(file, "no anchor", expected).into());
+    }
+    Ok(found)
+}
+
+fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> {
+    let found = audit::verify(file, anchors).map_err(|e| unreadable(file, &e))?;
     if as_json {
         println!("{}", json!({ "file": file, "ok": found.broken.is_empty(), "found": found }));
     } else {
@@ -146,6 +168,12 @@ fn verify(file: &Path, as_json: bool) -> anyhow::Result<()> {
         }
         let [first, last] = found.numbers;
         println!("{}: {} lines, number {first} to {last}", file.display(), found.lines);
+        if found.refused > 0 {
+            println!("{}: {} lines", audit::refused_path(file).display(), found.refused);
+        }
+        if !anchors.is_empty() {
+            println!("compared with {} anchors", anchors.len());
+        }
         if found.lost > 0 {
             println!(
                 "{} commands were not recorded, as it says itself: `rtecctl log` shows when and why",
