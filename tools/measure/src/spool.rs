@@ -211,7 +211,7 @@ pub fn put(
     }
     let folder = Open::open(spool)?;
     finish_begun(&folder)?;
-    room.takes(&folder, csv.len() as u64 + LONGEST_SIDECAR)?;
+    room.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
     // Whoever may read the folder may read the records, whatever the process's mask says.
     let mode = folder.mode()?;
     let mut numbers = 1..;

@@ -32,7 +32,7 @@ const POINTS: usize = 20_000;
 /// A load that takes longer is given up.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(8);
 /// Loads that were given up and still hang in a file system. With so many nothing more is loaded.
-const HANGING: usize = 4;
+const HANGING: usize = 2;
 /// Of the time between two evaluations a model may take so much.
 const SHARE: f64 = 0.25;
 
@@ -112,7 +112,7 @@ impl Loader {
         if self.running.is_some() {
             return Some("another file is being loaded: ask again when it is done");
         }
-        let hangs = "four loads that were given up still hang in their file systems: end what they wait for, or restart the daemon";
+        let hangs = "two loads that were given up have not ended: end what their file systems wait for, or restart the daemon";
         (self.hanging.len() >= HANGING).then_some(hangs)
     }
 
@@ -369,7 +369,7 @@ mod tests {
             // As if it had hung: it is not under way, and its result has not come.
             loader.hanging.push(1000 + n as Ticket);
         }
-        assert!(loader.busy().unwrap().contains("still hang"));
+        assert!(loader.busy().unwrap().contains("have not ended"));
         loader.results.0.send((1000, Err(missing(&file)))).unwrap();
         assert!(loader.done().is_some_and(|(_, given_up)| given_up));
         assert!(loader.busy().is_none());
