@@ -218,6 +218,12 @@ fn read_head(file: &Path) -> Option<Head> {
     std::fs::read(head_path(file)).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok())
 }
 
+/// Number and hash of the last line, as its head says; none without one.
+#[must_use]
+pub fn end(file: &Path) -> Option<(u64, String)> {
+    read_head(file).map(|head| (head.n, head.hash))
+}
+
 fn head_path(file: &Path) -> PathBuf {
     with_suffix(file, "head")
 }
