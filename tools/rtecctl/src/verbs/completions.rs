@@ -106,7 +106,7 @@ mod tests {
         std::fs::set_permissions(at("rtecctl"), std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
         let typed = |words: &str, n: u32| {
             let line = format!(
-                "source script; COMP_WORDS=({words}); COMP_CWORD={n}; _rtecctl_axes rtecctl; echo ${{COMPREPLY[@]}}"
+                "source script; COMP_WORDS=({words}); COMP_CWORD={n}; _rtecctl_axes rtecctl \"${{COMP_WORDS[{n}]}}\"; echo ${{COMPREPLY[@]}}"
             );
             let path = format!("{}:{}", directory.path().display(), std::env::var("PATH").unwrap());
             let mut run = std::process::Command::new("bash");
