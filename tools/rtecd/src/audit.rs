@@ -478,6 +478,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("audit.log");
         let mut audit = Audit::start(&path, None).unwrap();
+        audit.note("start", String::new(), Totals::new());
         for n in 0..5000 {
             let request = serde_json::json!({"do": "correct", "total_counts": n});
             audit.command(Command { request, ..command(n, "refused") });

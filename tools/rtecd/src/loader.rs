@@ -85,12 +85,26 @@ pub(crate) enum Loaded {
 /// One load.
 pub(crate) type Ticket = u64;
 
+/// What a load and who waits for it tell each other.
+#[derive(Debug, Default)]
+pub(crate) struct Told {
+    /// It is to end.
+    given_up: AtomicBool,
+    /// It reads a file: where it does not end it hangs there, and takes no time of a processor.
+    reads: AtomicBool,
+}
+
+impl Told {
+    fn go_on(&self) -> bool {
+        !self.given_up.load(Ordering::Relaxed)
+    }
+}
+
 /// A load that is under way.
 struct Running {
     ticket: Ticket,
     since: Instant,
-    /// Tells it to end.
-    given_up: Arc<AtomicBool>,
+    told: Arc<Told>,
 }
 
 /// One thread that loads, or none.
@@ -98,7 +112,7 @@ pub(crate) struct Loader {
     results: (Sender<Done>, Receiver<Done>),
     running: Option<Running>,
     /// Loads that were given up and have not ended yet.
-    hanging: Vec<Ticket>,
+    hanging: Vec<(Ticket, Arc<Told>)>,
     next: Ticket,
 }
 
@@ -109,7 +123,9 @@ impl Loader {
 
     /// Why nothing can be loaded now.
     pub(crate) fn busy(&self) -> Option<&'static str> {
-        if self.running.is_some() {
+        // What still computes has the processor to itself: beside others it would take longer yet.
+        let computes = self.hanging.iter().any(|(_, told)| !told.reads.load(Ordering::Relaxed));
+        if self.running.is_some() || computes {
             return Some("another file is being loaded: ask again when it is done");
         }
         let hangs = "two loads that were given up have not ended: end what their file systems wait for, or restart the daemon";
@@ -122,14 +138,14 @@ impl Loader {
     /// The system gives no thread.
     pub(crate) fn start(&mut self, job: Job) -> std::io::Result<Ticket> {
         let (ticket, done) = (self.next, self.results.0.clone());
-        let given_up = Arc::<AtomicBool>::default();
-        let told = Arc::clone(&given_up);
+        let told = Arc::<Told>::default();
+        let own = Arc::clone(&told);
         std::thread::Builder::new().name("loader".into()).spawn(move || {
             // Nobody may be waiting any more.
-            let _ = done.send((ticket, work(job, &told)));
+            let _ = done.send((ticket, work(job, &own)));
         })?;
         self.next += 1;
-        self.running = Some(Running { ticket, since: Instant::now(), given_up });
+        self.running = Some(Running { ticket, since: Instant::now(), told });
         Ok(ticket)
     }
 
@@ -137,7 +153,7 @@ impl Loader {
     pub(crate) fn done(&mut self) -> Option<(Done, bool)> {
         let done = self.results.1.try_recv().ok()?;
         let before = self.hanging.len();
-        self.hanging.retain(|ticket| *ticket != done.0);
+        self.hanging.retain(|(ticket, _)| *ticket != done.0);
         let given_up = self.hanging.len() < before;
         if !given_up {
             self.running = None;
@@ -147,19 +163,18 @@ impl Loader {
 
     /// Gives up the load that has taken too long; its caller is to be told.
     pub(crate) fn give_up(&mut self) -> Option<Ticket> {
-        let Running { ticket, given_up, .. } = self.running.take_if(|r| r.since.elapsed() > PATIENCE)?;
-        given_up.store(true, Ordering::Relaxed);
-        self.hanging.push(ticket);
+        let Running { ticket, told, .. } = self.running.take_if(|r| r.since.elapsed() > PATIENCE)?;
+        told.given_up.store(true, Ordering::Relaxed);
+        self.hanging.push((ticket, told));
         Some(ticket)
     }
 }
 
 /// Does a job, on whichever thread.
-pub(crate) fn work(job: Job, given_up: &AtomicBool) -> Result<Loaded, InputError> {
-    let go_on = || !given_up.load(Ordering::Relaxed);
+pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
     match job {
         Job::Model { file, source, preparer, watches, past, now_s, period } => {
-            let reader = Reader::new(&source, LONGEST_MODEL, &go_on);
+            let reader = Reader::new(&source, LONGEST_MODEL, told);
             let text = reader.read(&file)?;
             let machine =
                 Machine::parse_from(&file, &text, Dictionary::default(), &|beside| reader.read(beside))?;
@@ -179,7 +194,7 @@ pub(crate) fn work(job: Job, given_up: &AtomicBool) -> Result<Loaded, InputError
         Job::Table { table, source } => {
             let file = PathBuf::from(&table.errors);
             let errors =
-                FeatureErrors::parse(&file, &Reader::new(&source, LONGEST_ERRORS, &go_on).read(&file)?)?;
+                FeatureErrors::parse(&file, &Reader::new(&source, LONGEST_ERRORS, told).read(&file)?)?;
             if errors.len() > POINTS {
                 let found = format!("{} points", errors.len());
                 return Err(InputError::whole(&file, found, format!("at most {POINTS}")));
@@ -187,9 +202,9 @@ pub(crate) fn work(job: Job, given_up: &AtomicBool) -> Result<Loaded, InputError
             Ok(Loaded::Table { table, errors })
         }
         Job::Keep { files: [sidecar, csv], source, spool } => {
-            let text = Reader::new(&source, LONGEST_SIDECAR, &go_on).read(&sidecar)?;
-            let rows = Reader::new(&source, LONGEST_CSV, &go_on).bytes(&csv)?;
-            Ok(Loaded::Kept(take_over(&sidecar, &text, &rows, &spool, &go_on)?))
+            let text = Reader::new(&source, LONGEST_SIDECAR, told).read(&sidecar)?;
+            let rows = Reader::new(&source, LONGEST_CSV, told).bytes(&csv)?;
+            Ok(Loaded::Kept(take_over(&sidecar, &text, &rows, &spool, &|| told.go_on())?))
         }
     }
 }
@@ -200,14 +215,13 @@ struct Reader<'s> {
     longest: u64,
     /// Bytes that may still come.
     left: Cell<u64>,
-    /// Says no where the job was given up.
-    go_on: &'s dyn Fn() -> bool,
+    told: &'s Told,
     taken: RefCell<BTreeMap<PathBuf, String>>,
 }
 
 impl<'s> Reader<'s> {
-    fn new(source: &'s Source, longest: u64, go_on: &'s dyn Fn() -> bool) -> Self {
-        Self { source, longest, left: Cell::new(longest), go_on, taken: RefCell::default() }
+    fn new(source: &'s Source, longest: u64, told: &'s Told) -> Self {
+        Self { source, longest, left: Cell::new(longest), told, taken: RefCell::default() }
     }
 
     fn read(&self, path: &Path) -> Result<String, InputError> {
@@ -220,6 +234,13 @@ impl<'s> Reader<'s> {
     }
 
     fn bytes(&self, path: &Path) -> Result<Vec<u8>, InputError> {
+        self.told.reads.store(true, Ordering::Relaxed);
+        let bytes = self.bytes_of(path);
+        self.told.reads.store(false, Ordering::Relaxed);
+        bytes
+    }
+
+    fn bytes_of(&self, path: &Path) -> Result<Vec<u8>, InputError> {
         let unreadable = |e: std::io::Error| text::unreadable(path, &e);
         let file = match self.source {
             Source::Handed(files) => {
@@ -244,7 +265,7 @@ impl<'s> Reader<'s> {
         }
         let (mut content, mut buffer) = (Vec::with_capacity(found.len() as usize), vec![0; 64 << 10]);
         loop {
-            if !(self.go_on)() {
+            if !self.told.go_on() {
                 return Err(InputError::whole(
                     path,
                     "a file that takes too long to read",
@@ -296,7 +317,7 @@ mod tests {
     }
 
     fn refused(file: &Path) -> String {
-        match work(Job::Table { table: table(file), source: Source::Named }, &AtomicBool::default()) {
+        match work(Job::Table { table: table(file), source: Source::Named }, &Told::default()) {
             Ok(_) => panic!("{} was read", file.display()),
             Err(error) => error.to_string(),
         }
@@ -329,12 +350,10 @@ mod tests {
         std::fs::remove_file(&file).unwrap();
         let files = BTreeMap::from([(file.clone(), OwnedFd::from(open))]);
         let job = Job::Table { table: table(&file), source: Source::Handed(files) };
-        assert!(
-            matches!(work(job, &AtomicBool::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2)
-        );
+        assert!(matches!(work(job, &Told::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2));
         let job =
             Job::Table { table: table(Path::new("/etc/passwd")), source: Source::Handed(BTreeMap::new()) };
-        let Err(error) = work(job, &AtomicBool::default()) else { panic!("read") };
+        let Err(error) = work(job, &Told::default()) else { panic!("read") };
         assert!(error.to_string().contains("did not come with the request"), "{error}");
     }
 
@@ -353,7 +372,7 @@ mod tests {
             }
             let files = [at("a.run.toml"), at("a.csv")];
             let job = Job::Keep { files, source: Source::Named, spool: spool.clone() };
-            let Err(error) = work(job, &AtomicBool::default()) else { panic!("kept") };
+            let Err(error) = work(job, &Told::default()) else { panic!("kept") };
             assert!(error.to_string().contains(&format!("more than {bound} bytes")), "{error}");
         }
     }
@@ -366,17 +385,22 @@ mod tests {
         let mut loader = Loader::new();
         for n in 0..HANGING {
             assert!(loader.busy().is_none(), "{n}");
-            // As if it had hung: it is not under way, and its result has not come.
-            loader.hanging.push(1000 + n as Ticket);
+            // As if it hung in a file system: it is not under way, and its result has not come.
+            let told = Arc::new(Told { reads: true.into(), ..Told::default() });
+            loader.hanging.push((1000 + n as Ticket, told));
         }
         assert!(loader.busy().unwrap().contains("have not ended"));
         loader.results.0.send((1000, Err(missing(&file)))).unwrap();
         assert!(loader.done().is_some_and(|(_, given_up)| given_up));
         assert!(loader.busy().is_none());
+        // One that computes is waited for.
+        loader.hanging[0].1.reads.store(false, Ordering::Relaxed);
+        assert!(loader.busy().unwrap().contains("another file is being loaded"));
         // Told to end it ends, with nothing read.
-        let Err(error) =
-            work(Job::Table { table: table(&file), source: Source::Named }, &AtomicBool::new(true))
-        else {
+        let Err(error) = work(
+            Job::Table { table: table(&file), source: Source::Named },
+            &Told { given_up: true.into(), ..Told::default() },
+        ) else {
             panic!("read")
         };
         assert!(error.to_string().contains("takes too long"), "{error}");

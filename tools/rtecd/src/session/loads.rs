@@ -13,7 +13,6 @@ use rtec_rt::link::ControlEnd;
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// Which model was taken last: a file of this name beside the state file. Only that one runs after a restart. Its hash, its
@@ -74,7 +73,7 @@ impl Session {
         let Some(file) = configured.clone().or(file) else { return };
         let source =
             if configured.is_none() && kept.contains_key(&file) { Source::Kept(kept) } else { Source::Named };
-        let why = match loader::work(self.model_job(file.clone(), source), &AtomicBool::default()) {
+        let why = match loader::work(self.model_job(file.clone(), source), &loader::Told::default()) {
             Err(error) => error.to_string(),
             Ok(Loaded::Table { .. } | Loaded::Kept(_)) => return,
             Ok(Loaded::Model { prepared, .. }) => {
