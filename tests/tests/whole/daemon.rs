@@ -492,10 +492,7 @@ fn an_empty_answer_says_that_it_is_one() {
     // The record has lines, and none of the next century.
     until("the record", || daemon.expect(0, &["log"]).contains(" home: done"));
     let (text, why) = said(&["log", "--since", "2100-01-01"]);
-    assert!(
-        text.is_empty() && why.contains("no line since 2100-01-01T00:00:00.000Z; the record's last is of 20"),
-        "{why}"
-    );
+    assert!(text.is_empty() && why.contains("no line since 2100-01-01 00:00:00.000 "), "{why}");
     assert_eq!(said(&["log", "--since", "2100-01-01", "--json"]).1, "");
     let run = daemon.user(&["log", "--axis", "q"]);
     assert!(run.status.code() == Some(2) && run.stdout.is_empty(), "{run:?}");

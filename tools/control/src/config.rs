@@ -35,7 +35,9 @@
 //! | | `operate`, `view` | – | `control-operate.sock`, `control-view.sock` | `{ socket, group, mode }` of the roles that may less, see [`crate::role`] |
 //! | | `state_file` | – | beside the socket | what a restart takes over |
 //! | | `log_file` | – | `/var/log/rtec/audit.log`, or beside the state file | the record of every command |
+//! | | `log_anchor` | – | false | whether the record's end is said in the system's journal |
 //! | | `spool` | – | none | the folder that finished records are kept in, for `rtecctl ship` |
+//! | | `spool_mb` | MB | 1024 | what may wait in it at most |
 //! | | `stale_ms` | ms | 500 | silence of the control side after which no insertion begins |
 //! | `[model]` | `file` | – | none | the machine model that shall run, once `rtecctl model load` has taken it |
 //! | | `period_ms` | ms | 10 | how often it is evaluated, 10 to 20 |

@@ -17,7 +17,7 @@ mod tests;
 use crate::audit::Totals;
 use crate::cards::Stand;
 use crate::history::History;
-use crate::keeper::{Keeper, Kept};
+use crate::keeper::{Keeper, Kept, Spool};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
 use crate::on_disk::OnDisk;
@@ -169,7 +169,7 @@ impl Session {
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
         let sensors = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
         let sensors = sensors.map(|(n, c)| (n, c.name.clone())).collect();
-        let keeper = Keeper::new(config.control.spool.clone(), sensors);
+        let keeper = Keeper::new(Spool::of(&config.control), sensors);
         let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
         let places = std::iter::once(None).chain((0..axes).map(Some));
         let known = places.flat_map(|axis| Fault::ALL.map(|fault| (axis, fault)));
@@ -287,6 +287,11 @@ impl Session {
         log.event(Level::Warning, "stood_still", &text);
         let t_ns = control.status().t_ns;
         self.tell(Happened { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
+    }
+
+    /// The end of the record of commands is to be said in the system's journal.
+    pub(crate) fn anchors_record(&self) -> bool {
+        self.config.control.log_anchor
     }
 
     /// What is to be mended before a record can be kept.

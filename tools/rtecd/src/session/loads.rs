@@ -108,7 +108,7 @@ impl Session {
         };
         let source =
             if configured.is_none() && kept.contains_key(&file) { Source::Kept(kept) } else { Source::Named };
-        let why = match loader::work(self.model_job(file.clone(), source)) {
+        let why = match loader::work(self.model_job(file.clone(), source), &loader::Told::default()) {
             Err(error) => error.to_string(),
             Ok(Loaded::Table { .. } | Loaded::Kept(_)) => return,
             Ok(Loaded::Model { prepared, .. }) => {
@@ -216,7 +216,7 @@ impl Session {
 
     /// Puts a finished record into the spool folder, once it has been read; without files it says whether it would.
     pub(super) fn keep(&mut self, names: &[String], beside: Beside) -> Answer {
-        let Some(folder) = self.keeper.folder().map(Path::to_owned) else {
+        let Some(spool) = self.keeper.spool().cloned() else {
             let text = "this daemon keeps no records: `spool = \"/var/spool/rtec\"` in [control] of its configuration names \
                         the folder";
             return Answer::Now(refused("no_spool", text.to_owned()));
@@ -227,7 +227,7 @@ impl Session {
             (None, [sidecar, csv], 2) => {
                 let files = [sidecar, csv].map(PathBuf::from);
                 let source = Source::Handed(files.iter().cloned().zip(beside.files).collect());
-                self.begin(Job::Keep { files, source, folder }, Wish::Keep)
+                self.begin(Job::Keep { files, source, spool }, Wish::Keep)
             }
             (None, names, came) => {
                 let text = format!(
@@ -255,13 +255,12 @@ impl Session {
 
     /// Something is being loaded.
     pub(crate) fn loads(&self) -> bool {
-        self.loader.busy()
+        self.loader.busy().is_some()
     }
 
     fn begin(&mut self, job: Job, wish: Wish) -> Answer {
-        if self.loader.busy() {
-            let text = "another file is being loaded: ask again when it is done".to_owned();
-            return Answer::Now(refused("loading", text));
+        if let Some(why) = self.loader.busy() {
+            return Answer::Now(refused("loading", why.to_owned()));
         }
         match self.loader.start(job) {
             Ok(ticket) => {
@@ -280,20 +279,23 @@ impl Session {
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Option<(Ticket, Response, Option<String>)> {
-        if let Some(ticket) = self.loader.overdue()
+        if let Some(ticket) = self.loader.give_up()
             && let Some(wish) = self.wish.take()
         {
             let s = PATIENCE.as_secs();
             let text = match wish {
                 Wish::Keep => {
-                    format!("keeping took longer than {s} s: the record may be in the spool folder, or not")
+                    format!(
+                        "keeping took longer than {s} s and is given up: the record is not kept, unless an event record_kept \
+                         follows"
+                    )
                 }
                 Wish::Model(_) | Wish::Table => format!("loading took longer than {s} s: nothing is loaded"),
             };
             return Some((ticket, refused("too_long", text), None));
         }
-        let (ticket, result) = self.loader.done()?;
-        let wish = self.wish.take();
+        let ((ticket, result), given_up) = self.loader.done()?;
+        let wish = if given_up { None } else { self.wish.take() };
         if let Ok(Loaded::Kept(kept)) = result {
             // It is there, or it is not: whoever waits.
             let response = match &kept {
