@@ -54,7 +54,7 @@ mod card;
 mod control;
 mod here;
 mod latency;
-pub mod plain;
+mod plain;
 mod sensors;
 
 pub use control::{ControlConfig, Door, LONGEST_SOCKET, SocketAt, default_directory, derived};

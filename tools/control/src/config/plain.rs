@@ -54,7 +54,7 @@ pub(super) fn line<'a>(
     at: Option<At<&'a str>>,
 ) -> Option<At<&'a str>> {
     let at = at?;
-    if at.value.len() <= LONGEST_LINE && !at.value.chars().any(|c| c.is_control() || is_hidden(c)) {
+    if at.value.len() <= LONGEST_LINE && unseen(at.value).is_none() {
         return Some(at);
     }
     let shown: String = at.value.chars().take(24).flat_map(char::escape_debug).collect();
