@@ -158,7 +158,7 @@ fn cut(text: &mut String, characters: usize) {
     if let Some((at, _)) = text.char_indices().nth(characters) {
         let more = text.len() - at;
         text.truncate(at);
-        text.push_str(&format!("… ({more} bytes more)"));
+        *text = format!("{text}… ({more} bytes more)");
     }
 }
 

@@ -40,7 +40,9 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
         add("profile", folder.join(named));
     }
     if let CardConfig::Replay { traces } = &config.card {
-        traces.iter().for_each(|t| add("trace", t.clone()));
+        for trace in traces {
+            add("trace", trace.clone());
+        }
     }
     for sensor in &config.sensors {
         if let SensorSource::Csv { record, .. } = &sensor.source {
@@ -61,7 +63,9 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
                 beside.borrow_mut().push(path.to_owned());
                 rtec_files::text::read(path)
             })?;
-            beside.into_inner().into_iter().for_each(|path| add("model", path));
+            for path in beside.into_inner() {
+                add("model", path);
+            }
         }
     }
     add("devices", file.with_file_name("devices"));

@@ -544,7 +544,9 @@ mod tests {
             audit.command(Command { request, text: "y".repeat(4000), ..command(n, "refused") });
             if n % 20 == 0 {
                 // As a second later.
-                audit.repeated.values_mut().for_each(|r| r.since = r.since.checked_sub(TOGETHER).unwrap());
+                for r in audit.repeated.values_mut() {
+                    r.since = r.since.checked_sub(TOGETHER).unwrap();
+                }
                 audit.turn();
             }
             let begun = Instant::now();

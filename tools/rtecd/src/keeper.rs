@@ -62,9 +62,8 @@ impl Spool {
 
     fn put(&self, record: Record, csv: &[u8], go_on: &dyn Fn() -> bool) -> Result<PathBuf, String> {
         let Self { folder, room } = self;
-        spool::put(record, csv, folder, *room, go_on).map_err(|error| match folder.is_dir() {
-            true => format!("{}: {error}", folder.display()),
-            false => no_folder(folder),
+        spool::put(record, csv, folder, *room, go_on).map_err(|error| {
+            if folder.is_dir() { format!("{}: {error}", folder.display()) } else { no_folder(folder) }
         })
     }
 }

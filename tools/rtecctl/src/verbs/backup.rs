@@ -89,9 +89,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         let bytes = rtec_files::text::bytes(&path)?;
         let mode = std::fs::metadata(&path).with_context(|| path.display().to_string())?.permissions().mode();
-        let relative = match is_state {
-            true => path.file_name().map(PathBuf::from),
-            false => path.strip_prefix(folder).ok().map(Path::to_owned),
+        let relative = if is_state {
+            path.file_name().map(PathBuf::from)
+        } else {
+            path.strip_prefix(folder).ok().map(Path::to_owned)
         };
         // One that lies elsewhere has its whole path in the manifest, and a number in the archive.
         let (name, at) = match relative {

@@ -20,7 +20,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         crate::say(&script(shell));
         return Ok(());
     }
-    Daemon::at(None).axes().iter().for_each(|name| println!("{name}"));
+    for name in Daemon::at(None).axes() {
+        println!("{name}");
+    }
     Ok(())
 }
 

@@ -17,6 +17,7 @@ use std::path::{Component, Path, PathBuf};
 /// differs stays, and nothing is written, unless --replace. The daemon must not run. What the controller had in effect when the
 /// archive was made is not put back: home scale and controller after it. The record of commands stays as it is.
 #[derive(Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools)] // One per option.
 pub(crate) struct Args {
     /// The archive
     #[arg(value_name = "FILE.tar")]
@@ -86,8 +87,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let done = if args.dry_run { "would be written" } else { "written" };
-    names.iter().for_each(|name| println!("{name}: {done}"));
-    left_out.iter().for_each(|text| println!("{text}"));
+    for name in &names {
+        println!("{name}: {done}");
+    }
+    for text in &left_out {
+        println!("{text}");
+    }
     println!(
         "machine \"{}\" as of {}: home scale and controller before you enable",
         manifest.machine, manifest.made
@@ -133,7 +138,7 @@ fn inside(args: &Args, packed: &Packed) -> Result<PathBuf, InputError> {
     if plain && !packed.path.as_os_str().is_empty() {
         return Ok(packed.path.clone());
     }
-    let found = format!("the path {:?}", packed.path);
+    let found = format!("the path {}", packed.path.display());
     Err(InputError::whole(&args.archive, found, "paths below the configuration's folder"))
 }
 

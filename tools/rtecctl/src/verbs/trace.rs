@@ -464,8 +464,8 @@ mod tests {
             "{error}"
         );
         // There and back is a way, too.
-        let back: String = (0..100).map(|n| format!("{n},{}\n", n % 2 * 1000)).collect();
-        let text = format!("t_s,position_um\n{back}");
+        let back: Vec<String> = (0..100).map(|n| format!("{n},{}", n % 2 * 1000)).collect();
+        let text = format!("t_s,position_um\n{}\n", back.join("\n"));
         let error = refused(&text, &["--count-um", "1", "--most-edges", "98999"]);
         assert!(error.contains("found a way of 99000 counts"), "{error}");
         assert!(run_from(&text, &["--count-um", "1", "--most-edges", "99000"]).0.is_ok());
