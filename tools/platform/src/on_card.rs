@@ -100,7 +100,7 @@ pub(crate) fn writes<C: Card + Send + 'static>(
         }
     };
     for axis in 0..axes.len() as u8 {
-        ask(Request::Home { axis, position_counts: 0 });
+        ask(Request::Home { axis, position_counts: 0, controller_homed: true });
         ask(Request::ConfirmHome { axis, position_counts: 0 });
     }
     ask(Request::Enable);
