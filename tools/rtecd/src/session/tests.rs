@@ -453,7 +453,13 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         let text = format!("{text}{measured}").replace("30000", if slower { "3000" } else { "30000" });
         let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
         let (engine, _card) = engine(&config);
-        let set_up = SetUp { real: true, wanted: None, missing: None, timing: engine.timing(), times: Before::NOTHING.times };
+        let set_up = SetUp {
+            real: true,
+            wanted: None,
+            missing: None,
+            timing: engine.timing(),
+            times: Before::NOTHING.times,
+        };
         let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
         let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
         let (mut control, _rt) = link(engine.status());
