@@ -92,7 +92,10 @@ mod tests {
         let at = |name: &str| directory.path().join(name);
         let put = |name: &str, text: &str| std::fs::write(at(name), text).unwrap();
         put("m.toml", "name = 'm'\ndictionary = 'own.toml'\n");
-        put("own.toml", "");
+        let law = "[[law]]\nname = 'quill_droop'\nnaming = 'A.B'\nacts_on = 'error'\nlaw = 'e_A = um·(p_B/100)²'\n\
+            cause = 'the quill bends'\nexperiment = 'a straightedge at several depths'\n\
+            parameters = [{ name = 'um', unit = 'um', plausible = 50.0, terms = [{ factor = 1e-4, p_B = 2 }] }]\n";
+        put("own.toml", law);
         put("r.run.toml", "file = 'r.csv'\nkind = 'drift'\n");
         let text = "[machine]\nname='m'\n[card]\nbackend='replay'\n[[axis]]\nname='x'\ncount_um=1\ntravel_mm=40\ntrace='x.csv'\n\
                     max_correction_counts=100\nwindow_counts=50\nmin_separation_ns=500\n[model]\nfile='m.toml'\n\
