@@ -239,10 +239,10 @@ fn a_total_beyond_the_warning_limit_is_taken_and_says_so() {
     let run = daemon.user(&["correct", "x", "-34"]);
     assert_eq!(String::from_utf8(run.stdout).unwrap(), "axis x: -34 counts requested\n");
     let said = String::from_utf8(run.stderr).unwrap();
-    assert!(said.starts_with("warning: axis x: asked -34, now +12 counts, warning from 30 on"), "{said}");
+    assert!(said.starts_with("warning: axis x: total -34, now +12 counts, warning from 30 on"), "{said}");
     until("completed", || daemon.status()["axes"][0]["completed"] == -34);
     let answer = daemon.expect(0, &["correct", "x", "-36", "--json"]);
-    assert!(answer.contains("\"warnings\":[\"axis x: asked -36, now -34 counts"), "{answer}");
+    assert!(answer.contains("\"warnings\":[\"axis x: total -36, now -34 counts"), "{answer}");
 }
 
 /// Both outputs onto a full disk.
