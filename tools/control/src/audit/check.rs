@@ -51,7 +51,8 @@ pub fn read(path: &Path, each: &mut dyn FnMut(Line)) -> io::Result<()> {
         };
         let [first, second] = &mut chains;
         let (a, b) = (time(first.peek()), time(second.peek()));
-        let chain = if b.is_none() || a.is_some() && a <= b { first } else { second };
+        // At the same time: a command that latches a fault stands before the fault.
+        let chain = if b.is_none() || a.is_some() && a < b { first } else { second };
         let Some(line) = chain.next() else { return Ok(()) };
         each(line?);
     }
